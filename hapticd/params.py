@@ -81,6 +81,11 @@ class EnvironmentParams:
     workspace: WorkspaceParams = WorkspaceParams()
 
 
+MEASURED_BY = "rig "  # begin of the source of what a step of `hapticd rig` measured at this board
+# between a measured scale and the board's nominal one; more is a wrong unit, range or board
+MOST_CORRECTION = 1.5
+
+
 @dataclass(frozen=True, slots=True)
 class ScaleParams:
     """value = sign * (count - offset_count) * per_count; `date`, `source` and `serial` say where
@@ -93,6 +98,11 @@ class ScaleParams:
     date: str = ""
     source: str = ""
     serial: str = ""  # of the board at which it was measured; "": that of the device file
+
+    @property
+    def measured(self) -> bool:
+        """Whether a step of `hapticd rig` measured it."""
+        return self.source.startswith(MEASURED_BY)
 
     def to_value(self, count: float) -> float:
         """SI value of `count`."""

@@ -90,11 +90,44 @@ def test_a_calibration_may_correct_a_scale_by_a_tenth(factor, agrees):
     assert result is (Result.APPLIED if agrees else Result.REFUSED_DEVICE)
 
 
-@pytest.mark.parametrize("number", [math.nan, 0.0, -8.0, math.inf])
-def test_number_that_is_none_contradicts(number):
-    said = hello(board_params())._replace(force_full_scale_n=number)
+MEASURED = ScaleParams(COUNT_N, source="rig motor: by hanging masses")
+
+
+@pytest.mark.parametrize(
+    ("factor", "agrees"), [(1.25, True), (1 / 1.25, True), (2.0, False), (0.5, False), (10, False)]
+)
+def test_a_measured_scale_may_differ_by_half_as_much_again_and_never_by_a_unit(factor, agrees):
+    """The motor makes 1 / factor of what the board's firmware says; its limit was lowered too."""
+    device = device_params(force=MEASURED, force_limit_n=8.0)
+    said = hello(board_params())._replace(
+        force_full_scale_n=8.0 * factor, force_limit_n=8.0 * max(1.0, factor)
+    )
+    assert (differences(said, device) == ()) is agrees
+
+
+def test_what_is_typed_may_not_differ_as_what_is_measured():
+    said = hello(board_params())._replace(force_full_scale_n=10.0)
     (found,) = differences(said, device_params())
-    assert found.startswith("force full scale: the board says")
+    assert found.startswith("force full scale")
+
+
+def test_a_limit_beyond_what_a_weak_motor_reaches_contradicts():
+    """The board clamps at 8 N of its own scale, with a motor of 0.8 that are 6.4 N; the file still
+    says 8.
+    """
+    weak = dataclasses.replace(MEASURED, per_count=0.8 * COUNT_N)
+    said = hello(board_params())
+    assert differences(said, device_params(force=weak, force_limit_n=6.4)) == ()
+    (found,) = differences(said, device_params(force=weak, force_limit_n=8.0))
+    assert found == "force limit: the board says 8 nominal N, the device file 10 nominal N"
+
+
+@pytest.mark.parametrize("force", [ScaleParams(COUNT_N), MEASURED])
+@pytest.mark.parametrize("number", [math.nan, 0.0, -8.0, math.inf])
+def test_number_that_is_none_contradicts(number, force):
+    said = hello(board_params())._replace(force_full_scale_n=number)
+    found = differences(said, device_params(force=force))
+    assert found[0].startswith("force full scale: the board says")
 
 
 def test_index_that_homing_needs_has_to_be_there():

@@ -1,22 +1,43 @@
 """What a board says of itself against what its device file says.
 
 The hello reply carries nominal full scales, limits and capabilities; the device file carries the
-calibrated ones, and everything else is computed from those. A calibration corrects a nominal scale
-by some per cent. A board of another range, or another board altogether, is off by far more, and
-every newton that the servo computes for it is wrong. So numbers may differ by a tenth, a serial
-number not at all, and a capability that the file relies on has to be there. NaN never agrees.
+calibrated ones, and everything else is computed from those. A board of another range, or another
+board altogether, is off by far more than a calibration corrects, and every newton that the servo
+computes for it is wrong. So
+
+    a scale that somebody typed   may differ by a tenth
+    a scale that was measured     (by `hapticd rig`, at this board) by a factor of MOST_CORRECTION:
+                                  nominal scales are guesses of whoever wrote the firmware, and a
+                                  wrong unit or range is a factor of 2 at least
+    the force limit               the same, but upwards never by more than a tenth: the board clamps
+                                  counts, so with a motor of 0.8 its 8 N are 6.4 N
+    serial number                 not at all
+    capabilities                  those that the file relies on have to be there
+
+NaN never agrees.
 
 What would break it: a scale of the wire that the hello reply does not carry (back-EMF velocity,
-temperature).
+temperature); a nominal scale that is wrong by the very factor by which a step's mass is mistyped.
 """
 
 from typing import NamedTuple
 
-from hapticd.params import DeviceParams
+from hapticd.params import MOST_CORRECTION, DeviceParams, ScaleParams
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 from hapticd.wire.frames import Capability, HelloFrame
 
-TOLERANCE = 0.1  # of the device file's number
+TOLERANCE = 0.1  # of the device file's number, where nobody measured it
+
+
+class Range(NamedTuple):
+    """What the board's number may be, over the device file's."""
+
+    lowest: float
+    highest: float
+
+
+TYPED = Range(1.0 - TOLERANCE, 1.0 + TOLERANCE)
+MEASURED = Range(1.0 / MOST_CORRECTION, MOST_CORRECTION)
 
 
 class Stated(NamedTuple):
@@ -26,14 +47,16 @@ class Stated(NamedTuple):
     by_board: float
     by_file: float
     unit: str
+    allowed: Range
 
 
 def differences(hello: HelloFrame, device: DeviceParams) -> tuple[str, ...]:
     """One phrase for each contradiction between a board and its device file; () if they agree."""
     numbers = tuple(
-        f"{name}: the board says {by_board:.6g} {unit}, the device file {by_file:.6g} {unit}"
-        for name, by_board, by_file, unit in _stated(hello, device)
-        if not abs(by_board - by_file) <= TOLERANCE * by_file
+        f"{one.name}: the board says {one.by_board:.6g} {one.unit}, the device file"
+        f" {one.by_file:.6g} {one.unit}"
+        for one in _stated(hello, device)
+        if not _agree(one)
     )
     missing = tuple(
         f"capability {name}: the device file relies on it, the board does not have it"
@@ -49,31 +72,54 @@ def _serials(hello: HelloFrame, device: DeviceParams) -> tuple[str, ...]:
     return (f"serial: the board says {hello.serial!r}, the device file {device.serial!r}",)
 
 
-def _stated(hello: HelloFrame, device: DeviceParams) -> tuple[Stated, ...]:
-    def full(per_count: float) -> float:
-        return per_count * I16_HIGHEST
+def _agree(one: Stated) -> bool:
+    return one.allowed.lowest * one.by_file <= one.by_board <= one.allowed.highest * one.by_file
 
-    speed = full(device.probe_velocity.per_count)
-    damping = device.damping.per_count * U16_HIGHEST
+
+def _stated(hello: HelloFrame, device: DeviceParams) -> tuple[Stated, ...]:
+    def scale(name: str, by_board: float, own: ScaleParams, unit: str, full: int) -> Stated:
+        allowed = MEASURED if own.measured else TYPED
+        return Stated(name, by_board, own.per_count * full, unit, allowed)
+
+    force = scale("force full scale", hello.force_full_scale_n, device.force, "N", I16_HIGHEST)
     return (
-        Stated("force full scale", hello.force_full_scale_n, full(device.force.per_count), "N"),
-        Stated("damping full scale", hello.damping_full_scale_ns_per_m, damping, "N s/m"),
-        Stated(
+        force,
+        scale(
+            "damping full scale",
+            hello.damping_full_scale_ns_per_m,
+            device.damping,
+            "N s/m",
+            U16_HIGHEST,
+        ),
+        scale(
             "probe torque full scale",
             hello.probe_torque_full_scale_n,
-            full(device.probe_torque.per_count),
+            device.probe_torque,
             "N",
+            I16_HIGHEST,
         ),
-        Stated("probe velocity full scale", hello.probe_velocity_full_scale_m_s, speed, "m/s"),
-        Stated(
-            "current full scale", hello.current_full_scale_a, full(device.current.per_count), "A"
+        scale(
+            "probe velocity full scale",
+            hello.probe_velocity_full_scale_m_s,
+            device.probe_velocity,
+            "m/s",
+            I16_HIGHEST,
         ),
-        Stated(
-            "voltage full scale", hello.voltage_full_scale_v, full(device.voltage.per_count), "V"
-        ),
-        Stated("position", hello.position_m_per_count, device.position.per_count, "m/count"),
-        Stated("force limit", hello.force_limit_n, device.force_limit_n, "N"),
+        scale("current full scale", hello.current_full_scale_a, device.current, "A", I16_HIGHEST),
+        scale("voltage full scale", hello.voltage_full_scale_v, device.voltage, "V", I16_HIGHEST),
+        scale("position", hello.position_m_per_count, device.position, "m/count", 1),
+        _limit(hello, device, force),
     )
+
+
+def _limit(hello: HelloFrame, device: DeviceParams, force: Stated) -> Stated:
+    """Where the board clamps; by a motor that was measured, in newtons of the board's own scale."""
+    own_n = device.force_limit_n
+    if not device.force.measured:
+        return Stated("force limit", hello.force_limit_n, own_n, "N", TYPED)
+    allowed = Range(TYPED.lowest, MEASURED.highest)
+    own_n *= force.by_board / force.by_file
+    return Stated("force limit", hello.force_limit_n, own_n, "nominal N", allowed)
 
 
 def _relied_on(device: DeviceParams) -> tuple[str, ...]:

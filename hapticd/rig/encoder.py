@@ -18,6 +18,7 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
+from hapticd.params import MOST_CORRECTION
 from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
@@ -32,7 +33,6 @@ LEAST_COUNTS = 100.0  # of any motion that says something
 QUIET_COUNTS = 4.0  # peak to peak at rest
 LOW_BITS = 3
 MOST_SCATTER = 0.01  # half of the interval, of the distance
-FACTOR = 2.0  # between file and measurement, beyond which a distance is rather mistyped
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def _steps(steps: Floats, went: float) -> list[Finding]:
 
 def _believable(scale: Value, m_per_count: float, distance: Distance) -> Finding:
     ratio = scale.value / m_per_count
-    if not 1.0 / FACTOR <= ratio <= FACTOR:
+    if not 1.0 / MOST_CORRECTION <= ratio <= MOST_CORRECTION:
         what = f"{scale.value:.4g} m per count is {ratio:.3g} times what the device file says"
         remedy = f"is the distance {distance.metres:g} m right, in metres? Else correct the file"
         return Finding(what, "refused", remedy)

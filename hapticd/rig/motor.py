@@ -23,7 +23,7 @@ What would break it: a friction that differs from one reading to the next (it sh
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot, sqrt
+from math import floor, hypot, inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
-from hapticd.params import COMMISSIONING_SHARE
+from hapticd.params import COMMISSIONING_SHARE, MOST_CORRECTION
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.push import Pushed, push, ready, wall_of
@@ -57,7 +57,6 @@ READ_S = 1.0
 MOST_SHARE = 0.8  # of the force limit that masses may take
 REPEATS = 0.1  # share by which friction is taken to differ from reading to reading
 MOST_RESIDUAL = 0.02  # of the span
-FACTOR = 2.0  # between file and measurement, beyond which a mass is rather mistyped
 
 
 @dataclass(frozen=True)
@@ -184,7 +183,9 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
         state = bench.status()["state"]
     if state != "enabled":
         raise AnalysisError(f"force ended meanwhile (the servo is {state}); repeat the step")
-    return concluded(weights, np.array(readings), masses, servo["device"]["force"])
+    device = servo["device"]
+    own_n = float(device["force_limit_n"])
+    return concluded(weights, np.array(readings), masses, device["force"], own_n)
 
 
 def settled_n(bench: Client, drawn_n: float) -> float:
@@ -221,9 +222,15 @@ def _refuse(servo: dict[str, Any], masses: Masses) -> None:
 
 
 def concluded(
-    weights_n: Floats, readings_n: Floats, masses: Masses, force: dict[str, Any]
+    weights_n: Floats,
+    readings_n: Floats,
+    masses: Masses,
+    force: dict[str, Any],
+    limit_n: float = inf,
 ) -> StepResult:
-    """What commanded forces (n, 2) under `weights_n` (n,) say, with the file's scale `force`."""
+    """What commanded forces (n, 2) under `weights_n` (n,) say, with the file's scale `force` and
+    its `limit_n`.
+    """
     means = readings_n.mean(axis=1)
     line = fitted(weights_n, means)
     scale = -masses.pulls_to / line.slope
@@ -249,10 +256,20 @@ def concluded(
     changes = [
         Change("force", "full_scale_n", rounded(gain.value, gain.low, gain.high)),
         Change("force", "offset_count", rounded(offset.value, offset.low, offset.high)),
+        *_within_reach(gain.low / full_n, limit_n),
     ]
     settled = all(one.verdict != "refused" for one in findings)
     arrays = {"weights_n": weights_n, "readings_n": readings_n}
     return StepResult("motor", (gain, offset, spread), findings, changes if settled else (), arrays)
+
+
+def _within_reach(scale: float, limit_n: float) -> list[Change]:
+    """The board clamps counts: with a motor that is weaker than its file says, the most that it
+    makes is less, too.
+    """
+    if scale >= 1.0 or limit_n == inf:
+        return []
+    return [Change("limits", "force_n", floor(scale * limit_n * 1e3) / 1e3)]
 
 
 @dataclass(frozen=True)
@@ -295,7 +312,7 @@ def _linear(line: Line, means: Sequence[float] | Floats) -> Finding:
 
 def _gain(scale: float) -> Finding:
     what = f"a commanded newton is {scale:.4g} N"
-    if 1.0 / FACTOR <= scale <= FACTOR:
+    if 1.0 / MOST_CORRECTION <= scale <= MOST_CORRECTION:
         return Finding(what, "ok")
     remedy = "are the masses in kg, the radii and the side right? Else correct force.full_scale_n"
     return Finding(what, "refused", remedy)

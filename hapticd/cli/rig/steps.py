@@ -20,6 +20,7 @@ from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.zwidth.live import signals_end_with_force_off
 from hapticd.errors import AnalysisError, ConfigError
+from hapticd.params import MEASURED_BY
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -137,7 +138,8 @@ def _written(result: "StepResult", settings: "Settings", yes: bool) -> "StepResu
         if answer(f"write this into {path}? yes or no") not in ("y", "yes"):
             return replace(result, changes=())
     words = "; ".join(str(value) for value in result.values)
-    source = f"rig {result.step}: {words or 'signs seen'}; rig/{kept.path.name} {kept.sha256}"
+    found = f"{MEASURED_BY}{result.step}: {words or 'signs seen'}"
+    source = f"{found}; rig/{kept.path.name} {kept.sha256}"
     write(path, result.changes, source, day)
     terminal.talk(f"written: {path}; it counts from the next start of the daemon")
     return result

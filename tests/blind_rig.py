@@ -1,0 +1,196 @@
+"""Blind rigs: a simulated device whose truth comes from a seed, and which steps know by a client.
+
+    with BlindRig(7) as rig:                # or BlindRig(7, broken="stuck encoder")
+        rig.bench                           a LockStepBench, the Client that steps get
+        rig.ask                             the person who does what `rig.hand.Request` says
+        rig.device_file                     template with the board's nominal scales, in a folder
+        rig.write(result)                   keeps and writes what a step found, as the verbs do
+        rig.restart()                       a new daemon of the written file; the device stays
+        rig.true("force.full_scale_n")      the true value of a quantity, in the unit of its Value
+        rig.worst_share                     motor's force over the limit until signs were verified
+
+`first_day(rig)` does the steps that exist, in the order of the guided path, and tells what they
+found. Names in `true` are those of `Value`s; what it does not know is None (nobody can tell).
+
+The truth (`blind_truth`) and the person (`blind_hand`) never get into the hands of a step.
+"""
+
+import datetime
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from blind_hand import Person
+from blind_truth import NOMINAL, SERIAL, BlindBoard, Truth, drawn
+
+from hapticd.assembly import lockstep
+from hapticd.params import BoardParams
+from hapticd.rig import device_file, encoder, link, motor
+from hapticd.rig.records import keep
+from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.settings.build import commissioning, servo_params
+from hapticd.settings.load import Settings, load
+from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
+from hapticd.zwidth.lockstep import LockStepBench
+
+TEMPLATE = Path(__file__).resolve().parents[1] / "config/devices/example-board.toml"
+DAY = datetime.date(2026, 11, 22)
+LIMIT_N = 8.0
+MASSES_KG = (0.0, 0.025, 0.05, 0.075, 0.1)
+DISTANCE_M = 0.01
+EDITS = {  # what its owner writes into the template
+    'name = "example board"': 'name = "blind"',
+    '"CHANGE-ME"': f'"{SERIAL}"',
+    "force_n = 2.0": f"force_n = {LIMIT_N}",
+    "damping_ns_per_m = 5.0": "damping_ns_per_m = 10.0",
+    'method = "stop"': 'method = "none"',
+    "required = true": "required = false",
+}
+CONFIG = 'device = "blind"\n[realtime]\nmode = "off"\n'
+
+
+class BlindRig:
+    """One rig; see above. Use it as a context manager."""
+
+    bench: LockStepBench
+
+    def __init__(self, seed: int, broken: str | None = None) -> None:
+        self.truth = drawn(seed)
+        self._folder = tempfile.TemporaryDirectory(prefix="hapticd-blind-")
+        self.config_file = Path(self._folder.name) / "hapticd.toml"
+        self.device_file = Path(self._folder.name) / "devices" / "blind.toml"
+        self._lay_out()
+        moving_kg = self.truth.mass_kg
+        self.person = Person(seed, moving_kg, self.pass_time, lambda kg: self.board.attach(kg))
+        self.person.mass_error = self.truth.mass_error
+        self.person.distance_error_m = self.truth.distance_error_m
+        self.person.typed_wrong = broken == "mass typed ten times wrong"
+        self.board = BlindBoard(self.truth, broken, self.person.pull_n)
+        self._worst_n = 0.0
+        self._start()
+
+    def _lay_out(self) -> None:
+        text = TEMPLATE.read_text(encoding="utf-8")
+        for old, new in EDITS.items():
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        self.device_file.parent.mkdir()
+        self.device_file.write_text(text, encoding="utf-8")
+        self.config_file.write_text(CONFIG, encoding="utf-8")
+
+    def _start(self) -> None:
+        servo = servo_params(self.settings, "blind")
+        with patch.object(lockstep, "simulated_backend", self.board.backend):
+            self.bench = LockStepBench(servo, BoardParams(**NOMINAL))
+
+    def __enter__(self) -> "BlindRig":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bench.close()
+        self._folder.cleanup()
+
+    @property
+    def settings(self) -> Settings:
+        """Configuration and device file, as a daemon reads them when it starts."""
+        return load(self.config_file)
+
+    @property
+    def ask(self) -> Callable[..., None]:
+        """What steps ask a person by."""
+        return self.person.ask
+
+    @property
+    def worst_share(self) -> float:
+        """Largest force of the motor before signs were verified, over the device's limit."""
+        return (self._worst_n or self.board.worst_n) / LIMIT_N
+
+    def pass_time(self, seconds: float) -> None:
+        """The rig runs on."""
+        self.bench.run(round(seconds * NOMINAL["rate_hz"]))
+
+    def write(self, result: StepResult) -> None:
+        """Keep the records of a step; write what it found, if nothing was refused."""
+        kept = keep(self.device_file, result.step, DAY, result.arrays)
+        if result.settled and result.changes:
+            words = "; ".join(str(value) for value in result.values)
+            source = f"rig {result.step}: {words or 'signs seen'}; rig/{kept.path.name}"
+            device_file.write(self.device_file, result.changes, f"{source} {kept.sha256}", DAY)
+
+    def restart(self) -> None:
+        """A new daemon reads the device file; the device on the table stays as it is."""
+        self.bench.close()
+        if not commissioning(self.settings.device) and not self._worst_n:
+            self._worst_n = self.board.worst_n
+        self._start()
+
+    def true(self, name: str) -> float | None:
+        """The true value of the quantity `name`, in the unit of its Value; None: unknown here."""
+        return known(self.truth).get(name)
+
+
+def known(truth: Truth) -> dict[str, float]:
+    """Every quantity that steps may find, by the name of its Value."""
+    position_m = truth.position_gain * NOMINAL["position_m_per_count"]
+    force_n = truth.force_gain * NOMINAL["force_n_per_count"]
+    damping = truth.damping_gain * NOMINAL["damping_ns_per_m_per_count"]
+    return {
+        "delay": truth.delay_periods * 1e6 / NOMINAL["rate_hz"],
+        "clock drift": 0.0,
+        "position.m_per_count": position_m,
+        "force.full_scale_n": force_n * I16_HIGHEST,
+        "force.offset_count": truth.force_offset_count,
+        "damping.full_scale_ns_per_m": damping * U16_HIGHEST,
+        "friction seen": truth.coulomb_n,
+    }
+
+
+@dataclass
+class Day:
+    """What became of a first day: every step's result, and why it ended."""
+
+    results: list[StepResult] = field(default_factory=list)
+    error: str = ""
+
+    @property
+    def refused(self) -> tuple[str, Finding] | None:
+        """The step and the finding that ended the day."""
+        for result in self.results:
+            for finding in result.findings:
+                if finding.verdict == "refused":
+                    return result.step, finding
+        return None
+
+    @property
+    def values(self) -> Iterator[Value]:
+        """Everything that was measured."""
+        for result in self.results:
+            yield from result.values
+
+
+STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
+    "link": lambda rig: link.measure(rig.bench),
+    "encoder": lambda rig: encoder.measure(rig.bench, rig.ask, encoder.Distance(DISTANCE_M)),
+    "motor sign": lambda rig: motor.measure_sign(rig.bench, rig.ask),
+    "motor gain": lambda rig: motor.measure_gain(rig.bench, rig.ask, motor.Masses(MASSES_KG)),
+}
+
+
+def first_day(rig: BlindRig, told: Callable[[str, Any], None] = lambda *_: None) -> Day:
+    """The steps in the order of the guided path, until one is refused. What a step finds is written
+    and the daemon started again before the next one.
+    """
+    day = Day()
+    for name, step in STEPS.items():
+        result = step(rig)
+        told(name, result)
+        day.results.append(result)
+        rig.write(result)
+        if not result.settled:
+            break
+        if result.changes:
+            rig.restart()
+    return day

@@ -1,0 +1,118 @@
+"""The first day at rigs whose truth is hidden from the steps: what they find is true, what is
+broken is refused by name, and the path knows no simulated board.
+"""
+
+import ast
+import functools
+from pathlib import Path
+
+import pytest
+from blind_rig import STEPS, BlindRig, first_day
+from blind_truth import drawn
+
+PACKAGE = Path(__file__).resolve().parents[1] / "hapticd"
+# seeds of the benchmark begin at 1000
+SEEDS = (1, 2)
+MORE_SEEDS = (3, 5, 6, 7)
+# which step refuses a broken rig, and a word of what it says
+REFUSED = {
+    "stuck encoder": ("encoder", "stuck"),
+    "no authority": ("motor", "authority"),
+    "slipping lever": ("motor", "slip"),
+    "mass typed ten times wrong": ("motor", "typed wrong"),
+}
+SECRETS = {  # names by which a simulated board, or the truth of one, could be reached
+    "BoardParams",
+    "BOARD_JSON",
+    "board_params",
+    "board.json",
+    "seed",
+    "simulation",
+    "sim",
+    "engine",
+    "assembly",
+    ".stack",
+    "backend",
+    "plant",
+    "truth",
+}
+
+
+@functools.cache
+def seen(seed):
+    """The day at the rig `seed`, what is true, the device as it was written, and the force."""
+    with BlindRig(seed) as rig:
+        day = first_day(rig)
+        known = {one.name: rig.true(one.name) for one in day.values}
+        return day, known, rig.settings.device, rig.worst_share
+
+
+def agrees(seed):
+    day, known, _, worst_share = seen(seed)
+    assert day.refused is None
+    assert len(day.results) == len(STEPS)
+    for one in day.values:
+        if known[one.name] is not None:
+            half = (one.high - one.low) / 2.0
+            assert abs(one.value - known[one.name]) <= 2.0 * half, str(one)
+    assert 0.0 < worst_share <= 0.1
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_the_first_day_finds_is_what_is_true(seed):
+    agrees(seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", MORE_SEEDS)
+def test_what_the_first_day_finds_is_what_is_true_at_more_rigs(seed):
+    agrees(seed)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_written_signs_are_the_true_ones(seed):
+    device = seen(seed)[2]
+    assert device.position.sign == drawn(seed).position_sign
+    assert device.force.sign == drawn(seed).force_sign
+
+
+@pytest.mark.parametrize("broken", REFUSED)
+def test_a_broken_rig_is_refused_by_name(broken):
+    with BlindRig(4, broken) as rig:
+        day = first_day(rig)
+    assert day.refused is not None
+    step, finding = day.refused
+    expected, word = REFUSED[broken]
+    assert step == expected
+    assert word in f"{finding.what}; {finding.remedy}"
+
+
+def test_truths_differ_from_seed_to_seed_and_not_from_day_to_day():
+    assert drawn(1) == drawn(1)
+    assert drawn(1) != drawn(2)
+    signs = {(drawn(seed).position_sign, drawn(seed).force_sign) for seed in range(20)}
+    assert len(signs) == 4
+
+
+def names(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute):
+            yield f".{node.attr}"
+            yield node.attr
+        elif isinstance(node, ast.Name):
+            yield node.id
+        elif isinstance(node, ast.alias):
+            yield from node.name.split(".")
+        elif isinstance(node, ast.ImportFrom):
+            yield from (node.module or "").split(".")
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+@pytest.mark.parametrize("folder", ["rig", "cli/rig"])
+def test_the_path_names_nothing_by_which_it_could_know_the_truth(folder):
+    files = sorted((PACKAGE / folder).rglob("*.py"))
+    assert files
+    for path in files:
+        found = set(names(ast.parse(path.read_text(encoding="utf-8"))))
+        assert not found & SECRETS, path
