@@ -112,7 +112,7 @@ def _values(records: Records, status: Mapping[str, Any]) -> Iterator[Value]:
 
 
 def median_of(name: str, found: Floats, unit: str) -> Value:
-    """The median of whole numbers `found` (n,), between the order statistics of its 95 % interval."""
+    """The median of whole numbers `found` (n,), between order statistics (95 %)."""
     ordered = np.sort(found)
     half = 0.98 * sqrt(len(ordered))  # 1.96 times the deviation of a binomial with p = 1/2
     low = max(0, int(np.floor(0.5 * len(ordered) - half)))
