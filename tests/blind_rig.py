@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import tomlkit
 from blind_hand import Person
 from blind_truth import NOMINAL, SERIAL, BlindBoard, Truth, drawn
 
@@ -41,13 +42,10 @@ DAY = datetime.date(2026, 11, 22)
 LIMIT_N = 8.0
 MASSES_KG = (0.0, 0.025, 0.05, 0.075, 0.1)
 DISTANCE_M = 0.01
-EDITS = {  # what its owner writes into the template
-    'name = "example board"': 'name = "blind"',
-    '"CHANGE-ME"': f'"{SERIAL}"',
-    "force_n = 2.0": f"force_n = {LIMIT_N}",
-    "damping_ns_per_m = 5.0": "damping_ns_per_m = 10.0",
-    'method = "stop"': 'method = "none"',
-    "required = true": "required = false",
+EDITS: dict[str, dict[str, Any]] = {  # what its owner writes into the template, by table
+    "": {"name": "blind", "serial": SERIAL},
+    "limits": {"force_n": LIMIT_N, "damping_ns_per_m": 10.0},
+    "home": {"method": "none", "required": False},
 }
 CONFIG = 'device = "blind"\n[realtime]\nmode = "off"\n'
 
@@ -73,12 +71,11 @@ class BlindRig:
         self._start()
 
     def _lay_out(self) -> None:
-        text = TEMPLATE.read_text(encoding="utf-8")
-        for old, new in EDITS.items():
-            assert text.count(old) == 1, old
-            text = text.replace(old, new)
+        document = tomlkit.parse(TEMPLATE.read_text(encoding="utf-8"))
+        for table, values in EDITS.items():
+            (document[table] if table else document).update(values)
         self.device_file.parent.mkdir()
-        self.device_file.write_text(text, encoding="utf-8")
+        self.device_file.write_text(tomlkit.dumps(document), encoding="utf-8")
         self.config_file.write_text(CONFIG, encoding="utf-8")
 
     def _start(self) -> None:
