@@ -10,6 +10,7 @@ from hapticd.analysis import policies
 from hapticd.analysis.coupled import coupled_radius, shaking_hand
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.ways import POINTS
+from hapticd.analysis.words import doubling
 from hapticd.errors import AnalysisError
 
 LEVEL = 1.74
@@ -221,14 +222,6 @@ def test_scheduled_changes_before_and_after_are_judged() -> None:
     assert before["action"] == after["action"] == "refuse"
 
 
-def test_damping_that_is_scheduled_to_go_is_judged_under_what_it_carries() -> None:
-    """No environment changes then, only the level: the way of the later change shows it."""
-    judge = shipped_judge()
-    now = {"K": 150.0, "B": 1.0, "damping": 3.0}
-    assert change(judge, {"damping": 2.5}, now=now)["action"] == "apply"
-    assert change(judge, {"damping": 2.5}, now=now, after=[{"damping": 0.0}])["action"] == "refuse"
-
-
 def test_a_safer_point_may_be_gone_to_from_outside() -> None:
     answer = change(shipped_judge(), {"K": 300.0}, now={"K": 500.0, "B": 2.0})
     assert answer["action"] == "apply"
@@ -296,12 +289,24 @@ def test_a_number_that_is_not_finite_is_an_error() -> None:
         change(shipped_judge(), {"K": float("nan")})
 
 
+def test_growth_is_told_by_the_time_in_which_it_doubles() -> None:
+    """What each tick of 1 ms multiplies by 2^(1/40) doubles in 40 ms."""
+    assert doubling(2.0 ** (1 / 40), 1000.0) == "doubles in 40 ms"
+    assert doubling(2.0 ** (1 / 5000), 1000.0) == "doubles in 5 s"
+    assert doubling(1.0, 1000.0) == "does not die out"
+    verdict = change(shipped_judge(), {"K": 2000.0, "B": 5.0}, policy="warn")["verdict"]
+    assert verdict["radius"] > 1.0
+    ticks = np.log(2.0) / np.log(verdict["radius"])
+    assert f"its motion doubles in {ticks:.3g} ms" in verdict["text"]
+
+
 def test_hand_is_put_into_words() -> None:
     display = FREE | {"K": 150.0, "B": 1.0}
     asked = {"ask": "hand", "n": 3, "display": display, "delay_periods": None}
     hand = shipped_judge().answer(asked)["hand"]
     assert hand["radius"] > 1.0
     assert hand["text"].startswith(("a mass of", "a spring of"))
+    assert hand["growth"] == f"its motion {doubling(hand['radius'], 1000.0)}"
     assert f"{hand['hz']:.3g} Hz" in hand["text"]
     safe = shipped_judge().answer(asked | {"display": FREE})
     assert safe == {"n": 3, "hand": None}

@@ -10,7 +10,6 @@ from typing import Any, Self
 import pytest
 
 import hapticd.__main__ as entry
-from hapticd import __version__
 from hapticd.cli import change, daemon, lease, system, terminal
 from hapticd.cli.app import main
 from hapticd.client import Receipt, fast_stop
@@ -333,6 +332,35 @@ def test_status_says_the_measured_delay(
     assert "sample to force unknown" in capsys.readouterr().out
 
 
+def test_status_says_what_is_compensated_of_the_winding(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    known = {
+        "compensated_ohm": 1.83,
+        "tolerance_ohm": 0.03,
+        "least_loop_gain": -0.9,
+        "winding_c": 61.2,
+        "winding_ohm": 1.859,
+        "residual_ohm": 0.029,
+        "loop_gain": 0.0185,
+        "loop_gain_at_ceiling": 0.0426,
+    }
+    blind = known | dict.fromkeys(("winding_c", "winding_ohm", "residual_ohm", "loop_gain"))
+    over = known | {"residual_ohm": -0.029}
+    client.states = [RUNNING | {"compensation": one} for one in (known, blind, over, None)]
+    assert main(["status"]) == 0
+    told = capsys.readouterr().out
+    assert "winding   1.83 ohm compensated of 1.859 at 61.2 degC: 0.029 ohm too little" in told
+    assert "(tolerance 0.03 ohm)" in told
+    assert "loop gain +0.0185, +0.0426 at the highest damping; never below -0.9" in told
+    assert main(["status"]) == 0
+    assert "without a sensor what is left is not known" in capsys.readouterr().out
+    assert main(["status"]) == 0
+    assert "0.029 ohm TOO MUCH" in capsys.readouterr().out
+    assert main(["status"]) == 0
+    assert "winding" not in capsys.readouterr().out
+
+
 def test_status_says_what_is_delivered_of_the_active_damping(
     client: ClientDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -441,7 +469,6 @@ def test_stop_without_a_daemon_exits_3(capsys: pytest.CaptureFixture[str]) -> No
         "home",
         "status",
         "monitor",
-        "events",
     ],
 )
 def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -449,11 +476,6 @@ def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str
     text = capsys.readouterr().out
     assert "--instance" in text
     assert "--json" in text
-
-
-def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"hapticd {__version__}\n"
 
 
 def test_abbreviations_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

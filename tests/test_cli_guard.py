@@ -34,6 +34,7 @@ EVENT = {
     "hand": {"text": "a mass of 120 g, at 34 Hz", "mass_kg": 0.12},
     "text": "a hand that would shake it: a mass of 120 g, at 34 Hz",
 }
+WRONG, REMEDY = str(VERDICT["text"]).split("; ")
 SAYS = [
     "allowed, each with the others as asked: K 0 to 320 N/m, B -0.5 to 1.25 N s/m",
     "least level of active damping tried that would do: 1.43 N s/m",
@@ -77,7 +78,8 @@ def test_refusal_says_what_is_allowed_and_which_hand_would_shake(
     double.error = CommandError("guard", f"damping: {VERDICT['text']}", None, dict(VERDICT))
     assert main(["damping", "off"]) == 4
     told = capsys.readouterr().err.splitlines()
-    assert told == [f"hapticd: {line}" for line in (f"damping: {VERDICT['text']}", *SAYS)]
+    lines = (f"damping: {WRONG}", *SAYS, REMEDY)
+    assert told == [f"hapticd: {line}" for line in lines]
 
 
 def test_refusal_carries_verdict_and_hand_in_json(
@@ -97,7 +99,7 @@ def test_warning_goes_to_stderr_beside_the_receipt(
     assert main(["set", "K=9"]) == 0
     found = capsys.readouterr()
     assert found.out == "enabled: applied at tick 3, revision 7: K 9 N/m\n"
-    assert found.err.splitlines() == [f"hapticd: {line}" for line in (VERDICT["text"], *SAYS)]
+    assert found.err.splitlines() == [f"hapticd: {line}" for line in (WRONG, *SAYS, REMEDY)]
 
 
 def test_receipt_says_what_is_to_spare(
@@ -122,6 +124,55 @@ def test_guard_changes_and_shows(double: GuardDouble, capsys: pytest.CaptureFixt
         "clamp, by theorem, at least 0.1 N s/m to spare; damping auto; delay 0.1875 periods"
     )
     assert rest == [VERDICT["text"], *SAYS[:2]]
+
+
+def test_guard_waits_for_the_verdict_on_what_is_in_force(
+    double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers = [GUARD | {"verdict": None}, GUARD | {"verdict": None}, GUARD]
+    monkeypatch.setattr(double, "guard", lambda *what, **more: answers.pop(0))
+    monkeypatch.setattr("hapticd.cli.guard.time.sleep", lambda seconds: None)
+    assert main(["guard"]) == 0
+    assert answers == []
+    assert VERDICT["text"] in capsys.readouterr().out
+
+
+def test_guard_without_a_worker_says_why_there_is_no_verdict(
+    double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = GUARD | {"verdict": None, "worker": "down", "trouble": "it died", "unjudged": "nothing"}
+    monkeypatch.setattr(double, "guard", lambda *what, **more: found)
+    assert main(["guard"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "nothing"
+
+
+@pytest.mark.parametrize(
+    ("counted", "measured", "says"),
+    [
+        (
+            (0.25, "measured"),
+            0.375,
+            "0.25 periods, measured (p99 of the last minute: 0.375, the model assumes 0.125)",
+        ),
+        (
+            (0.125, "assumed by the model"),
+            None,
+            "0.125 periods, assumed by the model (p99 of the last minute: not known yet, the model"
+            " assumes 0.125)",
+        ),
+    ],
+)
+def test_delays_are_named_and_which_one_is_counted_on(
+    counted: tuple[float, str], measured: float | None, says: str
+) -> None:
+    delays = {
+        "counted_periods": counted[0],
+        "counted": counted[1],
+        "measured_p99_periods": measured,
+        "model_periods": 0.125,
+    }
+    lines = guard_verb.guard_lines(GUARD | {"delays": delays})
+    assert f"delay counted on: {says}" in lines
 
 
 def test_measuring_is_shown() -> None:
@@ -227,7 +278,8 @@ def test_receipt_of_a_change_in_stages_says_where_it_leads() -> None:
     given = {"K": 500.0, "B": 2.0, "M": 0.0, "damping": 1.74}
     verdict = {**VERDICT, "safe": True, "margin_ns_per_m": 0.367, "given": given}
     now = {"K": 100.0, "B": 1.0, "M": 0.0, "damping": 1.74}
-    receipt = Receipt("staged", "enabled", 5, 900, 900, now, verdict)
+    receipt = Receipt("staged", "enabled", 5, 900, 900, now, verdict | {"stages": 2})
     text = receipt_text(receipt)
+    assert text.startswith("enabled: stage 1 of 2 at tick 900")
     assert "K 100 N/m" in text
     assert text.index("on the way to K 500 N/m, B 2 N s/m") < text.index("0.367 N s/m to spare")

@@ -10,6 +10,7 @@ from typer.main import get_command
 
 from hapticd.cli import terminal
 from hapticd.cli.app import main
+from hapticd.errors import HapticdError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,3 +97,22 @@ def test_config_check_names_an_injection_that_no_board_knows(
     error = capsys.readouterr().err
     assert f"{file}: injection kind 'estop' is unknown; use one of" in error
     assert "emergency_stop" in error
+
+
+def test_long_lines_are_wrapped_in_a_terminal_and_nowhere_else(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "50")
+    monkeypatch.setenv("NO_COLOR", "1")
+    thoughts = " ".join(["refused: K = 500 N/m, B = 2 N s/m"] * 4)
+    error = HapticdError(f"{thoughts}\nallowed: K 0 to 320 N/m")
+    terminal.complain(error, as_json=False)
+    lines = [f"hapticd: {thoughts}", "hapticd: allowed: K 0 to 320 N/m"]
+    assert capsys.readouterr().err.splitlines() == lines
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    terminal.complain(error, as_json=False)
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) > 3
+    assert all(len(line) <= 50 for line in told)
+    assert all(line.startswith(("hapticd: ", "  ")) for line in told)
+    assert told[-1] == lines[1]

@@ -41,6 +41,8 @@ def test_negative_stiffness_is_refused_though_its_resistance_is_positive(capsys)
     assert "refused: a negative K" in words
     assert "though Re Z >= 0 all over the band" in words
     assert "motion grows" in words
+    doubles_s = np.log(2.0) / (np.log(found["spectral_radius"]) * 1000.0)
+    assert f"motion grows, doubling in {doubles_s:.3g} s" in words
 
 
 def test_theorem_and_prediction_may_differ(capsys):

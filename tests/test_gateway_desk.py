@@ -562,7 +562,7 @@ def test_reset_is_refused_by_the_emergency_stop_and_not_by_what_it_ended(rig: De
         (16, "operator (actor 16)"),
         (2, "stop page (actor 2)"),
         (99, "a client that has gone (actor 99)"),
-        (0, "several"),
+        (0, "more than one client"),
     ],
 )
 def test_stop_of_somebody_else_is_refused_with_whose_it_is(

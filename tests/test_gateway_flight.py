@@ -55,6 +55,18 @@ def test_dump_holds_every_tick_with_raw_frames(folder: Path) -> None:
         assert found.header["reason"] == "asked"
 
 
+def test_dump_names_the_holders_of_leases(folder: Path) -> None:
+    with RecordedFlight() as flown:
+        flown.fly(500)
+        leases = flown.publisher._leases
+        leases.take("perturbation", 17, "trial", 5.0, "hold")
+        flown.publisher.flight.dump("asked")
+        (path,) = written(flown, folder)
+    assert flight.read_flight(path).header["leases"] == {"perturbation": "trial (actor 17)"}
+    with open_recording(path) as recording:
+        assert "trial (actor 17)" in recording.attributes["leases"]
+
+
 def test_dump_can_be_flown_again(folder: Path) -> None:
     with RecordedFlight() as flown:
         flown.move()

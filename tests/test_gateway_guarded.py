@@ -766,6 +766,67 @@ def test_topic_says_unknown_without_a_worker(tmp_path: Path) -> None:
     assert told[-1]["worker"] == "none"
 
 
+def test_verdict_on_what_was_in_force_before_is_not_told_as_that_on_what_is(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    worker.script = looked
+    looking(rig)
+    assert rig.ask(cmd="guard")["result"]["verdict"]["text"] == "as it is"
+    worker.script = lambda asked: applies(asked) | {"verdict": verdict(False, "it would ring")}
+    rig.ask(cmd="set", K=1e4)
+    found = rig.ask(cmd="guard")["result"]
+    assert found["verdict"] is None
+    assert found["unjudged"] == "no verdict on what is in force yet: it is being judged"
+    worker.script = lambda asked: (
+        looked(asked, safe=False) if asked["ask"] == "look" else {"hand": None}
+    )
+    looking(rig)
+    found = rig.ask(cmd="guard")["result"]
+    assert (found["verdict"]["safe"], found["unjudged"]) == (False, "")
+
+
+def test_before_any_verdict_what_is_true_is_said(tmp_path: Path) -> None:
+    rig = DeskRig(tmp_path)
+    found = rig.ask(cmd="guard")["result"]
+    nothing = "nothing is rendered (K, B, M and the wall are 0); there is no guard worker"
+    assert (found["verdict"], found["unjudged"]) == (None, nothing)
+    rig.ask(cmd="set", wall={"stiffness_n_per_m": 10})
+    found = rig.ask(cmd="guard")["result"]
+    assert found["unjudged"].startswith("no verdict on what is in force yet")
+
+
+def test_look_by_another_margin_is_not_believed(rig: DeskRig, worker: StubWorker) -> None:
+    worker.silent = True
+    looking(rig)
+    worker.silent = False
+    (question,) = worker.asked
+    rig.ask(cmd="guard", margin_ns_per_m=0.5)
+    worker.said.append({**looked(question), "n": question["n"]})
+    rig.run()
+    assert rig.ask(cmd="guard")["result"]["verdict"] is None
+    worker.script = looked
+    looking(rig)
+    assert worker.asked[-1]["margin_ns_per_m"] == 0.5
+    assert rig.ask(cmd="guard")["result"]["verdict"]["text"] == "as it is"
+
+
+def test_delays_say_which_one_is_counted_on(rig: DeskRig, worker: StubWorker) -> None:
+    worker.hello["delay_periods"] = 0.125
+    worker.script = looked
+    assert rig.ask(cmd="guard")["result"]["delays"] == {
+        "counted_periods": 0.125,
+        "counted": "assumed by the model",
+        "measured_p99_periods": None,
+        "model_periods": 0.125,
+    }
+    rig.guard.delay.periods = 0.25
+    looking(rig)
+    rig.guard.delay.periods = 0.5
+    found = rig.ask(cmd="guard")["result"]["delays"]
+    assert (found["counted"], found["counted_periods"]) == ("measured", 0.25)
+    assert found["measured_p99_periods"] == 0.5
+
+
 def test_environment_that_is_passive_no_more_is_warned_about(
     rig: DeskRig, worker: StubWorker
 ) -> None:

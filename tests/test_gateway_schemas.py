@@ -55,8 +55,8 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
         {"cmd": "damping", "value": -0.1},
         "value",
         (
-            "value = -0.1 N s/m: beyond the limit 0..2 N s/m (the device file sets it); ask for a"
-            " value inside"
+            "active damping = -0.1 N s/m: beyond the limit 0..2 N s/m (the device file sets it);"
+            " ask for a value inside"
         ),
     ),
     (
@@ -126,7 +126,7 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
     (
         {"cmd": "damping", "value": "ON"},
         "value",
-        "value = ON: Input should be 'on', 'off' or 'auto'; send a number in 0..2 N s/m",
+        "active damping = ON: Input should be 'on', 'off' or 'auto'; send a number in 0..2 N s/m",
     ),
     ({"cmd": "damping"}, "value", f"value: missing; {LIST}"),
     (

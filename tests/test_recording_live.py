@@ -43,6 +43,14 @@ def test_channels_and_columns_agree(recorded_run: RecordedFlight) -> None:
         assert values.tobytes() == found[channel.name].tobytes()
 
 
+def test_event_of_a_lease_names_its_holder() -> None:
+    """Also where the rest of its text is cut."""
+    event = {"what": "perturbation", "change": "taken over", "actor": 17, "name": "trial"}
+    row = event_row({"timestamp": 1.0, "kind": "lease", **event, "by": "x" * 64, "text": "x" * 99})
+    start = b"what=perturbation, change=taken over, actor=17, name=trial, by=x"
+    assert row["text"].startswith(start)
+
+
 def test_event_text_is_cut_to_its_column() -> None:
     row = event_row({"timestamp": 1.0, "kind": "warning", "text": "x" * 500})
     assert (len(row["text"]), row["tick"], row["fault"]) == (128, -1, "")

@@ -40,6 +40,15 @@ def test_provenance_is_complete(recording_file: Path) -> None:
     } <= set(found)
 
 
+def test_holders_of_leases_are_named() -> None:
+    held = {"name": "trial", "actor": 17, "left_s": 3.0, "ttl_s": 5.0, "at_end": "hold"}
+    hello = {"servo": {"device": {"name": "d", "serial": "s"}, "config_hash": "c"}}
+    hello |= {"instance": "i", "rate_hz": 1000.0, "version": "v"}
+    header = {"mono_unix_offset_ns": 0, "simulated": True, "layout": "l"}
+    found = provenance.of_recording(hello, {"leases": {"perturbation": held}}, header, "")
+    assert json.loads(found["leases"]) == {"perturbation": "trial (actor 17)"}
+
+
 def test_missing_library_names_the_extra() -> None:
     with pytest.raises(
         HapticdError, match=r"this needs no_such_library .*install hapticd\[record\]"

@@ -71,6 +71,7 @@ class Basis(Protocol):
     """How it is known whether points are safe."""
 
     name: str
+    rate_hz: float | None  # of the ticks that a radius is of; None: it knows no radius
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
         """Whether each of `points` (N, 3) is safe, with the margin asked for."""
@@ -94,6 +95,7 @@ class Theorem:
 
     def __init__(self, model: Model) -> None:
         self.model = model
+        self.rate_hz: float | None = model.rate_hz
         self._late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
         self._opened: Callable[[float], Opened] = lru_cache(LEVELS + 8)(self._open)
         self._lifted: Callable[[float, Filters, float], Lift] = lru_cache(_KEPT)(self._lift)
@@ -158,6 +160,7 @@ class Predicted:
     name = "predicted"
 
     def __init__(self, theorem: Theorem, perturbation: Perturbation) -> None:
+        self.rate_hz = theorem.rate_hz
         self._theorem = theorem
         self._perturbation = perturbation
 
@@ -201,6 +204,7 @@ class Measured:
 
     def __init__(self, measured: MeasuredParams) -> None:
         self.name = f"measured {measured.file}"
+        self.rate_hz: float | None = None
         self._measured = measured
 
     def safe(self, points: Floats, at: Conditions) -> Flags:

@@ -21,7 +21,7 @@ from hapticd.analysis.displays import Display, Point, display_of
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
 from hapticd.analysis.theorem import lift, lifted_worst
-from hapticd.analysis.words import Verdicts, in_words, sentence
+from hapticd.analysis.words import Verdicts, doubling, in_words, sentence
 from hapticd.errors import AnalysisError
 from hapticd.params import GuardSetup
 from hapticd.plant.model import Model
@@ -50,6 +50,7 @@ class Judge:
                 "model_hash": self.setup.model_hash,
                 "config_hash": self.setup.config_hash,
                 "basis": self.setup.guard.basis,
+                "delay_periods": self.theorem and self.theorem.model.delay_periods,
                 "pid": pid,
             }
         }
@@ -140,7 +141,9 @@ class Judge:
             hand, hz = shaker
             radius = float(coupled_radius(model, at, [hand], level, filters)[0, 0])
             if radius > _GROWS:
-                found.append(in_words(hand, hz, in_wall) | {"hz": hz, "radius": radius})
+                grows = doubling(radius, model.rate_hz)
+                how = {"hz": hz, "radius": radius, "growth": f"its motion {grows}"}
+                found.append(in_words(hand, hz, in_wall) | how)
         return found
 
     # --- what it is made of -----------------------------------------------------------------------

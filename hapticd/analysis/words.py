@@ -6,6 +6,7 @@ promises (NOT_COVERED) beside it.
 """
 
 from collections.abc import Sequence
+from math import inf, log
 from typing import Any
 
 from hapticd.analysis.allowed import Judgement
@@ -101,15 +102,29 @@ def sentence(judgement: Judgement, display: Display, safe: bool) -> str:
 
 def _shortage(judgement: Judgement, worst: Reading, side: str) -> str:
     margin = worst.margin_ns_per_m or 0.0
-    if worst.radius is not None and worst.radius >= 1.0:
+    rate_hz = judgement.basis.rate_hz
+    if worst.radius is not None and worst.radius >= 1.0 and rate_hz is not None:
         return (
-            f"unstable by itself{side}, each tick times {worst.radius:.5g}, worst near"
+            f"unstable by itself{side}, its motion {doubling(worst.radius, rate_hz)}, worst near"
             f" {worst.worst_hz:.3g} Hz"
         )
     return (
         f"{judgement.spare_ns_per_m - margin:.3g} N s/m short{side} at {worst.worst_hz:.3g} Hz"
         f" ({judgement.basis.name})"
     )
+
+
+def doubling_s(radius: float, rate_hz: float) -> float:
+    """Time [s] in which a motion doubles that each tick multiplies by `radius` >= 1."""
+    return log(2.0) / (log(radius) * rate_hz) if radius > 1.0 else inf
+
+
+def doubling(radius: float, rate_hz: float) -> str:
+    """How fast such a motion grows: `doubles in 40 ms`."""
+    seconds = doubling_s(radius, rate_hz)
+    if seconds == inf:
+        return "does not die out"
+    return f"doubles in {1e3 * seconds:.3g} ms" if seconds < 1.0 else f"doubles in {seconds:.3g} s"
 
 
 def named(display: Display) -> str:

@@ -71,8 +71,8 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
         try:
             receipt = ask(client)
         except CommandError as error:
-            lines = _found_out(client, error.guard)
-            text = "\n".join((str(error), *lines))
+            found = _found_out(client, error.guard)
+            text = "\n".join(_thoughts(str(error), found)) if error.guard else str(error)
             raise CommandError(error.code, text, error.detail, error.guard) from None
         if not as_json:
             terminal.data(receipt_text(receipt))
@@ -80,8 +80,14 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
     if as_json:
         terminal.data_json({"ok": True, **dataclasses.asdict(receipt)})
     elif receipt.guard and receipt.guard["policy"] != "off" and not receipt.guard["safe"]:
-        for line in (receipt.guard["text"], *lines):
-            terminal.talk(f"hapticd: {line}")
+        for line in _thoughts(receipt.guard["text"], lines):
+            terminal.talk(terminal.wrapped(f"hapticd: {line}"))
+
+
+def _thoughts(text: str, allowed: list[str]) -> list[str]:
+    """`text` with one thought a line, and what is allowed as soon as it is said what is wrong."""
+    wrong, *rest = text.split("; ")
+    return [wrong, *allowed, *rest]
 
 
 def _found_out(client: "Client", verdict: dict[str, Any] | None) -> list[str]:
@@ -121,7 +127,9 @@ def receipt_text(receipt: "Receipt") -> str:
     """What became of it, and what will then be in force."""
     if receipt.result == "pressed":
         return "stop pressed; nobody confirmed it, see `hapticd status`"
-    when = f"{receipt.result} at tick {receipt.first_tick}"
+    stages = (receipt.guard or {}).get("stages", 0)
+    result = f"stage 1 of {stages}" if receipt.result == "staged" and stages else receipt.result
+    when = f"{result} at tick {receipt.first_tick}"
     if receipt.ramp_end_tick > receipt.first_tick:
         when += f", ramp ends at tick {receipt.ramp_end_tick}"
     shown = _shown(receipt.effective)

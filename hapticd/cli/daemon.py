@@ -12,7 +12,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect, number, parameters, receipt_text
-from hapticd.cli.guard import guard_line, margin_words
+from hapticd.cli.guard import guard_lines
 from hapticd.cli.lease import lease_lines
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
@@ -158,9 +158,10 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         f"  renders   {_rendered(found)}",
         f"  now       {_moving(found)}",
         f"  timing    {_timing(found)}",
-        f"  delay     {delay_words(found)}",
+        f"  delay     newest tick: {delay_words(found)}",
         f"  damping   {delivered_words(found)}",
     ]
+    lines += _under("winding", compensation_lines(found))
     lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
     if limits := found.get("commissioning"):
         text = f"at most {limits['force_limit_n']:g} N: {limits['remedy']}"
@@ -168,11 +169,36 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
     off = [f"{name} {on}" for name, on in found.get("limit_cycle_faults", {}).items() if on != "on"]
     lines += [f"  fault     {one}" for one in off]
     if guard := found.get("guard"):
-        lines += [f"  guard     {guard_line(guard)}", f"            {margin_words(guard)}"]
+        lines += _under("guard", guard_lines(guard))
     lines += [f"  lease     {line}" for line in lease_lines(found.get("leases", {}))]
     lines += _board_lines(found.get("servo", {}))
     return lines + [
         f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()
+    ]
+
+
+def _under(name: str, lines: list[str]) -> list[str]:
+    """`lines` of `status` that belong together, `name` before the first."""
+    heads = [name, *[""] * (len(lines) - 1)]
+    return [f"  {head:9} {line}" for head, line in zip(heads, lines, strict=False)]
+
+
+def compensation_lines(found: dict[str, Any]) -> list[str]:
+    """What is compensated of the winding's resistance, as people read it."""
+    known = found.get("compensation")
+    if not known:
+        return []
+    compensated = f"{known['compensated_ohm']:.4g} ohm compensated"
+    left_ohm = known["residual_ohm"]
+    if left_ohm is None:
+        return [f"{compensated}; without a sensor what is left is not known"]
+    side = "too little" if left_ohm >= 0.0 else "TOO MUCH"
+    left = f"{abs(left_ohm):.3g} ohm {side} (tolerance {known['tolerance_ohm']:g} ohm)"
+    here = "unknown" if known["loop_gain"] is None else f"{known['loop_gain']:+.3g}"
+    gain = f"loop gain {here}, {known['loop_gain_at_ceiling']:+.3g} at the highest damping"
+    return [
+        f"{compensated} of {known['winding_ohm']:.4g} at {known['winding_c']:.1f} degC: {left}",
+        f"{gain}; never below {known['least_loop_gain']:g}, the circuit oscillates at -1",
     ]
 
 

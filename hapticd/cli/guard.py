@@ -1,12 +1,16 @@
 """The verb of the guard: show and change what is done with environments that are not passive."""
 
-from typing import Annotated, Any
+import time
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hapticd import params
 from hapticd.cli import terminal
 from hapticd.cli.change import connect, verdict_lines
+
+if TYPE_CHECKING:
+    from hapticd.client import Client
 
 Policy = Annotated[
     params.Policy | None,
@@ -26,6 +30,11 @@ Mode = Annotated[
 ]
 
 
+PATIENCE_S = 2.0  # with a worker that judges
+LOOK_S = 0.1
+COMING = ("up", "starting")
+
+
 def guard(
     policy: Policy = None,
     basis: Basis = None,
@@ -41,11 +50,26 @@ def guard(
     """
     with connect(instance) as client:
         found = client.guard(policy, basis=basis, margin_ns_per_m=margin, mode=mode)
+        found = _judged(client, found)
     if as_json:
         terminal.data_json({"ok": True, **found})
         return
-    for line in (guard_line(found), margin_words(found), *verdict_lines(found["verdict"] or {})):
+    for line in (*guard_lines(found), *verdict_lines(found["verdict"] or {})):
         terminal.data(line)
+
+
+def _judged(client: "Client", found: dict[str, Any]) -> dict[str, Any]:
+    """`found` with the verdict on what is in force, if a worker gives it in time."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not found["verdict"] and found["worker"] in COMING and time.monotonic() < deadline:
+        time.sleep(LOOK_S)
+        found = client.guard()
+    return found
+
+
+def guard_lines(found: dict[str, Any]) -> list[str]:
+    """What the guard goes by and what it says of what is in force, as `status` shows it too."""
+    return [guard_line(found), *delay_lines(found), margin_words(found)]
 
 
 def guard_line(found: dict[str, Any]) -> str:
@@ -62,4 +86,19 @@ def guard_line(found: dict[str, Any]) -> str:
 def margin_words(found: dict[str, Any]) -> str:
     """The verdict on what is in force, in one line."""
     verdict = found.get("verdict") or {}
-    return str(verdict.get("text") or "nothing was judged yet")
+    return str(verdict.get("text") or found.get("unjudged") or "not judged yet")
+
+
+def delay_lines(found: dict[str, Any]) -> list[str]:
+    """The delays that there are by their names, and which of them the guard counts on."""
+    delays = found.get("delays")
+    if not delays or delays["counted_periods"] is None:
+        return []
+    measured = delays["measured_p99_periods"]
+    known = "not known yet" if measured is None else f"{measured:g}"
+    model = delays["model_periods"]
+    assumed = "" if model is None else f", the model assumes {model:g}"
+    return [
+        f"delay counted on: {delays['counted_periods']:g} periods, {delays['counted']}"
+        f" (p99 of the last minute: {known}{assumed})"
+    ]

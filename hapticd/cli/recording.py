@@ -91,7 +91,7 @@ Kind = Annotated[
 ]
 ATTRIBUTES_SHOWN = (
     "started_utc", "device_name", "device_serial", "rate_hz", "winding_c", "hapticd_version",
-    "hapticd_commit", "kernel", "cpu", "realtime", "calibration_doubts", "certificate", "note",
+    "hapticd_commit", "kernel", "cpu", "realtime", "leases", "note",
 )  # fmt: skip
 
 
@@ -132,7 +132,7 @@ def info(file: Source, as_json: terminal.Json = False) -> None:
     if energy:
         terminal.data(f"work on the device: {_energy_words(energy)}")
     for name in ATTRIBUTES_SHOWN:
-        if attributes.get(name) not in (None, ""):
+        if attributes.get(name) not in (None, "", "{}"):
             terminal.data(f"{name} = {attributes[name]}")
 
 

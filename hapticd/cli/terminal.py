@@ -7,7 +7,9 @@ they are used.
 import inspect
 import json
 import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
@@ -78,6 +80,7 @@ BOLD = "1"  # SGR codes
 RED = "1;31"
 YELLOW = "1;33"
 GREEN = "1;32"
+LEAST_WIDTH = 40  # to which a line is wrapped, however narrow the terminal is
 
 
 def data(text: str) -> None:
@@ -109,10 +112,23 @@ def coloured(text: str, colour: str, stream: Any = None) -> str:
     return text if plain else f"\x1b[{colour}m{text}\x1b[0m"
 
 
+def wrapped(text: str, stream: Any = None) -> str:
+    """`text` in lines as wide as the terminal, those after the first indented; as it is if the
+    stream (default stderr) is none, for whoever reads it there looks for whole lines.
+    """
+    if not (stream or sys.stderr).isatty():
+        return text
+    width = max(LEAST_WIDTH, shutil.get_terminal_size().columns)
+    return textwrap.fill(
+        text, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+    )
+
+
 def complain(error: HapticdError, as_json: bool) -> None:
     """What went wrong, in one line for each thing; with --json also as an object on stdout."""
     for line in str(error).splitlines():
-        talk(f"{coloured('hapticd:', RED, sys.stderr)} {line}")
+        name = coloured("hapticd:", RED, sys.stderr)
+        talk(name + wrapped(f"hapticd: {line}").removeprefix("hapticd:"))
     if as_json:
         code = error.code if isinstance(error, CommandError) else type(error).__name__
         detail = error.detail if isinstance(error, CommandError) else None

@@ -149,7 +149,7 @@ def held(answer: Answer, view: ServoView, actors: Actors) -> str:
     """Whose stop bars a reset, and how long."""
     number = int(answer.effective[Value.STOP_OWNER])
     name = actors.name(number) or "a client that has gone"
-    whose = f"{name} (actor {number})" if number else "several"
+    whose = f"{name} (actor {number})" if number else "more than one client"
     left_s = (answer.ramp_end_tick - answer.first_tick) / view.params.realtime.rate_hz
     return (
         f"stop was pressed by {whose} less than 1 s ago and is not for others to reset; look"

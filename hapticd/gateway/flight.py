@@ -13,9 +13,9 @@ A file holds records and all that replaying them needs, and is written whole or 
     hapticd-flight/1 LF | bytes of header, u64 little-endian | header, JSON | records of `descr`
 
 header: reason, written_utc, version, simulated, rate_hz, epoch, mono_unix_offset_ns, descr, servo
-(params.ServoParams), report (rights granted, board), gaps [[row, lost]], checkpoints [[tick,
-state]], requests [[tick, seq, kind, actor, apply_tick, values]], breaks [tick]: requests were lost
-there, so no replay leads over it.
+(params.ServoParams), report (rights granted, board), leases {what: holder} when it was dumped, gaps
+[[row, lost]], checkpoints [[tick, state]], requests [[tick, seq, kind, actor, apply_tick, values]],
+breaks [tick]: requests were lost there, so no replay leads over it.
 """
 
 import json
@@ -34,6 +34,7 @@ import hapticd
 from hapticd.errors import CommandError, ConfigError
 from hapticd.faults import BY_NUMBER, FAULTS
 from hapticd.gateway.journal import Journal
+from hapticd.gateway.leases import Leases
 from hapticd.gateway.telemetry import TICK_DESCR, Origin, RingBlock
 from hapticd.gateway.view import Records, ServoView
 from hapticd.mailbox.client_side import Checkpoint, Noted
@@ -122,8 +123,10 @@ class FlightRecorder:
         setup: GatewaySetup,
         folder: Path,
         unix_ns: Callable[[], int],
+        leases: Leases,
     ) -> None:
         self._view = view
+        self._leases = leases
         self._journal = journal
         self._setup = setup
         self._folder = folder
@@ -286,6 +289,7 @@ class FlightRecorder:
             "descr": TICK_DESCR,
             "servo": to_plain(self._setup.servo),
             "report": self._report,
+            "leases": self._leases.named(),
             "gaps": gaps,
             "checkpoints": list(self._checkpoints),
             "requests": list(self._requests),

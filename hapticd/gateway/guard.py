@@ -8,8 +8,9 @@ dropped. There are three:
     look     how far is the environment in force from the edge; for the topic `guard` and `status`
     hand     which hand would shake what was asked; asked last, told as an event
 
-Policy, basis, margin and mode are those of the configuration until a client changes them. While
-measuring is leased the policy is `off`.
+Policy, basis, margin and mode are those of the configuration until a client changes them; what is
+left of that when the gateway starts anew is said in `terms`. While measuring is leased the policy
+is `off`.
 
 What would break it: taking silence for a yes (`unknown` is a verdict of its own, and `must` says
 which policies refuse it).
@@ -19,10 +20,12 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+from hapticd.errors import MailboxError
 from hapticd.gateway.delay import DelayHistogram
 from hapticd.gateway.in_force import Display, InForce
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.schemas import GuardRequest
+from hapticd.gateway.terms import Terms, keep, kept, no_laxer
 from hapticd.gateway.view import ServoView
 from hapticd.params import STRICT_POLICIES, GuardParams
 from hapticd.units import NS_PER_MS, NS_PER_S
@@ -81,6 +84,9 @@ class Guard:
         self.basis = params.basis
         self.margin_ns_per_m = params.margin_ns_per_m
         self.auto = False  # whether the guard chooses the level of active damping
+        self._configured = Terms(params.policy, params.basis, params.margin_ns_per_m)
+        self._kept = self._configured  # as the next gateway would find them
+        self._kept_life = 0
         self.changes = 0  # of policy, basis or margin
         self.delay = DelayHistogram(view.params.realtime.rate_hz)
         self._delay_life = 0
@@ -140,9 +146,44 @@ class Guard:
         self.margin_ns_per_m = given.get("margin_ns_per_m", self.margin_ns_per_m)
         if given.keys() & {"policy", "basis", "margin_ns_per_m"}:
             self.changes += 1
-            self._looked_at = ()
         if given.keys() & {"basis", "margin_ns_per_m"}:
             self._looked = {}
+            self._looked_at = ()
+        self._keep_terms()
+
+    @property
+    def terms(self) -> Terms:
+        """What it goes by while nobody measures."""
+        return Terms(self._policy, self.basis, self.margin_ns_per_m, self.auto)
+
+    def _keep_terms(self) -> None:
+        """Have the gateway that may follow this one know what was asked for."""
+        mailbox = self._view.mailbox
+        if mailbox is None or (self._kept_life == self._view.life and self._kept == self.terms):
+            return
+        epoch = mailbox.header.start_ns
+        if self._kept_life == 0 and (before := kept(self._view.folder, epoch)):
+            self._go_on(before)
+        self._kept_life = self._view.life
+        self._kept = self.terms
+        try:
+            keep(self._view.folder, epoch, self.terms)
+        except MailboxError as error:
+            self._journal.note("warning", text=f"what the guard goes by is not kept: {error}")
+
+    def _go_on(self, before: Terms) -> None:
+        """Go by what a gateway before this one was asked for, as far as it is no laxer, unless this
+        one was asked for something else already.
+        """
+        if self.terms != self._configured or before == self._configured:
+            return
+        terms = no_laxer(before, self._configured)
+        text = (
+            f"the gateway has started anew; asked of the guard was {before.words()}, configured"
+            f" is {self._configured.words()}; it goes by {terms.words()}"
+        )
+        self._journal.note("warning", text=text)
+        self._policy, self.basis, self.margin_ns_per_m, self.auto = terms
 
     def summary(self) -> dict[str, Any]:
         """What `status` and the command `guard` tell."""
@@ -155,7 +196,39 @@ class Guard:
             "pid": hello.get("pid"),
             "model": hello.get("model"),
             "model_hash": hello.get("model_hash"),
-            "verdict": self._looked.get("verdict"),
+            "delays": self._delays(hello.get("delay_periods")),
+            "verdict": self.verdict,
+            "unjudged": "" if self.verdict else self._unjudged(),
+        }
+
+    @property
+    def verdict(self) -> dict[str, Any] | None:
+        """The verdict on the environment in force; None: it has not been judged (yet)."""
+        if self._looked_at[:2] != (self._view.life, self.in_force.revision):
+            return None
+        return self._looked.get("verdict")
+
+    def _unjudged(self) -> str:
+        """Why there is no verdict on the environment in force, and what is known of it all the
+        same.
+        """
+        if not self._view.alive:
+            return "no servo answers, so nothing is in force"
+        why = self.trouble if self.worker != "up" else "it is being judged"
+        if not self.in_force.known:
+            return f"what is in force is not known yet; {why}"
+        if self.in_force.empty:
+            return f"nothing is rendered (K, B, M and the wall are 0); {why}"
+        return f"no verdict on what is in force yet: {why}"
+
+    def _delays(self, model_periods: float | None) -> dict[str, Any]:
+        """The delays that are known, in periods, and which of them is counted on."""
+        counted = self.delay_periods
+        return {
+            "counted_periods": model_periods if counted is None else counted,
+            "counted": "assumed by the model" if counted is None else "measured",
+            "measured_p99_periods": self.delay.periods,
+            "model_periods": model_periods,
         }
 
     def _terms(self) -> dict[str, Any]:
@@ -219,6 +292,7 @@ class Guard:
 
     def tend(self, now_ns: int) -> None:
         """Hear the worker, keep it alive, ask what nobody waits for."""
+        self._keep_terms()
         if self._worker is None:
             return
         self._worker.tend(now_ns)
@@ -275,9 +349,15 @@ class Guard:
         """The verdict on what has just come into force; it saves a look."""
         if verdict.get("safe") and not verdict.get("clamped"):
             self._looked = {"verdict": verdict}
-            self._looked_at = self._view.life, self.in_force.revision, self.delay.periods
+            self._looked_at = self._about()
+
+    def _about(self) -> tuple[Any, ...]:
+        """What a look is about: servo life, revision, measured delay, terms."""
+        return self._view.life, self.in_force.revision, self.delay.periods, self.changes
 
     def _take_look(self, answer: dict[str, Any], about: tuple[Any, ...]) -> None:
+        if about[3] != self.changes:
+            return  # it was looked at by other terms
         before = self._looked.get("verdict", {}).get("safe")
         same = about[:2] == self._looked_at[:2]
         self._looked = answer if isinstance(answer.get("verdict"), dict) else {}
@@ -304,6 +384,7 @@ class Guard:
     def _tell_hand(self, unsafe: Unsafe, hand: Any) -> None:
         found = hand if isinstance(hand, dict) else {}
         text = f"a hand that would shake it: {found['text']}" if found.get("text") else ""
+        text += f"; {found['growth']}" if found.get("growth") else ""
         self._journal.note(
             "guard",
             number=unsafe.number,
@@ -323,7 +404,7 @@ class Guard:
             return []
         self._told_ns = now_ns
         looked = self._looked if self.worker == "up" else {}
-        verdict = looked.get("verdict") or self.unknown(self.trouble)
+        verdict = (self.verdict if looked else None) or self.unknown(self._unjudged())
         return [
             {
                 "timestamp": unix_ns / NS_PER_S,
@@ -336,7 +417,7 @@ class Guard:
         ]
 
     def _look_if_due(self, now_ns: int, wanted: bool) -> None:
-        what = self._view.life, self.in_force.revision, self.delay.periods
+        what = self._about()
         news = wanted or what != self._looked_at
         ready = self.worker == "up" and self._look is None and self.in_force.known
         if not (ready and news) or now_ns - self._look_ns < LOOK_NS:

@@ -210,8 +210,8 @@ class Guarded:
     def _expire(self, now_ns: int) -> None:
         for case in [one for one in self._queue if now_ns - one.came_ns >= WAITING_NS]:
             why = "others were before it"
-            if isinstance(case.request, Enable) and self._under_way.case is not None:
-                why = "a change in stages is under way"
+            if isinstance(case.request, Enable) and (staged := self._under_way.summary()):
+                why = f"stage {staged['stage']} of {staged['stages']} of a change is still to come"
             text = f"{case.cmd}: it was not judged within 1 s, {why}; nothing happened, ask again"
             self._give_back(case, CommandError("timeout", text))
 
@@ -339,7 +339,7 @@ class Guarded:
         except ValueError as error:
             self._try_unjudged(case, now_ns, f"the guard's worker answered: {error}")
             return
-        case.verdict = {**verdict, "number": case.number}
+        case.verdict = {**verdict, "number": case.number, "stages": len(case.stages)}
         if case.message is None and (action == "refuse" or not self._changes(case)):
             return  # the level of mode auto stays
         if verdict.get("safe") is False:

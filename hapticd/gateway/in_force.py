@@ -132,6 +132,16 @@ class InForce:
         }
 
     @property
+    def empty(self) -> bool:
+        """Whether nothing is rendered: K, B, M and the wall are 0 and stay so."""
+        wall = ("stiffness_n_per_m", "damping_ns_per_m")
+        return not any(
+            value
+            for one in (self.now(), self.target())
+            for value in (*(one[name] for name in "KBM"), *(one["wall"][name] for name in wall))
+        )
+
+    @property
     def level(self) -> float:
         """Active damping that `damping on` would give, N s/m."""
         return float(self._view.targets[Value.ADDED_DAMPING])

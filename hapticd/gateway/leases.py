@@ -198,6 +198,10 @@ class Leases:
             for what, lease in self._held.items()
         }
 
+    def named(self) -> dict[str, str]:
+        """Who holds what: {what: "name (actor number)"}, for recordings."""
+        return {what: lease.holder for what, lease in self._held.items()}
+
     def _put_off(self, step_ns: int) -> None:
         for lease in list(self._held.values()):
             deadline_ns = lease.deadline_ns + step_ns

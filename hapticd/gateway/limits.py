@@ -24,6 +24,8 @@ PLACES: dict[str, Value] = {
     "damping": Value.ADDED_DAMPING,
     "ramp_s": Value.RAMP_S,
 }
+# what people call a field where its name alone does not say it
+QUANTITIES = {"value": "active damping"}
 SOURCES = {
     Value.ADDED_DAMPING: "the device file sets it",
     Value.VELOCITY_FILTER_HZ: "it is 0.45 of the servo rate",
@@ -51,6 +53,11 @@ def flat(table: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield from flat(value, f"{prefix}{name}.")
         else:
             yield prefix + name, value
+
+
+def quantity(name: str) -> str:
+    """What a field is called in a complaint."""
+    return QUANTITIES.get(name, name)
 
 
 class CommandLimits:
@@ -99,8 +106,8 @@ class CommandLimits:
         """What to tell about `value` in field `name`, beyond its limit."""
         limit = self.of[name]
         return (
-            f"{where or name} = {value:g} {limit.unit}: beyond the limit {limit} ({limit.source});"
-            " ask for a value inside"
+            f"{where or quantity(name)} = {value:g} {limit.unit}: beyond the limit {limit}"
+            f" ({limit.source}); ask for a value inside"
         )
 
     def remedy(self, name: str) -> str:

@@ -32,6 +32,7 @@ from hapticd.gateway.telemetry import (
     servo_messages,
 )
 from hapticd.gateway.view import STATES, Records, ServoView
+from hapticd.gateway.winding import compensation
 from hapticd.mailbox.layout import Command, Flag, Value, Watched, values_of
 from hapticd.params import GatewaySetup
 from hapticd.units import NS_PER_S
@@ -85,6 +86,7 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
         **{name: record[name] for name in RECORD_FIELDS_SHOWN if view.alive and name in record},
         "limit_cycle_faults": limit_cycle_faults(view, leases),
         "commissioning": commissioning(view),
+        "compensation": compensation(record if view.alive else {}, view.params.device),
         "actor_name": actors.name(int(record.get("actor", 0))),
         "actors": actors.names(),
         "leases": leases.shown(),
@@ -233,7 +235,7 @@ class Publisher:
         self.feed = Feed(view, setup.gateway.batch)
         self.stages = StageHistograms(setup.servo.realtime.grace_s)
         self.flight = FlightRecorder(
-            view, journal, setup, flights_folder(setup.servo.instance), unix_ns
+            view, journal, setup, flights_folder(setup.servo.instance), unix_ns, self._leases
         )
         self._audience: dict[bytes, Subscriptions] = {}
         self._wanted: frozenset[str] = frozenset()
@@ -360,9 +362,12 @@ class Publisher:
 
     def state(self, unix_ns: int) -> dict[str, Any]:
         """The topic `state`."""
+        return self.without_guard(unix_ns) | {"guard": self._guard.summary()}
+
+    def without_guard(self, unix_ns: int) -> dict[str, Any]:
+        """The topic `state` but for what the guard tells."""
         found = state_map(self._view, self._actors, self._leases, unix_ns)
-        delivered = self._delivered.plain()
-        return found | {"delivered_damping": delivered, "guard": self._guard.summary()}
+        return found | {"delivered_damping": self._delivered.plain()}
 
 
 def _packed(content: dict[str, Any]) -> bytes:

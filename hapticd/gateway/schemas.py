@@ -24,7 +24,7 @@ from pydantic_core import ErrorDetails
 
 from hapticd.errors import CommandError
 from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
-from hapticd.gateway.limits import CommandLimits
+from hapticd.gateway.limits import CommandLimits, quantity
 from hapticd.params import (
     LONGEST_LEASE_S,
     SHORTEST_LEASE_S,
@@ -388,7 +388,7 @@ def _explained(item: ErrorDetails, limits: CommandLimits) -> dict[str, str]:
     remedy = limits.remedy(loc.partition(".")[0] if loc.startswith("samples_n") else loc) or _REMEDY
     return {
         "loc": loc or command,
-        "msg": f"{loc or command} = {value}: {shown(reason, 120)}; {remedy}",
+        "msg": f"{quantity(loc) or command} = {value}: {shown(reason, 120)}; {remedy}",
     }
 
 

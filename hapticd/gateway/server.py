@@ -200,7 +200,7 @@ class GatewayServer:
     def _status(self) -> dict[str, Any]:
         mailbox = self._view.mailbox
         return {
-            **self._publisher.state(self._unix_ns()),
+            **self._publisher.without_guard(self._unix_ns()),
             "stages": self._publisher.stages.summary(),
             "endpoints": self.endpoints,
             "servo": mailbox.report() if mailbox else living_report(self._view.folder),

@@ -339,6 +339,7 @@ def _of_flight(path: Path, header: dict[str, Any], records: Records) -> Recordin
         "simulated": int(header["simulated"]),
         "rate_hz": header["rate_hz"],
         "note": f"flight recording: {header['reason']}",
+        "leases": json.dumps(header.get("leases", {})),
         "layout": header["layout"],
         "configuration": json.dumps(header["servo"]),
         "server_version": header["version"],

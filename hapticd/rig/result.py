@@ -17,7 +17,6 @@ import numpy.typing as npt
 Verdict = Literal["ok", "warning", "refused", "not done"]
 UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval
 Scalar = bool | int | float | str
-Written = Scalar | tuple[Scalar, ...]  # what may stand in a device file
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +47,9 @@ class Finding:
 class Change:
     """A value of the device file; those with a `source` are dated there as well."""
 
-    table: str  # dotted, where it is a table of another
+    table: str
     key: str
-    value: Written
+    value: Scalar
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,8 +98,9 @@ def _verdict(found: "Outlook") -> str:
 def _motion(radius: float, period_s: float) -> str:
     if radius == 1.0 or radius <= 0.0:
         return "motion neither grows nor dies out" if radius else "motion ends at once"
-    seconds = period_s / abs(log(radius))
-    return f"motion {'dies out' if radius < 1.0 else 'grows'} e-fold in {seconds:.3g} s"
+    seconds = period_s * log(2.0) / abs(log(radius))
+    how = "dies out, halving" if radius < 1.0 else "grows, doubling"
+    return f"motion {how} in {seconds:.3g} s"
 
 
 def _theorem(found: "Outlook") -> str:

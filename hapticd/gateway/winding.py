@@ -1,0 +1,49 @@
+"""What the servo follows of the winding's resistance, as the newest record shows it.
+
+The record has the count of the resistance compensation that was sent, and the sensor's temperature.
+What is compensated is base + trim; what the winding has is known by the sensor alone, so without
+one the rest, and the loop gain with it, is unknown (the servo then compensates what the winding
+must have at least). The physics is `render.winding`.
+
+What would break it: a count of a board without the DAC, which the servo keeps at 0.
+"""
+
+from math import isfinite, nan
+from typing import Any
+
+from hapticd.params import DeviceParams
+from hapticd.render.winding import LEAST_LOOP_GAIN, loop_gain, ohm
+
+
+def compensation(record: dict[str, Any], device: DeviceParams) -> dict[str, Any] | None:
+    """Compensated and actual resistance [ohm], what is left, and the damping circuit's loop gain
+    at the level in effect and at the device's ceiling; values that are not known are None. None
+    before the first record, and for a device file without [resistance].
+
+    `residual_ohm` > 0: the winding has more than is compensated, so damping and force are weaker;
+    < 0: they are stronger, and the circuit oscillates at a loop gain of -1.
+    """
+    table = device.resistance
+    if table is None or not record:
+        return None
+    compensated_ohm = table.base_ohm + table.trim.to_value(record["resistance_count"])
+    winding_c = float(record["winding_c"])
+    found: dict[str, Any] = {
+        "compensated_ohm": compensated_ohm,
+        "tolerance_ohm": table.tolerance_ohm,
+        "least_loop_gain": LEAST_LOOP_GAIN,
+        **dict.fromkeys(("winding_c", "winding_ohm", "residual_ohm")),
+        **dict.fromkeys(("loop_gain", "loop_gain_at_ceiling")),
+    }
+    if not isfinite(winding_c):
+        return found
+    residual_ohm = ohm(table, winding_c) - compensated_ohm
+    effect = float(record.get("damping_effect_ns_per_m", nan))
+    ceiling = device.damping_limit_ns_per_m
+    return found | {
+        "winding_c": winding_c,
+        "winding_ohm": ohm(table, winding_c),
+        "residual_ohm": residual_ohm,
+        "loop_gain": loop_gain(table, residual_ohm, effect) if isfinite(effect) else None,
+        "loop_gain_at_ceiling": loop_gain(table, residual_ohm, ceiling),
+    }
