@@ -28,6 +28,7 @@ STRICT_POLICIES = frozenset({"clamp", "refuse", "follow"})  # what is unknown is
 ENERGY_LIMIT_J = 0.02  # of an 8 g handle at 2.2 m/s; see ADR 0085
 RAMP_ENERGY_J = 0.03  # K = 600 N/m brought in 10 mm off; see ADR 0106
 COMMISSIONING_SHARE = 0.1  # of the device's force, until its signs are verified; see ADR 0115
+CALIBRATION_DAYS = 365  # see ADR 0124
 SHORTEST_LEASE_S = 0.2  # twenty passes of the gateway
 LONGEST_LEASE_S = 60.0
 ADDED_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
@@ -87,8 +88,8 @@ MOST_CORRECTION = 1.5
 
 @dataclass(frozen=True, slots=True)
 class ScaleParams:
-    """value = sign * (count - offset_count) * per_count; `date` and `source` say where it comes
-    from.
+    """value = sign * (count - offset_count) * per_count; `date`, `source` and `serial` say where
+    it comes from.
     """
 
     per_count: float
@@ -96,6 +97,7 @@ class ScaleParams:
     offset_count: float = 0.0
     date: str = ""
     source: str = ""
+    serial: str = ""  # of the board at which it was measured; "": that of the device file
 
     @property
     def measured(self) -> bool:
@@ -198,6 +200,7 @@ class DeviceParams:
     winding_reference_c: float = 20.0
     # its signs are not verified: little force, a box for K, B and M (servo.commissioning)
     commissioning: bool = False
+    calibration_days: int = CALIBRATION_DAYS  # after which a calibration is too old to rely on
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a
@@ -267,6 +270,8 @@ class ServoParams:
     usb: UsbParams
     added_damping_ns_per_m: float = ADDED_DAMPING_NS_PER_M
     config_hash: str = ""
+    device_file: str = ""  # from which `device` was read; "": from none
+    device_file_sha256: str = ""  # of its bytes then
 
     @property
     def force_limit_n(self) -> float:

@@ -32,6 +32,7 @@ UNITS = {
     "_m_per_count": "m/count",
     "_c_per_count": "degC/count",
     "_count": "counts",
+    "_days": "days",
     "_hz": "Hz",
     "_rad": "rad",
     "_periods": "periods",

@@ -222,6 +222,14 @@ def test_scheduled_changes_before_and_after_are_judged() -> None:
     assert before["action"] == after["action"] == "refuse"
 
 
+def test_damping_that_is_scheduled_to_go_is_judged_under_what_it_carries() -> None:
+    """No environment changes then, only the level: the way of the later change shows it."""
+    judge = shipped_judge()
+    now = {"K": 150.0, "B": 1.0, "damping": 3.0}
+    assert change(judge, {"damping": 2.5}, now=now)["action"] == "apply"
+    assert change(judge, {"damping": 2.5}, now=now, after=[{"damping": 0.0}])["action"] == "refuse"
+
+
 def test_a_safer_point_may_be_gone_to_from_outside() -> None:
     answer = change(shipped_judge(), {"K": 300.0}, now={"K": 500.0, "B": 2.0})
     assert answer["action"] == "apply"

@@ -10,6 +10,7 @@ from typing import Any, Self
 import pytest
 
 import hapticd.__main__ as entry
+from hapticd import __version__
 from hapticd.cli import change, daemon, lease, system, terminal
 from hapticd.cli.app import main
 from hapticd.client import Receipt, fast_stop
@@ -469,6 +470,7 @@ def test_stop_without_a_daemon_exits_3(capsys: pytest.CaptureFixture[str]) -> No
         "home",
         "status",
         "monitor",
+        "events",
     ],
 )
 def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -476,6 +478,11 @@ def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str
     text = capsys.readouterr().out
     assert "--instance" in text
     assert "--json" in text
+
+
+def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"hapticd {__version__}\n"
 
 
 def test_abbreviations_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,7 +17,7 @@ from hapticd.client import fast_stop
 from hapticd.clock import VirtualClock
 from hapticd.faults import BY_CODE
 from hapticd.gateway.telemetry import Origin, RingBlock, raw_message
-from hapticd.mailbox.layout import TELEMETRY, State
+from hapticd.mailbox.layout import TELEMETRY, Flag, State
 from hapticd.units import NS_PER_MS, NS_PER_S
 
 DELIVERED = {"estimate_ns_per_m": 1.7, "low": 1.6, "high": 1.8, "commanded": 1.74}
@@ -45,9 +45,15 @@ def records(count: int, first: int = 0, **fields: Any) -> Any:
     return block
 
 
-def drawn(history: History, simulated: bool | None, silent_s: float) -> str:
-    console = Console(file=io.StringIO(), width=100, height=45, force_terminal=False)
-    console.print(screen(history, simulated, silent_s, (100, 45)))
+def drawn(
+    history: History,
+    simulated: bool | None,
+    silent_s: float,
+    size: tuple[int, int] = (100, 45),
+) -> str:
+    columns, lines = size
+    console = Console(file=io.StringIO(), width=columns, height=lines, force_terminal=False)
+    console.print(screen(history, simulated, silent_s, size))
     return console.file.getvalue()  # type: ignore[attr-defined,no-any-return]
 
 
@@ -88,12 +94,76 @@ def test_screen_shows_state_and_simulated_badge() -> None:
         records(1000, state=State.ENABLED, stiffness_n_per_m=100.0, position_m=0.002, force_n=-0.2)
     )
     text = drawn(history, True, 0.0)
-    assert "████" in text
-    assert " ENABLED   K 100 N/m" in text
+    assert text.startswith(" SIMULATED   ENABLED   Space/Esc: STOP")
+    assert "K 100 N/m" in text
     assert "position  2 mm" in text
     assert "force  -0.2 N" in text
-    assert "EEE" in text
-    assert "Space or Esc: STOP" in text
+    assert "ENABLED---" in text
+
+
+def full(**fields: Any) -> History:
+    """Ten seconds in which everything has something to say."""
+    history = History()
+    moving = {
+        "watches": 7,
+        "position_m": np.sin(np.arange(10_000)),
+        "force_n": -0.2,
+        "winding_c": 43.21,
+    }
+    history.add(records(10_000, state=State.ENABLED, revision=12345, **moving, **fields))
+    history.delivered = DELIVERED
+    history.guard = GUARD
+    history.force_limit_n = 8.0
+    history.event = "enabled -> disabled (by sweep)"
+    return history
+
+
+def test_screen_fits_80_columns_and_24_lines() -> None:
+    lines = drawn(full(), True, 0.0, (80, 24)).splitlines()
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 80
+    text = "\n".join(lines)
+    for told in (
+        "Space/Esc: STOP  d: damping  q: quit",
+        "position  ",
+        "limit 8 N",
+        "active damping",
+        "wake-up latency",
+        "lost slots 0",
+        "winding 43.2 C",
+        "last event: enabled -> disabled (by sweep)",
+    ):
+        assert told in text
+    axis = lines[-1]
+    assert axis.startswith("-10 s")
+    assert axis.index("-5 s") == 37
+    assert axis.endswith("now")
+
+
+def test_a_small_terminal_shows_fewer_charts_and_how_to_stop() -> None:
+    text = drawn(full(), True, 0.0, (60, 16))
+    lines = text.splitlines()
+    assert len(lines) <= 16
+    assert "Space/Esc: STOP" in lines[0]
+    assert "position" in text
+    assert "wake-up" not in text
+
+
+def test_screen_counts_what_was_late_lost_or_at_the_limit() -> None:
+    flags = np.zeros(10_000, int)
+    flags[:100] = Flag.LATE
+    flags[:2000] |= Flag.CLAMPED
+    text = drawn(full(flags=flags, lost_slots=3), True, 0.0)
+    assert "lost slots 3  late 1 %  at the force limit 20 %" in text
+
+
+def test_stretches_of_a_state_carry_its_name() -> None:
+    history = History()
+    history.add(records(5000))
+    history.add(records(4900, 5000, state=State.ENABLED))
+    history.add(records(100, 9900, state=State.FAULT))
+    text = drawn(history, True, 0.0, (101, 24))
+    assert f"DISABLED{42 * '-'}ENABLED{42 * '-'}F" in text
 
 
 def test_screen_names_who_holds_what() -> None:
@@ -109,7 +179,7 @@ def test_screen_of_a_real_board_says_so() -> None:
     history.add(records(10))
     text = drawn(history, False, 0.0)
     assert "REAL BOARD" in text
-    assert "████" not in text
+    assert "SIMULATED" not in text
 
 
 def test_screen_names_fault_and_remedy() -> None:
@@ -134,8 +204,10 @@ class StreamDouble:
     silence.
     """
 
-    def __init__(self, clock: VirtualClock, script: list[Any]) -> None:
-        self._clock, self._script = clock, iter(script)
+    def __init__(self, clock: VirtualClock, script: list[Any], asked: list[str]) -> None:
+        self._clock = clock
+        self._script = iter(script)
+        self._asked = asked
 
     def __enter__(self) -> Self:
         return self
@@ -144,15 +216,21 @@ class StreamDouble:
         return None
 
     def hello(self) -> dict[str, Any]:
-        return {}
+        return {"servo": {"safety": {"force_limit_n": 8.0}}}
+
+    def status(self) -> dict[str, Any]:
+        return {"servo": {"realtime": {"core": "granted", "fifo": "refused: no; LimitRTPRIO=80"}}}
+
+    def damping(self, value: str) -> None:
+        self._asked.append(value)
 
     def call(self, cmd: str, **_fields: Any) -> dict[str, Any]:
         raise AssertionError(f"{cmd}: a key waits while the daemon is asked")
 
-    status = call
-
     def messages(self, topics: Sequence[str], look_s: float) -> Iterator[Any]:
-        assert set(topics) == {"servo.raw", "state"}
+        if topics == ("event",):
+            yield from self._events()
+        assert set(topics) == {"servo.raw", "state", "event"}
         yield "state", msgpack.packb({"delivered_damping": DELIVERED, "guard": GUARD})
         for payload in self._script:
             self._clock.time_ns += 20 * NS_PER_MS if payload else NS_PER_S // 2
@@ -162,6 +240,14 @@ class StreamDouble:
         while True:
             self._clock.time_ns += NS_PER_S // 2
             yield None
+
+    def _events(self) -> Iterator[Any]:
+        for event in self._script:
+            self._clock.time_ns += NS_PER_S
+            yield None
+            yield "event", msgpack.packb(event)
+        self._clock.time_ns += NS_PER_S
+        yield None
 
 
 @pytest.fixture
@@ -177,8 +263,15 @@ def block(first: int, life: int = 1, **fields: Any) -> bytes:
     return raw_message(RingBlock(life, first, 0, found.tobytes(), found), Origin(life, 0, True))
 
 
-def play(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, script: list[Any]) -> None:
-    monkeypatch.setattr(monitor, "connect", lambda instance, timeout_s: StreamDouble(clock, script))
+def play(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, script: list[Any]) -> list[str]:
+    """What is asked of the damping."""
+    asked: list[str] = []
+
+    def connect(instance: str, timeout_s: float = 1.0) -> StreamDouble:
+        return StreamDouble(clock, script, asked)
+
+    monkeypatch.setattr(monitor, "connect", connect)
+    return asked
 
 
 def test_json_lines_follow_data_and_silence(
@@ -236,8 +329,9 @@ def test_screen_shows_policy_and_verdict() -> None:
     history.add(records(20))
     assert "guard: unknown" in drawn(history, True, 0.0)
     history.guard = GUARD
-    (line,) = [one for one in drawn(history, True, 0.0).splitlines() if one.startswith("guard")]
-    assert line.startswith("guard: warn, by theorem; damping level; delay 0.125 periods; 0.9 N s/m")
+    text = drawn(history, True, 0.0)
+    assert "guard: warn, by theorem; damping level; delay 0.125 periods" in text
+    assert "0.9 N s/m short at 112 Hz" in text
 
 
 def test_new_servo_life_begins_a_new_history(
@@ -273,6 +367,26 @@ def test_space_and_escape_stop_the_daemon(
     assert stopped == ["left"]
 
 
+@pytest.mark.parametrize(("asked_ns_per_m", "answer"), [(0.0, "on"), (1.74, "off")])
+def test_d_switches_the_active_damping(
+    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, asked_ns_per_m: float, answer: str
+) -> None:
+    class AtOnce:
+        """A thread that is done when it has begun."""
+
+        def __init__(self, target: Any, daemon: bool) -> None:
+            self.start = target
+
+    pressed = iter(["", "", "d", "", "q"])
+    told: list[str] = []
+    monkeypatch.setattr(monitor, "Thread", AtOnce)
+    monkeypatch.setattr(monitor.Keys, "pressed", lambda self: next(pressed))
+    script = [block(20 * i, added_damping_asked_ns_per_m=asked_ns_per_m) for i in range(10)]
+    asked = play(monkeypatch, clock, script)
+    monitor.watch("left", None, lambda history, *_: told.append(history.event))
+    assert asked == [answer]
+
+
 def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock) -> None:
     pressed = iter(["\x1b[A", "q"])
     stopped = []
@@ -281,6 +395,33 @@ def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualC
     play(monkeypatch, clock, [block(20 * i) for i in range(10)])
     monitor.watch("left", None, lambda *view: None)
     assert stopped == []
+
+
+HAPPENED = [
+    {"timestamp": 0.0, "kind": "state", "before": "disabled", "state": "enabled", "name": "sweep"},
+    {"timestamp": 2.0, "kind": "warning", "text": "the disk is full"},
+]
+
+
+def test_events_are_told_as_they_come(
+    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    play(monkeypatch, clock, HAPPENED)
+    assert main(["events", "--seconds", "3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "real-time right fifo: refused: no; LimitRTPRIO=80"
+    assert [line.split(" ", 1)[1] for line in lines[1:]] == [
+        "disabled -> enabled (by sweep)",
+        "warning: the disk is full",
+    ]
+
+
+def test_events_are_told_to_scripts_as_they_are(
+    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, capsys: pytest.CaptureFixture[str]
+) -> None:
+    play(monkeypatch, clock, HAPPENED)
+    assert main(["events", "--json", "--seconds", "3"]) == 0
+    assert [json.loads(line) for line in capsys.readouterr().out.splitlines()] == HAPPENED
 
 
 @pytest.mark.usefixtures("runtime")

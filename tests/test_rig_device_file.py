@@ -4,6 +4,7 @@ import datetime
 import shutil
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -56,6 +57,83 @@ def test_a_file_that_would_not_be_valid_leaves_the_old_one(file: Path) -> None:
         write(file, [Change("force", "full_scale_n", -1.0)], "rig motor", DAY)
     assert file.read_bytes() == before
     assert [path.name for path in file.parent.iterdir()] == ["own.toml"]
+
+
+MODEL = [
+    Change("model", "effects", ("viscous", "coulomb")),
+    Change("model.masses", "rotor_kg", 0.05),
+    Change("model.motor", "torque_constant_nm_per_a", 0.12),
+    Change("model.motor", "lever_m", 0.075),
+    Change("model.motor", "resistance_ohm", 1.5),
+    Change("model.viscous", "rotor_ns_per_m", 0.2),
+    Change("model.coulomb", "rotor_n", 0.03),
+]
+
+
+def test_a_model_of_several_tables_is_written_and_dated(file: Path) -> None:
+    """The source of an effect is a tag: how it was measured goes to its note."""
+    device = write(file, MODEL, "rig identify: 0.05 kg", DAY)
+    assert device.model is not None
+    assert device.model.effects == ("viscous", "coulomb")
+    assert device.model.table("masses").rotor_kg == 0.05
+    assert device.model.table("coulomb").source == "calibrated"
+    assert device.model.table("coulomb").note == "2026-03-04: rig identify: 0.05 kg"
+    again = [Change("model.coulomb", "rotor_n", 0.04), Change("model", "effects", ("coulomb",))]
+    before = tomllib.loads(file.read_text())
+    device = write(file, again, "rig identify: 0.04 N", DAY)
+    assert device.model is not None
+    assert device.model.table("coulomb").rotor_n == 0.04
+    after = tomllib.loads(file.read_text())
+    assert after["model"].pop("coulomb") != before["model"].pop("coulomb")
+    assert after["model"].pop("effects") != before["model"].pop("effects")
+    assert after == before
+
+
+def test_a_new_key_stands_with_its_table_and_not_below_the_comments_that_follow(file: Path) -> None:
+    before = file.read_text().splitlines()
+    write(file, [Change("temperature", "offset_count", 12.0)], "rig temperature", DAY)
+    after = file.read_text().splitlines()
+    place = after.index("offset_count = 12.0")
+    assert after[place - 1].startswith("source = ")
+    assert (
+        after[place + 1 :] == before[before.index("# [resistance]" + before[place + 1][14:]) - 1 :]
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[model.masses]\nrotor_kg = 1.0\n[force]\nsign = 1\n[model.coulomb]\nrotor_n = 0.1\n",
+        "[force]\r\nsign = 1  # seen\r\n\r\n[model.masses]\r\nrotor_kg = 1.0",
+        "[model]\neffects = [\n  'a', # of the paper\n]\n[model.masses]\nrotor_kg = 1.0\n[force]\n",
+    ],
+    ids=["tables apart", "lines of Windows", "a list over lines"],
+)
+def test_other_ways_to_lay_out_a_file_are_written_as_well(text: str) -> None:
+    values: Any = {
+        ("model.masses", "rotor_kg"): 2.0,
+        ("model", "effects"): ("b", "c"),
+        ("model.motor", "winding_ohm"): 1.5,
+        ("force", "sign"): -1,
+    }
+    found = tomllib.loads(changed(text, values))
+    assert found["model"]["masses"] == {"rotor_kg": 2.0}
+    assert found["model"]["effects"] == ["b", "c"]
+    assert found["model"]["motor"] == {"winding_ohm": 1.5}
+    assert found["force"] == {"sign": -1}
+
+
+def test_a_file_that_is_no_toml_any_more_is_named_and_left(file: Path) -> None:
+    file.write_text("[force\n")
+    with pytest.raises(ConfigError, match=r"own\.toml:1"):
+        write(file, [Change("force", "sign", -1)], "rig motor", DAY)
+    assert file.read_text() == "[force\n"
+
+
+def test_who_may_read_the_file_stays(file: Path) -> None:
+    file.chmod(0o640)
+    write(file, [Change("force", "sign", -1)], "rig motor", DAY)
+    assert file.stat().st_mode & 0o777 == 0o640
 
 
 def test_what_is_not_understood_is_refused_and_says_what_to_write() -> None:

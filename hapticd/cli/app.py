@@ -1,9 +1,11 @@
 """All verbs under one name, and what becomes of errors."""
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import typer
 
+from hapticd import __version__
 from hapticd.cli import (
     daemon,
     guard,
@@ -23,11 +25,28 @@ USAGE = 2
 
 app = typer.Typer(
     name="hapticd",
-    help="A haptic display's servo daemon: run it, set it, watch it, stop it.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        terminal.data(f"hapticd {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def hapticd(
+    _: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Say which, and end."),
+    ] = False,
+) -> None:
+    """A haptic display's servo daemon: run it, set it, watch it, stop it."""
+
+
 VERBS: dict[str, terminal.Verb] = {
     "run": daemon.run,
     "set": daemon.set_parameters,
@@ -42,6 +61,7 @@ VERBS: dict[str, terminal.Verb] = {
     "home": daemon.home,
     "status": daemon.status,
     "monitor": monitor.monitor,
+    "events": monitor.events,
     "record": recording.record,
     "replay": recording.replay,
     "dump": daemon.dump,

@@ -1,4 +1,5 @@
-"""Watch one daemon live, as strip charts; single keys stop it or end the view.
+"""Watch one daemon live: as strip charts, where single keys stop it or end the view, or event by
+event.
 
 Keys come from the terminal without waiting and without Enter, and none come when stdin is no
 terminal. What would break it: waiting for data without a time-out, for then a silent daemon would
@@ -10,8 +11,11 @@ import select
 import sys
 import termios
 import tty
+from collections import deque
 from collections.abc import Callable
 from contextlib import closing
+from datetime import datetime
+from threading import Thread
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
@@ -49,6 +53,8 @@ REDRAW_NS = NS_PER_S // 10
 LOOK_S = 0.02  # between looks at what has come, and at the keys
 TICKS = "servo.raw"
 STATE = "state"  # what no record holds; nothing is asked, so that no key waits for an answer
+EVENT = "event"
+ASKED = "added_damping_asked_ns_per_m"
 NEWEST = (
     "tick",
     "position_m",
@@ -75,7 +81,8 @@ def monitor(
     ] = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
-    """Watch live on one screen. Space or Esc stops the daemon, q or Ctrl-C only this screen.
+    """Watch live on one screen. Space or Esc stops the daemon, d switches active damping on or off,
+    q or Ctrl-C ends only this screen.
 
     With --json, or when stdout is no terminal: one line every 0.1 s.
     """
@@ -105,6 +112,7 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
 
     from hapticd.cli.screen import NO_DATA_S, History
     from hapticd.client.blocks import BlockDecoder
+    from hapticd.client.events import event_words
     from hapticd.clock import MonotonicClock
 
     clock = MonotonicClock()
@@ -112,18 +120,22 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
     newest_ns = begin_ns  # when the last record came
     shown_ns = 0
     history = History()
+    news: deque[str] = deque()
     simulated = None
     decoder = BlockDecoder()
     with (
         connect(instance, timeout_s=NO_DATA_S) as client,
         Keys() as keys,
-        closing(client.messages((TICKS, STATE), LOOK_S)) as messages,
+        closing(client.messages((TICKS, STATE, EVENT), LOOK_S)) as messages,
     ):
-        client.hello()  # nobody there at the start is an error; one who goes away later is NO DATA
+        # nobody there at the start is an error; one who goes away later is NO DATA
+        history.force_limit_n = float(client.hello()["servo"]["safety"]["force_limit_n"])
         for message in messages:
             now_ns = clock.now_ns()
             if message is not None and message[0] == STATE:
                 history.told(msgpack.unpackb(message[1]))
+            elif message is not None and message[0] == EVENT:
+                history.event = event_words(msgpack.unpackb(message[1]))
             elif message is not None:
                 block = decoder.decode(message[1])
                 newest_ns = now_ns if len(block.records) else newest_ns
@@ -132,9 +144,13 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
             elif now_ns - shown_ns >= REDRAW_NS:  # what came together is shown once
                 shown_ns = now_ns
                 show(history, simulated, (now_ns - newest_ns) / NS_PER_S)
+            while news:
+                history.event = news.popleft()
             pressed = keys.pressed()
             if pressed in (" ", "\x1b"):
                 _press_stop(instance)
+            if "d" in pressed and history.newest is not None:
+                _switch_damping(instance, not history.newest[ASKED], news)
             if "q" in pressed or (seconds is not None and now_ns - begin_ns >= seconds * NS_PER_S):
                 return
 
@@ -146,6 +162,22 @@ def _press_stop(instance: str) -> None:
         stop(instance)
     except HapticdError as error:
         terminal.talk(f"hapticd: stop: {error}")
+
+
+def _switch_damping(instance: str, on: bool, news: deque[str]) -> None:
+    """Ask beside the screen, so that a stop pressed meanwhile waits for nobody's answer; what came
+    of it goes into `news`.
+    """
+
+    def ask() -> None:
+        try:
+            with connect(instance) as client:
+                client.damping("on" if on else "off")
+            news.append(f"damping {'on' if on else 'off'}")
+        except HapticdError as error:
+            news.append(f"damping: {error}")
+
+    Thread(target=ask, daemon=True).start()
 
 
 def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict[str, Any]:
@@ -185,3 +217,42 @@ def _print_line(history: "History", simulated: bool | None, silent_s: float) -> 
         damping = found["added_damping_ns_per_m"]
         moving = f"x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g} N s/m"
         terminal.data(f"{badge}{found['state']} {moving}")
+
+
+def events(
+    instance: terminal.Instance = terminal.INSTANCE,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")
+    ] = None,
+    as_json: terminal.JsonLines = False,
+) -> None:
+    """Say what happens, a line each: states, faults with remedy, leases, warnings, flight files.
+
+    `hapticd run` does the same in its own terminal. Ctrl-C ends it.
+    """
+    import msgpack
+
+    from hapticd.clock import MonotonicClock
+
+    clock = MonotonicClock()
+    begin_ns = clock.now_ns()
+    with connect(instance) as client, closing(client.messages((EVENT,), LOOK_S)) as messages:
+        rights = (client.status().get("servo") or {}).get("realtime") or {}
+        refused = [f"{name}: {said}" for name, said in rights.items() if said.startswith("refused")]
+        if not as_json:
+            for line in refused:
+                terminal.data(f"real-time right {line}")
+        for message in messages:
+            if message is not None:
+                event = msgpack.unpackb(message[1])
+                terminal.data_json(event) if as_json else terminal.data(_timed(event))
+            if seconds is not None and clock.now_ns() - begin_ns >= seconds * NS_PER_S:
+                return
+
+
+def _timed(event: dict[str, Any]) -> str:
+    """An event with the time of day."""
+    from hapticd.client.events import event_words
+
+    at = datetime.fromtimestamp(event["timestamp"]).strftime("%H:%M:%S")
+    return f"{at} {event_words(event)}"

@@ -91,7 +91,8 @@ Kind = Annotated[
 ]
 ATTRIBUTES_SHOWN = (
     "started_utc", "device_name", "device_serial", "rate_hz", "winding_c", "hapticd_version",
-    "hapticd_commit", "kernel", "cpu", "realtime", "leases", "note",
+    "hapticd_commit", "kernel", "cpu", "realtime", "calibration_doubts", "certificate", "leases",
+    "note",
 )  # fmt: skip
 
 

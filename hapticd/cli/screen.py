@@ -5,12 +5,15 @@ No socket, no clock, no terminal.
 Two rules. The lamp shows the servo's state, never anybody's wish. When data stay away, lamp and
 charts give way to NO DATA: an old value never looks like a fresh one.
 
-Strip charts are drawn in braille, 2 x 4 dots in a character; every column of dots spans the lowest
-and highest value of its time. numpy and rich are imported at the top here and nowhere else in this
-package.
+All of it fits 80 columns and 24 lines; each line is cut at the right edge, and what stops the
+device stands left in the first. A smaller terminal shows fewer charts, those of the loop first to
+go. Strip charts are drawn in braille, 2 x 4 dots in a character; every column of dots spans the
+lowest and highest value of its time. numpy and rich are imported at the top here and nowhere else
+in this package.
 """
 
 from collections import deque
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,9 +22,8 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from hapticd.cli.guard import guard_line, margin_words
-from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.faults import BY_NUMBER
-from hapticd.mailbox.layout import COMMISSIONING, State, Watched
+from hapticd.mailbox.layout import COMMISSIONING, Flag, State, Watched
 from hapticd.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -78,8 +80,8 @@ LAMPS = {
     State.HOMING: "black on yellow",
 }
 TRIPPED = "bold white on red"
-HEAD_LINES = 13
-MOST_HEIGHT = 8
+HEAD_LINES = 9  # all but the charts
+MOST_HEIGHT = 8  # of a chart
 CHARTS = (  # title, unit, field, factor, whether the chart begins at 0
     ("position", "mm", "position_m", 1e3, False),
     ("force", "N", "force_n", 1.0, False),
@@ -96,6 +98,8 @@ class History:
         self.length = 1  # records in SHOWN_S
         self.delivered: dict[str, Any] = {}  # `delivered_damping` of the newest state
         self.guard: dict[str, Any] = {}  # `guard` of the newest state
+        self.force_limit_n = float("nan")
+        self.event = ""  # the newest, in words
         self._blocks: deque[Any] = deque()
         self._count = 0
 
@@ -106,7 +110,11 @@ class History:
 
     def follow(self, block: "Block") -> "History":
         """This history with `block` behind it, or a new one if the servo began anew."""
-        after = History() if block.restarted else self
+        after = self
+        if block.restarted:
+            after = History()
+            after.force_limit_n = self.force_limit_n
+            after.event = self.event
         if len(block.records):
             after.add(block.records)
         return after
@@ -138,54 +146,97 @@ def screen(
     """One screen of `size` (columns, lines). `simulated` is None until the daemon said so."""
     width, lines = size
     fresh = history.newest is not None and silent_s < NO_DATA_S
-    parts = [
-        _badge(simulated),
-        _lamp(history.newest) if fresh else Text(f"\n NO DATA for {silent_s:.1f} s \n", TRIPPED),
-    ]
-    height = min(MOST_HEIGHT, max(1, (lines - HEAD_LINES) // len(CHARTS) - 1))
-    if fresh:
-        parts.append(_guard(history.guard))
-        parts.append(_states(history, width - 1))
-        for title, unit, field, factor, from_zero in CHARTS:
-            values = factor * history.column(field)
-            low = min(0.0, float(values.min())) if from_zero else float(values.min())
-            drawn = strip(values, history.length, width - 1, height, low, float(values.max()))
-            more = _delivered(history.delivered) if field == "added_damping_ns_per_m" else ""
-            parts += [_title(title, unit, values, more), Text("\n".join(drawn), no_wrap=True)]
-    parts.append(Text("Space or Esc: STOP    q: quit", style="bold", no_wrap=True))
+    head = _badge(simulated).append_text(_lamp(history.newest) if fresh else Text())
+    parts = [head.append("  Space/Esc: STOP  d: damping  q: quit", "bold")]
+    if not fresh:
+        silent = "waiting for the daemon" if simulated is None else f"NO DATA for {silent_s:.1f} s"
+        return Group(*parts, Text(f"\n {silent} \n", TRIPPED))
+    parts += [_environment(history.newest), _loop(history), _guard(history.guard)]
+    parts += [Text(margin_words(history.guard)) if history.guard else Text(), _news(history)]
+    parts.append(_states(history, width - 1))
+    shown = max(1, min(len(CHARTS), (lines - HEAD_LINES) // 2))
+    height = min(MOST_HEIGHT, max(1, (lines - HEAD_LINES) // shown - 1))
+    for chart in CHARTS[:shown]:
+        parts += _drawn(history, *chart, width - 1, height)
+    parts.append(_time_axis(width - 1))
+    for part in parts:
+        part.no_wrap = True
+        part.overflow = "ellipsis"
     return Group(*parts)
+
+
+def _drawn(
+    history: History,
+    title: str,
+    unit: str,
+    field: str,
+    factor: float,
+    from_zero: bool,
+    width: int,
+    height: int,
+) -> list[Text]:
+    """Title and chart of one quantity."""
+    values = factor * history.column(field)
+    low = min(0.0, float(values.min())) if from_zero else float(values.min())
+    drawn = strip(values, history.length, width, height, low, float(values.max()))
+    more = _delivered(history.delivered) if field == "added_damping_ns_per_m" else ""
+    if field == "force_n" and history.force_limit_n == history.force_limit_n:
+        more = f"   limit {history.force_limit_n:g} N"
+    return [_title(title, unit, values, more), Text("\n".join(drawn))]
 
 
 def _badge(simulated: bool | None) -> Text:
     if simulated is None:
-        return Text("waiting for the daemon\n")
-    return (
-        Text(SIMULATED_BANNER, "bold yellow", no_wrap=True)
-        if simulated
-        else Text("REAL BOARD\n", "bold red")
-    )
+        return Text(" hapticd ", "reverse")
+    if simulated:
+        return Text(" SIMULATED ", "bold black on yellow")
+    return Text(" REAL BOARD ", "bold white on red")
 
 
 def _lamp(newest: Any) -> Text:
     state = State(int(newest["state"]))
-    fault = BY_NUMBER[int(newest["fault"])]
-    text = Text("\n").append(f" {state.name} ", LAMPS.get(state, TRIPPED))
+    return Text(" ").append(f" {state.name} ", LAMPS.get(state, TRIPPED))
+
+
+def _environment(newest: Any) -> Text:
     # in telemetry damping_ns_per_m is the virtual B, added_damping_ns_per_m the active damping
-    text.append(f"  K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m")
-    text.append(f"  M {newest['mass_kg']:g} kg")
-    text.append(
-        f"  gain {newest['gain']:.2f}  revision {newest['revision']}  tick {newest['tick']}"
-    )
+    text = Text(f"K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m")
+    text.append(f"  M {newest['mass_kg']:g} kg  gain {newest['gain']:.2f}")
     off = [bit.name.lower() for bit in Watched if not int(newest["watches"]) & bit]
-    text.append(f"  off: {', '.join(off)}" if off else "", "yellow")
     if int(newest["watches"]) & COMMISSIONING:
         text.append("  commissioning: signs not verified", "yellow")
-    text.append(f"{_leased(newest)}\n")
-    return (
-        text.append(f" {fault.code}: {fault.cause}; {fault.remedy}\n", "bold red")
-        if fault.number
-        else text.append("\n")
-    )
+    text.append(_leased(newest))
+    return text.append(f"  off: {', '.join(off)}" if off else "", "yellow")
+
+
+def _loop(history: History) -> Text:
+    """What the loop, the bus and the motor do, over the time shown."""
+    newest = history.newest
+    lost = int(newest["lost_slots"])
+    text = Text().append(f"lost slots {lost}", "yellow" if lost else "")
+    flags = history.column("flags")
+    for name, flag in (("late", Flag.LATE), ("at the force limit", Flag.CLAMPED)):
+        share = float(np.mean((flags & flag) != 0))
+        text.append(f"  {name} {100.0 * share:.2g} %", "yellow" if share else "")
+    warm = float(newest["winding_c"])
+    text.append(f"  winding {warm:.1f} C" if warm == warm else "")
+    return text.append(f"  revision {newest['revision']}  tick {newest['tick']}")
+
+
+def _news(history: History) -> Text:
+    """The fault, or else what happened last."""
+    fault = BY_NUMBER[int(history.newest["fault"])]
+    if fault.number:
+        return Text(f"{fault.code}: {fault.cause}; {fault.remedy}", "bold red")
+    return Text(f"last event: {history.event or 'none yet'}")
+
+
+def _time_axis(width: int) -> Text:
+    """From SHOWN_S ago to now."""
+    ends = (f"-{SHOWN_S:g} s", f"-{SHOWN_S / 2.0:g} s", "now")
+    left = width // 2 - len(ends[0]) - len(ends[1]) // 2
+    right = width - width // 2 - len(ends[1]) + len(ends[1]) // 2 - len(ends[2])
+    return Text(f"{ends[0]}{'.' * left}{ends[1]}{'.' * right}{ends[2]}", "dim")
 
 
 def _leased(newest: Any) -> str:
@@ -198,12 +249,11 @@ def _leased(newest: Any) -> str:
 def _guard(found: dict[str, Any]) -> Text:
     """What the guard knows of the environment in force, in red where it is not passive."""
     if not found:
-        return Text("guard: unknown", no_wrap=True)
+        return Text("guard: unknown")
     verdict = found["verdict"] or {}
     safe = verdict.get("safe")
     colour = "yellow" if safe is None else "green" if safe else "bold red"
-    text = f"guard: {guard_line(found)}; {margin_words(found)}"
-    return Text(text, colour, no_wrap=True)
+    return Text(f"guard: {guard_line(found)}", colour)
 
 
 def _delivered(found: dict[str, Any]) -> str:
@@ -219,17 +269,19 @@ def _title(title: str, unit: str, values: np.ndarray, more: str) -> Text:
     return Text(
         f"{title}  {values[-1]:.6g} {unit}   ({values.min():.4g} .. {values.max():.4g}){more}",
         style="cyan",
-        no_wrap=True,
     )
 
 
 def _states(history: History, width: int) -> Text:
-    """One letter for each part of the time shown: the worst state in it."""
-    text = Text(no_wrap=True)
-    for worst in envelope(history.column("state"), history.length, width)[1]:
-        state = None if np.isnan(worst) else State(int(worst))
-        text.append(
-            " " if state is None else state.name[0],
-            "" if state is None else LAMPS.get(state, TRIPPED),
-        )
+    """The worst state in each part of the time shown; a stretch of one state begins with its name,
+    or with as much of it as there is room for.
+    """
+    worst = envelope(history.column("state"), history.length, width)[1]
+    codes = np.where(np.isnan(worst), -1, worst).astype(int).tolist()
+    text = Text()
+    for code, stretch in groupby(codes):
+        length = len(list(stretch))
+        state = State(code) if code >= 0 else None
+        name = state.name.ljust(length, "-")[:length] if state is not None else " " * length
+        text.append(name, "" if state is None else LAMPS.get(state, TRIPPED))
     return text

@@ -17,7 +17,7 @@ import subprocess
 import time
 import uuid
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from importlib import import_module
 from math import nan
 from pathlib import Path
@@ -25,6 +25,8 @@ from typing import Any
 
 import hapticd
 from hapticd.errors import ConfigError
+from hapticd.recording.calibrations import doubts
+from hapticd.recording.certificate import certificate_of
 from hapticd.units import NS_PER_S
 
 SCHEMA = "hapticd-recording/1"
@@ -60,7 +62,8 @@ def of_recording(
     """Attributes of a recording: from the daemon's hello and status, and from the header of the
     first block of records.
 
-    mono_ns and utc_ns are one instant on the clock of `time_ns` and in Unix time.
+    mono_ns and utc_ns are one instant on the clock of `time_ns` and in Unix time. Calibrations that
+    could not be relied on that day are named, and the certificate of the rig.
     """
     servo = hello["servo"]
     now_ns = time.time_ns()
@@ -87,6 +90,8 @@ def of_recording(
                 if isinstance(scale, dict) and "date" in scale
             }
         ),
+        "calibration_doubts": _json(list(map(str, doubts(servo, _day(now_ns))))),
+        "certificate": _json(certificate_of(servo)),
         "config_hash": status.get("config_hash", servo["config_hash"]),
         "configuration": json.dumps(servo),
         "realtime": json.dumps(report.get("realtime", {})),
@@ -109,6 +114,15 @@ def of_recording(
         "cpu": processor(),
         "note": note,
     }
+
+
+def _day(unix_ns: int) -> date:
+    return datetime.fromtimestamp(unix_ns / NS_PER_S).astimezone().date()
+
+
+def _json(value: Any) -> str:
+    """`value` as an attribute; "" for nothing."""
+    return json.dumps(value) if value else ""
 
 
 def commit(folder: Path = Path(hapticd.__file__).parent) -> str:

@@ -37,7 +37,16 @@ RENDERED_COLUMNS = (
     "mass_kg",
     "added_damping_asked_ns_per_m",
 )
-REMARK_ATTRIBUTES = ("device_name", "device_serial", "started_utc", "uuid", "config_hash", "note")
+JSON_ATTRIBUTES = ("calibration_doubts", "certificate")  # their text is JSON
+REMARK_ATTRIBUTES = (
+    "device_name",
+    "device_serial",
+    "started_utc",
+    "uuid",
+    "config_hash",
+    "note",
+    *JSON_ATTRIBUTES,
+)
 
 
 ReadColumn = Callable[[str, str], Any]  # of a group and a name: its values, one a row

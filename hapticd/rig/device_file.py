@@ -1,52 +1,60 @@
 """Measured values into a device file, comments and everything else left as they are.
 
-Only lines `key = value` of a table [name] are changed; a key that is missing is added at the end of
-its table, and a missing table at the end of the file. So that nothing depends on how well text is
-understood, the new text is parsed again: it must say what the old one did, but for these values.
-Then it is validated as every device file is, in a file beside, which takes the place of the old one
-in one step. Until then the old file is untouched, whatever happens.
+tomlkit changes the text: values in place, keys that are missing behind the last one of their
+table, tables that are missing at the end. So that nothing depends on how well it does so, the new
+text is parsed again by another parser: it must say what the old one did, but for these values. Then
+it is validated as every device file is, in a file beside, which takes the place of the old one in
+one step. Until then the old file is untouched, whatever happens.
 
-What would break it: a value that spans lines (refused), two programs that write at once (the last
-one wins, whole).
+A table may be one of another, `model.masses`. Tables with `date`, `serial` and `source` say there
+when, at which board and by what their values were measured; in a table of an effect `source` is a
+tag, and `note` says it.
+
+What would break it: two programs that write at once (the last one wins, whole).
 """
 
 import copy
 import datetime
 import os
-import re
+import shutil
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
+import tomlkit
+from tomlkit.items import InlineTable, Table
+
 from hapticd.errors import ConfigError
-from hapticd.rig.result import Change, Scalar
+from hapticd.rig.result import Change, Written
 from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import load_device
-from hapticd.settings.toml import shipped
+from hapticd.settings.toml import read, shipped
 
-Written = Scalar | datetime.date
-
-_KEY = r"^(\s*{key}\s*=\s*)"
-_VALUE = re.compile(r"""("(?:[^"\\]|\\.)*"|'[^']*'|[^\s#"'\[{]+)(\s*(?:#.*)?)$""")
-_HEADER = re.compile(r"^\s*\[")
+Values = Mapping[tuple[str, str], Written | datetime.date]  # by table and key
+_EFFECT = "model."  # before the name of each effect
 
 
 def write(path: Path, changes: Iterable[Change], source: str, day: datetime.date) -> DeviceFile:
-    """Write `changes` into the device file `path`, with `source` and `day` in every table that has
-    such keys, where more than its sign is written; the device as it is then. ConfigError leaves
-    the file as it was.
+    """Write `changes` into the device file `path`, with `source`, `day` and the board's serial in
+    every table that has such keys, where more than its sign is written; the device as it is then.
+    ConfigError leaves the file as it was.
     """
     refuse_shipped(path)
+    read(path)  # says what is wrong with a file that is no TOML
     asked = list(changes)
-    values: dict[tuple[str, str], Written] = {(one.table, one.key): one.value for one in asked}
-    provenance: dict[str, Written] = {"date": day, "source": source}
+    values: dict[tuple[str, str], Written | datetime.date] = {
+        (one.table, one.key): one.value for one in asked
+    }
+    serial = str(tomllib.loads(path.read_text("utf-8")).get("serial", ""))
     # a sign that was seen says nothing of how the scale beside it is known
     for table in dict.fromkeys(one.table for one in asked if one.key != "sign"):
-        told = provenance.keys() & set(_fields(table))
-        values |= {(table, key): provenance[key] for key in sorted(told)}
-    text = changed(path.read_text(encoding="utf-8"), values)
-    return _replace(path, text)
+        known = set(_fields(table))
+        for key, told in _provenance(table, source, day, serial).items():
+            if key in known:
+                values.setdefault((table, key), told)
+    text = changed(path.read_bytes().decode("utf-8"), values)
+    return _replace(path.resolve(), text)
 
 
 def refuse_shipped(path: Path) -> None:
@@ -58,42 +66,56 @@ def refuse_shipped(path: Path) -> None:
         )
 
 
+def _provenance(
+    table: str, source: str, day: datetime.date, serial: str
+) -> dict[str, Written | datetime.date]:
+    if table.startswith(_EFFECT):
+        return {"source": "calibrated", "note": f"{day.isoformat()}: {source}"}
+    return {"date": day, "serial": serial, "source": source}
+
+
 def _fields(table: str) -> Iterable[str]:
-    annotation: Any = DeviceFile.model_fields[table].annotation
-    kinds = (annotation, *get_args(annotation))  # of a table that may be left out
-    return next(kind.model_fields for kind in kinds if hasattr(kind, "model_fields"))
+    """Names of the keys that the dotted `table` of a device file may have."""
+    kind: Any = DeviceFile
+    for name in table.split("."):
+        annotation = kind.model_fields[name].annotation
+        kinds = (annotation, *get_args(annotation))  # of a table that may be left out
+        kind = next(one for one in kinds if hasattr(one, "model_fields"))
+    return list(kind.model_fields)
 
 
 def _replace(path: Path, text: str) -> DeviceFile:
     """`text` in place of the file `path`, once it is a valid device file."""
     fresh = path.with_name(f".{path.stem}.new.toml")
     try:
-        with fresh.open("w", encoding="utf-8") as file:
-            file.write(text)
+        with fresh.open("wb") as file:
+            file.write(text.encode("utf-8"))
             file.flush()
             os.fsync(file.fileno())
         device = load_device(fresh)
+        shutil.copymode(path, fresh)
         os.replace(fresh, path)
     finally:
         fresh.unlink(missing_ok=True)
     return device
 
 
-def changed(text: str, values: dict[tuple[str, str], Written]) -> str:
-    """The TOML `text` with `values` by (table, key). ConfigError if it cannot be changed so."""
+def changed(text: str, values: Values) -> str:
+    """The TOML `text` with `values`. ConfigError if it cannot be changed so."""
     expected = copy.deepcopy(tomllib.loads(text))
-    lines = text.splitlines()
-    for (table, key), value in values.items():
-        lines = _with(lines, table, key, _toml(value))
-        expected.setdefault(table, {})[key] = value
-    found = "\n".join(lines) + "\n"
+    document = tomlkit.parse(text)
     try:
+        for (table, key), value in values.items():
+            _set(_table(document, table), key, _plain(value))
+            _set_plain(expected, table, key, _plain(value))
+        found = document.as_string()
         understood = tomllib.loads(found) == expected
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, tomlkit.exceptions.TOMLKitError):
         understood = False
     if not understood:
         names = ", ".join(
-            f"{table}.{key} = {_toml(value)}" for (table, key), value in values.items()
+            f"{table}.{key} = {tomlkit.item(_plain(value)).as_string()}"
+            for (table, key), value in values.items()
         )
         raise ConfigError(
             f"the device file is laid out in a way that is not understood: write {names}"
@@ -101,27 +123,37 @@ def changed(text: str, values: dict[tuple[str, str], Written]) -> str:
     return found
 
 
-def _toml(value: Written) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    return value.isoformat() if isinstance(value, datetime.date) else repr(value)
+def _plain(value: Written | datetime.date) -> Any:
+    return list(value) if isinstance(value, tuple) else value
 
 
-def _with(lines: list[str], table: str, key: str, value: str) -> list[str]:
-    """`lines` with `key = value` in `[table]`."""
-    header = re.compile(rf"^\s*\[\s*{re.escape(table)}\s*\]")
-    start = next((place for place, line in enumerate(lines) if header.match(line)), None)
-    if start is None:
-        return [*lines, "", f"[{table}]", f"{key} = {value}"]
-    after = range(start + 1, len(lines))
-    end = next((place for place in after if _HEADER.match(lines[place])), len(lines))
-    entry = re.compile(_KEY.format(key=re.escape(key)))
-    for place in range(start + 1, end):
-        if head := entry.match(lines[place]):
-            rest = _VALUE.match(lines[place][head.end() :])
-            comment = rest[2] if rest else ""
-            return [*lines[:place], f"{head[1]}{value}{comment}", *lines[place + 1 :]]
-    last = max(place for place in range(start, end) if lines[place].split("#")[0].strip())
-    return [*lines[: last + 1], f"{key} = {value}", *lines[last + 1 :]]
+def _table(document: Any, dotted: str) -> Any:
+    """The table `dotted`, made where there is none. ParseError where a value stands for it."""
+    found = document
+    for name in dotted.split("."):
+        if name not in found:
+            found[name] = tomlkit.table()
+        found = found[name]
+        if isinstance(found, InlineTable) or not hasattr(found, "items"):
+            raise tomlkit.exceptions.TOMLKitError(f"{name} is no table of its own")
+    return found
+
+
+def _set(table: Any, key: str, value: Any) -> None:
+    """`key = value`, behind the last value of `table` and before the comments that follow it."""
+    body = table.value.body if isinstance(table, Table) else []
+    named = [place for place, (name, _) in enumerate(body) if name is not None]
+    nested = any(isinstance(item, Table) for _, item in body)
+    if key in table or nested or not named:
+        table[key] = value
+        return
+    after = body[named[-1] + 1 :]
+    del body[named[-1] + 1 :]
+    table[key] = value
+    body.extend(after)
+
+
+def _set_plain(data: dict[str, Any], dotted: str, key: str, value: Any) -> None:
+    for name in dotted.split("."):
+        data = data.setdefault(name, {})
+    data[key] = value

@@ -17,6 +17,7 @@ import numpy.typing as npt
 Verdict = Literal["ok", "warning", "refused", "not done"]
 UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval
 Scalar = bool | int | float | str
+Written = Scalar | tuple[Scalar, ...]  # what may stand in a device file
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +48,9 @@ class Finding:
 class Change:
     """A value of the device file; those with a `source` are dated there as well."""
 
-    table: str
+    table: str  # dotted, where it is a table of another
     key: str
-    value: Scalar
+    value: Written
 
 
 @dataclass(frozen=True, slots=True)

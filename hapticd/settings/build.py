@@ -92,6 +92,8 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
         usb=UsbParams(**config.usb.model_dump(), serial=device.serial),
         added_damping_ns_per_m=config.added_damping_ns_per_m,
         config_hash=settings.config_hash,
+        device_file=str(settings.device_file.absolute()),
+        device_file_sha256=settings.device_file_sha256,
     )
 
 
@@ -306,6 +308,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
         resistance=None if device.resistance is None else device.resistance.params(),
         **_motor(device),
         commissioning=commissioning(device),
+        calibration_days=device.calibration_days,
     )
 
 

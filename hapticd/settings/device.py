@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import Field, create_model
 
 from hapticd.params import (
+    CALIBRATION_DAYS,
     ENERGY_LIMIT_J,
     RAMP_ENERGY_J,
     HomeParams,
@@ -126,13 +127,16 @@ class Scale(TomlTable):
     """Count that means zero."""
     date: datetime.date | None = None
     """When it was measured."""
+    serial: str = ""
+    """Of the board at which it was measured; left out: the device's own."""
     source: str = Field(min_length=1)
     """How it is known: calibration record, data sheet, paper, or "assumed"."""
 
     def params(self, per_count: float) -> ScaleParams:
         """As the processes read it."""
         date = self.date.isoformat() if self.date else ""
-        return ScaleParams(per_count, self.sign, self.offset_count, date, self.source)
+        offset = self.offset_count
+        return ScaleParams(per_count, self.sign, offset, date, self.source, self.serial)
 
 
 class Position(Scale):
@@ -203,17 +207,18 @@ class ResistanceTable(TomlTable):
     """Share by which thermal resistance and time constant may be wrong."""
     date: datetime.date | None = None
     """When it was measured."""
+    serial: str = ""
+    """Of the board at which it was measured; left out: the device's own."""
     source: str = Field(min_length=1)
     """How it is known."""
 
     def params(self) -> ResistanceParams:
         """As the servo reads it."""
-        own = self.model_dump(exclude={"sign", "date", "source"})
+        own = self.model_dump(exclude={"sign", "date", "source", "serial"})
         date = self.date.isoformat() if self.date else ""
         per_count = self.full_scale_ohm / I16_HIGHEST
-        return ResistanceParams(
-            trim=ScaleParams(per_count, self.sign, 0.0, date, self.source), **own
-        )
+        trim = ScaleParams(per_count, self.sign, 0.0, date, self.source, self.serial)
+        return ResistanceParams(trim=trim, **own)
 
 
 class LimitsTable(TomlTable):
@@ -320,6 +325,9 @@ class DeviceFile(TomlTable):
     home: HomeTable = HomeTable()
     commissioning: CommissioningTable | None = None
     """Left out: signs are verified for a simulated device, and are not for a real one."""
+    calibration_days: int = Field(CALIBRATION_DAYS, ge=1, le=36500)
+    """A calibration that is older is named wherever numbers rest on it, and `zwidth trial live`
+    refuses it."""
     relies_on: tuple[Literal["probe", "temperature"], ...] = Field(RELIED_ON, strict=False)
     """Capabilities of the board without which the device may not be used."""
     plant: RigidTable | None = None

@@ -63,6 +63,7 @@ class Settings:
     config_file: Path
     device_file: Path
     origins: Mapping[str, str]  # dotted key -> file:line, an option, or `default`
+    device_file_sha256: str  # of the device file's bytes, hex
 
     def plain(self) -> dict[str, Any]:
         """Everything as JSON values; the device file's content under `device`."""
@@ -127,7 +128,9 @@ def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Set
     origins = {dotted(path): config_origin(path) for path, _ in leaves(config.model_dump())}
     for path, _ in leaves(device.model_dump()):
         origins[dotted(("device", *path))] = device_origin(path)
-    return Settings(config, device, config_document.path, device_document.path, origins)
+    file_hash = hashlib.sha256(device_document.path.read_bytes()).hexdigest()
+    files = config_document.path, device_document.path
+    return Settings(config, device, *files, origins, file_hash)
 
 
 def load_device(path: Path) -> DeviceFile:

@@ -11,10 +11,14 @@ ticks hold what no sample does: every command, the winding's temperature, the po
 that were left out, and the revision of the set-up, so that a change by anybody ends the trial. Lost
 samples are filled in and counted by `watch`.
 
+Calibrations that cannot be relied on are refused (`recording.calibrations`), or named with the
+record and its verdict.
+
 What would break it: a board without probe inputs (refused), a host so busy that slots are lost
 (named, then undecided), or ticks and samples that come much apart; both are cut by the same servo.
 """
 
+import datetime
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -31,6 +35,8 @@ from hapticd.client.lease import ClientLease
 from hapticd.errors import AnalysisError, CommandError, DaemonDown
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.plant.excitation import marked, torque_record
+from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
+from hapticd.recording.certificate import certificate_of
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, Progress, TrialRecord, silent
@@ -57,10 +63,14 @@ SLOW = (
 )
 
 
-def daemon_source(bench: Client, origin: str = "daemon") -> Source:
-    """Trials on the device of a daemon; AnalysisError unless it is `disabled`."""
+def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = False) -> Source:
+    """Trials on the device of a daemon; AnalysisError unless it is `disabled`, and for calibrations
+    that cannot be relied on, where they are not accepted as `uncalibrated`.
+    """
 
     def record(trial: Trial, tell: Progress = silent) -> TrialRecord:
+        if not uncalibrated:
+            refuse_doubts(_doubts(bench))
         state = bench.status()["state"]
         if state != "disabled":
             raise AnalysisError(
@@ -85,6 +95,10 @@ def daemon_source(bench: Client, origin: str = "daemon") -> Source:
             _leave(bench, lease)
 
     return record
+
+
+def _doubts(bench: Client) -> tuple[CalibrationDoubt, ...]:
+    return doubts(bench.hello()["servo"], datetime.date.today(), probed=True)
 
 
 def _waveform(trial: Trial) -> Floats:
@@ -241,6 +255,8 @@ class LiveRecording:
             else None,
             "guard_policy": "off" if "measuring" in status["leases"] else None,
             "config_hash": status.get("config_hash", ""),
+            "calibration_doubts": [str(one) for one in _doubts(self._daemon)],
+            "certificate": certificate_of(self._daemon.hello()["servo"]),
         }
 
     def _mark(self, settle: int) -> dict[str, int]:

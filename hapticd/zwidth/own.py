@@ -15,6 +15,7 @@ samples are missing follows from their numbers. A mark of the perturbation lies 
 What would break it: a column of another unit; all of them are written by this package.
 """
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,13 @@ import numpy as np
 from hapticd.analysis.alignment import find_marks
 from hapticd.analysis.arrays import Integers
 from hapticd.errors import AnalysisError
-from hapticd.recording.stretch import REMARK_ATTRIBUTES, ReadColumn, Stretch, stretch
+from hapticd.recording.stretch import (
+    JSON_ATTRIBUTES,
+    REMARK_ATTRIBUTES,
+    ReadColumn,
+    Stretch,
+    stretch,
+)
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.store import MARK_SAMPLE, RenderedEnvironment, TrialRecord, to_json
 from hapticd.zwidth.watch import in_even_time
@@ -59,7 +66,7 @@ def _cut(
         for one in ("torque_n", "velocity_m_per_s")
     )
     more = {
-        one: to_json(attributes[one])
+        one: json.loads(attributes[one]) if one in JSON_ATTRIBUTES else to_json(attributes[one])
         for one in REMARK_ATTRIBUTES
         if attributes.get(one) not in (None, "")
     }

@@ -3,7 +3,8 @@ others.
 
 It holds the envelopes with their owners and uncertainty, the axis limits, the conditions under
 which they were found, and the hash of the device file that they belong to: a file that was edited
-since is another device.
+since is another device. Where its rig has a certificate, that is named, and whether the device file
+had changed since.
 
 `compare` reads several of them, checks that they are comparable, and divides by the mass that
 moves. Numbers of two displays are comparable where they were asked for in one way: band, judged
@@ -56,16 +57,20 @@ EDGES = ("upper", "lower", "phase_upper", "phase_lower")
 NUMBERS = ("stiffness_damping_area", "stiffness_rate_per_s", "zero_mass_bandwidth_hz")
 
 
-def device_hash(name: str) -> str:
-    """SHA-256 (hex) of the shipped device file `name`, or of the device file that `name` is, or
-    that a scene's file of that name names. ConfigError if there is none.
+def device_path(name: str) -> Path:
+    """The shipped device file `name`, the device file that `name` is, or the one that a scene's
+    file of that name names. ConfigError if there is none.
     """
     path = Path(name)
     if path.suffix != ".toml":
-        path = find_device(name, shipped("config") / "hapticd.toml", "device")
-    elif named := read(path).data.get("device"):
-        path = find_device(named, path, f"{path}: device")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+        return find_device(name, shipped("config") / "hapticd.toml", "device")
+    named = read(path).data.get("device")
+    return find_device(named, path, f"{path}: device") if named else path
+
+
+def device_hash(name: str) -> str:
+    """SHA-256 (hex) of the device file that `device_path` finds."""
+    return hashlib.sha256(device_path(name).read_bytes()).hexdigest()
 
 
 def portable(
@@ -75,8 +80,11 @@ def portable(
     limits: Iterable[Any],
     conditions: Any,
     numbers: Iterable[Any] = (),
+    certificate: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The content of such a file, as JSON: `envelopes` by active damping [Ns/m], in SI units."""
+    """The content of such a file, as JSON: `envelopes` by active damping [Ns/m], in SI units.
+    `certificate`: what is to be said of the rig's.
+    """
     drawn = [
         {"added_damping_ns_per_m": level, "envelope": found}
         for level, found in envelopes
@@ -86,6 +94,7 @@ def portable(
         "zwidth": VERSION,
         "device": device,
         "device_file_sha256": file_hash,
+        "certificate": to_json(certificate),
         "conditions": to_json(conditions),
         "limits": to_json(list(limits)),
         "envelopes": to_json(drawn),

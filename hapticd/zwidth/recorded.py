@@ -38,6 +38,7 @@ from hapticd.zwidth.store import (
     MARK_SAMPLE,
     RECORD_H5,
     RECORD_NPZ,
+    RESTS_ON,
     SUMMARY,
     RenderedEnvironment,
     TrialRecord,
@@ -173,7 +174,7 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> Tri
         max_command_n=stated.get("max_command_n"),
         command_limit_n=stated.get("command_limit_n"),
         rendered=RenderedEnvironment((stiffness, damping, mass), stated["added_damping_ns_per_m"]),
-        more={name: stated[name] for name in (*COUNTS, MARK_SAMPLE) if name in stated},
+        more={name: stated[name] for name in (*COUNTS, MARK_SAMPLE, *RESTS_ON) if name in stated},
     )
 
 

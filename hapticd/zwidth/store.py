@@ -58,6 +58,7 @@ OF_A_RUN = (
 )
 Progress = Callable[[str, int, int], None]  # of what is done, how many are done, and of how many
 MARK_SAMPLE = "mark_sample"  # of the record, at which the mark of the perturbation begins
+RESTS_ON = ("calibration_doubts", "certificate")  # what the numbers of a record rest on
 OF_A_RECORD = (
     "simulated",
     "origin",
@@ -71,6 +72,7 @@ OF_A_RECORD = (
     "lost_slots",
     "slots",
     MARK_SAMPLE,
+    *RESTS_ON,
 )
 
 

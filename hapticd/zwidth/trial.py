@@ -30,7 +30,7 @@ impedance.csv    a line for each frequency that the estimate has, with the units
                  line; empty where not known
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import inf, isfinite, isnan, sqrt
 from pathlib import Path
@@ -70,6 +70,7 @@ from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.stepped_sine import ReferenceSines
 from hapticd.zwidth.store import (
     IMPEDANCE,
+    RESTS_ON,
     Progress,
     Steps,
     TrialRecord,
@@ -432,7 +433,13 @@ def _findings(recorded: TrialRecord, trial: Trial) -> tuple[Finding, ...]:
     if (stiffness := trial.environment[0]) < 0.0:
         message = f"K = {stiffness:g} N/m: below every band a negative stiffness is active"
         found.append(Finding("negative_stiffness", message, voids=True))
-    return (*found, *loss_findings(recorded.more))
+    return (*found, *loss_findings(recorded.more), *_uncalibrated(recorded.more))
+
+
+def _uncalibrated(more: Mapping[str, Any]) -> Iterator[Finding]:
+    """Calibrations that could not be relied on when it was recorded."""
+    if doubts := more.get("calibration_doubts"):
+        yield Finding("uncalibrated", f"uncalibrated: {'; '.join(doubts)}")
 
 
 def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
@@ -526,7 +533,7 @@ def kept_trial(folder: Path, kept: Mapping[str, Any], scene: Scene | None) -> Tr
         ended=kept["ended"],
         max_command_n=kept.get("max_command_n"),
         command_limit_n=kept.get("command_limit_n"),
-        more={name: kept[name] for name in COUNTS if name in kept},
+        more={name: kept[name] for name in (*COUNTS, *RESTS_ON) if name in kept},
     )
     return judged(plan_trial(_kept_params(kept, scene)), recorded)
 

@@ -174,7 +174,7 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     from hapticd.report.passive_set import limits_figure
     from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
     from hapticd.zwidth.map import params_about, plan_map, run_map
-    from hapticd.zwidth.portable import SUFFIX, device_hash
+    from hapticd.zwidth.portable import SUFFIX, device_path
     from hapticd.zwidth.store import TrialStore
 
     scene = _named(what)
@@ -186,8 +186,8 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
     with common.keeping(store, folder), progress() as tell:
         limits = run_limits(plan_limits(params), store, tell)
         found = run_map(plan_map(params_about(limits)), store, tell)
-    file_hash = device_hash(what if what.endswith(".toml") else scene.device)
-    _write(folder, name, file_hash, limits, found)
+    device_file = device_path(what if what.endswith(".toml") else scene.device)
+    _write(folder, name, device_file, limits, found)
     paths = _own_trial(scene, seconds, folder)
     paths += style.save(limits_figure(limits), folder, "limits")
     paths += draw_map(found, folder)
@@ -195,10 +195,11 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
 
 
 def _write(
-    folder: Path, name: str, file_hash: str, limits: "LimitsResult", found: "MapResult"
+    folder: Path, name: str, device_file: Path, limits: "LimitsResult", found: "MapResult"
 ) -> None:
     """run.json and NAME.zwidth, the summary that `zwidth compare` reads."""
-    from hapticd.zwidth.portable import SUFFIX, conditions_of, numbers_of, portable
+    from hapticd.recording.certificate import certificate_beside
+    from hapticd.zwidth.portable import SUFFIX, conditions_of, device_hash, numbers_of, portable
     from hapticd.zwidth.store import write_run
 
     conditions = limits.plan.params.conditions
@@ -206,7 +207,9 @@ def _write(
     provenance = common.provenance_now(seed=conditions.excitation.seed)
     drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
     numbers = [numbers_of(level, conditions.display) for level in found.levels]
-    content = portable(name, file_hash, drawn, limits.limits, about, numbers)
+    file_hash = device_hash(str(device_file))
+    certificate = certificate_beside(device_file, file_hash)
+    content = portable(name, file_hash, drawn, limits.limits, about, numbers, certificate)
     text = json.dumps({**content, "provenance": provenance}) + "\n"
     summary = {"kind": "report", "device": name, **about, "provenance": provenance}
     write_run(folder, summary, texts={f"{name}{SUFFIX}": text})

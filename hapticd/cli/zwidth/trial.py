@@ -120,6 +120,13 @@ class TrialOptions:
             help="Begin with a mark by which `import --align` finds the trial; live, lockstep.",
         ),
     ] = False
+    uncalibrated: Annotated[
+        bool,
+        typer.Option(
+            "--uncalibrated",
+            help="live: also with calibrations that are missing, old or of another board.",
+        ),
+    ] = False
     hottest: Annotated[
         float,
         typer.Option("--hottest", metavar="C", help="Winding temperature that ends the trial."),
@@ -215,7 +222,7 @@ def _tried(
     plan = plan_trial(_params(asked, file, scene, recorded))
     with common.interruptible(), ExitStack() as stack:
         if asked.source == "live":
-            plan, source = _live(plan, scene, instance, stack)
+            plan, source = _live(plan, scene, instance, asked.uncalibrated, stack)
         else:
             terminal.talk(announced(asked.source, plan.params.trial, scene, recorded))
             simulated = scene or common.scene_of(ENGINE_SCENE)
@@ -321,7 +328,7 @@ def _judged(
 
 
 def _live(
-    plan: "TrialPlan", scene: "Scene | None", instance: str, stack: ExitStack
+    plan: "TrialPlan", scene: "Scene | None", instance: str, uncalibrated: bool, stack: ExitStack
 ) -> "tuple[TrialPlan, Source]":
     """The plan with the curve of the daemon's device, and the source.
 
@@ -333,7 +340,9 @@ def _live(
     found = open_rig(instance, stack)
     announce(found, plan.params.trial, scene)
     known = plan_trial(replace(plan.params, scene=found.model))
-    return replace(known, spectral_radius=None), daemon_source(found.client, found.origin)
+    return replace(known, spectral_radius=None), daemon_source(
+        found.client, found.origin, uncalibrated
+    )
 
 
 def _simulated(asked: TrialOptions, scene: "Scene", stack: ExitStack) -> "Source":

@@ -1,0 +1,106 @@
+"""On which calibrations a device's numbers rest, and which of them cannot be relied on.
+
+Each scale of a device file says when and at which board it was measured (`ScaleParams`). What is
+measured with the device rests on those of position and force, of active damping where it has any,
+of the probe and the winding's temperature where it relies on them, and of the compensated
+resistance where it has that. A calibration is in doubt when its table has no date, when it is older
+than the device file's `calibration_days`, dated after today, or of another board than the device's.
+A simulated device is what its file says: nothing is asked for.
+
+What would break it: a scale that is used and not listed here.
+"""
+
+import datetime
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hapticd.errors import AnalysisError
+from hapticd.params import CALIBRATION_DAYS
+
+STEPS = {
+    "position": "encoder",
+    "force": "motor",
+    "damping": "damping",
+    "probe_torque": "probe",
+    "probe_velocity": "probe",
+    "temperature": "temperature",
+}  # by table of the device file, the step of `hapticd rig` that measures it
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationDoubt:
+    """A calibration that cannot be relied on, and why."""
+
+    table: str  # of the device file
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.table}: {self.reason}"
+
+    @property
+    def remedy(self) -> str:
+        """How to be sure of it again."""
+        if step := STEPS.get(self.table):
+            return f"`hapticd rig {step}`"
+        return f"measure it, and write date and serial into [{self.table}] of the device file"
+
+
+def used_scales(device: Mapping[str, Any], probed: bool = False) -> dict[str, Mapping[str, Any]]:
+    """The scales, by table, on which measurements with `device` rest, which is as `hello` says it;
+    those of the probe as well if it is `probed`.
+    """
+    names = ["position", "force"]
+    if device["damping_limit_ns_per_m"] > 0.0:
+        names.append("damping")
+    if probed or "probe" in device["relies_on"]:
+        names += ["probe_torque", "probe_velocity"]
+    if "temperature" in device["relies_on"]:
+        names.append("temperature")
+    found: dict[str, Mapping[str, Any]] = {name: device[name] for name in names}
+    if resistance := device.get("resistance"):
+        found["resistance"] = resistance["trim"]
+    return found
+
+
+def doubts(
+    servo: Mapping[str, Any], day: datetime.date, probed: bool = False
+) -> tuple[CalibrationDoubt, ...]:
+    """Calibrations that cannot be relied on at `day`, of the `servo` that a hello tells of; of the
+    probe as well if it is `probed`.
+    """
+    if servo["simulated"]:
+        return ()
+    device = servo["device"]
+    most = int(device.get("calibration_days", CALIBRATION_DAYS))
+    return tuple(
+        CalibrationDoubt(table, reason)
+        for table, scale in used_scales(device, probed).items()
+        for reason in _reasons(scale, str(device["serial"]), most, day)
+    )
+
+
+def _reasons(scale: Mapping[str, Any], serial: str, most: int, day: datetime.date) -> Iterator[str]:
+    of = str(scale.get("serial", ""))
+    if of not in ("", serial):
+        yield f"it is of the board {of!r}, this one is {serial!r}"
+    if not scale["date"]:
+        yield "it has no date, so nobody is known to have measured it"
+        return
+    age = (day - datetime.date.fromisoformat(scale["date"])).days
+    if age > most:
+        yield f"it is {age} days old ({scale['date']}), {most} days are the limit"
+    elif age < -1:  # a day for time zones
+        yield f"it is dated {scale['date']}, after today ({day.isoformat()})"
+
+
+def refuse_doubts(found: tuple[CalibrationDoubt, ...]) -> None:
+    """AnalysisError that names each of `found`, if there are any."""
+    if not found:
+        return
+    steps = ", ".join(dict.fromkeys(one.remedy for one in found))
+    listed = "; ".join(map(str, found))
+    raise AnalysisError(
+        f"calibrations that cannot be relied on: {listed}. Measure them ({steps}), or ask for the"
+        " trial with --uncalibrated: its verdict then says so"
+    )

@@ -1,0 +1,66 @@
+"""The certificate of a rig: which one belongs to a device file, and whether that file has changed
+since.
+
+`hapticd rig verify` writes it beside the device file, as rig/NAME-certificate-HASH.json, with the
+first digits of the SHA-256 of the device file as it was then. So a file that was changed has none
+of its own, and the newest one that is there says what it was before. Recordings, run folders and
+.zwidth files carry what `certificate_of` and `certificate_beside` say, not the certificate itself.
+
+What would break it: a device file on another machine than the client that asks (there is none then,
+and nothing is said).
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hapticd.errors import ConfigError
+from hapticd.settings.inputs import SETTINGS_BYTES, regular
+
+FOLDER = "rig"
+DIGITS = 12  # of a hash in a name
+CHANGED = "the device file has changed since; repeat `hapticd rig verify`"
+
+
+def certificate_path(device_file: Path, device_file_sha256: str) -> Path:
+    """Where the certificate of `device_file` lies while it has that hash."""
+    name = f"{device_file.stem}-certificate-{device_file_sha256[:DIGITS]}.json"
+    return device_file.parent / FOLDER / name
+
+
+def certificate_of(servo: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The certificate of the device file from which the `servo` of a hello was set up; None where
+    there is none, or the file is not on this machine.
+    """
+    if not servo.get("device_file"):
+        return None
+    return certificate_beside(Path(servo["device_file"]), servo["device_file_sha256"])
+
+
+def certificate_beside(device_file: Path, device_file_sha256: str) -> dict[str, Any] | None:
+    """What is to be said of the certificate beside `device_file`: its `sha256`, `date` and
+    `verdict`, the `device_file_sha256` it is of, and in `changed` that the file is another now,
+    else "". None where there is none.
+    """
+    own = certificate_path(device_file, device_file_sha256)
+    others = own.parent.glob(f"{device_file.stem}-certificate-*.json")
+    known = [own] if own.is_file() else sorted(others, key=lambda path: path.stat().st_mtime_ns)
+    return _told(known[-1], device_file_sha256) if known else None
+
+
+def _told(path: Path, device_file_sha256: str) -> dict[str, Any] | None:
+    try:
+        content = regular(path, SETTINGS_BYTES).read_bytes()
+        said = json.loads(content)
+        of = str(said["device"]["file_sha256"])
+        told = {"date": str(said["date"]), "verdict": str(said["verdict"])}
+    except (ConfigError, OSError, ValueError, LookupError, TypeError):
+        return None  # no certificate: nobody is to rely on it
+    return {
+        "sha256": hashlib.sha256(content).hexdigest(),
+        **told,
+        "device_file_sha256": of,
+        "changed": "" if of == device_file_sha256 else CHANGED,
+    }
