@@ -32,7 +32,6 @@ from hapticd.gateway.schemas import (
     Perturb,
     Request,
     Set,
-    Withhold,
     parse,
 )
 from hapticd.gateway.view import ServoView
@@ -49,10 +48,9 @@ ALLOWED: dict[
     "reset": (State.DISABLED, State.STOPPED, State.FAULT),
     "zero": (State.DISABLED,),
     "home": (State.DISABLED,),
-    "withhold": (State.DISABLED,),
     "perturb": (State.ENABLED,),
 }
-MOVING = ("enable", "home", "zero", "withhold")
+MOVING = ("enable", "home", "zero")
 ACCEPTED = frozenset({Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED})
 
 
@@ -70,8 +68,6 @@ def posting(request: Request, samples: int) -> Posting:
             0,
             values_of({Value.SAMPLES: samples, Value.LOOP: request.loop}),
         )
-    if isinstance(request, Withhold):
-        return Command.WITHHOLD, 0, values_of({Value.SILENCE_S: request.seconds})
     return Command[request.cmd.upper()], 0, values_of({})
 
 

@@ -35,8 +35,6 @@ class BoardCheck(NamedTuple):
     uncompensated: str = (
         ""  # why the winding's resistance is not, where the device file asks for it
     )
-    watchdog_ms: int = 0  # longest time without a frame, as the hello says
-    capabilities: int = 0  # bits of wire.frames.Capability
 
     def report(self) -> dict[str, Any]:
         """As servo.report says it."""
@@ -45,8 +43,6 @@ class BoardCheck(NamedTuple):
             "differences": list(self.differences),
             "transport": transport,
             "uncompensated": self.uncompensated,
-            "watchdog_ms": self.watchdog_ms,
-            "capabilities": self.capabilities,
         }
 
 
@@ -70,9 +66,7 @@ def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck
     reason = uncompensated(hello.capabilities)
     if not reason:
         host |= COMPENSATES
-    unfollowed = reason if params.device.resistance else ""
-    told = (hello.watchdog_ms, hello.capabilities)
-    return BoardCheck(found, transport, host, unfollowed, *told)
+    return BoardCheck(found, transport, host, reason if params.device.resistance else "")
 
 
 def uncompensated(capabilities: int) -> str:

@@ -4,6 +4,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.rig import guided, steps
+from hapticd.cli.rig.identify import identify
 
 app = typer.Typer(
     invoke_without_command=True,
@@ -13,6 +14,7 @@ VERBS: dict[str, terminal.Verb] = {
     "link": steps.link,
     "encoder": steps.encoder,
     "motor": steps.motor,
+    "identify": identify,
 }
 app.callback()(guided.guided)
 for name, verb in VERBS.items():

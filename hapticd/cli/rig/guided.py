@@ -8,6 +8,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.rig import steps
+from hapticd.cli.rig.identify import identify
 from hapticd.errors import ConfigError
 
 WELCOME = """\
@@ -36,6 +37,8 @@ def guided(context: typer.Context) -> None:
     if _wanted("motor: its gain, by hanging masses"):
         masses = [number(f"mass {place} in kg") for place in range(1, 6)]
         _kept_on(lambda: steps.motor(masses))
+    if _wanted("identify: mass, friction and delay, by shaking the free handle"):
+        _kept_on(lambda: identify())
 
 
 def _wanted(what: str) -> bool:

@@ -1,0 +1,180 @@
+"""A perturbation of the probe while something is rendered, and both streams of what came of it.
+
+The measuring lease is held meanwhile: nobody else changes anything, and if this process hangs or
+dies, force ends with the lease (`zwidth.live` does the same). Before the waveform the handle rests
+under the environment: what the torque channel shows then is its offset. The servo's ticks say when
+each sample was latched by the board's clock, which force was commanded, and how long the force
+before it took; the probe's samples, 250 us each of the same clock, say force and motion.
+
+What would break it: lost ticks or samples (refused: they leave a hole in the motion).
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Floats
+from hapticd.client.blocks import BlockDecoder, Records
+from hapticd.client.client import Client
+from hapticd.client.lease import ClientLease
+from hapticd.errors import AnalysisError, DaemonDown
+from hapticd.mailbox.layout import State
+from hapticd.params import ScaleParams
+from hapticd.rig.push import ready
+from hapticd.rig.records import SILENT_LOOKS, TICKS, collect
+from hapticd.units import PROBE_RATE_HZ, US_PER_S
+
+PROBE = "probe"
+LEASE_S = 5.0
+RENEW_TICKS = 1000
+REST_S = 0.6
+RAMP_S = 0.5
+SAMPLE_US = US_PER_S / PROBE_RATE_HZ
+
+
+class Environment(NamedTuple):
+    """What is rendered meanwhile, M = 0."""
+
+    stiffness_n_per_m: float
+    damping_ns_per_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """n ticks and N samples of the probe, side by side."""
+
+    board_us: Floats  # (n,) when the encoder was latched, by the board's clock
+    position_m: Floats  # (n,)
+    force_n: Floats  # (n,) commanded for the sample of that tick
+    delay_us: Floats  # (n,) of the force in effect then, by the board's clock; negative: unknown
+    last_index: Floats  # (n,) number of the newest sample that had come by then
+    first_index: float  # number of the first sample
+    torque_n: Floats  # (N,) interval means, without the offset of the channel
+    velocity_m_per_s: Floats  # (N,) interval means
+
+    @property
+    def period_us(self) -> float:
+        """Of the servo, by the board's clock."""
+        return float(self.board_us[-1] - self.board_us[0]) / (len(self.board_us) - 1)
+
+    def arrays(self, number: int) -> dict[str, npt.NDArray[Any]]:
+        """What is kept, under names with that number."""
+        return {f"{name}_{number}": np.asarray(value) for name, value in vars(self).items()}
+
+
+def play(bench: Client, waveform_n: Floats, environment: Environment) -> Played:
+    """Play `waveform_n` (n,) [N at 4 kHz] while `environment` is rendered; disabled afterwards.
+
+    AnalysisError where force ends meanwhile, the handle leaves its travel, or records are lost.
+    """
+    lease = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
+    stiffness, damping = environment
+    with _kept(lease), ready(bench):
+        bench.set(K=stiffness, B=damping, ramp_s=RAMP_S)
+        bench.perturb_load(waveform_n)
+        collect(bench, RAMP_S)
+        still = _received(bench, lease, REST_S)
+        bench.perturb_start()
+        try:
+            moving = _received(bench, lease, waveform_n.size / PROBE_RATE_HZ)
+        finally:
+            bench.perturb_stop()
+    return _beside(still, moving, bench.hello()["servo"]["device"])
+
+
+@contextmanager
+def _kept(lease: ClientLease) -> Iterator[None]:
+    lease.take()
+    try:
+        yield
+    finally:
+        lease.release()
+
+
+class _Streams(NamedTuple):
+    ticks: Records  # (n,)
+    samples: Records  # (N,)
+
+
+def _received(bench: Client, lease: ClientLease, seconds: float) -> _Streams:
+    """Both streams for `seconds` of the probe. DaemonDown if nothing comes for 2 s."""
+    decoders = {TICKS: BlockDecoder(), PROBE: BlockDecoder()}
+    parts: dict[str, list[Records]] = {TICKS: [], PROBE: []}
+    travel_m = _travel_m(bench)
+    wanted = round(seconds * PROBE_RATE_HZ)
+    quiet = 0
+    for message in bench.messages((TICKS, PROBE)):
+        quiet = quiet + 1 if message is None else 0
+        if quiet > SILENT_LOOKS:
+            break
+        if message is None:
+            continue
+        topic, payload = message
+        block = decoders[topic].decode(payload)
+        if block.restarted:
+            raise DaemonDown("servo or board restarted meanwhile; see `hapticd status`, repeat")
+        if block.gap and parts[topic]:
+            raise AnalysisError(
+                f"{block.gap} records of {topic} were lost; quiet the host (`hapticd doctor`), and"
+                " repeat the step"
+            )
+        parts[topic].append(block.records)
+        if topic == TICKS:
+            _still_good(bench, block.records, travel_m)
+            if sum(map(len, parts[TICKS])) % RENEW_TICKS < len(block.records):
+                lease.renew()
+        if sum(map(len, parts[PROBE])) >= wanted and parts[TICKS]:
+            return _Streams(np.concatenate(parts[TICKS]), np.concatenate(parts[PROBE]))
+    raise DaemonDown("no samples of the probe came for 2 s; has this board probe inputs?")
+
+
+def _travel_m(bench: Client) -> tuple[float, float]:
+    ends = bench.hello()["servo"]["environment"]["workspace"]
+    return float(ends["lower_m"]), float(ends["upper_m"])
+
+
+def _still_good(bench: Client, ticks: Records, travel_m: tuple[float, float]) -> None:
+    """AnalysisError where force has ended, or the handle left its travel."""
+    if (ticks["state"] != State.ENABLED).any():
+        status = bench.status()
+        raise AnalysisError(
+            f"force ended meanwhile: the servo is {status['state']} ({status.get('cause', '')});"
+            " repeat the step"
+        )
+    low_m = float(ticks["position_m"].min())
+    high_m = float(ticks["position_m"].max())
+    if not travel_m[0] <= low_m <= high_m <= travel_m[1]:
+        raise AnalysisError(
+            f"the handle went to {1e3 * low_m:.3g} .. {1e3 * high_m:.3g} mm, beyond its travel of"
+            f" {1e3 * travel_m[0]:.3g} .. {1e3 * travel_m[1]:.3g} mm; let go of it in the middle,"
+            " and lay the axis level"
+        )
+
+
+def _signal(samples: Records, name: str, device: Mapping[str, Any]) -> Floats:
+    """A channel of the probe in SI, by the scale of the device file."""
+    scale = ScaleParams(**device[f"probe_{name}"])
+    slope = scale.to_value(1.0) - scale.to_value(0.0)
+    return np.asarray(scale.to_value(0.0) + slope * samples[name].astype(np.float64))
+
+
+def _beside(still: _Streams, moving: _Streams, device: Mapping[str, Any]) -> Played:
+    ticks = moving.ticks
+    index = moving.samples["index"].astype(np.float64)
+    newest = np.searchsorted(moving.samples["time_ns"], ticks["time_ns"], side="right") - 1
+    inside = newest >= 0
+    offset_n = float(_signal(still.samples, "torque", device).mean())
+    return Played(
+        ticks["board_us"][inside].astype(np.float64),
+        ticks["position_m"][inside].astype(np.float64),
+        ticks["force_n"][inside].astype(np.float64),
+        ticks["delay_us"][inside].astype(np.float64),
+        index[newest[inside]],
+        float(index[0]),
+        _signal(moving.samples, "torque", device) - offset_n,
+        _signal(moving.samples, "velocity", device),
+    )
