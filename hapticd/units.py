@@ -1,6 +1,7 @@
 """Constants and small conversions. SI everywhere above the wire; names carry the unit."""
 
 NS_PER_S = 1_000_000_000
+MS_PER_S = 1000
 US_PER_S = 1_000_000
 NS_PER_US = 1_000
 NS_PER_MS = 1_000_000

@@ -9,6 +9,7 @@ from models import board_params, servo_params
 from hapticd.errors import CommandError
 from hapticd.params import InjectionParams
 from hapticd.rig.link import drift_of, measure, median_of
+from hapticd.wire.frames import StatusBit
 from hapticd.zwidth.lockstep import LockStepBench
 
 SECONDS = 2.0
@@ -28,8 +29,9 @@ def test_a_good_board_has_its_delay_and_no_complaint():
     values, findings = found()
     assert values["delay"].value == pytest.approx(125.0, abs=2.0)
     assert values["clock drift"].value == pytest.approx(0.0, abs=1.0)
-    assert {one.verdict for one in findings.values()} == {"ok", "not done"}
-    assert findings["watchdog of the board"].verdict == "not done"
+    assert {one.verdict for one in findings.values()} == {"ok"}
+    assert findings["watchdog of the board"].verdict == "ok"
+    assert 249.0 <= values["watchdog"].low < values["watchdog"].high <= 251.0
 
 
 def test_missing_frames_are_counted_and_refused_with_a_remedy():
@@ -38,6 +40,89 @@ def test_missing_frames_are_counted_and_refused_with_a_remedy():
     assert findings["missing_in"].verdict == "refused"
     assert "cable" in findings["missing_in"].remedy
     assert findings["write_errors"].verdict == "ok"
+
+
+def watched(ms=50.0, change=lambda axis: None):
+    """What `rig link` finds of a board that states a watchdog of `ms`, with `change` made to it."""
+    with LockStepBench(servo_params(), board_params(watchdog_ms=ms)) as bench:
+        change(bench.stack.backend._port._axis)
+        before = bench.status()["counters"]
+        result = measure(bench, SECONDS)
+        after = bench.status()["counters"]
+        bench.run(10)  # the level that was switched on for it is on its way out
+        status = bench.newest
+    lost = after["lost_slots"] + after["late_events"] - before["lost_slots"] - before["late_events"]
+    return result, status, lost
+
+
+@pytest.mark.parametrize("ms", [20.0, 50.0, 333.0])
+def test_the_time_of_a_watchdog_lies_in_an_interval_of_a_period(ms):
+    result, status, lost = watched(ms)
+    (value,) = [one for one in result.values if one.name == "watchdog"]
+    assert value.low <= ms <= value.high <= value.low + 1.0
+    assert "tripped, it holds the damping" in [one.what for one in result.findings]
+    assert status["state"] == 0
+    assert not status["status"] & StatusBit.WATCHDOG
+    assert status["added_damping_ns_per_m"] == 0.0
+    assert lost == 0
+
+
+def test_a_board_whose_watchdog_does_not_work_is_asked_once_and_refused():
+    def dead(axis):
+        axis._watchdog = 1 << 40
+
+    result, _, _ = watched(change=dead)
+    (found,) = [one for one in result.findings if one.what.startswith("watchdog")]
+    assert found.verdict == "refused"
+    assert "timer" in found.remedy
+    assert len(result.arrays["silences"]) == 1
+    assert not result.settled
+
+
+def test_a_watchdog_that_is_later_than_the_hello_says_is_a_warning():
+    def late(axis):
+        axis._watchdog = round(1.2 * axis._watchdog)
+
+    result, _, _ = watched(change=late)
+    (found,) = [one for one in result.findings if one.what.startswith("watchdog")]
+    assert found.verdict == "warning"
+    assert "50 ms" in found.remedy
+    (value,) = [one for one in result.values if one.name == "watchdog"]
+    assert value.low <= 60.0 <= value.high
+
+
+def test_a_board_that_drops_its_damping_with_the_torque_is_refused():
+    def dropping(axis):
+        held = axis._fail_safe
+
+        class Dropping(type(axis)):
+            __slots__ = ()
+
+            def _fail_safe(self):
+                held()
+                self._damp(0)
+
+        axis.__class__ = Dropping
+
+    result, _, _ = watched(change=dropping)
+    assert any("held for 2 s" in one.remedy for one in result.findings)
+    assert not result.settled
+
+
+def test_a_watchdog_of_seconds_is_not_waited_for():
+    result, _, _ = watched(2000.0)
+    (found,) = [one for one in result.findings if one.what.startswith("watchdog")]
+    assert found.verdict == "warning"
+    assert len(result.arrays["silences"]) == 0
+
+
+def test_what_a_board_lacks_is_named_with_what_is_lost():
+    with LockStepBench(servo_params(), board_params(lacks=("emergency_stop",))) as bench:
+        result = measure(bench, SECONDS)
+    assert any(
+        one.what == "it lacks EMERGENCY_STOP" and one.verdict == "warning"
+        for one in result.findings
+    )
 
 
 def test_a_device_that_is_enabled_is_left_alone():

@@ -134,6 +134,12 @@ class Verbs(Generic[R, D]):
         """Begin to look for the origin; only in `disabled`, to which it returns afterwards."""
         return self._change("home")
 
+    def withhold(self, seconds: float) -> R:
+        """Send the board no frames for `seconds`, at most 1 s: its watchdog trips; only in
+        `disabled`.
+        """
+        return self._change("withhold", seconds=seconds)
+
     def perturb_start(self, loop: bool = False) -> R:
         """Play the loaded waveform, once or until stopped."""
         return self._change("perturb", action="start", loop=loop)

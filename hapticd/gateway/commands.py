@@ -32,6 +32,7 @@ from hapticd.gateway.schemas import (
     Perturb,
     Request,
     Set,
+    Withhold,
     parse,
 )
 from hapticd.gateway.view import ServoView
@@ -48,9 +49,10 @@ ALLOWED: dict[
     "reset": (State.DISABLED, State.STOPPED, State.FAULT),
     "zero": (State.DISABLED,),
     "home": (State.DISABLED,),
+    "withhold": (State.DISABLED,),
     "perturb": (State.ENABLED,),
 }
-MOVING = ("enable", "home", "zero")
+MOVING = ("enable", "home", "zero", "withhold")
 ACCEPTED = frozenset({Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED})
 
 
@@ -68,6 +70,8 @@ def posting(request: Request, samples: int) -> Posting:
             0,
             values_of({Value.SAMPLES: samples, Value.LOOP: request.loop}),
         )
+    if isinstance(request, Withhold):
+        return Command.WITHHOLD, 0, values_of({Value.SILENCE_S: request.seconds})
     return Command[request.cmd.upper()], 0, values_of({})
 
 

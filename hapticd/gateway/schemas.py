@@ -25,6 +25,7 @@ from pydantic_core import ErrorDetails
 from hapticd.errors import CommandError
 from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
 from hapticd.gateway.limits import CommandLimits, quantity
+from hapticd.mailbox.layout import LONGEST_SILENCE_S
 from hapticd.params import (
     LONGEST_LEASE_S,
     SHORTEST_LEASE_S,
@@ -201,6 +202,15 @@ class Home(CommandMessage):
     cmd: Literal["home"]
 
 
+class Withhold(CommandMessage):
+    """Send the board no frames for a while, to see its watchdog trip; only in `disabled`."""
+
+    cmd: Literal["withhold"]
+    seconds: float = Field(
+        ge=1e-3, le=LONGEST_SILENCE_S, description="for how long; records have flag WITHHELD"
+    )
+
+
 class Perturb(CommandMessage):
     """Load a waveform in chunks, then start and stop it."""
 
@@ -298,6 +308,7 @@ Request = (
     | Reset
     | Zero
     | Home
+    | Withhold
     | Perturb
     | LeaseRequest
     | GuardRequest
@@ -319,6 +330,7 @@ MODELS: dict[str, type[CommandMessage]] = {
         Reset,
         Zero,
         Home,
+        Withhold,
         Perturb,
         LeaseRequest,
         GuardRequest,

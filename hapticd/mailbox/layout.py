@@ -116,6 +116,7 @@ class Command(IntEnum):
     FAULT = 11  # one of `faults.FROM_GATEWAY`
     # what others than its actor have scheduled of the places in its mask; nothing else changes
     CANCEL = 12
+    WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.silence)
 
 
 class Value(IntEnum):
@@ -145,6 +146,7 @@ class Value(IntEnum):
     # of what is rendered and damped: for which a change was judged; in answers, as it is now
     ENVIRONMENT_REVISION = 21
     FAULT_NUMBER = 22  # FAULT: which
+    SILENCE_S = 23  # WITHHOLD: for how long
 
 
 def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
@@ -164,6 +166,7 @@ class ValueLimit(NamedTuple):
     unit: str
 
 
+LONGEST_SILENCE_S: Final = 1.0
 # the device and the rate may allow less
 VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.RAMP_S: ValueLimit(0.0, 60.0, "s"),
@@ -187,6 +190,9 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.LIMIT_CYCLE_FAULTS: ValueLimit(0.0, 1.0, "switch"),
     Value.ENVIRONMENT_REVISION: ValueLimit(0.0, float((1 << 32) - 1), "revision"),
     Value.FAULT_NUMBER: ValueLimit(0.0, 255.0, "fault"),
+    Value.SILENCE_S: ValueLimit(
+        1e-3, LONGEST_SILENCE_S, "s"
+    ),  # far below what a board holds damping
 }
 # until the signs of a device are verified: with the wrong one every spring and damper drives
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
@@ -356,6 +362,7 @@ class Flag(IntEnum):
     BELIEVED = 8192
     PAUSED = 16384  # ramps wait, since they have brought in as much energy as a second may
     CONTROLLED = 32768  # the energy controller holds more damping, or less K and B, than asked
+    WITHHELD = 65536  # no frame was sent: the board's watchdog is tried (servo.silence)
 
 
 class Watched(IntEnum):

@@ -14,7 +14,7 @@ Medians of d and age are of ticks that differ by jitter alone; their interval is
 statistics that a binomial with p = 1/2 leaves out with 5 %, and half a microsecond more, for they
 come in whole ones.
 
-The watchdog of the board is not tried: it would take frames that the servo withholds. It says so.
+Then the board's watchdog is tried (`watchdog`).
 
 What would break it: somebody who uses the device meanwhile (it is asked to be disabled).
 """
@@ -30,9 +30,11 @@ from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.errors import CommandError
+from hapticd.rig import watchdog
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
 from hapticd.units import NS_PER_US, US_PER_S
+from hapticd.wire.frames import Capability
 
 SECONDS = 10.0
 BLOCKS = 10
@@ -42,6 +44,19 @@ MOST_SPREAD = 0.05  # of a period
 MOST_DRIFT_PPM = 200.0  # beyond any crystal
 ROUNDED = 0.5  # to whole microseconds
 RARE = 1e-3  # share of ticks that may go wrong before it is felt
+# what a board lacks, and what is lost by it
+WITHOUT = {
+    Capability.PROBE: "perturbation and impedance need a DAQ of your own",
+    Capability.INTERVAL_MEAN: "pairs are instants: their skew is corrected, but not for free",
+    Capability.TEMPERATURE: "nobody sees the winding overheat: keep limits.force_n low",
+    Capability.EMERGENCY_STOP: "a pressed stop is not told: the servo finds out by missing force",
+    Capability.AMPLIFIER_READY: "an amplifier that is off looks like a motor without authority",
+    Capability.SAMPLE_PHASE: "the delay cannot be made as short as the bus allows",
+}
+USEFUL = {
+    Capability.INDEX: "the origin is found at a stop or by hand",
+    Capability.RESISTANCE: "damping and force get weaker as the winding warms up",
+}
 REMEDIES = {
     "missing_in": "look at cable and hub, and at what else shares the bus",
     "bad_in": "a damaged or short frame: look at cable and shield, and at the firmware's CRC",
@@ -55,24 +70,24 @@ REMEDIES = {
 
 
 def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
-    """Listen for `seconds`; nothing is sent and no force is made. CommandError unless disabled."""
+    """Listen for `seconds`, then try the watchdog; no force is made. CommandError unless
+    disabled.
+    """
     require_disabled(bench)
     servo = bench.hello()["servo"]
     before = bench.status()
     stretch = collect(bench, seconds)
     after = bench.status()
     period_us = US_PER_S / float(servo["realtime"]["rate_hz"])
-    values = tuple(_values(stretch.records, after))
+    report = after.get("servo") or {}
+    watched = watchdog.measure(bench, report)
+    values = (*_values(stretch.records, after), *watched.values)
     counted = _counted(before, after)
     findings = [
         *_timing(values, period_us),
         *_frames(counted, len(stretch.records)),
-        *_features(after),
-        Finding(
-            "watchdog of the board",
-            "not done",
-            "frames cannot be withheld here: pull the cable under a small force and see it end",
-        ),
+        *_features(report),
+        *watched.findings,
     ]
     if stretch.lost:
         findings.append(
@@ -82,7 +97,8 @@ def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
         name: np.asarray(stretch.records[name])
         for name in ("tick", "time_ns", "board_us", "delay_us", "frame_age_us", "arrival", "flags")
     }
-    return StepResult("link", values, findings, arrays=arrays)
+    silences = np.array([(one.seconds, one.tripped) for one in watched.silences])
+    return StepResult("link", values, findings, arrays=arrays | {"silences": silences})
 
 
 def require_disabled(bench: Client) -> None:
@@ -184,10 +200,18 @@ def _frames(counted: Mapping[str, int], ticks: int) -> Iterator[Finding]:
         yield Finding(f"{name}: {count} in {ticks} ticks", verdict, remedy if count else "")
 
 
-def _features(status: Mapping[str, Any]) -> Iterator[Finding]:
-    """What the servo's report says of the board."""
-    report = status.get("servo") or {}
+def _features(report: Mapping[str, Any]) -> Iterator[Finding]:
+    """What the servo's `report` says of the board, and what this board cannot do."""
     for difference in report.get("differences", ()):
         yield Finding(difference, "refused", "correct the device file or plug in its board")
     if reason := report.get("uncompensated"):
         yield Finding(reason, "warning", "damping and force get weaker as the winding warms up")
+    if "capabilities" not in report:
+        return
+    has = Capability(report["capabilities"])
+    for feature, price in WITHOUT.items():
+        if not feature & has:
+            yield Finding(f"it lacks {feature.name}", "warning", price)
+    for feature, price in USEFUL.items():
+        if not feature & has:
+            yield Finding(f"it has no {feature.name}: {price}", "ok")

@@ -9,7 +9,7 @@ What would break it: a daemon that restarts in between (DaemonDown says so).
 import datetime
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,8 +47,10 @@ def servo_rate_hz(bench: Client) -> float:
     return float(bench.hello()["servo"]["realtime"]["rate_hz"])
 
 
-def collect(bench: Client, seconds: float) -> Stretch:
-    """The ticks of the next `seconds`. DaemonDown if none come for 2 s, or the servo restarts."""
+def collect(bench: Client, seconds: float, begin: Callable[[], object] | None = None) -> Stretch:
+    """The ticks of the next `seconds`, counted from what `begin` does as soon as ticks come.
+    DaemonDown if none come for 2 s, or the servo restarts.
+    """
     decoder = BlockDecoder()
     parts: list[Records] = []
     lost = 0
@@ -63,6 +65,10 @@ def collect(bench: Client, seconds: float) -> Stretch:
         block = decoder.decode(message[1])
         if block.restarted:
             raise DaemonDown("the servo restarted meanwhile; see `hapticd status`, then repeat")
+        if begin is not None:
+            begin()
+            begin = None
+            continue
         lost += block.gap if parts else 0
         parts.append(block.records)
         if sum(map(len, parts)) + lost >= wanted:

@@ -35,6 +35,8 @@ class BoardCheck(NamedTuple):
     uncompensated: str = (
         ""  # why the winding's resistance is not, where the device file asks for it
     )
+    watchdog_ms: int = 0  # longest time without a frame, as the hello says
+    capabilities: int = 0  # bits of wire.frames.Capability
 
     def report(self) -> dict[str, Any]:
         """As servo.report says it."""
@@ -43,6 +45,8 @@ class BoardCheck(NamedTuple):
             "differences": list(self.differences),
             "transport": transport,
             "uncompensated": self.uncompensated,
+            "watchdog_ms": self.watchdog_ms,
+            "capabilities": self.capabilities,
         }
 
 
@@ -66,7 +70,9 @@ def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck
     reason = uncompensated(hello.capabilities)
     if not reason:
         host |= COMPENSATES
-    return BoardCheck(found, transport, host, reason if params.device.resistance else "")
+    unfollowed = reason if params.device.resistance else ""
+    told = (hello.watchdog_ms, hello.capabilities)
+    return BoardCheck(found, transport, host, unfollowed, *told)
 
 
 def uncompensated(capabilities: int) -> str:

@@ -17,7 +17,7 @@ from hapticd.faults import BY_CODE, FROM_GATEWAY
 from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
-from hapticd.servo import safety
+from hapticd.servo import safety, silence
 from hapticd.servo.commissioning import Push
 from hapticd.servo.homing import begin
 from hapticd.servo.plan import (
@@ -100,6 +100,7 @@ def enter(
         fault=fault,
         actor=actor,
         push=Push(),
+        silent_until=0,
         gain=gain,
         fade=fade,
         glitches=(),
@@ -161,6 +162,10 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
         return obey(plan, (seq, safety.FAULT_EVENT, actor, 0, (number,)), now, params)
     if kind == Command.CANCEL:
         return _cancel(plan, request, now, params)
+    if kind == Command.WITHHOLD:
+        after, result = silence.begun(plan, values, now.tick, params)
+        end = max(now.tick, after.silent_until)
+        return after, [answer(after, seq, result, (now.tick, end), params)]
     target = _target(plan, request, now, params)
     if isinstance(target, Result):
         until = held_until(plan, params) if target is Result.REFUSED_OWNER else now.tick

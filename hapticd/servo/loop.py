@@ -56,6 +56,7 @@ from hapticd.servo.plan import (
     flatten,
     in_slots,
 )
+from hapticd.servo.silence import WITHHELD
 from hapticd.servo.step import initial_state, make_step
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S, round_half_up
 from hapticd.wire.codec import (
@@ -130,6 +131,7 @@ _NOTHING_US = 1 << 30  # above every delay: none was seen yet
 _HEALTHY = LINK_UP | GATEWAY_ALIVE
 _U32 = (1 << 32) - 1
 _BLANK = layout.RECORD.unpack(bytes(layout.RECORD.size))
+LISTEN_S = 8e-3
 _LATE = int(Flag.LATE)
 _WRITE_FAILED = int(Flag.WRITE_FAILED)
 
@@ -331,7 +333,9 @@ class ServoLoop:
                 if delay_us < least_us:
                     least_us = delay_us
             stepped = clock()
-            if self.linked:
+            if out_flags & WITHHELD:
+                pausing = not self._listens(slot)  # no frame will answer
+            elif self.linked:
                 try:
                     if not send(
                         out_flags,
@@ -516,6 +520,8 @@ class ServoLoop:
         dropped = (now_ns - self.deadline_ns) // self.period_ns + 1
         self.deadline_ns += dropped * self.period_ns
         self.dropped += dropped
+        if self.state[SETTLED].out_flags & WITHHELD:
+            return  # it listened in vain, as it was asked to
         grace = now_ns - self._started_ns < self.params.realtime.grace_s * NS_PER_S
         self.mailbox.count("grace_late_events" if grace else "late_events")
         self.mailbox.count("grace_lost_slots" if grace else "lost_slots", dropped)
@@ -536,6 +542,14 @@ class ServoLoop:
         self._missed_tick = tick
         waited = 2 * read_ns > self.period_ns
         return Overdue(self._fresh_slot - slot, self.linked and waited and not first)
+
+    def _listens(self, slot: int) -> bool:
+        """Whether the next tick of a silence reads, in vain: a lost link is noticed, and a
+        simulated board is played. The last ones do not: behind them comes the board's answer.
+        """
+        left = self.state[SETTLED].plan.silent_until - slot
+        every = round_half_up(LISTEN_S * self.params.realtime.rate_hz)
+        return left % (every + 1) == every
 
     def _unlink(self, now_ns: int) -> int:
         """The board is gone: release it and look for it later. The arrival of this tick."""

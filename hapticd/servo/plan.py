@@ -122,6 +122,7 @@ class Plan(NamedTuple):
     winding: Winding = Winding()  # and how much of its resistance is compensated
     control: Control = Control()
     push: Push = Push()  # followed while signs are not verified
+    silent_until: int = 0  # slot of the first frame after a silence (servo.silence), 0: none
 
 
 class Booking(NamedTuple):
@@ -520,6 +521,7 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
         plan.state is State.HOMING
         or plan.unauthorised
         or plan.doubted
+        or plan.silent_until
         or (params.device.commissioning and plan.state in GRANTED)
         or any(ramp.running(tick) for ramp in ramps)
         or plan.added != added_target(plan, tick, params)

@@ -31,6 +31,7 @@ from hapticd.render.law import (
     split,
 )
 from hapticd.render.ramp import Ramp, constant
+from hapticd.servo import silence
 from hapticd.servo.commands import Now, apply_settings, enter, obey
 from hapticd.servo.commissioning import followed, push_ended
 from hapticd.servo.compensation import compensated
@@ -321,7 +322,7 @@ def make_attend(params: ServoParams) -> Attend:
         encoder, _, _, arrival, host, _, _, _, effect = sample
         settled, law, ledger, held, signs = state
         coefficients = settled.coefficients
-        plan = settled.plan
+        plan = silence.followed(settled.plan, settled.out_flags)
         before = plan
         # periods since the last tick, while something makes every tick come here; a look at the
         # winding whose own slot was lost says nothing of that
@@ -371,7 +372,9 @@ def make_attend(params: ServoParams) -> Attend:
         ready = flat_plan(plan, tick, params, params.soft_ends, limit_n)
         if plan.state is State.HOMING:
             ready = ready._replace(environment=pushing(plan.homing.force_n, homing_limit_n))
-        if ready.wake_tick == tick + 1:
+        if plan.silent_until > tick:
+            flags |= int(Flag.WITHHELD)
+        elif ready.wake_tick == tick + 1:
             flags |= int(Flag.RAMPING)
         if not usable and (plan.state not in GRANTED or plan.unauthorised):
             left = plan.fade.value(tick)
@@ -407,6 +410,8 @@ def pushing(force_n: float, limit_n: float) -> Environment:
 
 def out_flags(plan: Plan, tick: int) -> int:
     """Flags of the OUT frame: torque authority only where the table grants torque."""
+    if plan.silent_until:
+        return silence.flags_of(plan, tick)
     live = plan.state in GRANTED or (
         plan.state in LATCHED and (plan.gain.running(tick) or plan.fade.running(tick))
     )

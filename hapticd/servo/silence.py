@@ -1,0 +1,49 @@
+"""Frames withheld on purpose, to see what the board's watchdog does.
+
+Only a servo that is disabled withholds them, and for a second at most: the board holds its damping
+for two. It sends nothing, and reads every 8 ms only, to notice a lost link: no frame answers, so
+each of these reads takes its time-out, and slots that are lost by it are not counted. Whatever ends
+the state (a stop, a fault, an enable) ends the silence in that tick.
+
+The first frame after it asks for authority with the count of no force: a board whose watchdog has
+tripped answers it, says so, and does nothing in it, so its IN tells the damping that it holds. The
+next frame has no ENABLE again, which clears a tripped watchdog. A board that has not tripped has
+authority over no force for one period: that is the price of an answer.
+
+What would break it: a force in the state disabled, or a board that holds damping for less time than
+a silence may take.
+"""
+
+from hapticd.mailbox.layout import Result, Value
+from hapticd.params import ServoParams
+from hapticd.servo.plan import Plan, masked_places, out_of_range
+from hapticd.servo.safety import State
+from hapticd.units import round_half_up
+from hapticd.wire.frames import OutFlag
+
+ENABLE = int(OutFlag.ENABLE)
+WITHHELD = 0x100  # among the flags of an OUT frame, which have eight bits: there is none
+
+
+def flags_of(plan: Plan, tick: int) -> int:
+    """Flags of the OUT frame of a silent servo."""
+    return WITHHELD if tick < plan.silent_until else ENABLE
+
+
+def begun(
+    plan: Plan, values: tuple[float, ...], tick: int, params: ServoParams
+) -> tuple[Plan, Result]:
+    """`plan` silent from `tick` on, or why it may not be."""
+    if plan.state is not State.DISABLED or plan.silent_until:
+        return plan, Result.REFUSED_STATE
+    if Value.SILENCE_S not in masked_places(values) or out_of_range(values, params):
+        return plan, Result.REFUSED_RANGE
+    ticks = max(1, round_half_up(values[Value.SILENCE_S] * params.realtime.rate_hz))
+    silent = plan._replace(silent_until=tick + ticks, revision=plan.revision + 1)
+    return silent, Result.APPLIED
+
+
+def followed(plan: Plan, sent_flags: int) -> Plan:
+    """`plan` after a tick whose frame had `sent_flags`: a silence ends with its question."""
+    asked = plan.silent_until and sent_flags & ENABLE
+    return plan._replace(silent_until=0) if asked else plan
