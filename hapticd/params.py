@@ -200,6 +200,7 @@ class DeviceParams:
     winding_reference_c: float = 20.0
     # its signs are not verified: little force, a box for K, B and M (servo.commissioning)
     commissioning: bool = False
+    signs_firmware: str = ""  # of the board when its signs were seen, like 1.0; "": any
     calibration_days: int = CALIBRATION_DAYS  # after which a calibration is too old to rely on
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:

@@ -18,7 +18,9 @@ class Hand:
         servo = servo_params(device=device_params(**device or {}))
         self.bench = LockStepBench(servo, board_params(**board))
         port: Any = self.bench.stack.backend._port
-        self.axis = getattr(port, "board", port)._axis
+        board = getattr(port, "board", port)
+        self.axis = board._axis
+        self.life = board._life
         self.pull_n = 0.0
         self.gain = 1.0  # of the motor, whatever the board's hello says
         self.offset_n = 0.0  # of the motor, at a count of 0

@@ -130,6 +130,26 @@ def test_number_that_is_none_contradicts(number, force):
     assert found[0].startswith("force full scale: the board says")
 
 
+def test_signs_that_were_seen_with_another_firmware_bar_force():
+    """Whoever flashes a board may have turned a sign: somebody has to look again."""
+    seen = device_params(signs_firmware="0.9")
+    result, said, ticks = flown(servo_params(device=seen), board_params())
+    assert result is Result.REFUSED_DEVICE
+    assert set(ticks["state"]) == {State.DISABLED}
+    (words,) = said["differences"]
+    assert words.startswith("firmware: the board has 1.0, its signs were verified with 0.9")
+    assert "signs_verified = false" in words
+    assert "hapticd rig motor" in words
+
+
+@pytest.mark.parametrize("firmware", ["", "1.0"])
+def test_signs_of_this_firmware_or_of_any_bar_nothing(firmware):
+    device = device_params(signs_firmware=firmware)
+    result, said, _ = flown(servo_params(device=device), board_params())
+    assert result is Result.APPLIED
+    assert (said["board"]["serial"], said["board"]["firmware"]) == ("SIM0001", "1.0")
+
+
 def test_index_that_homing_needs_has_to_be_there():
     device = device_params(home=HomeParams(method="index"))
     with LockStep(servo_params(device=device), board_params()) as stack:
@@ -138,17 +158,53 @@ def test_index_that_homing_needs_has_to_be_there():
         assert "capability index" in stack.loop.board.report()["differences"][0]
 
 
+def flashed(stack, place, value):
+    """From its next start on the board's hello has the byte `value` at `place`."""
+    replies = stack.backend._port.board._replies
+    greeting = (0xC0, 1, 0)
+    other = bytearray(replies[greeting])
+    other[place] = value
+    replies[greeting] = bytes(other)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "said"),
+    [(8, 7, "firmware: the board has 1.7"), (0, 0, "the board speaks protocol")],
+)
+def test_a_board_that_was_flashed_while_it_was_there_is_looked_at_again(place, value, said):
+    """It starts anew without leaving the bus: the next life has to say who it is."""
+    anew = InjectionParams("restart", tick=50)
+    servo = servo_params(device=device_params(signs_firmware="1.0"))
+    with LockStep(servo, board_params(injections=(anew,))) as stack:
+        stack.run(30)
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+        flashed(stack, place, value)
+        ticks = records(stack.run(400))
+        assert not ticks["host"][0] & DEVICE_DIFFERS
+        assert ticks["host"][-1] & DEVICE_DIFFERS
+        stack.do(Command.RESET)
+        stack.do(Command.ZERO)
+        assert stack.do(Command.ENABLE).result is Result.REFUSED_DEVICE
+        assert report(stack)["differences"][0].startswith(said)
+
+
+def test_a_board_that_only_started_anew_may_make_force_again():
+    anew = InjectionParams("restart", tick=50)
+    servo = servo_params(device=device_params(signs_firmware="1.0"))
+    with LockStep(servo, board_params(injections=(anew,))) as stack:
+        stack.run(400)
+        stack.do(Command.RESET)
+        stack.do(Command.ZERO)
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+
+
 def test_another_board_at_the_plug_is_looked_at_again():
     """The board that comes back is another one: it is barred, though the first was not."""
     away = InjectionParams("unplug", tick=50, value=0.01)
     with LockStep(servo_params(), board_params(injections=(away,))) as stack:
         stack.run(30)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
-        replies = stack.backend._port.board._replies
-        greeting = (0xC0, 1, 0)
-        other = bytearray(replies[greeting])
-        other[16:17] = b"X"  # of its serial number
-        replies[greeting] = bytes(other)
+        flashed(stack, 16, ord("X"))  # of its serial number
         ticks = records(stack.run(250))
         assert not ticks["host"][40] & DEVICE_DIFFERS
         assert ticks["host"][200] & DEVICE_DIFFERS

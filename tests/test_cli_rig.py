@@ -51,6 +51,10 @@ def test_motor_writes_sign_and_verification_with_their_record(config, hand, caps
     assert device.force.sign == 1
     assert device.commissioning.signs_verified
     assert device.commissioning.serial == device.serial
+    assert (device.commissioning.firmware, device.commissioning.life) == (
+        "1.0",
+        hand.life,
+    )
     assert "# not yet" in load(config).device_file.read_text()
     (record,) = (config.parent / "devices" / "rig").iterdir()
     assert record.name in device.commissioning.source

@@ -31,6 +31,8 @@ def test_the_sign_is_found_and_the_force_stays_below_a_tenth(sign):
             ("force", "sign"): 1,
             ("commissioning", "signs_verified"): True,
             ("commissioning", "serial"): "SIM0001",
+            ("commissioning", "firmware"): "1.0",
+            ("commissioning", "life"): hand.life,
         }
         worst_n = max(np.abs(result.arrays[f"force_n_{one}"]).max() for one in (0, 1))
         assert 0.0 < worst_n <= LIMIT_N + COUNT_N

@@ -201,3 +201,22 @@ def test_simulated_board_may_be_another_than_its_device_file_says(tmp_path):
     assert (*probe, *electric) == pytest.approx((7.0, 6.0, 5.0, 4.0))
     assert other.lacks == ("probe",)
     assert usual.lacks == ()
+
+
+@pytest.mark.parametrize(
+    ("seen", "commissioning", "firmware"),
+    [
+        ('serial = "SIM0001"\nfirmware = "1.2"\nlife = 7', False, "1.2"),
+        ('serial = "SIM0001"', False, ""),
+        ('serial = "OTHER"\nfirmware = "1.2"', True, ""),
+    ],
+)
+def test_verified_signs_are_those_of_a_board_and_its_firmware(
+    tmp_path: Path, seen: str, commissioning: bool, firmware: str
+) -> None:
+    """Whoever has to look at them again is not barred from doing so."""
+    text = (shipped("config") / "devices" / "simulated.toml").read_text()
+    (tmp_path / "own.toml").write_text(f"{text}\n[commissioning]\nsigns_verified = true\n{seen}\n")
+    device = build.device_params(configured(tmp_path, 'device = "./own.toml"\n').device)
+    assert device.commissioning is commissioning
+    assert device.signs_firmware == firmware

@@ -161,15 +161,10 @@ class Servo:
                 host.relax()
 
     def _about(self) -> dict[str, Any]:
-        """What the mailbox's report says of device, board and rate."""
-        hello = self.device.hello
-        board = {} if hello is None else hello._asdict()
-        if hello is not None:
-            board["protocol_hash"] = hello.protocol_hash.hex()
+        """What the mailbox's report says of device and rate."""
         return {
             "instance": self.params.instance,
             "device": f"{self.params.device.name}, {self.params.device.serial}",
-            "board": board,
             "simulated": self.params.simulated,
             "period_us": US_PER_S / self.params.realtime.rate_hz,
         }

@@ -13,6 +13,8 @@ computes for it is wrong. So
                                   counts, so with a motor of 0.8 its 8 N are 6.4 N
     serial number                 not at all
     capabilities                  those that the file relies on have to be there
+    firmware                      that with which somebody saw the signs: another one may have
+                                  others, and has to be looked at again
 
 NaN never agrees.
 
@@ -63,13 +65,23 @@ def differences(hello: HelloFrame, device: DeviceParams) -> tuple[str, ...]:
         for name in _relied_on(device)
         if not hello.capabilities & Capability[name.upper()]
     )
-    return _serials(hello, device) + numbers + missing
+    return _serials(hello, device) + _firmware(hello, device) + numbers + missing
 
 
 def _serials(hello: HelloFrame, device: DeviceParams) -> tuple[str, ...]:
     if hello.serial == device.serial:
         return ()
     return (f"serial: the board says {hello.serial!r}, the device file {device.serial!r}",)
+
+
+def _firmware(hello: HelloFrame, device: DeviceParams) -> tuple[str, ...]:
+    if device.signs_firmware in ("", hello.firmware):
+        return ()
+    return (
+        f"firmware: the board has {hello.firmware}, its signs were verified with"
+        f" {device.signs_firmware}; set commissioning.signs_verified = false in the device file,"
+        " start again, and verify them with `hapticd rig motor`",
+    )
 
 
 def _agree(one: Stated) -> bool:

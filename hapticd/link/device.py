@@ -118,9 +118,14 @@ class Device:
         LinkError or ProtocolMismatch.
         """
         self.link.open()
-        self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
+        hello = self.greet()
         self._phase = None
         self.begin()
+        return hello
+
+    def greet(self) -> HelloFrame:
+        """Ask an open board again who it is. LinkError, ProtocolMismatch or FrameError."""
+        self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
         return self.hello
 
     def begin(self) -> None:

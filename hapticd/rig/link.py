@@ -80,7 +80,7 @@ def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
     after = bench.status()
     period_us = US_PER_S / float(servo["realtime"]["rate_hz"])
     report = after.get("servo") or {}
-    watched = watchdog.measure(bench, report)
+    watched = watchdog.measure(bench, report.get("board", {}))
     values = (*_values(stretch.records, after), *watched.values)
     counted = _counted(before, after)
     findings = [
@@ -206,9 +206,10 @@ def _features(report: Mapping[str, Any]) -> Iterator[Finding]:
         yield Finding(difference, "refused", "correct the device file or plug in its board")
     if reason := report.get("uncompensated"):
         yield Finding(reason, "warning", "damping and force get weaker as the winding warms up")
-    if "capabilities" not in report:
+    board = report.get("board", {})
+    if "capabilities" not in board:
         return
-    has = Capability(report["capabilities"])
+    has = Capability(board["capabilities"])
     for feature, price in WITHOUT.items():
         if not feature & has:
             yield Finding(f"it lacks {feature.name}", "warning", price)

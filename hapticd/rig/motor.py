@@ -36,7 +36,7 @@ from hapticd.params import COMMISSIONING_SHARE, MOST_CORRECTION
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.push import Pushed, push, ready, wall_of
-from hapticd.rig.records import collect
+from hapticd.rig.records import collect, identity_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded
 from hapticd.wire.codec import I16_HIGHEST
 
@@ -89,11 +89,15 @@ def measure_sign(bench: Client, ask: Ask) -> StepResult:
     if all(one.verdict != "refused" for one in findings):
         right = agree == {True}
         sign = int(servo["device"]["force"]["sign"])
+        board = identity_of(bench, pushes[-1].records)
         changes = [
             Change("force", "sign", sign if right else -sign),
             Change("commissioning", "signs_verified", True),
             Change("commissioning", "serial", str(servo["device"]["serial"])),
+            Change("commissioning", "firmware", board.firmware),
         ]
+        if board.life is not None:
+            changes.append(Change("commissioning", "life", board.life))
     arrays = {
         f"{name}_{number}": np.asarray(one.records[name])
         for number, one in enumerate(pushes)

@@ -21,6 +21,7 @@ from hapticd.client.blocks import BlockDecoder, Records
 from hapticd.client.client import Client
 from hapticd.errors import DaemonDown
 from hapticd.params import ScaleParams
+from hapticd.wire import codec
 
 TICKS = "servo.raw"
 SILENT_LOOKS = 40  # without a message: 2 s
@@ -33,6 +34,14 @@ class Stretch(NamedTuple):
     records: Records  # structured (n,), of layout.TELEMETRY
     lost: int  # that telemetry left out
     newest_tick: int  # that had come; the records may end sooner
+
+
+class BoardIdentity(NamedTuple):
+    """Which board it is, in which of its lives."""
+
+    serial: str  # as its hello says
+    firmware: str  # as its hello says, like 1.0
+    life: int | None  # changes whenever it starts; None: no frame of it came
 
 
 class Kept(NamedTuple):
@@ -75,6 +84,14 @@ def collect(bench: Client, seconds: float, begin: Callable[[], object] | None = 
             found = np.concatenate(parts)
             return Stretch(found[:wanted], lost, int(found["tick"][-1]))
     raise DaemonDown("no ticks came for 2 s; see `hapticd status`, then repeat")
+
+
+def identity_of(bench: Client, records: Records) -> BoardIdentity:
+    """The board of `bench`, which sent the frames of `records`."""
+    said = bench.status().get("servo", {}).get("board", {})
+    came = records["in_frame"][records["arrival"] >= 0]
+    life = codec.decode_in(bytes(came[-1])).life if len(came) else None
+    return BoardIdentity(str(said.get("serial", "")), str(said.get("firmware", "")), life)
 
 
 def counts_of(records: Records, position: Mapping[str, Any]) -> Floats:

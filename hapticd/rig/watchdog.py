@@ -57,9 +57,9 @@ class Watchdog(NamedTuple):
     silences: list[Silence]
 
 
-def measure(bench: Client, report: Mapping[str, Any]) -> Watchdog:
-    """Try the watchdog of a board whose `report` states `watchdog_ms`; the servo is disabled."""
-    stated_s = float(report.get("watchdog_ms", 0)) / MS_PER_S
+def measure(bench: Client, board: Mapping[str, Any]) -> Watchdog:
+    """Try the watchdog of the board whose hello, `board`, states `watchdog_ms`; the servo is disabled."""
+    stated_s = float(board.get("watchdog_ms", 0)) / MS_PER_S
     first_s = BEYOND * stated_s + MARGIN_S
     if not 0.0 < first_s <= LONGEST_SILENCE_S:
         what = f"watchdog of the board: stated is {MS_PER_S * stated_s:g} ms"

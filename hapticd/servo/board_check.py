@@ -1,4 +1,5 @@
-"""What is found out about a board before it may make force, once at every connection.
+"""What is found out about a board before it may make force, once at every connection; and who it
+says to be, again whenever its firmware has started anew, for it may have been flashed.
 
 Two things bar force for as long as this board is connected, and both are said by name: the hello
 contradicts the device file (`link.agreement`), and the bus is too slow for the rate of the servo
@@ -23,7 +24,7 @@ from hapticd.servo.plan import (
     NO_TEMPERATURE,
     RATE_NOT_HELD,
 )
-from hapticd.wire.frames import Capability
+from hapticd.wire.frames import Capability, HelloFrame
 
 
 class BoardCheck(NamedTuple):
@@ -35,18 +36,26 @@ class BoardCheck(NamedTuple):
     uncompensated: str = (
         ""  # why the winding's resistance is not, where the device file asks for it
     )
-    watchdog_ms: int = 0  # longest time without a frame, as the hello says
-    capabilities: int = 0  # bits of wire.frames.Capability
+    hello: HelloFrame | None = None  # None: there is no board
+
+    def barred(self, reason: str) -> "BoardCheck":
+        """The same board once it has said something that no board of this device says."""
+        return self._replace(differences=(reason,), host=self.host | DEVICE_DIFFERS)
 
     def report(self) -> dict[str, Any]:
         """As servo.report says it."""
         transport = None if self.transport is None else self.transport._asdict()
+        board = {} if self.hello is None else self.hello._asdict()
+        if self.hello is not None:
+            board |= {
+                "protocol_hash": self.hello.protocol_hash.hex(),
+                "firmware": self.hello.firmware,
+            }
         return {
+            "board": board,
             "differences": list(self.differences),
             "transport": transport,
             "uncompensated": self.uncompensated,
-            "watchdog_ms": self.watchdog_ms,
-            "capabilities": self.capabilities,
         }
 
 
@@ -55,11 +64,16 @@ def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck
     hello = device.hello
     if hello is None:
         return BoardCheck()
-    found = differences(hello, params.device)
     try:
         transport = settle_transport(device, clock)
     except LinkError:
         transport = None  # the tick that meets the lost link says so, and the next board is checked
+    return compared(hello, params, transport)
+
+
+def compared(hello: HelloFrame, params: ServoParams, transport: Transport | None) -> BoardCheck:
+    """What a board that says `hello`, on a bus with that `transport`, is for `params`."""
+    found = differences(hello, params.device)
     host = DEVICE_DIFFERS if found else 0
     if transport is not None and transport.rate_hz < params.realtime.rate_hz:
         host |= RATE_NOT_HELD
@@ -70,9 +84,8 @@ def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck
     reason = uncompensated(hello.capabilities)
     if not reason:
         host |= COMPENSATES
-    unfollowed = reason if params.device.resistance else ""
-    told = (hello.watchdog_ms, hello.capabilities)
-    return BoardCheck(found, transport, host, unfollowed, *told)
+    uncompensated_for = reason if params.device.resistance else ""
+    return BoardCheck(found, transport, host, uncompensated_for, hello)
 
 
 def uncompensated(capabilities: int) -> str:

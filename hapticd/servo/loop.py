@@ -34,7 +34,7 @@ from math import nan
 from typing import Any, NamedTuple
 
 from hapticd.clock import Clock
-from hapticd.errors import LinkError, LinkLost, MailboxError
+from hapticd.errors import LinkError, LinkLost, MailboxError, WireError
 from hapticd.link.device import NO_HEAD, UNKNOWN_US, Device, Head
 from hapticd.link.search import Search, Tell
 from hapticd.mailbox import layout
@@ -43,7 +43,7 @@ from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.params import ServoParams
-from hapticd.servo.board_check import check_board
+from hapticd.servo.board_check import check_board, compared
 from hapticd.servo.inbox import Inbox, Streamer
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
@@ -168,6 +168,7 @@ class ServoLoop:
         self.tick = 0
         self.linked = device.hello is not None
         self.board = check_board(device, params, clock)
+        self._lives = 0  # of the board, when it was last looked at
         self.stopping = False
         self._lost_slots = 0
         self.dropped = 0  # slots without a tick, those of the start and of a reconnect too
@@ -409,6 +410,7 @@ class ServoLoop:
                 self._answer(answers)
             if not tick & 255:
                 self._tally()
+                linked = _HEALTHY | self.board.host
                 self._delay_spread_us = max(0, most_us - least_us)
                 least_us = _NOTHING_US
                 most_us = 0
@@ -511,9 +513,22 @@ class ServoLoop:
         for name, key in _TALLY.items():
             words[_COUNTER[name]] = self.device.counts[key]
         self.device.keep_phase()
+        if self.linked and self.device.counts["lives"] != self._lives:
+            self._look_again()
         self.mailbox.renew()
         if self.mailbox.checkpoint_due:
             self.mailbox.checkpoint(self.tick + 1, flatten(self.state))
+
+    def _look_again(self) -> None:
+        """The board has started anew without leaving the bus: it may have been flashed."""
+        self._lives = self.device.counts["lives"]
+        try:
+            self.board = compared(self.device.greet(), self.params, self.board.transport)
+        except WireError as error:
+            self.board = self.board.barred(str(error))
+        except LinkError:
+            return  # the next transfer says so, and the board that comes back is checked
+        self._report(self.board.report())
 
     def _late(self, now_ns: int) -> None:
         """Drop the slots that have passed."""

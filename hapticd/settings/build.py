@@ -308,6 +308,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
         resistance=None if device.resistance is None else device.resistance.params(),
         **_motor(device),
         commissioning=commissioning(device),
+        signs_firmware=_signs_firmware(device),
         calibration_days=device.calibration_days,
     )
 
@@ -318,6 +319,12 @@ def commissioning(device: DeviceFile) -> bool:
     if table is None:
         return not device.simulated
     return not table.signs_verified or table.serial != device.serial
+
+
+def _signs_firmware(device: DeviceFile) -> str:
+    """The firmware that its board must have for the verified signs to hold; "": any."""
+    table = device.commissioning
+    return "" if table is None or commissioning(device) else table.firmware
 
 
 def _motor(device: DeviceFile) -> dict[str, float]:

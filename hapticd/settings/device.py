@@ -262,6 +262,11 @@ class CommissioningTable(TomlTable):
     """False: a tenth of the force, a small box for K, B and M, and every push is watched."""
     serial: str = ""
     """Of the board at which it was seen; with another one it counts for nothing."""
+    firmware: str = Field("", pattern=r"^([0-9]{1,3}\.[0-9]{1,3})?$")
+    """Its firmware then, as its hello said, like 1.0; a board with another one makes no force.
+    Left out: any."""
+    life: int | None = Field(None, ge=0, le=255)
+    """In which life of that board it was seen: the number changes whenever it starts."""
     date: datetime.date | None = None
     """When it was seen."""
     source: str = ""

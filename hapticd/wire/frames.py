@@ -157,6 +157,11 @@ class HelloFrame(NamedTuple):
     position_m_per_count: float
     force_limit_n: float
 
+    @property
+    def firmware(self) -> str:
+        """`firmware_version` as people write it, like 1.0."""
+        return f"{self.firmware_version >> 8}.{self.firmware_version & 0xFF}"
+
 
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
 _HASH_LINE = re.compile(r"^[ \t]*#[ \t]*define[ \t]+HAPTICD_PROTOCOL_HASH\b[^\n]*$", re.MULTILINE)
