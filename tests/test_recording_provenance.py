@@ -42,7 +42,8 @@ def test_provenance_is_complete(recording_file: Path) -> None:
 
 def test_holders_of_leases_are_named() -> None:
     held = {"name": "trial", "actor": 17, "left_s": 3.0, "ttl_s": 5.0, "at_end": "hold"}
-    hello = {"servo": {"device": {"name": "d", "serial": "s"}, "config_hash": "c"}}
+    device = {"name": "d", "serial": "s"}
+    hello = {"servo": {"device": device, "config_hash": "c", "simulated": True}}
     hello |= {"instance": "i", "rate_hz": 1000.0, "version": "v"}
     header = {"mono_unix_offset_ns": 0, "simulated": True, "layout": "l"}
     found = provenance.of_recording(hello, {"leases": {"perturbation": held}}, header, "")
