@@ -58,7 +58,7 @@ class Watchdog(NamedTuple):
 
 
 def measure(bench: Client, board: Mapping[str, Any]) -> Watchdog:
-    """Try the watchdog of the board whose hello, `board`, states `watchdog_ms`; the servo is disabled."""
+    """Try the watchdog of a disabled servo's board, whose hello `board` states `watchdog_ms`."""
     stated_s = float(board.get("watchdog_ms", 0)) / MS_PER_S
     first_s = BEYOND * stated_s + MARGIN_S
     if not 0.0 < first_s <= LONGEST_SILENCE_S:
