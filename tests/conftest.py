@@ -13,6 +13,9 @@ from hapticd.mailbox import files
 if TYPE_CHECKING:
     from recorded import RecordedFlight
 
+# as an installation has it by its entry point, also where hapticd is only on the path
+pytest_plugins = ["hapticd.pytest_plugin"]
+
 MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x86
 
 

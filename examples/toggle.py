@@ -1,0 +1,36 @@
+"""Switch the active damping on and off while a hand holds a stiff spring, and see what it does to
+the motion: the heart of the paper, live. Needs a running daemon; asyncio.
+"""
+
+import asyncio
+
+import numpy as np
+
+from hapticd.client import AsyncClient
+
+
+async def main(seconds: float = 2.0) -> None:
+    """Twice on and off."""
+    async with (
+        AsyncClient(name="toggle") as device,
+        device.lease("environment", at_end="disable"),
+        device.lease("perturbation"),
+    ):
+        noise = np.random.default_rng(1).uniform(-0.1, 0.1, 4000)  # N, one second at 4 kHz
+        await device.perturb_load(noise)
+        await device.damping("on")
+        await device.set(K=200, B=1)
+        await device.enable()
+        await device.perturb_start(loop=True)
+        for value in ("on", "off", "on", "off"):
+            receipt = await device.damping(value)
+            records, _ = await device.record(seconds)
+            level = receipt.effective["damping"]
+            speed = 1e3 * np.std(records["velocity_m_per_s"])
+            margin = (receipt.guard or {}).get("text", "not judged")
+            print(f"damping {level:.2f} N s/m: {speed:.2f} mm/s rms; {margin}")
+        await device.disable()
+
+
+if __name__ == "__main__":
+    asyncio.run(main())

@@ -1,0 +1,40 @@
+"""A wall at x = 1 mm: find the greatest stiffness that the guard lets pass, with and without active
+damping, and render it. Needs a running daemon.
+"""
+
+from hapticd.client import Client
+from hapticd.errors import CommandError
+
+
+def greatest(device: Client, damping: float) -> float:
+    """The greatest stiffness [N/m] of the wall, by bisection of what the guard refuses."""
+    low = 0.0
+    high = 5000.0
+    device.damping(damping)
+    while high - low > 10.0:
+        middle = 0.5 * (low + high)
+        try:
+            device.set(wall={"stiffness_n_per_m": middle, "position_m": 1e-3, "side": 1})
+            low = middle
+        except CommandError:
+            high = middle
+    return low
+
+
+def main() -> None:
+    """Without and with damping."""
+    with Client(name="wall") as device, device.lease("environment", at_end="disable"):
+        before = device.guard()["policy"]
+        device.guard("refuse")
+        device.set(K=0, B=0, M=0)
+        device.enable()
+        for damping in (0.0, 1.74):
+            stiffness = greatest(device, damping)
+            print(f"with {damping:g} N s/m of active damping: a wall of {stiffness:.0f} N/m")
+        device.disable()
+        device.set(wall={"stiffness_n_per_m": 0.0})
+        device.guard(before)
+
+
+if __name__ == "__main__":
+    main()
