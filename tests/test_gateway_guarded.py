@@ -595,6 +595,67 @@ def test_end_of_force_cancels_what_is_left(rig: DeskRig, worker: StubWorker, cmd
     assert rig.servo.values[Value.STIFFNESS] == 0
 
 
+@pytest.mark.parametrize("terms", [{"policy": "refuse"}, {"basis": "predicted"}])
+def test_stage_judged_by_other_terms_does_not_come_into_force_under_a_strict_policy(
+    rig: DeskRig, worker: StubWorker, terms: dict[str, str]
+) -> None:
+    under(rig, "clamp" if "basis" in terms else "warn")
+    worker.script = two_stages
+    rig.servo.effect = 0.0
+    assert rig.ask(cmd="set", K=400, damping=1.5)["receipt"]["result"] == "staged"
+    assert rig.ask(cmd="guard", **terms)["ok"]
+    rig.servo.effect = 1.5
+    later(rig, 5)
+    (event,) = answers(rig)
+    assert event["result"] == "cancelled"
+    assert "other terms" in event["text"]
+    assert rig.servo.values[Value.STIFFNESS] == 0
+
+
+def test_stage_goes_on_where_the_same_terms_are_asked_for_again(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    under(rig, "refuse")
+    worker.script = two_stages
+    rig.servo.effect = 0.0
+    rig.ask(cmd="set", K=400, damping=1.5)
+    under(rig, "refuse")
+    rig.servo.effect = 1.5
+    later(rig, 5)
+    assert rig.servo.values[Value.STIFFNESS] == 400
+
+
+def test_what_was_scheduled_by_other_terms_does_not_come_into_force_under_a_strict_policy(
+    rig: DeskRig,
+) -> None:
+    tick = rig.servo.ticks + 100
+    assert rig.ask(cmd="set", K=70, at_tick=tick)["receipt"]["result"] == "scheduled"
+    under(rig, "refuse")
+    later(rig, 150)
+    assert rig.servo.values[Value.STIFFNESS] == 0
+    (event,) = answers(rig)
+    assert (event["cmd"], event["result"]) == ("set", "cancelled")
+
+
+def test_what_is_scheduled_by_the_terms_in_force_stays(rig: DeskRig) -> None:
+    under(rig, "refuse")
+    rig.ask(cmd="set", K=70, at_tick=rig.servo.ticks + 100)
+    under(rig, "refuse")
+    later(rig, 150)
+    assert rig.servo.values[Value.STIFFNESS] == 70
+
+
+def test_what_a_gateway_before_scheduled_does_not_come_into_force_under_a_strict_policy(
+    rig: DeskRig,
+) -> None:
+    rig.ask(cmd="set", B=1)
+    rig.ask(cmd="set", K=70, at_tick=rig.servo.ticks + 100)
+    rig.start_gateway()
+    under(rig, "refuse")
+    later(rig, 150)
+    assert rig.servo.values[Value.STIFFNESS] == 0
+
+
 def test_stages_are_bound_one_after_the_other(rig: DeskRig, worker: StubWorker) -> None:
     under(rig, "refuse")
     worker.script = two_stages

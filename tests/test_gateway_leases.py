@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gateway_rig import DeskRig, decoded, packed
 from gateway_stand_in import StandInServo
+from guard_stub import StubWorker, stage, verdict
 
 from hapticd.errors import CommandError
 from hapticd.gateway.leases import LATE_NS, Leases
@@ -219,6 +220,24 @@ def test_lost_lease_is_not_renewed_and_says_why(rig: DeskRig) -> None:
     result = rig.ask(A, cmd="lease", what="environment", action="release")["result"]
     assert not result["released"]
     assert rig.ask(A, cmd="set", K=3)["ok"]
+
+
+def test_follow_does_not_change_an_environment_that_another_has_leased(tmp_path: Path) -> None:
+    """Who may switch the damping off does not get at K by that."""
+    stages = [stage({"K": 10.0}), stage({"damping": 0.0}, after_ramps=True)]
+    followed = {"action": "stage", "stages": stages, "verdict": verdict(False)}
+    worker = StubWorker()
+    rig = DeskRig(tmp_path, worker)
+    assert rig.ask(B, cmd="guard", policy="follow")["ok"]
+    assert rig.ask(B, cmd="set", K=100, damping=1.5)["ok"]
+    take(rig, A, "environment")
+    worker.script = lambda request: followed
+    error = rig.ask(B, cmd="damping", value="off")["error"]
+    assert error["code"] == "leased"
+    assert "lease of environment" in error["message"]
+    idle(rig, 0.2)
+    assert rig.servo.values[Value.STIFFNESS] == 100
+    assert rig.servo.values[Value.ADDED_DAMPING_ON] == 1
 
 
 def test_lost_lease_can_be_taken_again(rig: DeskRig) -> None:

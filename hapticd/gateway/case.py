@@ -72,6 +72,11 @@ def change_of(request: Request, level: float) -> dict[str, Any]:
     return {}
 
 
+def changes_environment(stages: tuple[Stage, ...]) -> bool:
+    """Whether `stages` change more than the active damping."""
+    return any(stage.change.keys() - {"damping"} for stage in stages)
+
+
 def concerns(request: Request) -> bool:
     """Whether a verdict is asked for it."""
     if isinstance(request, Set):

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError, MailboxError
-from hapticd.gateway.case import Case, concerns, damping_by
+from hapticd.gateway.case import Case, changes_environment, concerns, damping_by
 from hapticd.gateway.codec import (
     Encoding,
     RequestId,
@@ -45,6 +45,7 @@ from hapticd.gateway.guard import Guard
 from hapticd.gateway.guarded import Guarded
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.gateway.lease_desk import LeaseDesk
+from hapticd.gateway.leases import ENVIRONMENT
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import (
     Change,
@@ -409,8 +410,12 @@ class Desk:
         )
 
     def _may(self, case: Case) -> CommandError | None:
-        """Why the client of `case` may not change what it asks any more."""
-        return forbidden(AskedRequest({}, case.actor, case.request), self.leases)
+        """Why the client of `case` may not change what it asks any more, or what its stages do."""
+        error = forbidden(AskedRequest({}, case.actor, case.request), self.leases)
+        if error is None and changes_environment(case.stages):
+            error = self.leases.may(case.actor, ENVIRONMENT)
+            return error and CommandError(error.code, f"{case.cmd}: {error}", error.detail)
+        return error
 
     def _post_case(self, case: Case, what: Posting, now_ns: int) -> None:
         self._post(case.message or UNASKED, case.actor, what, now_ns, case)

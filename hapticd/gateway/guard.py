@@ -141,10 +141,11 @@ class Guard:
     def change(self, asked: GuardRequest) -> None:
         """Policy, basis and margin as far as `asked` gives them."""
         given = asked.given
+        before = self.terms
         self._policy = given.get("policy", self._policy)
         self.basis = given.get("basis", self.basis)
         self.margin_ns_per_m = given.get("margin_ns_per_m", self.margin_ns_per_m)
-        if given.keys() & {"policy", "basis", "margin_ns_per_m"}:
+        if self.terms != before:
             self.changes += 1
         if given.keys() & {"basis", "margin_ns_per_m"}:
             self._looked = {}

@@ -14,7 +14,9 @@ environment: the servo refuses it if it is another one by then (policies clamp, 
 other requests pass by; a stop, a disable and whatever else changes the state first takes back each
 enable that waits, for an enable must not come after what was asked after it.
 
-A change of several stages goes on by itself (`stages`) while the next ones are judged.
+A change of several stages goes on by itself (`stages`) while the next ones are judged. What was
+judged by other terms (policy, basis, margin) and is still to come, as a stage or scheduled, is
+cancelled where the policy is strict.
 
 What would break it: a request that waits for ever (each has a deadline), or a verdict that is
 believed after policy or environment have changed.
@@ -30,11 +32,13 @@ from hapticd.gateway.commands import posting, receipt, refusal
 from hapticd.gateway.guard import VERDICT_NS, Guard, Unsafe
 from hapticd.gateway.in_force import merged
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
+from hapticd.gateway.lease_desk import SCHEDULABLE
+from hapticd.gateway.leases import DAMPING, ENVIRONMENT
 from hapticd.gateway.schemas import Damping, Enable
 from hapticd.gateway.stages import Post, Stages, Told, ramp_s
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Result
+from hapticd.mailbox.layout import Command, Result, values_of
 from hapticd.units import NS_PER_S
 
 MOST_WAITING = 64
@@ -51,6 +55,7 @@ class Booked(NamedTuple):
     tick: int
     seq: int
     change: dict[str, Any]
+    changes: int  # of the terms by which it was judged
 
 
 May = Callable[[Case], CommandError | None]  # why its client may not change that any more
@@ -76,6 +81,7 @@ class Guarded:
         self._scheduled: dict[int, Booked] = {}  # by sequence number, of the present servo life
         self._life = 0
         self._told: list[Told] = []
+        self._cancelled_for = (0, 0)  # servo life and terms that nothing of others waits for
         self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
         self._chosen_for: tuple[Any, ...] = ()
 
@@ -174,6 +180,8 @@ class Guarded:
         """Go on as far as can be; what is to be said. `idle`: no command is on its way."""
         self._forget_other_lives()
         self._forget_who_may_not()
+        if self._guard.must:
+            self._forget_other_terms()
         self._expire(now_ns)
         if self._beside is not None:
             self._hear_beside(self._beside, now_ns)
@@ -206,6 +214,24 @@ class Guarded:
         for case in (*self._queue, self._asked, self._under_way.case):
             if case is not None and case.message is not None and (error := self._may(case)):
                 self._give_back(case, error)
+
+    def _forget_other_terms(self) -> None:
+        """Under a strict policy nothing comes into force that was judged by other terms, or
+        scheduled through a gateway before this one.
+        """
+        changes = self._guard.changes
+        case = self._under_way.case
+        if case is not None and case.changes != changes:
+            self._under_way.cancel("the guard goes by other terms than it was judged by")
+        mailbox = self._view.mailbox
+        if mailbox is None or not self._view.record or self._cancelled_for == (self._life, changes):
+            return
+        foreign = self._view.came_late and self._cancelled_for[0] != self._life
+        if foreign or any(one.changes != changes for one in self._scheduled.values()):
+            values = values_of(dict.fromkeys(SCHEDULABLE[ENVIRONMENT] | SCHEDULABLE[DAMPING], 0.0))
+            if mailbox.post(Command.CANCEL, GATEWAY_ACTOR, 0, values) is None:
+                return
+        self._cancelled_for = self._life, changes
 
     def _expire(self, now_ns: int) -> None:
         for case in [one for one in self._queue if now_ns - one.came_ns >= WAITING_NS]:
@@ -344,7 +370,10 @@ class Guarded:
             return  # the level of mode auto stays
         if verdict.get("safe") is False:
             self._want_hand(case)
-        if action == "refuse":
+        leased = self._may(case) if case.message is not None else None
+        if leased is not None:
+            self._told.append(Told(case, leased))
+        elif action == "refuse":
             text = f"{case.cmd}: {verdict.get('text', 'the guard gave no reason')}"
             self._told.append(Told(case, CommandError("guard", text, guard=case.verdict)))
         else:
@@ -383,6 +412,7 @@ class Guarded:
         guard = self._guard
         off = guard.policy == "off"
         case.policy = guard.policy
+        case.changes = guard.changes
         case.verdict = guard.unknown("policy off judges nothing" if off else why or guard.trouble)
         remedy = "`hapticd guard warn` would do it all the same"
         if guard.must:
@@ -410,7 +440,7 @@ class Guarded:
             return None
         if answer.result is Result.SCHEDULED:
             change = change_of(case.request, self._guard.in_force.level)
-            self._scheduled[answer.seq] = Booked(case.at_tick, answer.seq, change)
+            self._scheduled[answer.seq] = Booked(case.at_tick, answer.seq, change, case.changes)
             return Told(case, receipt=receipt(answer))
         if answer.result is Result.REFUSED_REVISION and case.tries < TRIES:
             self._again(case, now_ns)

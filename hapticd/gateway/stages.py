@@ -97,7 +97,7 @@ class Stages:
         state = self._view.state
         ended = case.state is State.ENABLED and state is not State.ENABLED
         if state is not None and state is not case.state and (ended or state in LATCHED):
-            self._cancel(case, f"the servo is {self._view.state_name}")
+            self.cancel(f"the servo is {self._view.state_name}")
         elif self._met(case):
             if free:
                 self.case = None
@@ -109,7 +109,7 @@ class Stages:
             stage = case.stages[case.place]
             least = stage.damping_at_least
             lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
-            self._cancel(case, f"the next stage waited too long: {lacks}")
+            self.cancel(f"the next stage waited too long: {lacks}")
 
     def supersede(self, by: Case) -> None:
         """`by` comes into force: what is left is not done."""
@@ -148,10 +148,13 @@ class Stages:
         rising_s = level / safety.damping_slew_ns_per_m_s
         return STAGE_NS + round((rising_s + ramp_s(case.request, safety.default_ramp_s)) * NS_PER_S)
 
-    def _cancel(self, case: Case, why: str) -> None:
+    def cancel(self, why: str) -> None:
+        """What is left is not done, because of `why`."""
+        case = self.case
         self.case = None
-        text = f"{why}; what is in force stays"
-        self._tell(Told(case, receipt=self._standing("cancelled", text)))
+        if case is not None:
+            text = f"{why}; what is in force stays"
+            self._tell(Told(case, receipt=self._standing("cancelled", text)))
 
     def _standing(self, result: str, text: str = "") -> dict[str, Any]:
         """A receipt of what is in force, for what has no answer of the servo of its own."""

@@ -173,6 +173,11 @@ class ServoView:
         return self._effective or configured(self.params)
 
     @property
+    def came_late(self) -> bool:
+        """Whether parameters were changed, or to be changed, before this gateway came."""
+        return self._came_late
+
+    @property
     def unsure(self) -> bool:
         """Whether parameters were changed before this gateway came; it does not know to what."""
         return self._came_late and self._effective is None and self.alive
