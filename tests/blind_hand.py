@@ -50,6 +50,7 @@ class Person:
         self._at_m = 0.0  # where the handle is
         self._a_m: float | None = None
         self._hung = 0
+        self.one_signal: Callable[[float], None] = lambda _seconds: None
 
     def pull_n(self, state: Any, seconds: float) -> float:
         """Force on the handle over the next `seconds`; springs as they are in the middle."""
@@ -76,7 +77,7 @@ class Person:
             "spring": self._spring,
             "draw": self._draw,
             "shake": self._shake,
-            "one signal": lambda _amount: None,
+            "one signal": lambda seconds: self.one_signal(seconds),
         }
         actions[request.action](request.amount)
 

@@ -19,6 +19,7 @@ import datetime
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from math import atan, pi, sin
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -29,7 +30,8 @@ from blind_truth import NOMINAL, SERIAL, BlindBoard, Truth, drawn
 
 from hapticd.assembly import lockstep
 from hapticd.params import BoardParams
-from hapticd.rig import device_file, encoder, link, motor
+from hapticd.rig import device_file, encoder, link, motor, probe
+from hapticd.rig.one_signal import Judged
 from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.settings.build import commissioning, servo_params
@@ -42,6 +44,7 @@ DAY = datetime.date(2026, 11, 22)
 LIMIT_N = 8.0
 MASSES_KG = (0.0, 0.025, 0.05, 0.075, 0.1)
 DISTANCE_M = 0.01
+FIXED_KG = 0.02
 EDITS: dict[str, dict[str, Any]] = {  # what its owner writes into the template, by table
     "": {"name": "blind", "serial": SERIAL},
     "limits": {"force_n": LIMIT_N, "damping_ns_per_m": 10.0},
@@ -63,6 +66,7 @@ class BlindRig:
         self._lay_out()
         moving_kg = self.truth.mass_kg
         self.person = Person(seed, moving_kg, self.pass_time, lambda kg: self.board.attach(kg))
+        self.person.one_signal = lambda seconds: self.board.one_signal(seconds)
         self.person.mass_error = self.truth.mass_error
         self.person.distance_error_m = self.truth.distance_error_m
         self.person.typed_wrong = broken == "mass typed ten times wrong"
@@ -142,6 +146,24 @@ def known(truth: Truth) -> dict[str, float]:
         "force.offset_count": truth.force_offset_count,
         "damping.full_scale_ns_per_m": damping * U16_HIGHEST,
         "friction seen": truth.coulomb_n,
+        **_known_of_probe(truth),
+    }
+
+
+def _known_of_probe(truth: Truth) -> dict[str, float]:
+    # not the velocity channel's noise: what is left of it is rounded twice on its way through skew
+    judged = Judged()
+    corners_hz = (truth.velocity_highpass_hz, truth.torque_highpass_hz)
+    of_velocity, of_torque = (atan(one / judged.lowest_hz) for one in corners_hz)
+    per_radian = judged.stiffness_n_per_m / (2.0 * pi * judged.lowest_hz)
+    return {
+        "probe_torque.full_scale_n": truth.probe_torque_gain * 2.0,
+        "probe_velocity.full_scale_m_per_s": truth.probe_velocity_gain * 2.0,
+        "probe_torque.offset_count": truth.probe_torque_offset_count,
+        "probe_velocity.offset_count": truth.probe_velocity_offset_count,
+        "probe_torque noise": 0.0,
+        "probe skew": -truth.skew_us,  # the velocity is that of before
+        "high-pass mismatch": -per_radian * sin(of_velocity - of_torque),
     }
 
 
@@ -173,6 +195,7 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
     "encoder": lambda rig: encoder.measure(rig.bench, rig.ask, encoder.Distance(DISTANCE_M)),
     "motor sign": lambda rig: motor.measure_sign(rig.bench, rig.ask),
     "motor gain": lambda rig: motor.measure_gain(rig.bench, rig.ask, motor.Masses(MASSES_KG)),
+    "probe": lambda rig: probe.measure(rig.bench, rig.ask, probe.Attached(FIXED_KG)),
 }
 
 

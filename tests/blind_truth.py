@@ -57,6 +57,7 @@ NOMINAL: dict[str, Any] = {  # as config/devices/example-board.toml has them
     "ambient_c": 22.0,
 }
 HIGHEST_DAMPING_NS_PER_M = 12.0
+ONE_SIGNAL_COUNTS = 3000.0  # rms
 BROKEN = (
     "damping polarity",
     "no authority",
@@ -201,7 +202,7 @@ def _effects(truth: Truth, attached_kg: float) -> tuple[Any, ...]:
 class BlindProbe(Probe):
     """A probe whose channels have offsets, high-passes and a skew of their own."""
 
-    __slots__ = ("_broken", "_corners", "_kept", "_last", "_truth")
+    __slots__ = ("_broken", "_corners", "_fed", "_kept", "_last", "_signal", "_truth")
 
     def __init__(self, params: BoardParams, truth: Truth, broken: str | None) -> None:
         self._truth = truth
@@ -210,12 +211,22 @@ class BlindProbe(Probe):
         self._corners = [6.283185307179586 * hz / PROBE_RATE_HZ for hz in corners_hz]
         self._kept = [0.0, 0.0]
         self._last = 0.0
+        self._fed = 0  # samples that one signal is still fed into both channels
+        self._signal = Random(f"one signal {truth.seed}").gauss
         super().__init__(params)
+
+    def feed(self, seconds: float) -> None:
+        """White noise into both channels instead of what their sensors say."""
+        self._fed = round(seconds * PROBE_RATE_HZ)
 
     def end_interval(self, travel_m: float, impulse_ns: float | None = None) -> None:
         """The pair of the interval, as its channels record it."""
         super().end_interval(travel_m, impulse_ns)
         torque, velocity = (float(count) for count in self.pairs[-2:])
+        if self._fed:
+            self._fed -= 1
+            torque = self._signal(0.0, ONE_SIGNAL_COUNTS)
+            velocity = torque + self._noise * self._gauss(0.0, 1.0)
         late = self._truth.skew_us * 1e-6 * PROBE_RATE_HZ
         velocity, self._last = (1.0 - late) * velocity + late * self._last, velocity
         torque = self._passed(0, torque) + self._truth.probe_torque_offset_count
@@ -252,6 +263,12 @@ class BlindBoard:
     def attach(self, kilograms: float) -> None:
         """From now on the handle moves so much more."""
         self.plant = self._plant(kilograms)
+
+    def one_signal(self, seconds: float) -> None:
+        """Feed one signal into both probe channels."""
+        assert self.axis is not None
+        probe: Any = self.axis.probe
+        probe.feed(seconds)
 
     def _plant(self, kilograms: float) -> Plant:
         if kilograms not in self._plants:

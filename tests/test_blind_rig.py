@@ -20,6 +20,8 @@ REFUSED = {
     "no authority": ("motor", "authority"),
     "slipping lever": ("motor", "slip"),
     "mass typed ten times wrong": ("motor", "typed wrong"),
+    "dead probe channel": ("probe", "dead probe channel"),
+    "probe channels swapped": ("probe", "channels swapped"),
 }
 SECRETS = {  # names by which a simulated board, or the truth of one, could be reached
     "BoardParams",

@@ -7,6 +7,7 @@ it; a step with a finding that is `refused` writes nothing.
 What would break it: a step that writes although one of its findings is refused (`settled`).
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
@@ -77,6 +78,18 @@ class StepResult:
             "findings": [asdict(one) for one in self.findings],
             "changes": [asdict(one) for one in self.changes],
         }
+
+
+def relative_half(source: str, name: str, otherwise: float) -> float:
+    """Half of the 95 % interval of the value `name`, relative, as a step told it in the `source` of
+    a table; `otherwise` where it does not.
+    """
+    form = rf"(?:^|[ ;]){re.escape(name)} (\S+) [^;(]*\(95 %: (\S+) to ([^\s)]+)\)"  # of a Value
+    told = re.search(form, source)
+    if told is None:
+        return otherwise
+    value, low, high = map(float, told.groups())
+    return (high - low) / 2.0 / abs(value)
 
 
 def rounded(value: float, low: float, high: float) -> float:

@@ -3,7 +3,7 @@
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.rig import guided, steps
+from hapticd.cli.rig import guided, sensors, steps
 from hapticd.cli.rig.identify import identify
 
 app = typer.Typer(
@@ -14,6 +14,7 @@ VERBS: dict[str, terminal.Verb] = {
     "link": steps.link,
     "encoder": steps.encoder,
     "motor": steps.motor,
+    "probe": sensors.probe,
     "identify": identify,
 }
 app.callback()(guided.guided)

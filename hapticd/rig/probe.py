@@ -1,0 +1,401 @@
+"""What the probe's two channels mean: gains and signs by encoder and a known mass, offsets, noise.
+
+The perturbation shakes the free handle at 10 to 30 Hz (`rig.shaken`), first as it is, then with a
+known mass fixed to it.
+
+Velocity: the channel's lines V against j w X of the encoder give scale and sign.
+
+Force: what the torque channel says, T counts of g newtons, moves everything there is,
+
+    g T = m A + b V + c S + k X       at every line, with real m, b, c, k
+
+A, V and X being acceleration, velocity and position at the encoder, S the lines of sign(velocity):
+Coulomb friction is no noise but a known signal. The four weights are fitted for each recording; m/g
+differs between the two by the known mass alone, M / g = m2/g - m1/g. What moves, what damps it, and
+what a weak spring does that keeps it in the middle cancel: neither the device's mass nor its motor
+has to be known. The sign of g is that of the difference.
+
+Both channels turn the phase (they are AC-coupled, and sampled when they are): V against j w X shows
+that of the velocity channel, and one signal into both channels (`rig.one_signal`) the difference.
+With both known T is turned back.
+
+Dead and swapped channels are found before anything is fitted. What is played is known: the torque
+channel has to follow it, delayed at most, and the velocity channel the encoder's velocity.
+
+What would break it: a mass that rattles (the residuals show it), or one that is fixed behind
+something soft (its mode has to be far above 30 Hz).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import copysign, floor, hypot, pi, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.verdict import student_quantile
+from hapticd.client.client import Client
+from hapticd.errors import AnalysisError
+from hapticd.rig import one_signal
+from hapticd.rig.hand import Ask, Request
+from hapticd.rig.link import require_disabled
+from hapticd.rig.one_signal import Judged
+from hapticd.rig.result import (
+    UPPER_END,
+    Change,
+    Finding,
+    StepResult,
+    Value,
+    relative_half,
+    rounded,
+)
+from hapticd.rig.shaken import (
+    LINES_HZ,
+    PERIOD_S,
+    Lines,
+    Recording,
+    lines,
+    record,
+    rms,
+    shaken,
+    waveform,
+)
+from hapticd.wire.codec import I16_HIGHEST
+
+REST_S = 12.0  # high-passes of 0.1 Hz forget what was before in some seconds
+QUARTERS = 4
+MOVED_M = 20e-6  # rms
+LEAST_COUNTS = 5.0  # rms of a channel that is not dead
+LEAST_COHERENT = 0.9  # of a channel's lines, with what it should follow
+MOST_LEFT = 0.05  # of the torque's lines, that the fit leaves
+WORST_HALF = 0.1  # of the force gain, beyond which the mass made no difference
+FACTOR = 2.0  # between file and measurement, beyond which a mass is rather mistyped
+POSITION_HALF = 2e-3  # of the position's scale, where its source does not say
+UNEVEN = 2.0  # of a variance: what a fit leaves is rather of its model, and not alike at all lines
+SHEPPARD = 1.0 / 12.0  # variance of rounding (Sheppard 1898), from half a count of noise on
+SHIFTS = np.linspace(-1.0, 1.0, 1001)  # of the longest delay, at which lines are compared
+LATEST_S = 2e-3  # between encoder and probe
+
+
+@dataclass(frozen=True)
+class Attached:
+    """The mass that is fixed to the handle."""
+
+    kilograms: float
+    tolerance: float = 1e-3  # relative, half of its 95 % interval
+
+
+class Taken(NamedTuple):
+    """What was recorded; None: not asked for."""
+
+    rest: Recording
+    bare: Recording
+    loaded: Recording | None = None
+    one: Recording | None = None
+
+
+class Gain(NamedTuple):
+    """What a count means, with its sign, and half of its 95 % interval."""
+
+    per_count: float
+    relative_half: float
+
+    def value(self, name: str, unit: str) -> Value:
+        """At the full count."""
+        full = I16_HIGHEST * abs(self.per_count)
+        half = full * self.relative_half
+        return Value(name, full, unit, full - half, full + half)
+
+
+def measure(
+    bench: Client,
+    ask: Ask,
+    attached: Attached,
+    judged: Judged | None = None,
+    with_one_signal: bool = True,
+) -> StepResult:
+    """Record what is at rest, shaken without and with the mass, and under one signal; conclude.
+
+    CommandError unless disabled; AnalysisError where force ends or the handle wanders off.
+    """
+    require_disabled(bench)
+    if not attached.kilograms > 0.0:
+        raise AnalysisError(f"mass {attached.kilograms:g} kg: name the one that is fixed, in kg")
+    device = bench.hello()["servo"]["device"]
+    ask(Request("let go", "let go of the handle near x = 0, and let it come to rest"))
+    taken = Taken(record(bench, REST_S), shaken(bench))
+    if _settled(channels(lines(taken.bare))):
+        text = f"fix {attached.kilograms:g} kg firmly to the handle and let go of it"
+        ask(Request("attach", text, attached.kilograms))
+        taken = taken._replace(loaded=shaken(bench))
+        ask(Request("let go", "take the mass off again and let go of the handle"))
+        if with_one_signal:
+            text = f"feed one signal into both probe channels for {one_signal.SECONDS:g} s from now"
+            ask(Request("one signal", text, one_signal.SECONDS))
+            taken = taken._replace(one=record(bench, one_signal.SECONDS))
+    return concluded(taken, attached, device, judged or Judged())
+
+
+def concluded(
+    taken: Taken, attached: Attached, device: Mapping[str, Any], judged: Judged
+) -> StepResult:
+    """What was `taken` says, with the scales of the hello's `device`."""
+    bare = lines(taken.bare)
+    findings = channels(bare)
+    values: list[Value] = []
+    changes: list[Change] = []
+    turned: Floats = np.zeros(len(LINES_HZ))
+    if _settled(findings):
+        turned = _compared(taken.one, judged, values, findings)
+    if taken.loaded is not None and _settled(findings):
+        loaded = lines(taken.loaded)
+        half = relative_half(device["position"]["source"], "position.m_per_count", POSITION_HALF)
+        gains = {
+            "probe_torque": force_gain(bare, loaded, turned, attached, half, findings),
+            "probe_velocity": velocity_gain(bare, half),
+        }
+        findings += [_believable(name, one, device[name]) for name, one in gains.items()]
+        values += [*_of_gains(gains), *_of_rest(taken.rest, gains)]
+        if _settled(findings):
+            changes = [*_changes(gains, values), *_within_reach(values, device["probe_limit_n"])]
+    return StepResult("probe", values, findings, changes, _arrays(taken))
+
+
+def _settled(findings: list[Finding]) -> bool:
+    return all(one.verdict != "refused" for one in findings)
+
+
+def _compared(
+    one: Recording | None, judged: Judged, values: list[Value], findings: list[Finding]
+) -> Floats:
+    """Phase (l,) of the velocity channel against the torque channel; what is found of both is
+    added to `values` and `findings`.
+    """
+    if one is None:
+        remedy = "feed one signal into both channels; the force gain may be off by some 0.5 %"
+        findings.append(Finding("skew and high-pass mismatch", "not done", remedy))
+        return np.zeros(len(LINES_HZ))
+    found = one_signal.phase(one.torque, one.velocity)
+    if isinstance(found, Finding):
+        findings.append(found)
+        return np.zeros(len(LINES_HZ))
+    skew, mismatch = one_signal.values(found, judged)
+    values += [skew, mismatch]
+    findings += one_signal.findings(skew, mismatch, judged)
+    return found.at(LINES_HZ)
+
+
+def channels(bare: Lines) -> list[Finding]:
+    """Which channels live, and whether each is where it belongs, from lines without a mass."""
+    counts = {"torque": rms(bare.torque), "velocity": rms(bare.velocity)}
+    moved_m = rms(bare.position_m)
+    seen = (
+        f"handle {1e3 * moved_m:.3g} mm rms, torque channel {counts['torque']:.4g} counts, velocity"
+        f" channel {counts['velocity']:.4g} counts"
+    )
+    live = {name: count >= LEAST_COUNTS for name, count in counts.items()}
+    moved = moved_m >= MOVED_M
+    if not moved and live["velocity"]:
+        return [Finding(seen, "refused", "stuck encoder: the velocity channel moves without it")]
+    if not live["torque"]:
+        remedy = "dead probe channel: no torque; look at the probe's amplifier and at this input"
+        return [Finding(seen, "refused", remedy)]
+    if not moved:
+        remedy = "the probe does not move the handle: let it free, look at the probe's motor"
+        return [Finding(seen, "refused", remedy)]
+    if not live["velocity"]:
+        remedy = "dead probe channel: no velocity; look at its coil, amplifier and this input"
+        return [Finding(seen, "refused", remedy)]
+    return [Finding(seen, "ok"), _in_place(bare)]
+
+
+def _in_place(bare: Lines) -> Finding:
+    speed = 2j * pi * LINES_HZ * bare.position_m
+    played = np.fft.rfft(waveform(1.0))[LINES_HZ.astype(int)]  # a line for each Hz: it lasts 1 s
+    right = (alike(bare.torque, played, PERIOD_S), alike(bare.velocity, speed, LATEST_S))
+    wrong = (alike(bare.velocity, played, PERIOD_S), alike(bare.torque, speed, LATEST_S))
+    what = (
+        f"torque follows what is played by {100 * right[0]:.3g} %, velocity the encoder by"
+        f" {100 * right[1]:.3g} %"
+    )
+    if min(wrong) > max(min(right), LEAST_COHERENT):
+        remedy = "probe channels swapped: exchange the two inputs of the board"
+        return Finding(f"{what}; crosswise {100 * min(wrong):.3g} %", "refused", remedy)
+    if min(right) >= LEAST_COHERENT:
+        return Finding(what, "ok")
+    remedy = "let the handle free; look at what fixes the probe to it, and at both channels"
+    return Finding(what, "refused", remedy)
+
+
+def alike(found: Complexes, known: Complexes, latest_s: float) -> float:
+    """Share of the power of `found` (l,) that is `known` (l,) of either sign, delayed by up to
+    `latest_s` either way.
+    """
+    turns = np.exp(-2j * pi * np.outer(latest_s * SHIFTS, LINES_HZ))
+    common = (turns @ (known * found.conj())).real ** 2
+    power = np.sum(np.abs(found) ** 2) * np.sum(np.abs(known) ** 2)
+    return float(common.max() / power)
+
+
+def velocity_phase(bare: Lines) -> tuple[float, Floats]:
+    """Sign of the velocity channel, and its phase (l,) against the encoder's velocity: a delay and
+    a high-pass.
+    """
+    ratio = bare.velocity / (2j * pi * LINES_HZ * bare.position_m)
+    sign = copysign(1.0, float(ratio.real.sum()))
+    columns = np.stack([LINES_HZ, 1.0 / LINES_HZ], axis=1)
+    weights = np.linalg.lstsq(columns, np.angle(sign * ratio), rcond=None)[0]
+    return sign, columns @ weights
+
+
+def velocity_gain(bare: Lines, position_half: float) -> Gain:
+    """m/s of a count, against an encoder whose scale is known to `position_half`."""
+    sign, _ = velocity_phase(bare)
+    speed = 2.0 * pi * LINES_HZ * np.abs(bare.position_m)
+    power = float(speed @ speed)
+    counts = float(speed @ np.abs(bare.velocity)) / power
+    left = np.abs(bare.velocity) - counts * speed
+    freedom = len(speed) - 1
+    spread = UNEVEN * float(left @ left) / freedom
+    half = student_quantile(UPPER_END, freedom) * sqrt(spread / power)
+    return Gain(sign / counts, hypot(half / counts, position_half))
+
+
+class Moved(NamedTuple):
+    """Counts of the torque channel per m/s^2, with its variance; share of the torque's lines that
+    the fit leaves.
+    """
+
+    mass: float
+    variance: float
+    left: float
+
+
+def fitted(found: Lines, turned: Floats) -> Moved:
+    """Fit the torque's lines; `turned` (l,) is the phase of the velocity channel against it."""
+    omega = 2.0 * pi * LINES_HZ
+    sign, of_velocity = velocity_phase(found)
+    torque = found.torque * np.exp(-1j * (of_velocity - turned))
+    friction = sign * found.friction * np.exp(-1j * of_velocity)
+    at = found.position_m
+    known = np.stack([-(omega**2) * at, 1j * omega * at, friction, at], axis=1)
+    columns = np.concatenate([known.real, known.imag])
+    size = np.linalg.norm(columns, axis=0)
+    seen = np.concatenate([torque.real, torque.imag])
+    inverse = np.linalg.pinv((columns / size).T @ (columns / size))
+    weights = inverse @ ((columns / size).T @ seen)
+    left = seen - columns / size @ weights
+    spread = UNEVEN * float(left @ left) / (len(seen) - len(weights))
+    variance = spread * float(inverse[0, 0]) / float(size[0]) ** 2
+    share = float(np.linalg.norm(left) / np.linalg.norm(seen))
+    return Moved(float(weights[0] / size[0]), variance, share)
+
+
+def force_gain(
+    bare: Lines,
+    loaded: Lines,
+    turned: Floats,
+    attached: Attached,
+    position_half: float,
+    findings: list[Finding],
+) -> Gain:
+    """N of a count, from lines without and with the mass; what is thought of them is added to
+    `findings`.
+    """
+    before = fitted(bare, turned)
+    after = fitted(loaded, turned)
+    heavier = after.mass - before.mass
+    freedom = 2 * (2 * len(LINES_HZ) - 4)
+    half = student_quantile(UPPER_END, freedom) * sqrt(before.variance + after.variance)
+    relative = half / abs(heavier)
+    left = max(before.left, after.left)
+    what = f"mass, damping and friction leave {100 * left:.2g} % of the torque unexplained"
+    remedy = "fix the mass so that nothing rattles, and keep hands and table still"
+    findings.append(Finding(what, *(("ok", "") if left <= MOST_LEFT else ("warning", remedy))))
+    if relative > WORST_HALF:
+        what = f"the mass tells the force to {100 * relative:.2g} % alone"
+        findings.append(Finding(what, "refused", "was it fixed? Repeat it, or take a heavier one"))
+    gain = attached.kilograms / heavier
+    return Gain(gain, hypot(relative, attached.tolerance, position_half))
+
+
+def _believable(name: str, gain: Gain, scale: Mapping[str, Any]) -> Finding:
+    ratio = gain.per_count / (int(scale["sign"]) * float(scale["per_count"]))
+    what = f"{name}: a count is {ratio:.4g} of what the device file says"
+    if not 1.0 / FACTOR <= abs(ratio) <= FACTOR:
+        remedy = "is the mass in kg, and was it fixed? Else correct the full scale in the file"
+        return Finding(what, "refused", remedy)
+    if ratio < 0.0:
+        return Finding(what, "warning", "its sign is the other one; the device file gets it")
+    return Finding(what, "ok")
+
+
+def _of_gains(gains: Mapping[str, Gain]) -> list[Value]:
+    return [
+        gains["probe_torque"].value("probe_torque.full_scale_n", "N"),
+        gains["probe_velocity"].value("probe_velocity.full_scale_m_per_s", "m/s"),
+    ]
+
+
+def _of_rest(rest: Recording, gains: Mapping[str, Gain]) -> list[Value]:
+    torque = rest.torque
+    velocity = rest.velocity
+    return [
+        offset("probe_torque.offset_count", torque),
+        offset("probe_velocity.offset_count", velocity),
+        noise("probe_torque noise", torque, gains["probe_torque"], "N rms"),
+        noise("probe_velocity noise", velocity, gains["probe_velocity"], "m/s rms"),
+    ]
+
+
+def offset(name: str, counts: Floats) -> Value:
+    """The last quarter of `counts` (n,) at rest; the one before says how far it still drifts."""
+    quarter = len(counts) // QUARTERS
+    last = counts[-quarter:]
+    before = float(counts[-2 * quarter : -quarter].mean())
+    mean = float(last.mean())
+    spread = float(last.std())
+    # what does not move by half a count does not tell where in its count it is
+    half = hypot(1.96 * spread / sqrt(quarter), mean - before, 0.5 if spread < 0.5 else 0.0)
+    return Value(name, mean, "counts", mean - half, mean + half)
+
+
+def noise(name: str, counts: Floats, gain: Gain, unit: str) -> Value:
+    """Of the last quarter of `counts` (n,) at rest, without that of rounding."""
+    last = counts[-(len(counts) // QUARTERS) :]
+    spread = float(last.std())
+    per_count = abs(gain.per_count)
+    if spread < 0.5:
+        return Value(name, spread * per_count, unit, 0.0, 0.5 * per_count)
+    value = sqrt(spread**2 - SHEPPARD) * per_count
+    half = value * hypot(1.96 / sqrt(2.0 * len(last)), gain.relative_half)
+    return Value(name, value, unit, value - half, value + half)
+
+
+def _changes(gains: Mapping[str, Gain], values: list[Value]) -> list[Change]:
+    signs = [Change(name, "sign", 1 if one.per_count > 0.0 else -1) for name, one in gains.items()]
+    written = [one for one in values if one.name.split(".")[0] in gains and "." in one.name]
+    return signs + [
+        Change(table, key, rounded(one.value, one.low, one.high))
+        for one in written
+        for table, key in [one.name.split(".")]
+    ]
+
+
+def _within_reach(values: list[Value], limit_n: float) -> list[Change]:
+    """The converter gives no more than its full scale, whatever the file's limit is."""
+    (full,) = [one for one in values if one.name == "probe_torque.full_scale_n"]
+    if full.low >= limit_n:
+        return []
+    return [Change("limits", "probe_n", floor(full.low * 1e3) / 1e3)]
+
+
+def _arrays(taken: Taken) -> dict[str, npt.NDArray[Any]]:
+    return {
+        f"{name}_{key}": array
+        for name, one in taken._asdict().items()
+        if one is not None
+        for key, array in one._asdict().items()
+    }
