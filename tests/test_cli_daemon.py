@@ -661,3 +661,13 @@ def test_take_holds_until_ctrl_c_and_releases(
         signal.signal(signal.SIGTERM, before[1])
     assert done == ["take", "sleep", "release"]
     assert "Ctrl-C releases it" in capsys.readouterr().out
+
+
+def test_shell_completes_verbs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("_HAPTICD_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "hapticd mon")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    assert main([]) == 0
+    assert capsys.readouterr().out.split() == ["monitor"]

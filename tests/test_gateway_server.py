@@ -8,6 +8,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import msgpack
 import numpy as np
@@ -208,6 +209,14 @@ def test_plotjuggler_plots_servo_as_it_is(rig: GatewayRig) -> None:
     assert np.diff([sample["seq"] for sample in samples]).tolist() == [1] * 99
     assert np.diff([sample["timestamp"] for sample in samples]) == pytest.approx(1e-3, abs=1e-6)
     assert samples[0]["timestamp"] == pytest.approx(UNIX_NS / 1e9, abs=60)
+
+
+def test_plotjuggler_layout_names_only_what_is_sent(rig: GatewayRig) -> None:
+    layout = ElementTree.parse(Path(__file__).parents[1] / "examples" / "plotjuggler.xml")
+    names = [curve.get("name") for curve in layout.iter("curve")]
+    sample = plotjuggler_decodes(rig.receive(rig.subscriber("servo")))[0]
+    assert len(names) == 6
+    assert set(names) <= {f"servo/{name}" for name in sample}
 
 
 def test_servo_alone_never_brings_servo_raw(rig: GatewayRig) -> None:

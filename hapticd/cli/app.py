@@ -7,6 +7,7 @@ import typer
 
 from hapticd import __version__
 from hapticd.cli import (
+    bridge,
     daemon,
     guard,
     keys,
@@ -26,7 +27,6 @@ USAGE = 2
 app = typer.Typer(
     name="hapticd",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
@@ -75,6 +75,7 @@ app.add_typer(daemon.perturb_app, name="perturb")
 app.add_typer(lease.lease_app, name="lease")
 app.add_typer(recording.rec_app, name="rec")
 app.add_typer(keys.app, name="keys")
+app.add_typer(bridge.app, name="bridge")
 app.add_typer(system.config_app, name="config")
 app.add_typer(sim.sim_app, name="sim")
 app.add_typer(rig.app, name="rig")

@@ -1,0 +1,70 @@
+"""Bridges to the tools that a laboratory has: `hapticd bridge lsl`.
+
+Lab Streaming Layer (Kothe et al. 2025) joins EEG, eye trackers and other devices by one clock per
+host. On Linux that is CLOCK_MONOTONIC, by which the servo stamps its ticks, so they go out as they
+are. Ticks that were lost on the way are left out; the stamps of the others tell it.
+
+What would break it: a host whose LSL was built with another clock (checked when it begins).
+"""
+
+import time
+from typing import Annotated
+
+import typer
+
+from hapticd.cli import terminal
+from hapticd.cli.change import connect
+from hapticd.errors import ConfigError
+from hapticd.units import NS_PER_S
+
+CHANNELS = {  # fields of a tick, and their units
+    "position_m": "m",
+    "velocity_m_per_s": "m/s",
+    "force_n": "N",
+    "added_damping_ns_per_m": "N s/m",
+    "stiffness_n_per_m": "N/m",
+    "damping_ns_per_m": "N s/m",
+    "mass_kg": "kg",
+    "state": "",
+    "revision": "",
+}
+CLOCKS_AGREE_S = 0.01
+app = typer.Typer(help="Hand telemetry to other tools.", no_args_is_help=True)
+
+
+@terminal.verb(app, "lsl")
+def lsl(
+    instance: terminal.Instance = terminal.INSTANCE,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", metavar="S", help="End after S recorded seconds.")
+    ] = None,
+) -> None:
+    """Offer every tick as a stream of the Lab Streaming Layer. Ctrl-C ends it.
+
+    Channels: position, velocity, force, active damping, K, B, M, state, revision.
+    """
+    try:
+        import numpy as np
+        import pylsl
+    except ImportError as error:
+        raise ConfigError(f"{error}; install the extra: pip install hapticd[lsl]") from error
+    apart_s = abs(pylsl.local_clock() - time.monotonic())
+    if apart_s > CLOCKS_AGREE_S:
+        raise ConfigError(
+            f"the clock of LSL is {apart_s:.3g} s from CLOCK_MONOTONIC, by which ticks are stamped;"
+            " use pylsl of PyPI"
+        )
+    with connect(instance) as client:
+        known = client.hello()["servo"]
+        rate_hz = float(known["realtime"]["rate_hz"])
+        source = f"hapticd-{known['device']['serial']}-{instance}"
+        info = pylsl.StreamInfo(
+            "hapticd", "Haptics", len(CHANNELS), rate_hz, pylsl.cf_double64, source
+        )
+        info.set_channel_labels(list(CHANNELS))
+        info.set_channel_units(list(CHANNELS.values()))
+        outlet = pylsl.StreamOutlet(info)
+        terminal.talk(f"LSL stream hapticd ({source}), {len(CHANNELS)} channels at {rate_hz:g} Hz")
+        for block in client.stream(seconds=seconds):
+            rows = np.stack([block.records[name].astype(float) for name in CHANNELS], axis=1)
+            outlet.push_chunk(rows, (block.records["time_ns"] / NS_PER_S).tolist())
