@@ -30,7 +30,7 @@ from blind_truth import NOMINAL, SERIAL, BlindBoard, Truth, drawn
 
 from hapticd.assembly import lockstep
 from hapticd.params import BoardParams
-from hapticd.rig import device_file, encoder, link, motor, probe
+from hapticd.rig import damping, device_file, encoder, link, motor, probe
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
@@ -146,6 +146,9 @@ def known(truth: Truth) -> dict[str, float]:
         "force.offset_count": truth.force_offset_count,
         "damping.full_scale_ns_per_m": damping * U16_HIGHEST,
         "friction seen": truth.coulomb_n,
+        "physical damping": truth.viscous_ns_per_m,
+        "force per ampere": truth.motor_n_per_a,
+        "residual resistance": truth.residual_ohm,
         **_known_of_probe(truth),
     }
 
@@ -195,6 +198,7 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
     "encoder": lambda rig: encoder.measure(rig.bench, rig.ask, encoder.Distance(DISTANCE_M)),
     "motor sign": lambda rig: motor.measure_sign(rig.bench, rig.ask),
     "motor gain": lambda rig: motor.measure_gain(rig.bench, rig.ask, motor.Masses(MASSES_KG)),
+    "damping": lambda rig: damping.measure(rig.bench, rig.ask),
     "probe": lambda rig: probe.measure(rig.bench, rig.ask, probe.Attached(FIXED_KG)),
 }
 

@@ -9,7 +9,7 @@ besides while signs are not verified.
 What would break it: somebody who changes the wall meanwhile.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -31,7 +31,7 @@ class Pushed(NamedTuple):
     """What became of a push of `force_n`."""
 
     force_n: float  # commanded
-    moved_m: float  # from its begin to AFTER_S beyond its end
+    moved_m: float  # from its begin to `after_s` beyond its end
     records: Records
 
 
@@ -60,17 +60,26 @@ def wall_of(force_n: float, at_m: float) -> dict[str, float]:
     }
 
 
-def push(bench: Client, force_n: float, seconds: float) -> Pushed:
-    """Push with `force_n` for `seconds`, from where the handle is; the servo is enabled."""
+def push(
+    bench: Client,
+    force_n: float,
+    seconds: float,
+    after_s: float = AFTER_S,
+    scheduled: Callable[[int], None] = lambda begin: None,
+) -> Pushed:
+    """Push with `force_n` for `seconds`, from where the handle is; the servo is enabled. What
+    `scheduled` asks for the tick of the begin comes before it.
+    """
     rate_hz = servo_rate_hz(bench)
     look = collect(bench, LOOK_S)
     newest = look.records[-1]
     begin = look.newest_tick + round(LEAD_S * rate_hz)
     end = begin + round(seconds * rate_hz)
     wall = wall_of(force_n, float(newest["position_m"]))
+    scheduled(begin)
     bench.set(wall=FREE, ramp_s=0.0, at_tick=end)  # first: nothing begins that has no end
     bench.set(wall=wall, ramp_s=0.0, at_tick=begin)
-    found = collect(bench, LEAD_S + seconds + AFTER_S).records
+    found = collect(bench, LEAD_S + seconds + after_s).records
     pushed = found[found["tick"] >= begin]
     moved_m = float(pushed["position_m"][-1] - newest["position_m"]) if len(pushed) else np.nan
     return Pushed(force_n, moved_m, found)

@@ -3,17 +3,18 @@
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.rig import guided, sensors, steps
+from hapticd.cli.rig import damping, guided, sensors, steps
 from hapticd.cli.rig.identify import identify
 
 app = typer.Typer(
     invoke_without_command=True,
-    help="First day at the rig: measure link, encoder and motor, and write the device file.",
+    help="First day at the rig: measure the device step by step, and write its device file.",
 )
 VERBS: dict[str, terminal.Verb] = {
     "link": steps.link,
     "encoder": steps.encoder,
     "motor": steps.motor,
+    "damping": damping.damping,
     "probe": sensors.probe,
     "identify": identify,
 }

@@ -7,7 +7,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.cli.rig import sensors, steps
+from hapticd.cli.rig import damping, sensors, steps
 from hapticd.cli.rig.identify import identify
 from hapticd.errors import ConfigError
 
@@ -37,6 +37,8 @@ def guided(context: typer.Context) -> None:
     if _wanted("motor: its gain, by hanging masses"):
         masses = [number(f"mass {place} in kg") for place in range(1, 6)]
         _kept_on(lambda: steps.motor(masses))
+    if _wanted("damping: its polarity and N s/m per count, by pushes and glides"):
+        _kept_on(lambda: damping.damping())
     if _wanted("probe: both channels, by shaking the handle without and with a mass"):
         fixed_kg = number("mass that is fixed to the handle in kg")
         _kept_on(lambda: sensors.probe(fixed_kg))

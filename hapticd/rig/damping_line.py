@@ -1,0 +1,169 @@
+"""The line of the damping through its levels, and what else pushes and glides say.
+
+The gain of the damping is that of all rows together (`rig.glide`). Its interval adds to that of the
+fit what the device file says of the scales of force and position (`source` of a step names their
+intervals; without one it is taken as UNKNOWN), what the levels scatter about the line, and FLOOR.
+
+The residual resistance is the loop gain per N s/m times the square of the force per ampere. Below 0
+the circuit compensates more than the winding has, and at a loop gain of -1 it oscillates, so the
+greatest level that is stable with a tenth to spare is named.
+
+The physical damping is what is proportional to speed without active damping; friction is not, and
+counts for nothing at large motions. The device file gets LEAST_SHARE of the least that it can be.
+
+What would break it: a source that was written by hand in the words of a step.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import hypot, sqrt
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.verdict import student_quantile
+from hapticd.rig.glide import Balance, Row, balance
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, relative_half, rounded
+from hapticd.wire.codec import U16_HIGHEST
+
+LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit
+LEAST_LEVELS = 3
+UNKNOWN = 0.01  # half of the interval of a scale whose source names none
+FLOOR = 0.003  # of the gain, however many pushes there were
+BESIDE = 0.03  # share by which a level may lie beside the line
+WARN = -0.5  # loop gain
+REFUSE = -0.9
+FACTOR = 2.0  # between file and measurement
+LEAST_SHARE = 2.0 / 3.0  # of the least physical damping, for the fault `energy`
+
+
+def concluded(
+    rows: Sequence[Row],
+    device: Mapping[str, Any],
+    findings: Sequence[Finding] = (),
+    arrays: Mapping[str, npt.NDArray[Any]] | None = None,
+) -> StepResult:
+    """What `rows` say on a device whose file says `device` (as the servo's hello has it)."""
+    found = balance(rows, float(device["current"]["per_count"]))
+    scales = _scales(device)
+    levels, gains = by_level(rows, found)
+    full = float(device["damping"]["per_count"]) * U16_HIGHEST
+    scatter = _scatter(gains) if len(gains) > 2 else 0.0
+    relative = hypot(found.gain_half / found.gain, scatter / found.gain, scales, FLOOR)
+    gain = _value("damping.full_scale_ns_per_m", found.gain * full, "N s/m", relative)
+    top = float(device["damping_limit_ns_per_m"])
+    own = found.physical_ns_per_m
+    physical = _about("physical damping", own, "N s/m", found.physical_half, scales)
+    values = [
+        gain,
+        *_residual(found, float(device["motor_n_per_a"]), scales),
+        physical,
+        _about("friction seen", found.coulomb_n, "N", found.coulomb_half, scales),
+    ]
+    said = [*findings, *_line(levels, gains / found.gain), _gain(found.gain), _loop(found, top)]
+    written = rounded(gain.value, gain.low, gain.high)
+    changes = [Change("damping", "full_scale_ns_per_m", written)]
+    if written < top:  # no more than the converter makes
+        changes.append(Change("limits", "damping_ns_per_m", written))
+    if physical.low > 0.0:
+        least = float(f"{LEAST_SHARE * physical.low:.2g}")
+        changes.append(Change("limits", "physical_damping_ns_per_m", least))
+    settled = all(one.verdict != "refused" for one in said)
+    return StepResult("damping", values, said, changes if settled else (), arrays or {})
+
+
+def _value(name: str, value: float, unit: str, relative: float) -> Value:
+    return _about(name, value, unit, 0.0, relative)
+
+
+def _about(name: str, value: float, unit: str, half: float, relative: float) -> Value:
+    """`value` with an interval of `half`, and of a share of it."""
+    wide = hypot(half, relative * value)
+    return Value(name, value, unit, value - wide, value + wide)
+
+
+def _scales(device: Mapping[str, Any]) -> float:
+    """Half of the interval, relative, of newtons and metres as the device file has them."""
+    force = relative_half(device["force"]["source"], "force.full_scale_n", UNKNOWN)
+    position = relative_half(device["position"]["source"], "position.m_per_count", UNKNOWN)
+    return hypot(force, position)
+
+
+def by_level(rows: Sequence[Row], found: Balance) -> tuple[Floats, Floats]:
+    """The levels (k,) [N s/m, of the device file] of the rows, and the gain by each (k,)."""
+    left = found.impulses_of_damping(rows)
+    damped = np.array([row.damped_ns for row in rows])
+    level = np.array([row.level_ns_per_m for row in rows])
+    octave = np.full(len(rows), -np.inf)
+    np.log2(level, where=level > 0.0, out=octave)
+    steady = level >= 0.9 * LEVELS[0] * level.max()
+    groups = np.round(octave[steady])
+    each = [steady.nonzero()[0][groups == one] for one in np.unique(groups)]
+    levels = [float(level[places].mean()) for places in each]
+    gains = [_slope(damped[places], left[places]) for places in each]
+    return np.array(levels), np.array(gains)
+
+
+def _slope(x: Floats, y: Floats) -> float:
+    """Of the line through the origin."""
+    return float(x @ y) / float(x @ x)
+
+
+def _scatter(gains: Floats) -> float:
+    """Half of the 95 % interval of the mean of the gains by each level (k,)."""
+    upper = student_quantile(UPPER_END, len(gains) - 1)
+    return upper * float(gains.std(ddof=1)) / sqrt(len(gains))
+
+
+def _residual(found: Balance, known_n_per_a: float, scales: float) -> Iterator[Value]:
+    """What the compensation leaves of the winding, in ohm where the force of an ampere is known."""
+    rho = found.loop_per_ns_per_m / found.gain
+    half = found.loop_half / abs(found.gain)
+    if found.by_current:
+        yield _value("force per ampere", abs(found.n_per_a), "N/A", hypot(scales, FLOOR))
+    n_per_a = found.n_per_a or known_n_per_a
+    name = "residual resistance" if n_per_a else "residual back-EMF"
+    scale = n_per_a**2 if n_per_a else 1.0
+    unit = "ohm" if n_per_a else "m/s per N"
+    yield _about(name, scale * rho, unit, scale * half, 2.0 * scales)
+
+
+def _line(levels: Floats, shares: Floats) -> Iterator[Finding]:
+    """How far each level lies beside the line."""
+    if len(levels) < LEAST_LEVELS:
+        what = f"only {len(levels)} levels of damping were seen"
+        remedy = "let go of the handle, leave it free to move, and repeat"
+        yield Finding(what, "refused", remedy)
+        return
+    told = ", ".join(
+        f"{level:.3g}: {100.0 * (share - 1.0):+.2g} %"
+        for level, share in zip(levels, shares, strict=True)
+    )
+    worst = float(np.abs(shares - 1.0).max())
+    if worst <= BESIDE:
+        yield Finding(f"levels beside the line: {told}", "ok")
+        return
+    remedy = (
+        "is the multiplier offset or at its end? Keep limits.damping_ns_per_m where it is straight"
+    )
+    yield Finding(f"levels beside the line: {told}", "warning", remedy)
+
+
+def _gain(gain: float) -> Finding:
+    what = f"a commanded N s/m is {gain:.4g} N s/m"
+    if 1.0 / FACTOR <= gain <= FACTOR:
+        return Finding(what, "ok")
+    remedy = "is full_scale_ns_per_m the hello's? Correct the device file, and repeat"
+    return Finding(what, "refused", remedy)
+
+
+def _loop(found: Balance, top: float) -> Finding:
+    """The loop gain of the residual resistance at the limit."""
+    loop = found.loop_per_ns_per_m * top
+    what = f"loop gain {loop:+.2g} at {top:.3g} N s/m"
+    if loop >= WARN:
+        return Finding(what, "ok")
+    greatest = REFUSE * top / loop
+    remedy = f"too much is compensated: limits.damping_ns_per_m at most {greatest:.3g}"
+    return Finding(what, "refused" if loop < REFUSE else "warning", remedy)

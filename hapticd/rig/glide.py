@@ -1,0 +1,250 @@
+"""What pushes and free glides say of damping: the balance of momentum from rest to rest.
+
+A handle at rest is pushed with the impulse J, glides, and comes to rest again after the way D and
+the time T of motion. Whatever its mass, and however the force was delayed or smoothed on its way,
+
+    J = P + (b0 D + Fc T - s G T) (1 + g b)         P = integral of b dx
+
+with the active damping b, the physical damping b0, Coulomb friction Fc, a constant force G
+(gravity, what is left at a count of 0) and the direction s of the motion: nothing is kept from rest
+to rest. Nothing has to be known of the mass, and the lag of amplifier and circuit drops out as
+well. b is what the damping DAC was told, times a gain that is sought; J is known by the measured
+gain of the force, D by that of the encoder.
+
+g b is the loop gain of the residual resistance: the circuit sees the velocity v + rho F_a, and what
+the motor does is F_a = (F - b v) / (1 + g b), with g = rho. It weakens force and damping alike, so
+from J alone it is seen in how much more of J friction seems to take at higher b: slow pushes are
+mostly friction, fast ones mostly damping. Where the board reports the motor's current, its integral
+Q stands for what friction took,
+
+    J = P + N Q (1 + g b)                           N: endpoint force per ampere
+
+and no friction has to be the same twice. N comes from the pushes at b = 0.
+
+Least squares (Gauss-Newton) over all pushes, each weighted by what may be wrong in it: TIMING_S of
+friction, and MODEL of the impulse; where the residuals say more, they count (Student's t).
+
+What would break it: a handle that is held or pushed by something else meanwhile, or that has not
+come to rest (such a push is no row), friction that depends on the level of damping (without a
+current).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.verdict import student_quantile
+from hapticd.client.blocks import Records
+from hapticd.params import ScaleParams
+from hapticd.rig.result import UPPER_END
+
+STILL_COUNTS = 6.0  # peak to peak at rest, beside the noise
+REST_S = 0.05  # at either end of a record
+EDGE_COUNTS = 10.0  # from rest, where the motion is timed
+LEAST_COUNTS = 10.0 * EDGE_COUNTS  # of a way that says something
+TIMING_S = 5e-4  # by which the time of motion may be wrong
+MODEL = 0.003  # share of the impulse that the equation may leave out
+ITERATIONS = 30
+LEAST_AMPERE_COUNTS = 20.0  # mean current of the weakest push that is believed
+EXPLAINED = 0.03  # of the impulse at count 0 that the current may leave unexplained
+
+
+class Row(NamedTuple):
+    """One push from rest to rest, in the direction of its motion."""
+
+    impulse_ns: float  # J, commanded
+    way_m: float  # D
+    seconds: float  # T
+    damped_ns: float  # P, with the damping as the device file has it
+    charge_as: float  # Q, of the current above that at rest
+    level_ns_per_m: float  # b, steady; that of P / D otherwise
+    direction: float  # +1 or -1
+
+
+def row_of(records: Records, force: ScaleParams, m_per_count: float, rate_hz: float) -> Row | None:
+    """What the `records` of a push tell; None where ticks are missing, or it does not begin and end
+    at rest.
+    """
+    position = records["position_m"].astype(np.float64)
+    rest = round(REST_S * rate_hz)
+    if len(records) < 4 * rest or (np.diff(records["tick"].astype(np.int64)) != 1).any():
+        return None
+    before = position[:rest]
+    after = position[-rest:]
+    if max(np.ptp(before), np.ptp(after)) > STILL_COUNTS * m_per_count:
+        return None
+    went = float(after.mean() - before.mean())
+    if abs(went) < LEAST_COUNTS * m_per_count:
+        return None
+    direction = 1.0 if went > 0.0 else -1.0
+    away = direction * (position - before.mean())
+    period_s = 1.0 / rate_hz
+    seconds = _moving(away, abs(went), EDGE_COUNTS * m_per_count) * period_s
+    commanded = quantised(records["force_n"].astype(np.float64), force)
+    impulse = direction * float((commanded - commanded[0]).sum()) * period_s
+    level = records["damping_effect_ns_per_m"].astype(np.float64)
+    damped = float(level[1:] @ np.diff(away))
+    current = records["current_a"].astype(np.float64)
+    charge = direction * float((current - current[:rest].mean()).sum()) * period_s
+    steady = damped / abs(went)
+    return Row(impulse, abs(went), seconds, damped, charge, steady, direction)
+
+
+def quantised(force_n: Floats, scale: ScaleParams) -> Floats:
+    """`force_n` (n,) as the converter makes it."""
+    counts = np.floor(scale.sign * force_n / scale.per_count + scale.offset_count + 0.5)
+    return np.asarray(scale.sign * (counts - scale.offset_count) * scale.per_count)
+
+
+def _moving(away: Floats, way: float, edge: float) -> float:
+    """Periods from the first motion to the last. Near its ends the speed is proportional to time,
+    so the way from rest is its square: it takes as long to `edge` as from there to four times that.
+    """
+    left = (way - away)[::-1]
+    begin = 2.0 * _crossing(away, edge) - _crossing(away, 4.0 * edge)
+    end = 2.0 * _crossing(left, edge) - _crossing(left, 4.0 * edge)
+    return max(len(away) - 1 - end - begin, 1.0)
+
+
+def _crossing(rising: Floats, level: float) -> float:
+    """Where (n,) comes above `level` for the last time from below, between samples."""
+    place = int(np.flatnonzero(rising < level)[-1])
+    if place + 1 >= len(rising):
+        return float(place)
+    step = float(rising[place + 1] - rising[place])
+    return place + (level - float(rising[place])) / step
+
+
+@dataclass(frozen=True)
+class Balance:
+    """What the rows say together, each with half of its 95 % interval."""
+
+    gain: float  # of the damping: what it is over what the device file says
+    gain_half: float
+    loop_per_ns_per_m: float  # g, per N s/m of the device file
+    loop_half: float
+    n_per_a: float  # 0 where friction was taken in place of the current
+    physical_ns_per_m: float
+    physical_half: float
+    coulomb_n: float
+    coulomb_half: float
+    by_current: bool
+    loads_ns: Floats  # (n,) what friction took of each impulse
+
+    def impulses_of_damping(self, rows: Sequence[Row]) -> Floats:
+        """(n,) what is left of each impulse for the active damping."""
+        level = _column(rows, "level_ns_per_m")
+        taken = self.loads_ns * (1.0 + self.loop_per_ns_per_m * level)
+        return np.asarray(_column(rows, "impulse_ns") - taken)
+
+
+def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
+    """The fit to `rows`, at least eight; some at level 0, and at two or more others for the loop
+    gain, which is taken as 0 else.
+    """
+    impulse = _column(rows, "impulse_ns")
+    damped = _column(rows, "damped_ns")
+    level = _column(rows, "level_ns_per_m")
+    friction = _friction(rows)
+    weight = _weights(rows, friction)
+    by_current = _current_tells(rows, a_per_count)
+    loads = _column(rows, "charge_as")[:, None] if by_current else friction
+    loops = len(np.unique(np.round(np.log2(level[level > 0.0])))) > 1
+    found = _fitted(impulse, damped, loads, level, weight, loops)
+    gain, *coefficients = found.values[: 1 + loads.shape[1]]
+    loop = float(found.values[-1]) if loops else 0.0
+    loop_half = float(found.halves[-1]) if loops else 0.0
+    took = (impulse - gain * damped) / (1.0 + loop * level)
+    mechanics = _least_squares(friction, took, weight * (1.0 + loop * level))
+    return Balance(
+        float(gain),
+        float(found.halves[0]),
+        loop,
+        loop_half,
+        float(coefficients[0]) if by_current else 0.0,
+        float(mechanics.values[0]),
+        float(mechanics.halves[0]),
+        float(mechanics.values[1]),
+        hypot(float(mechanics.halves[1]), float(mechanics.values[1]) * _mistimed(rows)),
+        by_current,
+        np.asarray(loads @ np.array(coefficients)),
+    )
+
+
+def _column(rows: Sequence[Row], name: str) -> Floats:
+    return np.array([getattr(row, name) for row in rows], np.float64)
+
+
+def _friction(rows: Sequence[Row]) -> Floats:
+    """Columns (n, 3) of b0, Fc and G."""
+    seconds = _column(rows, "seconds")
+    sides = _column(rows, "direction")
+    return np.column_stack([_column(rows, "way_m"), seconds, -sides * seconds])
+
+
+def _weights(rows: Sequence[Row], friction: Floats) -> Floats:
+    """One over what may be wrong in each impulse (n,)."""
+    impulse = _column(rows, "impulse_ns")
+    free = _column(rows, "damped_ns") < 0.05 * impulse
+    guess = np.linalg.lstsq(friction[free], impulse[free], rcond=None)[0]
+    return np.asarray(1.0 / np.hypot(TIMING_S * abs(float(guess[1])), MODEL * impulse))
+
+
+def _mistimed(rows: Sequence[Row]) -> float:
+    """Share of friction that an error of all times of motion would take or add."""
+    return TIMING_S / float(np.median(_column(rows, "seconds")))
+
+
+def _current_tells(rows: Sequence[Row], a_per_count: float) -> bool:
+    """Whether the current of pushes at level 0 is proportional to their impulse."""
+    impulse = _column(rows, "impulse_ns")
+    charge = _column(rows, "charge_as")
+    lasting = np.maximum(_column(rows, "seconds"), 1e-3)
+    if not (np.abs(charge) / lasting > LEAST_AMPERE_COUNTS * a_per_count).all():
+        return False
+    free = _column(rows, "damped_ns") < 1e-3 * impulse
+    ratio = impulse[free] / charge[free]
+    return bool(free.sum() >= 2 and np.ptp(ratio) <= 2.0 * EXPLAINED * abs(ratio.mean()))
+
+
+class Fitted(NamedTuple):
+    """Coefficients (p,) and the halves of their 95 % intervals."""
+
+    values: Floats
+    halves: Floats
+
+
+def _fitted(
+    impulse: Floats, damped: Floats, loads: Floats, level: Floats, weight: Floats, loops: bool
+) -> Fitted:
+    """J = k P + (loads a) (1 + g b): (k, a.., g), without g unless `loops`."""
+    loop = 0.0
+    for _ in range(ITERATIONS if loops else 1):
+        columns = np.column_stack([damped, loads * (1.0 + loop * level)[:, None]])
+        linear = _least_squares(columns, impulse, weight)
+        if not loops:
+            return linear
+        took = loads @ linear.values[1:]
+        steep = np.column_stack([columns, took * level])
+        # Gauss-Newton in g; the others are linear in it
+        step = _least_squares(steep, impulse - columns @ linear.values, weight)
+        loop += float(step.values[-1])
+    return Fitted(np.append(linear.values, loop), step.halves)
+
+
+def _least_squares(columns: Floats, target: Floats, weight: Floats) -> Fitted:
+    """Weighted least squares (n, p) on (n,)."""
+    weighted = columns * weight[:, None]
+    size = np.maximum(np.sqrt((weighted**2).sum(axis=0)), 1e-300)
+    scaled = weighted / size
+    values = np.linalg.lstsq(scaled, target * weight, rcond=1e-12)[0]
+    residuals = target * weight - scaled @ values
+    freedom = max(len(target) - columns.shape[1], 1)
+    deviation = max(1.0, sqrt(float(residuals @ residuals) / freedom))
+    spread = np.sqrt(np.diagonal(np.linalg.pinv(scaled.T @ scaled)))
+    half: Any = student_quantile(UPPER_END, freedom) * deviation * spread
+    return Fitted(values / size, half / size)

@@ -1,0 +1,384 @@
+"""`rig damping`: the balance of momentum against closed forms, intervals, and a board whose damping
+is another than its device file's.
+"""
+
+import json
+from contextlib import nullcontext
+from math import exp, log
+
+import numpy as np
+import pytest
+from models import COUNT_M, COUNT_N, COUNT_NS_PER_M
+from rig_hand import Hand
+
+from hapticd.cli.app import main
+from hapticd.cli.rig import steps
+from hapticd.errors import AnalysisError, HapticdError
+from hapticd.gateway.view import as_records
+from hapticd.params import ScaleParams, TouchParams
+from hapticd.plant.compose import compose_device
+from hapticd.plant.effects import (
+    Amplifier,
+    Coulomb,
+    DampingCircuit,
+    Masses,
+    Motor,
+    Viscous,
+    WindingTemperature,
+)
+from hapticd.plant.tables import board_fields
+from hapticd.rig.damping import measure
+from hapticd.rig.damping_line import concluded
+from hapticd.rig.glide import Row, balance, row_of
+from hapticd.rig.result import Value, relative_half
+from hapticd.settings.load import load
+from hapticd.settings.toml import shipped
+from hapticd.units import COPPER_PER_K
+
+FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
+FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5, "viscous_ns_per_m": 0.4}
+LIMIT_N = 0.8
+RATE_HZ = 1000.0
+N_PER_A = 1.65
+FORCE = ScaleParams(COUNT_N)
+RECORD = np.dtype(
+    [
+        ("tick", "<u8"),
+        ("position_m", "<f8"),
+        ("force_n", "<f8"),
+        ("damping_effect_ns_per_m", "<f4"),
+        ("current_a", "<f4"),
+    ]
+)
+
+
+def nothing(request):
+    """Nobody is there who would do what is asked."""
+
+
+def glided(t, mass_kg, damping, friction_n, force_n, push_s):
+    """Position (n,) at `t` (n,) [s] of a mass under friction that is pushed from 0 to `push_s` and
+    glides, in closed form, with the time at which it rests.
+    """
+    tau = mass_kg / damping
+    top = (force_n - friction_n) / damping
+    first = top * (1.0 - exp(-push_s / tau))
+    way = top * push_s - tau * first
+    slow = friction_n / damping
+    rest_s = push_s + tau * log(1.0 + first / slow)
+
+    def glide(s):
+        return way + tau * (first + slow) * (1.0 - np.exp(-s / tau)) - slow * s
+
+    pushed = np.clip(t, 0.0, push_s)
+    during = top * pushed - tau * top * (1.0 - np.exp(-pushed / tau))
+    after = glide(np.clip(t, push_s, rest_s) - push_s)
+    return np.where(t <= push_s, during, after), rest_s
+
+
+def recorded(mass_kg, damping, friction_n, force_n, push_s, level=0.0):
+    """The records of such a push, sampled and counted as a board does."""
+    t = np.arange(-0.2, 1.0, 1.0 / RATE_HZ)
+    x, rest_s = glided(t, mass_kg, damping, friction_n, force_n, push_s)
+    records = np.zeros(len(t), RECORD)
+    records["tick"] = np.arange(len(t))
+    records["position_m"] = COUNT_M * np.floor(x / COUNT_M + 0.5)
+    records["force_n"] = np.where((t >= 0.0) & (t < push_s - 1e-9), force_n, 0.0)
+    records["damping_effect_ns_per_m"] = level
+    return records, x[-1], rest_s
+
+
+@pytest.mark.parametrize("mass_kg", [0.004, 0.008, 0.2])
+@pytest.mark.parametrize("damping", [0.3, 2.0, 8.0])
+def test_momentum_balances_whatever_the_mass(mass_kg, damping):
+    """J = c D + Fc T: the closed form of every mass, and what is made of its counts."""
+    records, way, rest_s = recorded(mass_kg, damping, 0.03, 0.3, 0.03, damping)
+    row = row_of(records, FORCE, COUNT_M, RATE_HZ)
+    assert row is not None
+    assert row.impulse_ns == pytest.approx(0.3 * 0.03, rel=1e-3)
+    assert row.way_m == pytest.approx(way, abs=0.6 * COUNT_M)
+    assert row.seconds == pytest.approx(rest_s, abs=1e-3)
+    assert row.damped_ns == pytest.approx(damping * way, rel=1e-3)
+    assert damping * way + 0.03 * rest_s == pytest.approx(0.3 * 0.03, rel=1e-6)
+
+
+def test_a_push_to_the_other_side_is_the_same_row():
+    there, _, _ = recorded(0.008, 2.0, 0.03, 0.3, 0.03, 2.0)
+    back = there.copy()
+    back["position_m"] *= -1.0
+    back["force_n"] *= -1.0
+    one = row_of(there, FORCE, COUNT_M, RATE_HZ)
+    other = row_of(back, FORCE, COUNT_M, RATE_HZ)
+    assert other == pytest.approx(one._replace(direction=-1.0), rel=1e-3)
+
+
+@pytest.mark.parametrize("spoilt", ["tick", "begins", "ends"])
+def test_a_push_that_misses_ticks_or_rest_is_no_row(spoilt):
+    records, _, _ = recorded(0.008, 2.0, 0.03, 0.3, 0.03)
+    if spoilt == "tick":
+        records["tick"][300:] += 1
+    place = slice(0, 100) if spoilt == "begins" else slice(-100, None)
+    if spoilt != "tick":
+        records["position_m"][place] += np.linspace(0.0, 1e-4, 100)
+    assert row_of(records, FORCE, COUNT_M, RATE_HZ) is None
+
+
+TRUTH = {"gain": 1.13, "loop": 0.03, "physical": 0.36, "friction": 0.03, "gravity": 0.004}
+
+
+def made_up(random, current, gain=TRUTH["gain"], loop=TRUTH["loop"]):
+    """Rows as a step makes them, with errors in time and force."""
+    rows = []
+    for level in (0.0, 0.0, 0.3125, 0.625, 1.25, 2.5, 5.0, 10.0):
+        for seconds, way in ((0.05, 4e-3), (0.3, 1.5e-3)):
+            for side in (1.0, -1.0):
+                true_s = seconds * random.uniform(0.8, 1.2)
+                load = TRUTH["physical"] * way + true_s * (
+                    TRUTH["friction"] - side * TRUTH["gravity"]
+                )
+                impulse = gain * level * way + load * (1.0 + loop * level)
+                rows.append(
+                    Row(
+                        impulse * (1.0 + 0.002 * random.standard_normal()),
+                        way,
+                        true_s + 3e-4 * random.standard_normal(),
+                        level * way,
+                        current * load / N_PER_A * (1.0 + 0.002 * random.standard_normal()),
+                        level,
+                        side,
+                    )
+                )
+    return rows
+
+
+@pytest.mark.parametrize("current", [1.0, 0.0])
+def test_intervals_hold_nineteen_times_in_twenty(current):
+    random = np.random.default_rng(5)
+    truth = np.array([TRUTH["gain"], TRUTH["loop"], TRUTH["physical"], TRUTH["friction"]])
+    inside = np.zeros(4)
+    for _ in range(300):
+        found = balance(made_up(random, current), 1e-5)
+        assert found.by_current is bool(current)
+        seen = np.array(
+            [found.gain, found.loop_per_ns_per_m, found.physical_ns_per_m, found.coulomb_n]
+        )
+        half = np.array([found.gain_half, found.loop_half, found.physical_half, found.coulomb_half])
+        inside += np.abs(seen - truth) <= half
+    assert (inside >= 0.93 * 300).all()
+
+
+def device(loop_limit=10.0, source="by hand"):
+    scale = {"per_count": COUNT_N, "sign": 1, "offset_count": 0.0, "source": source}
+    return {
+        "force": scale,
+        "position": scale,
+        "damping": {"per_count": COUNT_NS_PER_M},
+        "current": {"per_count": 1e-5},
+        "damping_limit_ns_per_m": loop_limit,
+        "motor_n_per_a": 0.0,
+    }
+
+
+def test_too_much_compensation_is_warned_about_and_refused():
+    """At a loop gain of -0.6 and of -0.95 at the limit."""
+    random = np.random.default_rng(6)
+    for loop, verdict in ((-0.03, "ok"), (-0.06, "warning"), (-0.095, "refused")):
+        result = concluded(made_up(random, 1.0, loop=loop), device())
+        assert result.findings[-1].verdict == verdict
+        assert bool(result.changes) is (verdict != "refused")
+    assert "at most 9.4" in result.findings[-1].remedy
+
+
+def test_a_gain_of_twice_the_file_is_refused():
+    result = concluded(made_up(np.random.default_rng(7), 1.0, gain=2.3), device())
+    assert not result.settled
+    assert not result.changes
+
+
+def test_the_interval_of_the_force_scale_is_part_of_that_of_damping():
+    rows = made_up(np.random.default_rng(8), 1.0)
+    known = Value("force.full_scale_n", 8.0, "N", 7.9, 8.1)
+    wide = concluded(rows, device(source=f"rig motor: {known}; rig/x.npz 0123")).values[0]
+    assert (wide.high - wide.low) / 2.0 >= 0.0125 * wide.value
+
+
+def values_of(result):
+    return {one.name: one for one in result.values}
+
+
+def holds(value, truth):
+    return value.low <= truth <= value.high
+
+
+def test_gain_and_physical_damping_lie_in_their_intervals():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        hand.axis.damping_gain = 1.17
+        result = measure(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+        hand.settle()
+        assert hand.bench.newest["added_damping_ns_per_m"] == 0.0
+    found = values_of(result)
+    gain = found["damping.full_scale_ns_per_m"]
+    assert result.settled
+    assert holds(gain, 11.7)
+    assert gain.high - gain.low < 0.06 * gain.value
+    assert holds(found["physical damping"], 0.4)
+    assert holds(found["friction seen"], 0.03)
+    assert holds(found["residual resistance"], 0.0)
+    least = {(one.table, one.key): one.value for one in result.changes}
+    assert least["limits", "physical_damping_ns_per_m"] <= 2.0 / 3.0 * 0.4
+    assert np.abs(result.arrays["force_n"]).max() <= LIMIT_N + COUNT_N
+
+
+def test_the_verb_writes_the_table_with_its_record(tmp_path, monkeypatch, capsys):
+    """A gain below the file's brings the limit down with it: no converter makes more."""
+    (tmp_path / "devices").mkdir()
+    text = (shipped("config") / "devices" / "simulated.toml").read_text()
+    (tmp_path / "devices" / "own.toml").write_text(text)
+    config = tmp_path / "hapticd.toml"
+    config.write_text('device = "own"\n')
+    with Hand(touch=FRICTION, **FREE) as hand:
+        hand.axis.damping_gain = 0.9
+        monkeypatch.setattr(steps, "connect", lambda instance: nullcontext(hand.bench))
+        monkeypatch.setattr(steps, "PAUSE_S", 0.0)
+        assert main(["rig", "damping", "--yes", "--json", "--config", str(config)]) == 0
+    assert json.loads(capsys.readouterr().out)["ok"]
+    device = load(config).device
+    assert device.damping.full_scale_ns_per_m == pytest.approx(9.0, rel=0.02)
+    assert device.limits.damping_ns_per_m == device.damping.full_scale_ns_per_m
+    assert 0.2 < device.limits.physical_damping_ns_per_m <= 2.0 / 3.0 * 0.4
+    (record,) = (tmp_path / "devices" / "rig").iterdir()
+    assert record.name in device.damping.source
+    half = relative_half(device.damping.source, "damping.full_scale_ns_per_m", 1.0)
+    assert 0.003 < half < 0.03
+
+
+def composed(residual_ohm):
+    """A board whose winding is warmer than its compensation believes."""
+    ohm = 1.6
+    colder_k = residual_ohm / (ohm * COPPER_PER_K)
+    effects = (
+        Masses(rotor_kg=0.007),
+        Viscous(rotor_ns_per_m=0.3),
+        Coulomb(rotor_n=0.04),
+        Amplifier(bandwidth_hz=5000.0),
+        DampingCircuit(bandwidth_hz=1000.0),
+        Motor(torque_constant_nm_per_a=1.65, lever_m=1.0, resistance_ohm=ohm),
+        WindingTemperature(temperature_c=20.0, compensated_c=20.0 - colder_k),
+    )
+    return board_fields(compose_device("made", effects, RATE_HZ), (), 12.0)
+
+
+def test_a_warm_winding_is_told_from_weak_damping():
+    with Hand(**composed(0.08)) as hand:
+        result = measure(hand.bench, nothing)
+    found = values_of(result)
+    assert holds(found["damping.full_scale_ns_per_m"], 10.0)
+    assert holds(found["residual resistance"], 0.08)
+    assert found["residual resistance"].low > 0.0
+    assert holds(found["force per ampere"], 1.65)
+
+
+def test_a_board_without_current_is_measured_by_friction():
+    deaf = ScaleParams(1e3)
+    with Hand({"current": deaf}, **composed(0.08) | {"current_a_per_count": 1e3}) as hand:
+        result = measure(hand.bench, nothing)
+    found = values_of(result)
+    assert "force per ampere" not in found
+    assert holds(found["damping.full_scale_ns_per_m"], 10.0)
+    assert holds(found["residual back-EMF"], 0.08 / 1.65**2)
+
+
+def test_wrong_polarity_is_refused_before_it_can_grow():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        hand.axis.damping_gain = -1.0
+        result = measure(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.newest["added_damping_ns_per_m"] == 0.0
+    assert not result.settled
+    assert not result.changes
+    assert "polarity" in result.findings[0].what
+    on = result.arrays["damping_effect_ns_per_m"] > 0.0
+    moving = np.abs(np.diff(result.arrays["position_m"], prepend=0.0)) > 2 * COUNT_M
+    lengths = np.diff(np.flatnonzero(np.diff((on & moving).astype(int))))[::2]
+    assert 0 < lengths.max() <= 20
+    assert result.arrays["damping_effect_ns_per_m"].max() < 0.4  # the physical damping
+
+
+def test_damping_that_does_nothing_is_refused():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        hand.axis.damping_gain = 0.0
+        result = measure(hand.bench, nothing)
+    assert not result.settled
+    assert "no damping is seen" in result.findings[0].what
+
+
+def test_a_handle_that_is_held_is_refused():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        hand.held_m = 0.0
+        result = measure(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+    assert not result.settled
+    assert "let the handle go" in result.findings[0].remedy
+
+
+def test_a_hand_that_does_not_let_go_ends_the_step():
+    """It is on the handle again after the first pushes, and draws it away."""
+    with Hand(touch=FRICTION, **FREE) as hand:
+        pushes = []
+
+        def counted(**fields):
+            pushes.append(fields.get("at_tick"))
+            hand.pull_n = 0.0 if len(pushes) < 30 else 0.06
+            return type(hand.bench).set(hand.bench, **fields)
+
+        hand.bench.set = counted
+        with pytest.raises(AnalysisError, match="take your hand off"):
+            measure(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+
+
+def test_ctrl_c_ends_force_and_damping():
+    with Hand(touch=FRICTION, **FREE) as hand:
+
+        def interrupted(topics, look_s=0.05):
+            if hand.bench.newest["added_damping_ns_per_m"] > 0.0:
+                raise KeyboardInterrupt
+            return type(hand.bench).messages(hand.bench, topics, look_s)
+
+        hand.bench.messages = interrupted
+        with pytest.raises(KeyboardInterrupt):
+            measure(hand.bench, nothing)
+        records = as_records(hand.bench.run(200))
+        assert hand.bench.status()["state"] == "disabled"
+        assert not records["force_n"].any()
+        assert not records["added_damping_ns_per_m"][-1]
+
+
+def test_authority_that_is_lost_ends_the_step():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        pressed = []
+
+        def stopped(**fields):
+            if fields.get("damping") and not pressed:
+                pressed.append(True)
+                hand.axis.press_stop(True)
+            return type(hand.bench).set(hand.bench, **fields)
+
+        hand.bench.set = stopped
+        with pytest.raises(HapticdError):
+            measure(hand.bench, nothing)
+        assert pressed
+        assert not as_records(hand.bench.run(50))["force_n"].any()
+
+
+def test_damping_waits_for_the_signs():
+    with Hand({"commissioning": True}) as hand, pytest.raises(AnalysisError, match="signs"):
+        measure(hand.bench, nothing)
+
+
+def test_a_device_that_may_not_be_damped_is_not_measured():
+    with Hand({"damping_limit_ns_per_m": 0.0}) as hand:
+        result = measure(hand.bench, nothing)
+    assert result.findings[0].verdict == "not done"
+    assert not result.changes
