@@ -58,7 +58,12 @@ def _may_be_skipped(nodeid: str) -> bool:
 
 @pytest.fixture
 def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """An empty runtime folder for this test alone, and no configuration but the shipped one.
+    """An empty runtime folder for this test alone, and no configuration but the shipped one."""
+    yield from fresh_runtime(monkeypatch)
+
+
+def fresh_runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of `runtime`, for a fixture of any scope.
 
     Directly in the temporary folder, since a socket's path may have 107 bytes only.
     """

@@ -15,8 +15,8 @@ from test_cli_process import Daemon, until
 
 from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
-from hapticd.cli.change import receipt_text
 from hapticd.client import Client, Receipt
+from hapticd.client.words import receipt_text
 from hapticd.errors import CommandError
 
 VERDICT = {

@@ -39,7 +39,11 @@ class Daemon:
     """`hapticd run` of an instance of its own, and what can be seen of it."""
 
     def __init__(
-        self, runtime: Path, ignore_interrupt: bool = False, settings: str = QUIET
+        self,
+        runtime: Path,
+        ignore_interrupt: bool = False,
+        settings: str = QUIET,
+        console: bool = False,
     ) -> None:
         self.instance = f"test-{os.getpid()}"
         self.folder = runtime / "hapticd" / f"instance-{self.instance}"
@@ -57,6 +61,7 @@ class Daemon:
             "--config",
             str(config),
             "--json",
+            *([] if console else ["--no-console"]),
         ]
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
@@ -212,6 +217,7 @@ def test_foreground_run_says_what_to_try(runtime: Path) -> None:
         "words",
         "--config",
         str(runtime / "hapticd.toml"),
+        "--no-console",
     ]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -241,6 +247,7 @@ def test_run_ends_when_its_reader_leaves(runtime: Path) -> None:
         "--config",
         str(runtime / "hapticd.toml"),
         "--json",
+        "--no-console",
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None

@@ -15,6 +15,9 @@ as often as it dies, ever more slowly: whatever ends it from outside must not ta
 which is safe without it (docs/adr/0082). The first signal ends in order, a second one kills. The
 supervisor prints nothing: progress goes to a callback.
 
+The operators' page is a third child, started once the two serve. It is nobody's safety: however it
+ends it comes back like a gateway, and if it never served it is told and left out.
+
 What would break it: a second supervisor in the folder (its claim is refused), or waiting without
 looking at signals: every wait here is a poll of POLL_NS.
 """
@@ -33,6 +36,7 @@ from hapticd.assembly import resolve
 from hapticd.clock import Clock
 from hapticd.errors import ConfigError, HapticdError, MailboxError
 from hapticd.mailbox import files, layout
+from hapticd.mailbox.daemons import console_place
 from hapticd.settings.load import Settings
 from hapticd.units import NS_PER_MS, NS_PER_S
 
@@ -112,7 +116,7 @@ class Restarts:
 
 
 class Child:
-    """The servo or the gateway."""
+    """The servo, the gateway, or the console."""
 
     def __init__(self, name: str, command: Sequence[str], start: Spawn, restarts: Restarts) -> None:
         self.name = name
@@ -184,13 +188,15 @@ def mailbox_served(folder: Path, pid: int) -> bool:
 class ProcessEvent(NamedTuple):
     """What a callback is told."""
 
-    kind: str  # starting | waiting | ready | restart | ending | killed | ended
-    process: str  # servo | gateway; empty for both
+    kind: str  # starting | waiting | ready | restart | page | failed | ending | killed | ended
+    process: str  # servo | gateway | console; empty for both of the first
     text: str  # one line for a user
 
 
 class Supervisor:
-    """The two processes of `instance`, in the runtime folder `folder`, as `settings` say."""
+    """The processes of `instance`, in the runtime folder `folder`, as `settings` say; `console` is
+    the module of the operators' page, empty for none.
+    """
 
     def __init__(
         self,
@@ -201,6 +207,7 @@ class Supervisor:
         tell: Callable[[ProcessEvent], None],
         start: Spawn = spawn,
         served: Callable[[Path, int], bool] = mailbox_served,
+        console: str = "",
     ) -> None:
         self.folder = folder
         self.clock = clock
@@ -213,6 +220,9 @@ class Supervisor:
         self.servo = Child("servo", ["hapticd.assembly.servo_main", *paths], start, Restarts())
         self.gateway = Child(
             "gateway", ["hapticd.assembly.gateway_main", str(folder)], start, Restarts(None)
+        )
+        self.console = (
+            Child("console", [console, instance], start, Restarts(None)) if console else None
         )
         self.ready = False
         self._asked = 0
@@ -239,7 +249,9 @@ class Supervisor:
         finally:
             self._end(self.servo)
             self._end(self.gateway)
-            files.remove(self.folder, *resolve.WRITTEN)
+            if self.console is not None:
+                self._end(self.console)
+            files.remove(self.folder, *resolve.WRITTEN, files.CONSOLE)
             files.release(self.folder, SUPERVISOR_LOCK, claim)
         self.tell(ProcessEvent("ended", "", "ended: no force, both processes gone"))
 
@@ -254,6 +266,28 @@ class Supervisor:
             self._start_if_due(self.gateway, now_ns)
         self.gateway.note_ready(lambda _process: self.gateway.said_ready())
         self._tell_readiness(now_ns)
+        if self.console is not None:
+            self._look_after_page(self.console, now_ns)
+
+    def _look_after_page(self, page: Child, now_ns: int) -> None:
+        if (code := page.died()) is not None and not page.was_ready:
+            text = f"no operators' page (exit code {code}); the daemon runs without it"
+            self.tell(ProcessEvent("failed", "console", text))
+            page.forget()
+            self.console = None
+        elif code is not None:
+            self._bury(page, code, now_ns)
+        elif self.gateway.was_ready and page.start_at_ns is not None:
+            if now_ns >= page.start_at_ns:
+                page.start()
+        elif not page.ready:
+            page.note_ready(lambda _process: page.said_ready())
+            self._tell_page(page)
+
+    def _tell_page(self, page: Child) -> None:
+        place = console_place(self.folder) if page.ready else None
+        if place is not None:
+            self.tell(ProcessEvent("page", "console", f"operators' page: {place['url']}"))
 
     def _start_if_due(self, child: Child, now_ns: int) -> None:
         if child.start_at_ns is not None and now_ns >= child.start_at_ns:
@@ -298,7 +332,7 @@ class Supervisor:
 
     def _serves_again(self, child: Child) -> bool:
         """Whether what it refuses is outside of its resolved files (keys, a port): these served."""
-        return child is self.gateway and child.was_ready
+        return child is not self.servo and child.was_ready
 
     def _end(self, child: Child) -> None:
         """End a child in order; kill it if it does not end in time or `stop` was asked twice."""

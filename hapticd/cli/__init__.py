@@ -6,6 +6,7 @@
     daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
                 perturb
     monitor     the live screen (screen: what it shows)
+    console     the operators' page
     recording   record, rec, replay
     system      config, doctor, install-system
     keys        keys

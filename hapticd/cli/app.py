@@ -8,6 +8,7 @@ import typer
 from hapticd import __version__
 from hapticd.cli import (
     bridge,
+    console,
     daemon,
     guard,
     keys,
@@ -62,6 +63,7 @@ VERBS: dict[str, terminal.Verb] = {
     "status": daemon.status,
     "monitor": monitor.monitor,
     "events": monitor.events,
+    "console": console.console,
     "record": recording.record,
     "replay": recording.replay,
     "dump": daemon.dump,

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.change import change, changes, connect, number, parameters, receipt_text
+from hapticd.cli.change import change, changes, connect, number
 from hapticd.cli.guard import guard_lines
 from hapticd.cli.lease import lease_lines
 from hapticd.cli.terminal import SIMULATED_BANNER
+from hapticd.client.words import parameters, receipt_text
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
@@ -31,10 +32,13 @@ def run(
         float | None,
         typer.Option("--rate-hz", metavar="HZ", help="Servo rate in place of the file's."),
     ] = None,
+    console: Annotated[
+        bool, typer.Option("--console/--no-console", help="With the operators' page.")
+    ] = True,
     as_json: terminal.JsonLines = False,
 ) -> None:
-    """Start the daemon in the foreground. Ctrl-C ends it: force fades to 0. A second
-    Ctrl-C kills it.
+    """Start the daemon in the foreground, with the operators' page. Ctrl-C ends it: force fades to
+    0. A second Ctrl-C kills it.
     """
     from hapticd.assembly.process import on_stop
     from hapticd.assembly.supervisor import Supervisor
@@ -55,17 +59,27 @@ def run(
                 )
             elif event.kind == "ready":
                 terminal.data(_ready_text(settings, instance))
+            elif event.kind == "page":
+                terminal.data(terminal.coloured(event.text, terminal.BOLD))
             else:
                 terminal.talk(f"hapticd: {event.text}")
         except BrokenPipeError:  # whoever read us has left: end as if asked
             terminal.hush()
             supervisor.stop()
 
-    supervisor = Supervisor(runtime_folder(instance), settings, instance, MonotonicClock(), tell)
+    supervisor = Supervisor(
+        runtime_folder(instance),
+        settings,
+        instance,
+        MonotonicClock(),
+        tell,
+        console=CONSOLE_MODULE if console else "",
+    )
     on_stop(supervisor.stop)
     supervisor.run()
 
 
+CONSOLE_MODULE = "hapticd.console.main"  # started by name: `run` itself loads no web server
 POLICIES = {
     "off": "nobody judges what you ask for",
     "warn": "what is not passive is done, with a warning",
@@ -124,7 +138,7 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
     """State, parameters in force, faults and timing. Exit 3 until servo and gateway are
     both ready.
     """
-    from hapticd.mailbox.daemons import daemon_folder, living_report
+    from hapticd.mailbox.daemons import console_place, daemon_folder, living_report
 
     try:
         with connect(instance) as client:
@@ -133,6 +147,7 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
         # without a gateway, as before the board is found
         servo = living_report(daemon_folder(instance))
         found = dict.fromkeys(MUST_HAVE) | {"state": "down", "reason": str(error), "servo": servo}
+    found["console"] = console_place(daemon_folder(instance))
     if as_json:
         terminal.data_json(found)
     else:
@@ -172,6 +187,7 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         lines += _under("guard", guard_lines(guard))
     lines += [f"  lease     {line}" for line in lease_lines(found.get("leases", {}))]
     lines += _board_lines(found.get("servo", {}))
+    lines += [f"  page      {page['url']}"] if (page := found.get("console")) else []
     return lines + [
         f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()
     ]

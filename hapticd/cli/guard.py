@@ -7,7 +7,8 @@ import typer
 
 from hapticd import params
 from hapticd.cli import terminal
-from hapticd.cli.change import connect, verdict_lines
+from hapticd.cli.change import connect
+from hapticd.client.words import verdict_lines
 
 if TYPE_CHECKING:
     from hapticd.client import Client

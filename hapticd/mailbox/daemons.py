@@ -142,6 +142,19 @@ def living_report(folder: Path) -> dict[str, Any]:
     return read_report(folder) if servo_lives(folder) else {}
 
 
+def console_place(folder: Path) -> dict[str, Any] | None:
+    """Where the operators' page of the daemon in `folder` is: {url, port, pid}; None without one
+    that is alive.
+    """
+    import json
+
+    try:
+        found = json.loads((folder / files.CONSOLE).read_text())
+        return dict(found) if os.path.exists(f"/proc/{int(found['pid'])}") else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
 def gateway_lives(folder: Path) -> bool:
     """Whether somebody listens at the command socket of `folder`; a queue that is full is one."""
     import socket

@@ -39,6 +39,7 @@ COMMAND_SOCKET = "command"
 TELEMETRY_SOCKET = "telemetry"
 ENDPOINTS = "endpoints.json"
 GUARD_TERMS = "guard.terms"
+CONSOLE = "console.json"  # the operators' page's: where it is
 SERVO_LOCK = "servo.lock"
 GATEWAY_LOCK = "gateway.lock"
 DEFAULT_INSTANCE = "default"

@@ -1,0 +1,92 @@
+"""The commands of one browser, asked by a client and a thread of its own.
+
+A client of its own makes leases the browser's: they end when its socket does. Of the daemon's
+commands a page may ask those of ALLOWED; `stop` is not among them, for it has a way of its own that
+waits for nothing (`server`). A reply is what the daemon said, with the receipt, or the refusal, in
+the words that the command line uses.
+
+What was asked before a stop and is still waiting behind it is not done any more: `reset` and
+`enable` that an operator pressed just before STOP must not follow it.
+
+What would break it: a client that several threads use.
+"""
+
+import json
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from hapticd.client.client import Client, receipt_of
+from hapticd.client.words import receipt_text, verdict_lines
+from hapticd.errors import CommandError, HapticdError
+
+CHANGES = frozenset(("set", "damping", "enable", "disable", "reset", "zero", "home", "perturb"))
+ALLOWED = CHANGES | {"hello", "get", "guard", "lease", "status", "dump"}
+MOST_OPEN = 8  # questions of one browser without an answer
+Reply = Callable[[str], None]  # takes the text for the browser; called in the asker's thread
+
+
+class Asker:
+    """Asks the daemon `instance` for one browser; `stops` counts the stops asked of this page."""
+
+    def __init__(self, instance: str, name: str, stops: Callable[[], int]) -> None:
+        self._client = Client(instance, name=name)
+        self._stops = stops
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._places = threading.Semaphore(MOST_OPEN)
+
+    def close(self) -> None:
+        """Ask nothing more, and give up the connection once the last answer is here."""
+        self._thread.submit(self._client.close)
+        self._thread.shutdown(wait=False, cancel_futures=False)
+
+    def ask(self, request: dict[str, Any], reply: Reply) -> None:
+        """Ask `request` ({cmd, ask, ..}, `ask` comes back) and give `reply` the answer as JSON."""
+        number = request.pop("ask", None)
+        cmd = str(request.pop("cmd", ""))
+        if cmd not in ALLOWED:
+            reply(_refused(number, "invalid", f"{cmd[:32]!r} is not asked from a page"))
+        elif not self._places.acquire(blocking=False):
+            reply(_refused(number, "busy", f"{MOST_OPEN} requests have no answer yet"))
+        else:
+            self._thread.submit(self._answer, number, cmd, request, self._stops(), reply)
+
+    def _answer(
+        self, number: Any, cmd: str, fields: dict[str, Any], stops: int, reply: Reply
+    ) -> None:
+        try:
+            reply(self._answered(number, cmd, fields, stops))
+        finally:
+            self._places.release()
+
+    def _answered(self, number: Any, cmd: str, fields: dict[str, Any], stops: int) -> str:
+        if cmd in CHANGES and stops != self._stops():
+            return _refused(number, "stopped", f"{cmd}: not done, for STOP was pressed after it")
+        try:
+            return _accepted(number, self._client.call(cmd, **fields))
+        except CommandError as error:
+            lines = verdict_lines(error.guard) if error.guard else []
+            return _refused(number, error.code, "\n".join((str(error), *lines)))
+        except (HapticdError, TypeError) as error:
+            return _refused(number, type(error).__name__, str(error))
+
+
+def _accepted(number: Any, found: dict[str, Any]) -> str:
+    told = {"kind": "reply", "ask": number, "ok": True, "result": found.get("result")}
+    if "receipt" in found:
+        verdict = found.get("guard") or {}
+        told["text"] = receipt_text(receipt_of(found))
+        told["warning"] = _warning(verdict)
+    return json.dumps(told)
+
+
+def _warning(verdict: dict[str, Any]) -> str:
+    """The guard's objection to what was done all the same; empty without one."""
+    if not verdict or verdict["policy"] == "off" or verdict["safe"]:
+        return ""
+    return "\n".join((verdict["text"], *verdict_lines(verdict)))
+
+
+def _refused(number: Any, code: str, text: str) -> str:
+    return json.dumps({"kind": "reply", "ask": number, "ok": False, "code": code, "text": text})

@@ -1,0 +1,250 @@
+"""The web server of the operators' page.
+
+    GET  /       the page; that the board is SIMULATED stands in it, without any script
+    GET  /static what it loads; nothing comes from anywhere else
+    POST /stop   STOP: the way of `hapticd stop`, in threads of its own. It waits for no socket, no
+                 command and no telemetry, and presses the stop word, so that it needs no gateway
+    WS   /live   telemetry to the browser; commands and acknowledgements from it
+
+One asyncio loop serves all browsers; telemetry is followed by a thread (`watch`), each browser's
+commands are asked by another (`asker`). What a browser has not taken yet waits in its `outbox`.
+
+What would break it: a wait in the loop that is no await; listening at an address of the network.
+"""
+
+import asyncio
+import json
+import socket
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from hapticd.client import fast_stop
+from hapticd.console.asker import Asker
+from hapticd.console.outbox import Outbox
+from hapticd.console.place import Place
+from hapticd.console.visitors import Visitors
+from hapticd.console.watch import Watch
+from hapticd.errors import ConfigError, HapticdError
+from hapticd.mailbox.daemons import looked_for, read_report
+
+ADDRESS = "127.0.0.1"
+DEFAULT_PORT = 9873  # beside telemetry's; an ephemeral one when taken
+STATIC = Path(__file__).with_name("static")
+BOARDS = {True: "SIMULATED", False: "REAL BOARD", None: "NO BOARD YET"}
+MOST_BYTES = 1 << 16  # of a message from a browser
+
+
+class Browser:
+    """One open page."""
+
+    def __init__(self, socket: WebSocket, asker: Asker) -> None:
+        self.socket = socket
+        self.asker = asker
+        self.outbox = Outbox()
+        self.news = asyncio.Event()
+
+    def put(self, kind: str, message: bytes | str) -> None:
+        """Have `message` sent; called in the loop."""
+        if isinstance(message, bytes):
+            self.outbox.frame(message)
+        elif kind in ("reply", "event"):
+            self.outbox.reply(message)
+        else:
+            self.outbox.latest(kind, message)
+        self.news.set()
+
+    async def send(self) -> None:
+        """Send what waits, for ever."""
+        while True:
+            message = self.outbox.pop()
+            if message is None:
+                self.news.clear()
+                await self.news.wait()
+            elif isinstance(message, str):
+                await self.socket.send_text(message)
+            else:
+                await self.socket.send_bytes(message)
+
+
+class Console:
+    """The page of daemon `instance`: its routes, and who looks at it."""
+
+    def __init__(self, instance: str) -> None:
+        self.instance = instance
+        self._browsers: set[Browser] = set()
+        self._latest: dict[str, str] = {}  # newest state and guard, for a page that has just come
+        self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")
+        self._pages = 0
+        self.stops = 0  # asked of this page
+
+    def app(self) -> Starlette:
+        """The application that a web server runs."""
+        routes = [
+            Route("/", self.page),
+            Route("/stop", self.stop, methods=["POST"]),
+            WebSocketRoute("/live", self.live),
+            Mount("/static", StaticFiles(directory=STATIC)),
+        ]
+        return Starlette(routes=routes, middleware=[Middleware(Visitors)])
+
+    def publish(self, kind: str, message: bytes | str) -> None:
+        """Give `message` to all browsers; called in the loop."""
+        if isinstance(message, str) and kind != "event":
+            self._latest[kind] = message
+        for browser in self._browsers:
+            browser.put(kind, message)
+
+    async def page(self, request: Request) -> Response:
+        """The page, with what is known of the board in its text."""
+        report = read_report(looked_for(self.instance))
+        words = {
+            "@BOARD@": BOARDS[report.get("simulated")],
+            "@DEVICE@": str(report.get("device", "")),
+            "@INSTANCE@": self.instance,
+        }
+        text = (STATIC / "index.html").read_text()
+        for place, word in words.items():
+            text = text.replace(place, escape(word))
+        return HTMLResponse(text)
+
+    async def stop(self, request: Request) -> Response:
+        """Press the stop word and ask the gateway, as `hapticd stop` does."""
+        self.stops += 1
+        loop = asyncio.get_running_loop()
+        try:
+            found = await loop.run_in_executor(self._stopping, fast_stop.stop, self.instance)
+        except HapticdError as error:
+            return JSONResponse({"ok": False, "text": str(error)}, 503)
+        ok = not found.failed
+        states = [one.state for one in found.daemons]
+        told = {"ok": ok, "states": states, "text": "; ".join(found.failed)}
+        return JSONResponse(told, 200 if ok else 503)
+
+    async def live(self, socket: WebSocket) -> None:
+        """One browser, from its coming to its going."""
+        await socket.accept()
+        self._pages += 1
+        browser = Browser(socket, Asker(self.instance, f"page {self._pages}", lambda: self.stops))
+        for kind, message in self._latest.items():
+            browser.put(kind, message)
+        self._browsers.add(browser)
+        sending = asyncio.create_task(browser.send())
+        try:
+            await self._obey(browser)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            self._browsers.discard(browser)
+            sending.cancel()
+            browser.asker.close()
+
+    async def _obey(self, browser: Browser) -> None:
+        loop = asyncio.get_running_loop()
+
+        def reply(text: str) -> None:
+            loop.call_soon_threadsafe(browser.put, "reply", text)
+
+        while True:
+            request = _read(await browser.socket.receive_text())
+            if "ack" in request:
+                browser.outbox.acknowledge(int(request["ack"]))
+                browser.news.set()
+            else:
+                browser.asker.ask(request, reply)
+
+
+def _read(text: str) -> dict[str, Any]:
+    """What a browser sent; one that sends anything else is disconnected."""
+    try:
+        request = json.loads(text)
+    except ValueError:
+        request = None
+    if not isinstance(request, dict) or not isinstance(request.get("ack", 0), int):
+        raise WebSocketDisconnect(1003, "not a message of this page")
+    return request
+
+
+class _Server(uvicorn.Server):
+    def capture_signals(self) -> AbstractContextManager[None]:  # type: ignore[override]
+        return nullcontext()  # ours end it (assembly.process.on_stop)
+
+
+def bound(port: int | None, before: int | None) -> socket.socket:
+    """A socket that listens at `port`; at the one of `before`, DEFAULT_PORT or any where that is
+    None. ConfigError: `port` is taken.
+    """
+    wishes = [port] if port is not None else [before or DEFAULT_PORT, DEFAULT_PORT, 0]
+    for wish in wishes:
+        line = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            line.bind((ADDRESS, wish))
+            return line
+        except OSError:
+            line.close()
+    raise ConfigError(f"port {port} of {ADDRESS} is taken; name another, or none for any free one")
+
+
+def serve(
+    instance: str,
+    port: int | None,
+    on_stop: Callable[[Callable[[], None]], None],
+    tell: Callable[[str], None],
+) -> None:
+    """Serve the page of `instance` until the handler given to `on_stop` is called; `tell` is given
+    its URL. ConfigError: the port is taken.
+    """
+    place = Place(looked_for(instance))
+    line = bound(port, place.port)
+    url = f"http://{ADDRESS}:{line.getsockname()[1]}/"
+    console = Console(instance)
+    config = uvicorn.Config(
+        console.app(),
+        log_config=None,
+        access_log=False,
+        lifespan="off",
+        ws_max_size=MOST_BYTES,
+        ws_per_message_deflate=False,
+        timeout_graceful_shutdown=1,
+    )
+    server = _Server(config)
+    on_stop(lambda: setattr(server, "should_exit", True))
+
+    def ready() -> None:
+        place.note(url, line.getsockname()[1])
+        tell(url)
+
+    try:
+        asyncio.run(_serve(server, console, line, ready))
+    finally:
+        place.forget()
+
+
+async def _serve(
+    server: uvicorn.Server, console: Console, line: socket.socket, ready: Callable[[], None]
+) -> None:
+    loop = asyncio.get_running_loop()
+
+    def publish(kind: str, message: bytes | str) -> None:
+        loop.call_soon_threadsafe(console.publish, kind, message)
+
+    line.listen()
+    watch = Watch(console.instance, publish)
+    ready()
+    try:
+        await server.serve(sockets=[line])
+    finally:
+        watch.close()

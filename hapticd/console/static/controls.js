@@ -1,0 +1,108 @@
+// State lamp, buttons, damping switch and the values of what is rendered. Every lamp and number
+// shows what the daemon says; a button only asks.
+
+const get = (id) => document.getElementById(id);
+const NAMES = { K: "stiffness_n_per_m", B: "damping_ns_per_m", M: "mass_kg", level: "added_damping_asked_ns_per_m" };
+const UNITS = { K: "N/m", B: "N s/m", M: "kg", level: "N s/m" };
+const DAMPED = 1e-6; // N s/m: less is off
+
+export class Controls {
+  constructor(link, tell) {
+    this.link = link;
+    this.tell = tell;
+    this.limits = {};
+    this.damped = null;
+    for (const cmd of ["enable", "disable", "reset"]) get(cmd).addEventListener("click", () => this.ask(cmd));
+    get("damping-switch").addEventListener("click", () => this.toggle());
+    get("damping-auto").addEventListener("click", () => this.ask("damping", { value: "auto" }));
+    get("policy").addEventListener("change", () => this.ask("guard", { policy: get("policy").value }));
+    get("values").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.set();
+    });
+    for (const name in NAMES) {
+      get(name).addEventListener("input", () => get(name).classList.toggle("changed", get(name).value !== ""));
+    }
+  }
+
+  async ask(cmd, fields) {
+    const answer = await this.link.ask(cmd, fields);
+    this.tell(answer.ok ? "done" : "refused", answer.text ?? `${cmd}: done`);
+    if (answer.warning) this.tell("warning", answer.warning);
+    return answer.ok;
+  }
+
+  toggle() {
+    this.ask("damping", { value: this.damped ? "off" : "on" });
+  }
+
+  // All that was typed, at once: all of it or nothing.
+  async set() {
+    const fields = {};
+    for (const name in NAMES) {
+      const text = get(name).value.trim().replace(",", ".");
+      if (text === "") continue;
+      if (!Number.isFinite(Number(text))) return this.tell("refused", `${name}: ${text} is not a number; give ${UNITS[name]}`);
+      fields[name === "level" ? "damping" : name] = Number(text);
+    }
+    if (!Object.keys(fields).length) return this.tell("refused", "nothing to set: type a value beside K, B, M or D first");
+    if (await this.ask("set", fields)) {
+      for (const name in NAMES) {
+        get(name).value = "";
+        get(name).classList.remove("changed");
+      }
+    }
+  }
+
+  // --- what the daemon says --------------------------------------------------------------------
+
+  show(now) {
+    for (const [name, field] of Object.entries(NAMES)) get(`${name}-now`).textContent = plain(now[field]);
+    const effect = now.damping_effect_ns_per_m;
+    this.damped = effect === null ? now.added_damping_asked_ns_per_m > DAMPED : effect > DAMPED;
+    const known = effect !== null;
+    get("damping-switch").ariaChecked = known ? String(this.damped) : "mixed";
+    get("damping-word").textContent = known ? (this.damped ? `ON ${plain(effect)}` : "OFF") : "unknown";
+    get("damping-board").textContent = known
+      ? `board reports ${now.damping_count} counts = ${plain(effect)} N\u202fs/m`
+      : "this board does not report its damping";
+  }
+
+  fault(told) {
+    const [name, words] = get("fault").children;
+    name.textContent = told.fault === "none" ? "" : `${told.fault}: ${told.cause}`;
+    words.textContent = told.fault === "none" ? "" : `${told.action}. To leave: ${told.remedy}`;
+  }
+
+  guard(told) {
+    const verdict = told.verdict ?? {};
+    if (document.activeElement !== get("policy")) get("policy").value = told.policy;
+    const margin = verdict.margin_ns_per_m;
+    const safe = verdict.safe;
+    get("margin").className = safe === true ? "safe" : safe === false ? "unsafe" : "unknown";
+    get("margin").textContent = margin === null || margin === undefined ? "margin unknown"
+      : margin < 0 ? `${plain(-margin)} N s/m short` : safe ? `${plain(margin)} N s/m to spare` : "not safe";
+    get("verdict").textContent = verdict.text ?? "nothing was judged yet";
+    for (const name of ["K", "B", "M"]) get(`${name}-range`).textContent = this.range(name, verdict.allowed?.[name], verdict.allowed);
+    const least = verdict.least_damping_ns_per_m;
+    const most = this.limits.damping?.high;
+    const needs = least === null || least === undefined ? "" : `needs at least ${plain(least)}`;
+    get("level-range").textContent = [needs, most === undefined ? "" : `takes 0 to ${plain(most)}`].filter(Boolean).join(", ");
+  }
+
+  range(name, allowed, known) {
+    const limit = this.limits[name];
+    const limits = limit ? `takes ${plain(limit.low)} to ${plain(limit.high)}` : "";
+    const passive = allowed ? `passive ${plain(allowed[0])} to ${plain(allowed[1])}`
+      : known && Object.keys(known).length ? `no ${name} alone is passive` : "passive: unknown";
+    return `${passive}${limits && `; ${limits}`}`;
+  }
+}
+
+// A number as people read it: four digits, no exponent for what is common.
+export function plain(value) {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  const size = Math.abs(value);
+  if (size !== 0 && (size < 1e-4 || size >= 1e6)) return value.toExponential(2).replace("-", "−");
+  return String(Number(value.toPrecision(4))).replace("-", "−");
+}

@@ -1,0 +1,45 @@
+// STOP: a request of its own, sent again until somebody has taken it. Space and Esc press it
+// wherever the focus is; only in a line of words does a space stay a space.
+
+const AGAIN_MS = 250;
+
+export function stopButton(button, tell) {
+  let sending = false;
+
+  async function press() {
+    if (sending) return;
+    sending = true;
+    for (let first = true; ; first = false) {
+      const problem = await sent();
+      button.classList.toggle("failed", Boolean(problem));
+      if (!problem) break;
+      if (first) tell("error", `NOT STOPPED: ${problem}. Use the emergency stop, or: hapticd stop`);
+      await new Promise((done) => setTimeout(done, AGAIN_MS));
+    }
+    sending = false;
+  }
+
+  button.addEventListener("pointerdown", press);
+  button.addEventListener("click", press);
+  const isStop = (event) => event.key === "Escape" || (event.key === " " && !writing(event.target));
+  const swallow = (event) => {
+    if (!isStop(event)) return false;
+    event.preventDefault(); // a focused button must not be clicked by this key
+    event.stopImmediatePropagation();
+    return true;
+  };
+  addEventListener("keydown", (event) => swallow(event) && press(), true);
+  addEventListener("keyup", swallow, true);
+}
+
+// Why it was not taken, or "".
+async function sent() {
+  try {
+    const answer = await fetch("/stop", { method: "POST" });
+    return answer.ok ? "" : (await answer.json()).text;
+  } catch {
+    return "the page's server does not answer";
+  }
+}
+
+const writing = (element) => element.classList?.contains("words");

@@ -1,0 +1,79 @@
+"""The operators' page in a real browser, and daemons behind it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Self
+
+from playwright.sync_api import Page
+
+CHROMIUM = "/usr/bin/chromium"
+ARGUMENTS = ("--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu")
+PATIENCE_MS = 30_000
+
+
+class Served:
+    """`hapticd console` of an instance; its URL is known once it serves."""
+
+    def __init__(self, instance: str) -> None:
+        command = [sys.executable, "-m", "hapticd", "console", "--instance", instance, "--json"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+
+    def __enter__(self) -> Self:
+        assert self.process.stdout is not None
+        self.url: str = json.loads(self.process.stdout.readline())["url"]
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.send_signal(signal.SIGTERM)
+        assert self.process.wait(20) == 0
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+@contextmanager
+def paused(pid: int) -> Iterator[None]:
+    """A process that stands still."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+def wait_text(page: Page, place: str, text: str) -> None:
+    """Until the element `place` shows `text`."""
+    page.wait_for_function(
+        "([place, text]) => document.querySelector(place).textContent.includes(text)",
+        arg=[place, text],
+        timeout=PATIENCE_MS,
+    )
+
+
+def lamp_colour(page: Page, folder: Path) -> tuple[int, int, int]:
+    """The colour that most of the state lamp has on the screen."""
+    return commonest(picture(page, "#lamp", folder))
+
+
+def picture(page: Page, place: str, folder: Path) -> list[list[tuple[int, int, int]]]:
+    """Pixels of an element, rows of (red, green, blue), as the browser drew them."""
+    from PIL import Image
+
+    file = folder / "shot.png"
+    page.locator(place).screenshot(path=str(file))
+    with Image.open(file) as image:
+        plain = image.convert("RGB")
+        width, height = plain.size
+        pixels = list(plain.get_flattened_data())
+    return [pixels[row * width : (row + 1) * width] for row in range(height)]
+
+
+def commonest(rows: list[list[tuple[int, int, int]]]) -> tuple[int, int, int]:
+    """The colour of most pixels."""
+    flat = [pixel for row in rows for pixel in row]
+    return max(set(flat), key=flat.count)

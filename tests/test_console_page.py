@@ -1,0 +1,288 @@
+"""The operators' page in Chromium: what is clicked and typed, and what is seen, against the daemon
+itself. Nothing here looks at the page's own variables: texts, roles and pixels alone.
+"""
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import fresh_runtime
+from console_page import (
+    ARGUMENTS,
+    CHROMIUM,
+    PATIENCE_MS,
+    Served,
+    lamp_colour,
+    paused,
+    picture,
+    wait_text,
+)
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+from test_cli_process import QUIET, Daemon, last_record, until
+
+from hapticd.client import Client
+from hapticd.mailbox import files
+from hapticd.mailbox.layout import State
+
+pytestmark = pytest.mark.process
+GREEN = (26, 127, 55)
+RED = (198, 34, 34)
+TRACE = (10, 95, 180)
+OVERFLOWING = """() => [...document.querySelectorAll("body *")].filter((one) => {
+    const box = one.getBoundingClientRect();
+    const part = (one.closest("section") ?? one.closest("body > *")).getBoundingClientRect();
+    return box.width && !one.closest("#log") && (box.right > part.right + 1
+        || box.bottom > part.bottom + 1 || part.right > innerWidth || part.bottom > innerHeight);
+}).map((one) => one.outerHTML.slice(0, 80))"""
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(ARGUMENTS))
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[Daemon]:
+    """A daemon that several tests use, each from `disabled` with nothing rendered."""
+    with pytest.MonkeyPatch.context() as patch:
+        for folder in fresh_runtime(patch):
+            with Daemon(folder) as daemon:
+                yield daemon
+                print(daemon.log.read_text())
+
+
+@pytest.fixture(scope="module")
+def served(shared: Daemon) -> Iterator[Served]:
+    with Served(shared.instance) as served:
+        yield served
+
+
+@pytest.fixture
+def daemon(shared: Daemon) -> Daemon:
+    return shared
+
+
+@pytest.fixture
+def client(daemon: Daemon) -> Iterator[Client]:
+    with Client(daemon.instance, name="test") as client:
+        client.stop()
+        until(lambda: daemon.cli("reset") == 0, "reset")
+        client.set(K=0.0, B=0.0, M=0.0, damping=0.0)
+        yield client
+
+
+@pytest.fixture
+def page(served: Served, client: Client, chromium: Browser) -> Iterator[Page]:
+    page = opened(chromium, served.url)
+    wait_text(page, "#lamp", "disabled")
+    yield page
+    page.context.close()
+
+
+def opened(chromium: Browser, url: str, **context: object) -> Page:
+    context = {"viewport": {"width": 1280, "height": 720}, "color_scheme": "light", **context}
+    page = chromium.new_context(**context).new_page()  # type: ignore[arg-type]
+    page.set_default_timeout(PATIENCE_MS)
+    page.goto(url)
+    return page
+
+
+def state(client: Client) -> str:
+    return str(client.call("get")["state"])
+
+
+def test_enable_is_shown_once_the_servo_has_it(page: Page, client: Client, tmp_path: Path) -> None:
+    page.get_by_role("button", name="Enable").click()
+    wait_text(page, "#lamp", "enabled")
+    assert state(client) == "enabled"
+    assert lamp_colour(page, tmp_path) == GREEN
+
+
+def test_lamp_shows_what_others_do_too(page: Page, client: Client, tmp_path: Path) -> None:
+    client.enable()
+    wait_text(page, "#lamp", "enabled")
+    client.stop()
+    wait_text(page, "#lamp", "stopped")
+    assert lamp_colour(page, tmp_path) == RED
+
+
+@pytest.mark.parametrize("key", ["Space", "Escape"])
+@pytest.mark.parametrize("focus", ["#enable", "#damping-switch", "#K", "#policy", "#pause", "body"])
+def test_a_key_stops_whatever_has_the_focus(
+    page: Page, client: Client, focus: str, key: str
+) -> None:
+    client.enable()
+    wait_text(page, "#lamp", "enabled")
+    if focus != "body":
+        page.focus(focus)
+    page.keyboard.press(key)
+    wait_text(page, "#lamp", "stopped")
+    assert state(client) == "stopped"
+
+
+def test_space_on_enable_stops_and_never_enables(page: Page, client: Client) -> None:
+    before = client.status()["tick"]
+    page.focus("#enable")
+    page.keyboard.press("Space")
+    wait_text(page, "#lamp", "stopped")
+    assert "enabled" not in states_since(client, before)
+
+
+def states_since(client: Client, tick: int) -> list[str]:
+    """States that the servo came into after `tick`, in their order."""
+    events = [one for one in client.status()["events"] if one["kind"] == "state"]
+    return [one["state"] for one in events if one["tick"] > tick]
+
+
+def test_stop_needs_neither_socket_nor_gateway(chromium: Browser, runtime: Path) -> None:
+    patient = f"{QUIET}[safety]\ngateway_timeout_s = 30.0\n"  # no fault of its own meanwhile
+    with Daemon(runtime, settings=patient) as daemon, Served(daemon.instance) as served:
+        page = opened(chromium, served.url)
+        page.get_by_role("button", name="Enable").click()
+        wait_text(page, "#lamp", "enabled")
+        with paused(daemon.children()["gateway"]):
+            wait_text(page, "#lamp", "NO DATA")
+            page.click("#stop")
+            ring = daemon.folder / files.TELEMETRY
+            until(lambda: last_record(ring)["state"] == State.STOPPED, "stopped")
+        wait_text(page, "#lamp", "stopped")
+        page.context.close()
+
+
+def test_stop_that_nobody_took_is_told_and_sent_again(
+    page: Page, client: Client, served: Served
+) -> None:
+    client.enable()
+    with paused(served.process.pid):
+        page.context.set_offline(True)
+        page.click("#stop")
+        wait_text(page, "#log", "NOT STOPPED")
+    page.context.set_offline(False)
+    until(lambda: state(client) == "stopped", "stopped")
+
+
+def test_damping_lamp_is_what_the_board_reports(page: Page, client: Client) -> None:
+    switch = page.get_by_role("switch")
+    expect(switch).to_have_attribute("aria-checked", "false")
+    switch.click()
+    expect(switch).to_have_attribute("aria-checked", "true")
+    wait_text(page, "#damping-board", "board reports 11403 counts = 1.74")
+    assert reported(client) == pytest.approx(1.74, abs=1e-4)
+    switch.click()
+    expect(switch).to_have_attribute("aria-checked", "false")
+    assert reported(client) == 0.0
+
+
+def reported(client: Client) -> float:
+    """Active damping [N s/m] in effect, as the board says."""
+    return float(client.record(0.02)[0]["damping_effect_ns_per_m"][-1])
+
+
+def test_values_are_set_together_with_a_receipt_in_words(page: Page, client: Client) -> None:
+    page.fill("#K", "80")
+    page.fill("#B", "0,5")
+    page.keyboard.press("Enter")
+    wait_text(page, "#log", "disabled: applied at tick")
+    parameters = client.get()["parameters"]
+    assert (parameters["K"], parameters["B"]) == (80.0, 0.5)
+    wait_text(page, "#K-now", "80")
+
+
+def test_a_refusal_is_told_in_words(page: Page, client: Client) -> None:
+    page.fill("#K", "1e9")
+    page.click("#set")
+    wait_text(page, "#log", "refused: K = 1000000000")
+    assert client.get()["parameters"]["K"] == 0.0
+
+
+def test_margin_and_allowed_range_come_from_the_guard(page: Page, client: Client) -> None:
+    client.set(K=100.0, B=1.0, damping=1.74)
+    wait_text(page, "#margin", "to spare")
+    allowed = client.guard()["verdict"]["allowed"]["K"]
+    wait_text(page, "#K-range", f"passive 0 to {allowed[1]:.4g}")
+    client.damping("off")
+    wait_text(page, "#margin", "short")
+
+
+def test_stale_data_are_no_data(page: Page, daemon: Daemon, tmp_path: Path) -> None:
+    with paused(daemon.children()["gateway"]):
+        wait_text(page, "#lamp", "NO DATA")
+        assert lamp_colour(page, tmp_path) == RED
+        expect(page.locator("#K-now")).to_be_hidden()
+    wait_text(page, "#lamp", "disabled")
+
+
+def test_page_goes_on_after_the_gateway_died(page: Page, daemon: Daemon, client: Client) -> None:
+    os.kill(daemon.children()["gateway"], signal.SIGKILL)
+    wait_text(page, "#lamp", "NO DATA")
+    wait_text(page, "#lamp", "disabled")
+    page.get_by_role("button", name="Enable").click()
+    wait_text(page, "#lamp", "enabled")
+
+
+def test_trace_moves_with_the_handle(page: Page, client: Client, tmp_path: Path) -> None:
+    still = traced(page, tmp_path)
+    client.enable()
+    client.perturb_load(np.sin(2 * np.pi * 10 * np.arange(4000) / 4000))
+    client.perturb_start(loop=True)
+    until(lambda: traced(page, tmp_path) > 10 * max(still, 4), "a trace that moves")
+
+
+def traced(page: Page, folder: Path) -> int:
+    """Over how many rows of its strip the trace of the velocity goes."""
+    rows = picture(page, ".strip:nth-child(2) .plot", folder)
+    return sum(any(near(pixel, TRACE) for pixel in row) for row in rows)
+
+
+def near(one: tuple[int, int, int], other: tuple[int, int, int]) -> bool:
+    return sum(abs(a - b) for a, b in zip(one, other, strict=True)) < 60
+
+
+def test_two_browsers_see_and_do_the_same(
+    page: Page, served: Served, chromium: Browser, client: Client
+) -> None:
+    other = opened(chromium, served.url, color_scheme="dark")
+    other.get_by_role("button", name="Enable").click()
+    for one in (page, other):
+        wait_text(one, "#lamp", "enabled")
+    page.keyboard.press("Escape")
+    for one in (page, other):
+        wait_text(one, "#lamp", "stopped")
+    other.context.close()
+
+
+def test_page_says_simulated_without_scripts(
+    served: Served, chromium: Browser, client: Client
+) -> None:
+    bare = opened(chromium, served.url, java_script_enabled=False)
+    expect(bare.locator("#board")).to_have_text("SIMULATED")
+    assert "SIMULATED" in bare.title()
+    bare.context.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("size", [(1280, 720), (1920, 1080), (1024, 768)])
+def test_nothing_overflows(
+    served: Served, chromium: Browser, client: Client, scheme: str, size: tuple[int, int]
+) -> None:
+    viewport = {"width": size[0], "height": size[1]}
+    page = opened(chromium, served.url, viewport=viewport, color_scheme=scheme)
+    wait_text(page, "#verdict", "N")
+    assert page.evaluate(OVERFLOWING) == []
+    page.context.close()
+
+
+def test_page_loads_nothing_from_elsewhere(served: Served, chromium: Browser) -> None:
+    page = opened(chromium, "about:blank")
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(served.url)
+    wait_text(page, "#lamp", "disabled")
+    assert all(url.startswith(served.url) for url in asked)
+    page.context.close()
