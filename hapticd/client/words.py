@@ -10,7 +10,7 @@ from hapticd.gateway.limits import PLACES, flat
 from hapticd.mailbox.layout import VALUE_LIMITS
 
 if TYPE_CHECKING:
-    from hapticd.client.client import Receipt
+    from hapticd.client.conversation import Receipt
 
 
 def verdict_lines(verdict: dict[str, Any]) -> list[str]:

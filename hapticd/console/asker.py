@@ -17,7 +17,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-from hapticd.client.client import Client, receipt_of
+from hapticd.client.client import Client
+from hapticd.client.conversation import receipt_of
 from hapticd.client.words import receipt_text, verdict_lines
 from hapticd.errors import CommandError, HapticdError
 
