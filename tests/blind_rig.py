@@ -1,6 +1,6 @@
 """Blind rigs: a simulated device whose truth comes from a seed, and which steps know by a client.
 
-    with BlindRig(7) as rig:                # or BlindRig(7, broken="stuck encoder")
+    with BlindRig(7) as rig:                # or BlindRig(7, "stuck encoder", coulomb_n=0.5)
         rig.bench                           a LockStepBench, the Client that steps get
         rig.ask                             the person who does what `rig.hand.Request` says
         rig.device_file                     template with the board's nominal scales, in a folder
@@ -18,7 +18,7 @@ The truth (`blind_truth`) and the person (`blind_hand`) never get into the hands
 import datetime
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import atan, pi, sin
 from pathlib import Path
 from typing import Any
@@ -58,8 +58,8 @@ class BlindRig:
 
     bench: LockStepBench
 
-    def __init__(self, seed: int, broken: str | None = None) -> None:
-        self.truth = drawn(seed)
+    def __init__(self, seed: int, broken: str | None = None, **changes: float) -> None:
+        self.truth = replace(drawn(seed), **changes)
         self._folder = tempfile.TemporaryDirectory(prefix="hapticd-blind-")
         self.config_file = Path(self._folder.name) / "hapticd.toml"
         self.device_file = Path(self._folder.name) / "devices" / "blind.toml"

@@ -6,6 +6,7 @@ its mechanics really do is `Truth`. Steps see neither: they have a client alone.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import pi
 from random import Random
 from typing import Any
 
@@ -15,11 +16,13 @@ from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import (
     Amplifier,
     Coulomb,
+    Coupling,
     DampingCircuit,
     DampingDac,
     Masses,
     Motor,
     SensorNoise,
+    Smoothing,
     Viscous,
     WindingHeating,
     WindingTemperature,
@@ -93,6 +96,10 @@ class Truth:
     mass_kg: float
     viscous_ns_per_m: float
     coulomb_n: float
+    rotor_share: float  # of that mass: the rest slides with the encoder
+    resonance_hz: float  # of the two on the transmission
+    resonance_ratio: float  # of critical damping
+    smoothing_hz: float  # of the filter behind the converter of the force
     residual_ohm: float  # what the circuit leaves of the winding; < 0: it compensates too much
     amplifier_hz: float
     circuit_hz: float
@@ -102,6 +109,26 @@ class Truth:
     start_m: float  # where the handle is, and whence the board counts
     mass_error: float  # relative, of all masses that are hung
     distance_error_m: float  # of the gauge
+
+    @property
+    def rotor_kg(self) -> float:
+        """What turns with the motor."""
+        return self.rotor_share * self.mass_kg
+
+    @property
+    def slider_kg(self) -> float:
+        """What slides with the encoder."""
+        return self.mass_kg - self.rotor_kg
+
+    @property
+    def coupling(self) -> dict[str, float]:
+        """Spring and damper between the two."""
+        reduced_kg = self.rotor_kg * self.slider_kg / self.mass_kg
+        rate = 2.0 * pi * self.resonance_hz
+        return {
+            "stiffness_n_per_m": reduced_kg * rate * rate,
+            "damping_ns_per_m": 2.0 * self.resonance_ratio * reduced_kg * rate,
+        }
 
     @property
     def motor_n_per_a(self) -> float:
@@ -141,6 +168,10 @@ def drawn(seed: int) -> Truth:
         mass_kg=random.uniform(0.004, 0.009),
         viscous_ns_per_m=random.uniform(0.2, 0.5),
         coulomb_n=random.uniform(0.02, 0.06),
+        rotor_share=random.uniform(0.4, 0.7),
+        resonance_hz=random.uniform(300.0, 450.0),
+        resonance_ratio=random.uniform(0.03, 0.1),
+        smoothing_hz=random.uniform(150.0, 400.0),
         residual_ohm=random.uniform(-0.03, 0.06),
         amplifier_hz=5000.0,
         circuit_hz=1000.0,
@@ -176,8 +207,10 @@ def _effects(truth: Truth, attached_kg: float) -> tuple[Any, ...]:
     # so much colder than the winding does the circuit believe it to be
     colder_k = truth.residual_ohm / (ohm * COPPER_PER_K)
     return (
-        Masses(rotor_kg=truth.mass_kg + attached_kg),
+        Masses(rotor_kg=truth.rotor_kg, slider_kg=truth.slider_kg + attached_kg),
+        Coupling(**truth.coupling),
         Viscous(rotor_ns_per_m=truth.viscous_ns_per_m),
+        Smoothing(corner_hz=truth.smoothing_hz),
         Coulomb(rotor_n=truth.coulomb_n),
         DampingDac(quantum_ns_per_m=NOMINAL["damping_ns_per_m_per_count"] * truth.damping_gain),
         Amplifier(bandwidth_hz=truth.amplifier_hz),
@@ -208,7 +241,7 @@ class BlindProbe(Probe):
         self._truth = truth
         self._broken = broken
         corners_hz = (truth.torque_highpass_hz, truth.velocity_highpass_hz)
-        self._corners = [6.283185307179586 * hz / PROBE_RATE_HZ for hz in corners_hz]
+        self._corners = [2.0 * pi * hz / PROBE_RATE_HZ for hz in corners_hz]
         self._kept = [0.0, 0.0]
         self._last = 0.0
         self._fed = 0  # samples that one signal is still fed into both channels

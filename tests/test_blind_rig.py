@@ -90,6 +90,13 @@ def test_a_broken_rig_is_refused_by_name(broken):
     assert word in f"{finding.what}; {finding.remedy}"
 
 
+def test_a_push_stays_below_a_tenth_also_with_a_stronger_motor_that_sticks():
+    with BlindRig(1, force_gain=1.3, coulomb_n=2.0) as rig:
+        day = first_day(rig)
+        assert day.refused is not None
+        assert 0.05 < rig.worst_share <= 0.1
+
+
 def test_truths_differ_from_seed_to_seed_and_not_from_day_to_day():
     assert drawn(1) == drawn(1)
     assert drawn(1) != drawn(2)

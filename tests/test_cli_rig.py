@@ -16,12 +16,14 @@ from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5, "touch": TouchParams(0.0, 0.0, 0.03, 0.03)}
+EMF = ScaleParams(2.0 / 32767)  # as simulated.toml has it
 
 
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
     (tmp_path / "devices").mkdir()
     text = (shipped("config") / "devices" / "simulated.toml").read_text()
+    text = text.replace("[force]\n", "[force]\nsign = -1\n")  # which is wrong
     (tmp_path / "devices" / "own.toml").write_text(text + "\n[commissioning]\n# not yet\n")
     file = tmp_path / "hapticd.toml"
     file.write_text('device = "own"\n')
@@ -30,7 +32,7 @@ def config(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def hand(monkeypatch: pytest.MonkeyPatch):
-    file = {"force": ScaleParams(COUNT_N, -1), "commissioning": True}
+    file = {"force": ScaleParams(COUNT_N, -1), "emf_velocity": EMF, "commissioning": True}
     with Hand(file, **FREE) as found:
 
         @contextmanager
@@ -87,6 +89,18 @@ def test_a_file_of_another_device_is_refused_before_anything_moves(config, hand,
     file.write_text(file.read_text().replace('"SIM0001"', '"SIM0002"'))
     assert main(["rig", "motor", "--yes", "--config", str(config)]) == 78
     assert "SIM0002" in capsys.readouterr().err
+    assert not (config.parent / "devices" / "rig").exists()
+
+
+def test_what_a_step_wrote_has_to_be_read_before_the_next_one(config, hand, capsys):
+    """With the daemon's old sign of the position the pushes would verify the wrong sign of the
+    force.
+    """
+    file = config.parent / "devices" / "own.toml"
+    file.write_text(file.read_text().replace("[position]\n", "[position]\nsign = -1\n"))
+    assert main(["rig", "motor", "--yes", "--config", str(config)]) == 78
+    assert "another position than the daemon" in capsys.readouterr().err
+    assert not hand.bench.newest["force_n"]
     assert not (config.parent / "devices" / "rig").exists()
 
 

@@ -9,10 +9,10 @@ What would break it: a way out of a step that leaves the device enabled.
 
 import datetime
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from hapticd.client import Client
     from hapticd.rig.hand import Ask, Request
     from hapticd.rig.result import StepResult
+    from hapticd.settings.device import DeviceFile
     from hapticd.settings.load import Settings
 
 REFUSED = 4  # exit code of a step that found something that must not stay
@@ -113,14 +114,41 @@ def perform(
     with ExitStack() as stack:
         stack.enter_context(signals_end_with_force_off())
         client = stack.enter_context(connect(instance))
-        serial = client.hello()["servo"]["device"]["serial"]
-        if serial != settings.device.serial:
-            raise ConfigError(
-                f"the daemon runs the device {serial!r}, {settings.device_file} is of"
-                f" {settings.device.serial!r}; name its configuration with --config"
-            )
+        _refuse_another(client.hello()["servo"]["device"], settings)
         result = step(client)
     return _written(result, settings, yes)
+
+
+def _refuse_another(running: "Mapping[str, Any]", settings: "Settings") -> None:
+    """ConfigError if the running daemon does not have the device file of `settings`: what one step
+    has written, as the sign of the position, the next one builds upon.
+    """
+    if running["serial"] != settings.device.serial:
+        raise ConfigError(
+            f"the daemon runs the device {running['serial']!r}, {settings.device_file} is of"
+            f" {settings.device.serial!r}; name its configuration with --config"
+        )
+    if scales := not_read_yet(running, settings.device):
+        raise ConfigError(
+            f"{settings.device_file} has another {', '.join(scales)} than the daemon, which reads"
+            " it when it starts; start it again, then repeat this step"
+        )
+
+
+def not_read_yet(running: "Mapping[str, Any]", device: "DeviceFile") -> list[str]:
+    """Scales of `device` that are others than those of a running servo, whose parameters of the
+    device are `running`, as its hello says them.
+    """
+    from hapticd.params import to_plain
+    from hapticd.settings.build import device_params
+
+    written = to_plain(device_params(device))
+    scales = [name for name, one in written.items() if isinstance(one, dict) and "per_count" in one]
+    return [name for name in scales if _meaning(written[name]) != _meaning(running[name])]
+
+
+def _meaning(scale: "Mapping[str, Any]") -> tuple[Any, ...]:
+    return tuple(scale[key] for key in ("sign", "per_count", "offset_count"))
 
 
 def _written(result: "StepResult", settings: "Settings", yes: bool) -> "StepResult":
