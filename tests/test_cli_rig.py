@@ -115,7 +115,7 @@ def test_link_says_a_verdict_for_each_thing(hand, capsys, monkeypatch):
     assert main(["rig", "link"]) == 0
     told = capsys.readouterr().out
     assert "ok: missing_in: 0" in told
-    assert "not done: watchdog of the board" in told
+    assert "ok: watchdog of the board: trips after" in told
 
 
 def test_the_guided_path_does_each_step_that_is_wanted(config, hand, monkeypatch, capsys):
