@@ -452,6 +452,16 @@ def test_lease_that_was_lost_is_told_at_its_next_use_and_at_its_end(client: Clie
     client.damping("on")
 
 
+def test_lease_may_be_released_before_its_context_ends(client: Client) -> None:
+    with client.lease("damping", ttl_s=20.0) as lease:
+        assert lease.release() == ""
+        assert client.status()["leases"] == {}
+    with client.lease("damping", ttl_s=20.0) as lease:
+        lease.release()
+        lease.take()
+    assert client.status()["leases"] == {}
+
+
 def test_error_inside_a_lease_is_the_one_that_is_told(client: Client) -> None:
     def fail() -> None:
         with client.lease("damping", ttl_s=20.0):

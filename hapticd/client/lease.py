@@ -39,12 +39,15 @@ class ClientLease:
         self._what = what
         self._asked = asked
         self._ttl_s = 0.0
+        self._released = False  # by the body of the context
 
     def __enter__(self) -> Self:
         self.take()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._released:
+            return
         try:
             lost = self.release()
         except Exception:
@@ -58,6 +61,7 @@ class ClientLease:
         """Take it: {what, name, actor, left_s, ttl_s, at_end}. CommandError: another holds it."""
         held: dict[str, Any] = self._call("lease", what=self._what, **self._asked)["result"]
         self._ttl_s = held["ttl_s"]
+        self._released = False
         return held
 
     def renew(self) -> None:
@@ -75,4 +79,5 @@ class ClientLease:
     def release(self) -> str:
         """Give it up; how it was lost before, "" if it was not. CommandError: nobody knows it."""
         result = self._call("lease", what=self._what, action="release")["result"]
+        self._released = True
         return "" if result["released"] else str(result["text"])
