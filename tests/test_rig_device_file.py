@@ -123,6 +123,14 @@ def test_other_ways_to_lay_out_a_file_are_written_as_well(text: str) -> None:
     assert found["force"] == {"sign": -1}
 
 
+def test_an_offset_alone_leaves_the_source_of_the_gain(file: Path) -> None:
+    write(file, [Change("force", "full_scale_n", 7.5)], "rig motor: gain", DAY)
+    device = write(file, [Change("force", "offset_count", 9.0)], "rig motor: offset", DAY)
+    assert device.force.source == "rig motor: gain"
+    both = [Change("force", "full_scale_n", 7.4), Change("force", "offset_count", 8.0)]
+    assert write(file, both, "rig motor: both", DAY).force.source == "rig motor: both"
+
+
 def test_a_file_that_is_no_toml_any_more_is_named_and_left(file: Path) -> None:
     file.write_text("[force\n")
     with pytest.raises(ConfigError, match=r"own\.toml:1"):

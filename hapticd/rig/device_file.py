@@ -47,8 +47,8 @@ def write(path: Path, changes: Iterable[Change], source: str, day: datetime.date
         (one.table, one.key): one.value for one in asked
     }
     serial = str(tomllib.loads(path.read_text("utf-8")).get("serial", ""))
-    # a sign that was seen says nothing of how the scale beside it is known
-    for table in dict.fromkeys(one.table for one in asked if one.key != "sign"):
+    # a sign or an offset by itself says nothing of how the scale beside it is known
+    for table in dict.fromkeys(one.table for one in asked if not _beside(one)):
         known = set(_fields(table))
         for key, told in _provenance(table, source, day, serial).items():
             if key in known:
@@ -64,6 +64,10 @@ def refuse_shipped(path: Path) -> None:
             f"{path} is shipped with hapticd; copy it to devices/NAME.toml beside your hapticd.toml"
             " and name it there"
         )
+
+
+def _beside(change: Change) -> bool:
+    return change.key == "sign" or (change.table, change.key) == ("force", "offset_count")
 
 
 def _provenance(

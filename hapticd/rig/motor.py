@@ -208,12 +208,17 @@ def limit_n(servo: dict[str, Any]) -> float:
     return min(own_n, float(servo["safety"]["force_limit_n"]))
 
 
-def _refuse(servo: dict[str, Any], masses: Masses) -> None:
+def refuse_commissioning(servo: dict[str, Any]) -> None:
+    """AnalysisError while the signs of the device of `servo` are not verified."""
     if servo["device"]["commissioning"]:
         raise AnalysisError(
             "the gain is measured once the signs are verified: `hapticd rig motor` without masses,"
             " then start the daemon again"
         )
+
+
+def _refuse(servo: dict[str, Any], masses: Masses) -> None:
+    refuse_commissioning(servo)
     if len(set(masses.kilograms)) < 3 or min(masses.kilograms) < 0.0:
         raise AnalysisError(
             "a line with residuals takes three masses at least; name 0 and two more"
@@ -255,17 +260,22 @@ def concluded(
     middle = float(force["offset_count"]) + per_n * line.intercept
     half = abs(per_n) * hypot(line.intercept_half, unequal)
     offset = Value("force.offset_count", middle, "counts", middle - half, middle + half)
-    findings = [_linear(line, means), _gain(scale)]
+    findings = [_linear(line, means), believable(scale)]
     friction_n = friction * abs(scale)
     spread = Value("friction seen", friction_n, "N", 0.0, 2.0 * friction_n)
     changes = [
-        Change("force", "full_scale_n", rounded(gain.value, gain.low, gain.high)),
+        *full_scale_changes(gain, full_n, limit_n),
         Change("force", "offset_count", rounded(offset.value, offset.low, offset.high)),
-        *_within_reach(gain.low / full_n, limit_n),
     ]
     settled = all(one.verdict != "refused" for one in findings)
     arrays = {"weights_n": weights_n, "readings_n": readings_n}
     return StepResult("motor", (gain, offset, spread), findings, changes if settled else (), arrays)
+
+
+def full_scale_changes(gain: Value, full_n: float, limit_n: float) -> list[Change]:
+    """What the full scale `gain` in place of `full_n` [N] writes, with the device's `limit_n`."""
+    found = Change("force", "full_scale_n", rounded(gain.value, gain.low, gain.high))
+    return [found, *_within_reach(gain.low / full_n, limit_n)]
 
 
 def _within_reach(scale: float, limit_n: float) -> list[Change]:
@@ -315,7 +325,8 @@ def _linear(line: Line, means: Sequence[float] | Floats) -> Finding:
     return Finding(what, "refused", remedy)
 
 
-def _gain(scale: float) -> Finding:
+def believable(scale: float) -> Finding:
+    """Whether a commanded newton may be `scale` newtons, by what the device file says."""
     what = f"a commanded newton is {scale:.4g} N"
     if 1.0 / MOST_CORRECTION <= scale <= MOST_CORRECTION:
         return Finding(what, "ok")

@@ -328,9 +328,11 @@ def _signs_firmware(device: DeviceFile) -> str:
 
 
 def _motor(device: DeviceFile) -> dict[str, float]:
-    """What the device file knows of the motor: as its compensation has it, as it is simulated, or
-    else as homing takes it.
+    """What the device file knows of the motor: as it was measured, as its compensation has it, as
+    it is simulated, or else as homing takes it.
     """
+    if measured := device.motor:
+        return _winding(measured.force_n_per_a, measured.winding_ohm, measured.reference_c)
     if known := device.resistance:
         return _winding(known.force_n_per_a, known.winding_ohm, known.reference_c)
     if plant := device.plant:

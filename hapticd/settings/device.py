@@ -273,6 +273,23 @@ class CommissioningTable(TomlTable):
     """How it was seen."""
 
 
+class MotorTable(TomlTable):
+    """The motor as it was measured; a simulated one is described by `plant` or `model`."""
+
+    force_n_per_a: float = Field(ge=1e-3, le=1e4)
+    """Endpoint force per ampere."""
+    winding_ohm: float = Field(gt=0, le=1e4)
+    """The winding, at `reference_c`."""
+    reference_c: float = Field(20.0, ge=-40, le=150)
+    lever_m: float | None = Field(None, gt=0, le=10)
+    """Radius that turns torque into endpoint force, as its owner says; nothing is computed from
+    it here but the torque constant, force_n_per_a lever_m."""
+    date: datetime.date | None = None
+    """When it was measured."""
+    source: str = ""
+    """How it is known."""
+
+
 class HomeTable(TomlTable):
     """How the origin of position is found."""
 
@@ -335,6 +352,8 @@ class DeviceFile(TomlTable):
     refuses it."""
     relies_on: tuple[Literal["probe", "temperature"], ...] = Field(RELIED_ON, strict=False)
     """Capabilities of the board without which the device may not be used."""
+    motor: MotorTable | None = None
+    """The motor, where somebody measured it."""
     plant: RigidTable | None = None
     """What a simulated board moves: one rigid mass."""
     model: DeviceModel | None = None

@@ -5,6 +5,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.rig import damping, guided, sensors, steps
 from hapticd.cli.rig.identify import identify
+from hapticd.cli.rig.motor import motor
 
 app = typer.Typer(
     invoke_without_command=True,
@@ -13,7 +14,7 @@ app = typer.Typer(
 VERBS: dict[str, terminal.Verb] = {
     "link": steps.link,
     "encoder": steps.encoder,
-    "motor": steps.motor,
+    "motor": motor,
     "damping": damping.damping,
     "probe": sensors.probe,
     "identify": identify,

@@ -9,6 +9,7 @@ from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.rig import damping, sensors, steps
 from hapticd.cli.rig.identify import identify
+from hapticd.cli.rig.motor import motor
 from hapticd.errors import ConfigError
 
 WELCOME = """\
@@ -31,12 +32,12 @@ def guided(context: typer.Context) -> None:
         _kept_on(lambda: steps.encoder(distance_m))
     if _commissioning():
         if _wanted("motor: its sign, by pushes of 20 ms"):
-            _kept_on(lambda: steps.motor())
+            _kept_on(lambda: motor())
             terminal.talk(RESTART)
         return
     if _wanted("motor: its gain, by hanging masses"):
         masses = [number(f"mass {place} in kg") for place in range(1, 6)]
-        _kept_on(lambda: steps.motor(masses))
+        _kept_on(lambda: motor(masses))
     if _wanted("damping: its polarity and N s/m per count, by pushes and glides"):
         _kept_on(lambda: damping.damping())
     if _wanted("probe: both channels, by shaking the handle without and with a mass"):

@@ -19,7 +19,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.zwidth.live import signals_end_with_force_off
-from hapticd.errors import AnalysisError, ConfigError
+from hapticd.errors import ConfigError
 from hapticd.params import MEASURED_BY
 
 if TYPE_CHECKING:
@@ -41,20 +41,6 @@ Apart = Annotated[
 ]
 Tolerance = Annotated[
     float, typer.Option("--tolerance", metavar="M", min=0.0, help="Of that distance (95 %), in m.")
-]
-Kilograms = Annotated[
-    list[float] | None,
-    typer.Option("--mass", metavar="KG", help="A mass that is hung; several, 0 among them."),
-]
-Side = Annotated[int, typer.Option("--pulls-to", metavar="SIDE", help="Masses pull to x: -1 or 1.")]
-Ratio = Annotated[
-    float,
-    typer.Option(
-        "--radius-ratio",
-        metavar="R",
-        min=1e-3,
-        help="Radius of the masses by that of the endpoint.",
-    ),
 ]
 
 
@@ -202,31 +188,3 @@ def encoder(
     apart = Distance(distance, tolerance)
     found = perform(instance, load(config), lambda client: measure(client, asking(yes), apart), yes)
     show(found, as_json)
-
-
-def motor(
-    mass: Kilograms = None,
-    pulls_to: Side = -1,
-    radius_ratio: Ratio = 1.0,
-    yes: Yes = False,
-    config: terminal.ConfigFile = None,
-    instance: terminal.Instance = terminal.INSTANCE,
-    as_json: terminal.Json = False,
-) -> None:
-    """Without --mass the sign of the force, by pushes of 20 ms with at most a tenth of it: verifies
-    the signs. With --mass its gain and offset, by masses that hang from the handle.
-
-    Writes the tables `force` and `commissioning` of the device file.
-    """
-    from hapticd.rig.motor import Masses, measure_gain, measure_sign
-    from hapticd.settings.load import load
-
-    if pulls_to not in (-1, 1):
-        raise AnalysisError(f"--pulls-to {pulls_to}: name the side to which masses pull, -1 or 1")
-    masses = Masses(tuple(mass or ()), pulls_to, radius_ratio)
-
-    def step(client: "Client") -> "StepResult":
-        ask = asking(yes)
-        return measure_gain(client, ask, masses) if mass else measure_sign(client, ask)
-
-    show(perform(instance, load(config), step, yes), as_json)

@@ -1,0 +1,217 @@
+"""What an ampere makes, what the winding resists, and what a motion induces.
+
+At rest under force (the handle is held by hand, forces of LEVELS go to either side) the motor's
+voltage is R i and its force K i: two lines over the forces that were commanded, with offsets of the
+sensors in their intercepts. Moved by hand without force, a winding that carries no current shows
+K v: over windows of WINDOW_S the mean of the voltage and the way by the encoder belong together
+exactly, so no velocity is computed from noise. In SI both K are one number [N/A = V s/m]; where
+they differ, the scales of current, voltage, force and position contradict each other. The same
+windows give scale and sign of the channel `emf_velocity`.
+
+Commanded newtons have the interval of `rig motor`, metres that of `rig encoder`; both are taken
+from the sources in the device file.
+
+What would break it: a hand that lets the handle slip while it is held (the windows say so), and a
+winding that warms up by more than the interval allows (the resistance is that at the mean
+temperature of the rests, which is written beside it).
+"""
+
+from collections.abc import Mapping
+from math import hypot, isfinite
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.client.blocks import Records
+from hapticd.client.client import Client
+from hapticd.errors import AnalysisError
+from hapticd.rig.hand import Ask, Request
+from hapticd.rig.identify import relative_half
+from hapticd.rig.link import require_disabled
+from hapticd.rig.motor import allowed_n, fitted, refuse_commissioning
+from hapticd.rig.push import ready, wall_of
+from hapticd.rig.records import collect, servo_rate_hz
+from hapticd.rig.result import Change, Finding, StepResult, Value, rounded
+from hapticd.units import COPPER_PER_K
+
+LEVELS = (0.25, 0.5, 0.75, 1.0)  # of a tenth of the force, to either side
+RAMP_S = 0.3
+SETTLE_S = 0.5
+READ_S = 0.5
+SHAKE_S = 5.0
+WINDOW_S = 0.02
+SLIPPED_M = 1e-3  # of a handle that is held
+LEAST_M_PER_S = 5e-3  # rms of a motion that says something
+UNKNOWN = 0.01  # half of the interval of a scale whose source does not state it
+DEAD_COUNTS = 20.0  # span of a channel that says nothing
+AGREE = 0.05
+ROOM_C = 20.0  # of a winding whose temperature nobody measures
+
+
+def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult:
+    """Ask for a held and for a moved handle. CommandError unless disabled; AnalysisError where
+    signs are not verified or the handle slips.
+    """
+    require_disabled(bench)
+    servo = bench.hello()["servo"]
+    refuse_commissioning(servo)
+    ask(Request("hold", "hold the handle firmly where it is; it will be pushed gently", 0.0))
+    most_n = allowed_n(servo)
+    with ready(bench):
+        start_m = float(collect(bench, READ_S).records["position_m"].mean())
+        forces = [side * level * most_n for side in (1.0, -1.0) for level in LEVELS]
+        rests = np.array([_rest(bench, force, start_m) for force in forces])
+        state = bench.status()["state"]
+    if state != "enabled":
+        raise AnalysisError(f"force ended meanwhile (the servo is {state}); repeat the step")
+    ask(
+        Request(
+            "shake", f"move the handle to and fro by some mm for {SHAKE_S:g} s from now", SHAKE_S
+        )
+    )
+    moved = windows(collect(bench, SHAKE_S).records, servo_rate_hz(bench))
+    ask(Request("let go", "let go of the handle"))
+    return concluded(rests, moved, servo["device"], lever_m)
+
+
+def _rest(bench: Client, force_n: float, start_m: float) -> list[float]:
+    """Means of commanded force [N], current [A], voltage [V] and the winding's temperature [degC],
+    nan where the board does not measure it.
+    """
+    bench.set(wall=wall_of(force_n, start_m), ramp_s=RAMP_S)
+    collect(bench, RAMP_S + SETTLE_S)
+    found = collect(bench, READ_S).records
+    if float(np.ptp(found["position_m"])) > SLIPPED_M:
+        raise AnalysisError(
+            f"the held handle moved by {1e3 * np.ptp(found['position_m']):.2g} mm; hold it more"
+            " firmly, and repeat"
+        )
+    return [float(found[name].astype(np.float64).mean()) for name in _RESTING]
+
+
+def windows(records: Records, rate_hz: float) -> Floats:
+    """Means over consecutive windows (n, 3): velocity by the encoder [m/s], voltage [V] and
+    velocity of the circuit [m/s].
+    """
+    size = max(2, round(WINDOW_S * rate_hz))
+    edges = np.arange(0, len(records), size)
+    position = records["position_m"].astype(np.float64)
+    speed = np.diff(position[edges]) * rate_hz / size
+    means = [_means(records[name].astype(np.float64), size) for name in _CHANNELS]
+    length = min(len(speed), *(len(one) for one in means))
+    return np.column_stack([speed[:length], *(one[:length] for one in means)])
+
+
+_RESTING = ("force_n", "current_a", "voltage_v", "winding_c")
+_CHANNELS = ("voltage_v", "emf_velocity_m_per_s")
+
+
+def _means(values: Floats, size: int) -> Floats:
+    """Means by the trapezium rule from each edge of a window to the next one."""
+    middles = (values[1:] + values[:-1]) / 2.0
+    whole = len(middles) // size
+    found: Floats = middles[: whole * size].reshape(whole, size).mean(axis=1)
+    return found
+
+
+def concluded(
+    rests: Floats,
+    moved: Floats,
+    device: Mapping[str, Any],
+    lever_m: float | None = None,
+) -> StepResult:
+    """What `rests` (n, 4), force, current, voltage and temperature, and `moved` (m, 3), as
+    `windows` gives it, say with the scales of `device`.
+    """
+    arrays = {"rests": rests, "moved": moved}
+    findings = list(_alive(rests, moved, device))
+    if any(one.verdict == "refused" for one in findings):
+        return StepResult("motor", (), findings, (), arrays)
+    newton = relative_half(device["force"]["source"], "force.full_scale_n")
+    metre = relative_half(device["position"]["source"], "position.m_per_count")
+    per_ampere = _slope("motor.force_n_per_a", "N/A", rests[:, 1], rests[:, 0], newton)
+    warmed = COPPER_PER_K * float(np.ptp(rests[:, 3])) / 2.0
+    ohm = _slope("motor.winding_ohm", "ohm", rests[:, 1], rests[:, 2], warmed)
+    induced = _slope("back-EMF", "V s/m", moved[:, 0], moved[:, 1], metre)
+    values = [per_ampere, ohm, induced, *_torque(per_ampere, lever_m)]
+    findings += [*_signs(per_ampere, ohm, induced), _agreement(per_ampere, induced)]
+    changes: list[Change] = []
+    if all(one.verdict != "refused" for one in findings):
+        changes = [_change(one, *one.name.split(".")) for one in (per_ampere, ohm)]
+        celsius = float(rests[:, 3].mean())
+        reference_c = round(celsius, 1) if isfinite(celsius) else ROOM_C
+        changes.append(Change("motor", "reference_c", reference_c))
+        if lever_m is not None:
+            changes.append(Change("motor", "lever_m", lever_m))
+        emf = list(_emf(moved, device, metre))
+        values += emf
+        changes += [_change(one, *one.name.split(".")) for one in emf]
+    return StepResult("motor", values, findings, changes, arrays)
+
+
+def _change(value: Value, table: str, key: str) -> Change:
+    return Change(table, key, rounded(value.value, value.low, value.high))
+
+
+def _slope(name: str, unit: str, x: Floats, y: Floats, relative: float) -> Value:
+    """Slope of the line y(x), with an interval that `relative` widens; nan: it is not known."""
+    line = fitted(x, y)
+    share = relative if isfinite(relative) else UNKNOWN
+    half = hypot(line.slope_half, share * line.slope)
+    return Value(name, line.slope, unit, line.slope - half, line.slope + half)
+
+
+def _torque(per_ampere: Value, lever_m: float | None) -> list[Value]:
+    if lever_m is None:
+        return []
+    found = (per_ampere.value, per_ampere.low, per_ampere.high)
+    value, low, high = (lever_m * one for one in found)
+    return [Value("torque constant", value, "N m/A", low, high)]
+
+
+def _emf(moved: Floats, device: Mapping[str, Any], metre: float) -> list[Value]:
+    """Full scale of the circuit's velocity, if that moves with the handle."""
+    per_count = float(device["emf_velocity"]["per_count"])
+    if float(np.ptp(moved[:, 2])) < DEAD_COUNTS * per_count:
+        return []
+    gain = _slope("", "", moved[:, 2], moved[:, 0], metre)
+    if gain.value <= 0.0:
+        return []
+    full = 32767.0 * per_count
+    ends = (gain.value * full, gain.low * full, gain.high * full)
+    return [Value("emf_velocity.full_scale_m_per_s", ends[0], "m/s", ends[1], ends[2])]
+
+
+def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> list[Finding]:
+    """Whether the channels say anything, and the handle was moved."""
+    found = []
+    for place, name in ((1, "current"), (2, "voltage")):
+        span = float(np.ptp(rests[:, place])) / float(device[name]["per_count"])
+        if span < DEAD_COUNTS:
+            what = f"under force the {name} changes by {span:.2g} counts"
+            remedy = f"the board does not report the motor's {name}, or its sensor is dead"
+            found.append(Finding(what, "refused", remedy))
+    speed = float(moved[:, 0].std())
+    if speed < LEAST_M_PER_S:
+        what = f"the handle was moved with {1e3 * speed:.2g} mm/s rms"
+        found.append(Finding(what, "refused", "move it faster, by some mm to and fro"))
+    return found
+
+
+def _signs(per_ampere: Value, ohm: Value, induced: Value) -> list[Finding]:
+    names = {"current": per_ampere, "voltage over current": ohm, "voltage over speed": induced}
+    wrong = [name for name, value in names.items() if value.value <= 0.0]
+    if not wrong:
+        return [Finding("current and voltage have the signs of the force", "ok")]
+    remedy = "correct the sign of `current` or `voltage` in the device file"
+    return [Finding(f"the wrong way: {', '.join(wrong)}", "refused", remedy)]
+
+
+def _agreement(per_ampere: Value, induced: Value) -> Finding:
+    ratio = induced.value / per_ampere.value
+    what = f"back-EMF is {ratio:.3g} of the force per ampere; in SI they are one number"
+    if abs(ratio - 1.0) <= AGREE:
+        return Finding(what, "ok")
+    remedy = "the scales of current, voltage, force or position are wrong: see their data sheets"
+    return Finding(what, "warning", remedy)
