@@ -77,6 +77,7 @@ class Person:
             "spring": self._spring,
             "draw": self._draw,
             "shake": self._shake,
+            "warm": lambda _celsius: None,
             "one signal": lambda seconds: self.one_signal(seconds),
         }
         actions[request.action](request.amount)

@@ -30,7 +30,7 @@ from blind_truth import NOMINAL, SERIAL, BlindBoard, Truth, drawn
 
 from hapticd.assembly import lockstep
 from hapticd.params import BoardParams
-from hapticd.rig import damping, device_file, encoder, link, motor, probe
+from hapticd.rig import damping, device_file, encoder, link, motor, probe, temperature
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
@@ -164,6 +164,9 @@ def _known_of_probe(truth: Truth) -> dict[str, float]:
         "probe_velocity.full_scale_m_per_s": truth.probe_velocity_gain * 2.0,
         "probe_torque.offset_count": truth.probe_torque_offset_count,
         "probe_velocity.offset_count": truth.probe_velocity_offset_count,
+        "emf_velocity.full_scale_m_per_s": truth.emf_gain * 2.0,
+        "emf_velocity.offset_count": 0.0,
+        "temperature.offset_count": 0.0,
         "probe_torque noise": 0.0,
         "probe skew": -truth.skew_us,  # the velocity is that of before
         "high-pass mismatch": -per_radian * sin(of_velocity - of_torque),
@@ -200,6 +203,9 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
     "motor gain": lambda rig: motor.measure_gain(rig.bench, rig.ask, motor.Masses(MASSES_KG)),
     "damping": lambda rig: damping.measure(rig.bench, rig.ask),
     "probe": lambda rig: probe.measure(rig.bench, rig.ask, probe.Attached(FIXED_KG)),
+    "temperature": lambda rig: temperature.measure(
+        rig.bench, rig.ask, temperature.Stated((NOMINAL["ambient_c"],))
+    ),
 }
 
 

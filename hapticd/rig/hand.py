@@ -20,6 +20,7 @@ Action = Literal[
     "spring",  # of `amount` N/m between handle and frame, and let go
     "draw",  # the handle aside by `amount` m, and let go at once: it moves freely
     "shake",  # the handle to and fro by some mm, for `amount` s from now on
+    "warm",  # the winding to `amount` degC, and hold it there
     "one signal",  # into both probe channels, for `amount` s from now on
 ]
 

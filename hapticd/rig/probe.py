@@ -43,13 +43,14 @@ from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.result import (
+    POSITION_HALF,
     UPPER_END,
     Change,
     Finding,
     StepResult,
     Value,
+    change_of,
     relative_half,
-    rounded,
 )
 from hapticd.rig.shaken import (
     LINES_HZ,
@@ -72,7 +73,6 @@ LEAST_COHERENT = 0.9  # of a channel's lines, with what it should follow
 MOST_LEFT = 0.05  # of the torque's lines, that the fit leaves
 WORST_HALF = 0.1  # of the force gain, beyond which the mass made no difference
 FACTOR = 2.0  # between file and measurement, beyond which a mass is rather mistyped
-POSITION_HALF = 2e-3  # of the position's scale, where its source does not say
 UNEVEN = 2.0  # of a variance: what a fit leaves is rather of its model, and not alike at all lines
 SHEPPARD = 1.0 / 12.0  # variance of rounding (Sheppard 1898), from half a count of noise on
 SHIFTS = np.linspace(-1.0, 1.0, 1001)  # of the longest delay, at which lines are compared
@@ -377,11 +377,7 @@ def noise(name: str, counts: Floats, gain: Gain, unit: str) -> Value:
 def _changes(gains: Mapping[str, Gain], values: list[Value]) -> list[Change]:
     signs = [Change(name, "sign", 1 if one.per_count > 0.0 else -1) for name, one in gains.items()]
     written = [one for one in values if one.name.split(".")[0] in gains and "." in one.name]
-    return signs + [
-        Change(table, key, rounded(one.value, one.low, one.high))
-        for one in written
-        for table, key in [one.name.split(".")]
-    ]
+    return signs + [change_of(one) for one in written]
 
 
 def _within_reach(values: list[Value], limit_n: float) -> list[Change]:

@@ -102,6 +102,13 @@ def counts_of(records: Records, position: Mapping[str, Any]) -> Floats:
     return found
 
 
+def raw_counts(values: Floats, scale: Mapping[str, Any]) -> Floats:
+    """Counts (n,) of what was read as `values` (n,) by the hello's `scale`."""
+    known = ScaleParams(**scale)
+    found: Floats = known.sign * values / known.per_count + known.offset_count
+    return found
+
+
 def keep(
     device_file: Path, step: str, day: datetime.date, arrays: Mapping[str, npt.NDArray[Any]]
 ) -> Kept:

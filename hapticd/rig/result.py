@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 Verdict = Literal["ok", "warning", "refused", "not done"]
+POSITION_HALF = 2e-3  # relative, of the encoder's scale where its source does not say
 UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval
 Scalar = bool | int | float | str
 Written = Scalar | tuple[Scalar, ...]  # what may stand in a device file
@@ -78,6 +79,12 @@ class StepResult:
             "findings": [asdict(one) for one in self.findings],
             "changes": [asdict(one) for one in self.changes],
         }
+
+
+def change_of(one: Value) -> Change:
+    """The value `one`, whose name is TABLE.KEY, into the device file."""
+    table, key = one.name.split(".")
+    return Change(table, key, rounded(one.value, one.low, one.high))
 
 
 def relative_half(source: str, name: str, otherwise: float) -> float:

@@ -17,6 +17,7 @@ VERBS: dict[str, terminal.Verb] = {
     "motor": motor,
     "damping": damping.damping,
     "probe": sensors.probe,
+    "temperature": sensors.temperature,
     "identify": identify,
 }
 app.callback()(guided.guided)

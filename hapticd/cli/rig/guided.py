@@ -43,6 +43,9 @@ def guided(context: typer.Context) -> None:
     if _wanted("probe: both channels, by shaking the handle without and with a mass"):
         fixed_kg = number("mass that is fixed to the handle in kg")
         _kept_on(lambda: sensors.probe(fixed_kg))
+    if _wanted("temperature: the winding's sensor, and the back-EMF by hand"):
+        at_c = number("temperature of the room in degC")
+        _kept_on(lambda: sensors.temperature([at_c]))
     if _wanted("identify: mass, friction and delay, by shaking the free handle"):
         _kept_on(lambda: identify())
 

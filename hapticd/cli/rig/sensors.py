@@ -1,4 +1,4 @@
-"""`hapticd rig probe`: the sensors beside the encoder, measured and written into the device file.
+"""`hapticd rig probe|temperature`: sensors beside the encoder, measured into the device file.
 
 What would break it: as `steps`.
 """
@@ -25,6 +25,14 @@ Stiffness = Annotated[
     float,
     typer.Option("--stiffness", metavar="N/M", min=0.0, help="Of the spring that is judged there."),
 ]
+Celsius = Annotated[
+    list[float],
+    typer.Option("--at", metavar="C", help="What a thermometer says, in degC; once or twice."),
+]
+Thermometer = Annotated[
+    float, typer.Option("--tolerance", metavar="C", min=0.0, help="Of the thermometer (95 %).")
+]
+NoShake = Annotated[bool, typer.Option("--no-shake", help="Leave the back-EMF channel out.")]
 NoSignal = Annotated[
     bool,
     typer.Option("--no-one-signal", help="There is no signal for both channels: leave skew out."),
@@ -58,6 +66,33 @@ def probe(
         instance,
         load(config),
         lambda client: measure(client, steps.asking(yes), attached, judged, not no_one_signal),
+        yes,
+    )
+    steps.show(found, as_json)
+
+
+def temperature(
+    at: Celsius,
+    tolerance: Thermometer = 0.5,
+    no_shake: NoShake = False,
+    yes: steps.Yes = False,
+    config: terminal.ConfigFile = None,
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Offset, noise and drift of the winding's temperature at a stated temperature, its scale with
+    a second one; then scale and sign of the back-EMF channel, while a hand shakes the handle.
+
+    Makes no force. Writes the tables `temperature` and `emf_velocity` of the device file.
+    """
+    from hapticd.rig.temperature import Stated, measure
+    from hapticd.settings.load import load
+
+    stated = Stated(tuple(at), tolerance)
+    found = steps.perform(
+        instance,
+        load(config),
+        lambda client: measure(client, steps.asking(yes), stated, not no_shake),
         yes,
     )
     steps.show(found, as_json)

@@ -1,0 +1,231 @@
+"""Does the sensor of the winding's temperature say what a thermometer says?
+
+A winding that was off for half an hour is as warm as the room, whose temperature
+somebody states. Its sensor has to say about that, without drift, and not the end of its converter;
+then the count that means 0 degC follows from it, with the scale that the file has from a data sheet
+(SCALE_HALF). With a second, stated temperature the scale itself is measured,
+
+    c = (T2 - T1) / (n2 - n1),   offset = n1 - T1 / c
+
+and both have the thermometer's tolerance. Drift is a line over the seconds at rest, with blocks for
+its interval, as noise of a sensor is rarely white.
+
+The back-EMF is measured in the same step, while a hand shakes the handle (`rig.back_emf`).
+
+What would break it: a winding that is still warm from what was done before (the drift shows it), or
+a thermometer that is not where the sensor is.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import hypot, sqrt
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.verdict import student_quantile
+from hapticd.client.blocks import Records
+from hapticd.client.client import Client
+from hapticd.errors import AnalysisError
+from hapticd.params import ScaleParams
+from hapticd.rig import back_emf
+from hapticd.rig.hand import Ask, Request
+from hapticd.rig.link import require_disabled
+from hapticd.rig.records import collect, raw_counts
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+
+REST_S = 10.0
+SHAKE_S = 6.0
+BLOCKS = 10
+SCALE_HALF = 0.02  # relative, of a scale that is from a data sheet
+MOST_OFF_C = 5.0  # between sensor and statement, that an offset may be
+FAR_OFF_C = 25.0  # beyond which it is no offset
+LEAST_APART_C = 5.0  # of two temperatures
+LEAST_COUNTS = 5.0  # between two temperatures
+MOST_DRIFT_C_PER_MIN = 1.0
+FACTOR = 2.0  # between file and measurement
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a thermometer at the winding says: of the room, and once more when it is warm."""
+
+    celsius: tuple[float, ...]
+    tolerance_c: float = 0.5  # half of the 95 % interval of each
+
+
+def measure(bench: Client, ask: Ask, stated: Stated, with_shake: bool = True) -> StepResult:
+    """Read the sensor at each temperature, then the back-EMF while a hand shakes the handle.
+
+    CommandError unless disabled; AnalysisError for a board without the sensor, or temperatures that
+    are too close.
+    """
+    require_disabled(bench)
+    _refuse(stated)
+    device = bench.hello()["servo"]["device"]
+    text = f"let go; the winding has to be as warm as the room, {_named(stated, 0)}"
+    ask(Request("let go", text))
+    readings = [_read(bench, device)]
+    for place in range(1, len(stated.celsius)):
+        text = f"warm the winding to {_named(stated, place)} and hold it there"
+        ask(Request("warm", text, stated.celsius[place]))
+        readings.append(_read(bench, device))
+    shaken = None
+    if with_shake:
+        text = f"from now on, for {SHAKE_S:g} s: shake the handle to and fro by some mm"
+        ask(Request("shake", text, SHAKE_S))
+        shaken = collect(bench, SHAKE_S).records
+    return concluded(np.array(readings), stated, device, shaken)
+
+
+def _named(stated: Stated, place: int) -> str:
+    return f"{stated.celsius[place]:g} degC"
+
+
+def _refuse(stated: Stated) -> None:
+    if len(stated.celsius) not in (1, 2):
+        raise AnalysisError(f"{len(stated.celsius)} temperatures: state one, or two")
+    apart_c = float(np.ptp(stated.celsius))
+    if len(stated.celsius) == 2 and apart_c < LEAST_APART_C:
+        raise AnalysisError(
+            f"the temperatures are {apart_c:g} K apart; take {LEAST_APART_C:g} K or more"
+        )
+
+
+def _read(bench: Client, device: Mapping[str, Any]) -> Floats:
+    winding_c = collect(bench, REST_S).records["winding_c"].astype(np.float64)
+    if not np.isfinite(winding_c).all():
+        raise AnalysisError(
+            "this board measures no temperature: leave `temperature` out of relies_on in its device"
+            " file"
+        )
+    return raw_counts(winding_c, device["temperature"])
+
+
+def concluded(
+    readings: Floats, stated: Stated, device: Mapping[str, Any], shaken: Records | None = None
+) -> StepResult:
+    """What counts (k, n) of the sensor at k temperatures say, over REST_S each, and the ticks of a
+    handle that was `shaken`, with the scales of the hello's `device`.
+    """
+    scale = device["temperature"]
+    per_count = float(scale["per_count"])
+    drift = drift_of(readings[-1], per_count)
+    findings = [_living(readings), _steady(drift)]
+    values = [_noise(readings[-1], per_count), drift]
+    changes: list[Change] = []
+    if _settled(findings):
+        values += scale_of(readings, stated, scale)
+        findings.append(_plausible(readings, stated, scale, values))
+    if _settled(findings):
+        changes = _changes(values, readings, stated, scale)
+    arrays: dict[str, Any] = {"readings": readings, "stated_c": np.array(stated.celsius)}
+    if shaken is not None:
+        other = back_emf.concluded(shaken, device)
+        values += other.values
+        findings += other.findings
+        changes += other.changes
+        arrays |= other.arrays
+    settled = _settled(findings)
+    return StepResult("temperature", values, findings, changes if settled else (), arrays)
+
+
+def _settled(findings: list[Finding]) -> bool:
+    return all(one.verdict != "refused" for one in findings)
+
+
+def _living(readings: Floats) -> Finding:
+    means = readings.mean(axis=1)
+    what = f"the sensor says {', '.join(f'{mean:.1f}' for mean in means)} counts"
+    if means.min() <= I16_LOWEST + 1 or means.max() >= I16_HIGHEST - 1:
+        remedy = "the end of its converter: the sensor is open or shorted; look at its wires"
+        return Finding(what, "refused", remedy)
+    if len(means) == 2 and abs(means[1] - means[0]) < LEAST_COUNTS:
+        return Finding(what, "refused", "stuck sensor: it does not follow the temperature")
+    return Finding(what, "ok")
+
+
+def _steady(drift: Value) -> Finding:
+    what = f"it drifts by {drift.value:.2g} K/min"
+    if max(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_C_PER_MIN:
+        return Finding(what, "ok")
+    return Finding(what, "warning", "wait until the winding is as warm as what is around it")
+
+
+def _noise(counts: Floats, per_count: float) -> Value:
+    deviation = float(counts.std()) * per_count
+    half = 1.96 * deviation / sqrt(2.0 * len(counts))
+    return Value("temperature noise", deviation, "K rms", deviation - half, deviation + half)
+
+
+def drift_of(counts: Floats, per_count: float) -> Value:
+    """Slope of `counts` (n,) over REST_S, in K/min: of the means of ten blocks."""
+    away = counts - counts[0]  # so that a sensor that does not move has no rounding of its mean
+    means = away[: len(counts) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
+    at_min = (np.arange(BLOCKS) + 0.5 - BLOCKS / 2) * REST_S / BLOCKS / 60.0
+    power = float(at_min @ at_min)
+    slope = float(at_min @ means) / power
+    left = means - means.mean() - slope * at_min
+    freedom = BLOCKS - 2
+    half = student_quantile(UPPER_END, freedom) * sqrt(float(left @ left) / freedom / power)
+    low, value, high = ((slope + side * half) * per_count for side in (-1.0, 0.0, 1.0))
+    return Value("temperature drift", value, "K/min", low, high)
+
+
+def scale_of(readings: Floats, stated: Stated, scale: Mapping[str, Any]) -> list[Value]:
+    """Offset, and with two temperatures the scale too, from counts (k, n)."""
+    counts = readings.mean(axis=1)
+    celsius = np.array(stated.celsius)
+    if len(celsius) == 1:
+        per_count = int(scale["sign"]) * float(scale["per_count"])
+        offset = float(counts[0] - celsius[0] / per_count)
+        unsure_c = hypot(stated.tolerance_c, SCALE_HALF * celsius[0])
+        return [_offset(offset, unsure_c / abs(per_count))]
+    per_count = float((celsius[1] - celsius[0]) / (counts[1] - counts[0]))
+    relative = sqrt(2.0) * stated.tolerance_c / abs(float(celsius[1] - celsius[0]))
+    size = abs(per_count)
+    half = size * relative
+    offset = float(counts[0] - celsius[0] / per_count)
+    # 0 degC lies beyond both: their errors reach there by the lever
+    reach = hypot(*celsius) / abs(float(celsius[1] - celsius[0]))
+    return [
+        Value("temperature.c_per_count", size, "K", size - half, size + half),
+        _offset(offset, stated.tolerance_c * reach / size),
+    ]
+
+
+def _offset(offset: float, half: float) -> Value:
+    return Value("temperature.offset_count", offset, "counts", offset - half, offset + half)
+
+
+def _plausible(
+    readings: Floats, stated: Stated, scale: Mapping[str, Any], values: list[Value]
+) -> Finding:
+    told_c = ScaleParams(**scale).to_value(float(readings[0].mean()))
+    away_c = told_c - stated.celsius[0]
+    what = f"by the device file it is {told_c:.1f} degC where {stated.celsius[0]:g} degC are stated"
+    slopes = [one.value for one in values if one.name == "temperature.c_per_count"]
+    ratio = slopes[0] / float(scale["per_count"]) if slopes else 1.0
+    if not 1.0 / FACTOR <= ratio <= FACTOR:
+        what = f"a count is {ratio:.3g} of what the device file says"
+        remedy = "are both temperatures in degC, and was the sensor as warm? Else correct the file"
+        return Finding(what, "refused", remedy)
+    if abs(away_c) > FAR_OFF_C and not slopes:
+        remedy = "look at the kind of sensor and its scale, or state two temperatures"
+        return Finding(what, "refused", remedy)
+    if abs(away_c) > MOST_OFF_C:
+        return Finding(what, "warning", "the device file gets the count that means 0 degC")
+    return Finding(what, "ok")
+
+
+def _changes(
+    values: list[Value], readings: Floats, stated: Stated, scale: Mapping[str, Any]
+) -> list[Change]:
+    sign = int(scale["sign"])
+    if len(stated.celsius) == 2:
+        rises = np.diff(readings.mean(axis=1))[0] * np.diff(stated.celsius)[0] > 0.0
+        sign = 1 if rises else -1
+    written = [change_of(one) for one in values if one.name.startswith("temperature.")]
+    return [Change("temperature", "sign", sign), *written]
