@@ -53,6 +53,7 @@ from hapticd.plant.blueprint import StateVariable
 from hapticd.plant.model import Model, Output, Outputs
 
 GROUND = -1  # number of the node that is the wall
+GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
 _ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0
 _IMAGES = np.array([0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0, -4.0, 4.0])  # for which a hand is tuned
 _DETUNED = (1e-3, 1e-4, 1e-5)  # resonances beside the frequencies that they serve

@@ -16,7 +16,7 @@ import numpy as np
 
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
-from hapticd.analysis.coupled import coupled_radius, shaking_hand
+from hapticd.analysis.coupled import GROWS, coupled_radius, shaking_hand
 from hapticd.analysis.displays import Display, Point, display_of
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
@@ -25,8 +25,6 @@ from hapticd.analysis.words import Verdicts, doubling, in_words, sentence
 from hapticd.errors import AnalysisError
 from hapticd.params import GuardSetup
 from hapticd.plant.model import Model
-
-_GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
 
 
 class Judge:
@@ -140,7 +138,7 @@ class Judge:
                 continue
             hand, hz = shaker
             radius = float(coupled_radius(model, at, [hand], level, filters)[0, 0])
-            if radius > _GROWS:
+            if radius > GROWS:
                 grows = doubling(radius, model.rate_hz)
                 how = {"hz": hz, "radius": radius, "growth": f"its motion {grows}"}
                 found.append(in_words(hand, hz, in_wall) | how)

@@ -20,14 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.coupled import Hand, coupled_radius, shaking_hand, withstands
+from hapticd.analysis.coupled import GROWS, Hand, coupled_radius, shaking_hand, withstands
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import Filters, spectral_radius
 from hapticd.analysis.predict import Prediction, environments, predict
 from hapticd.analysis.theorem import lift, lifted_margin, lifted_passive
 from hapticd.plant.model import Model
-
-_GROWS = 1.0 + 1e-9  # radius; 1 within rounding is a mode of the hand without loss
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,4 +107,4 @@ def _shaker(
         return None
     hand, hz = found
     radius = float(coupled_radius(model, kbm, [hand], level, filters)[0, 0])
-    return Shaker(hand, hz, radius) if radius > _GROWS else None
+    return Shaker(hand, hz, radius) if radius > GROWS else None

@@ -20,12 +20,11 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from hapticd.errors import MailboxError
 from hapticd.gateway.delay import DelayHistogram
 from hapticd.gateway.in_force import Display, InForce
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.schemas import GuardRequest
-from hapticd.gateway.terms import Terms, keep, kept, no_laxer
+from hapticd.gateway.terms import Terms, TermsKeeper
 from hapticd.gateway.view import ServoView
 from hapticd.params import STRICT_POLICIES, GuardParams
 from hapticd.units import NS_PER_MS, NS_PER_S
@@ -64,6 +63,15 @@ class Unsafe(NamedTuple):
     display: Display
 
 
+class About(NamedTuple):
+    """What a look at the environment in force is about."""
+
+    life: int  # of the servo
+    revision: int  # of the environment
+    delay_periods: float | None  # as measured by then
+    changes: int  # of the terms
+
+
 class Guard:
     """Policy, questions and answers. `worker` None: there is none, and nothing is known."""
 
@@ -84,9 +92,7 @@ class Guard:
         self.basis = params.basis
         self.margin_ns_per_m = params.margin_ns_per_m
         self.auto = False  # whether the guard chooses the level of active damping
-        self._configured = Terms(params.policy, params.basis, params.margin_ns_per_m)
-        self._kept = self._configured  # as the next gateway would find them
-        self._kept_life = 0
+        self._keeper = TermsKeeper(view, journal, self.terms)
         self.changes = 0  # of policy, basis or margin
         self.delay = DelayHistogram(view.params.realtime.rate_hz)
         self._delay_life = 0
@@ -98,9 +104,9 @@ class Guard:
         self._unanswered: dict[int, int] = {}  # when each question was asked that has no answer
         self._hands: deque[Unsafe] = deque(maxlen=MOST_HANDS)
         self._hand: tuple[int, Unsafe] | None = None  # number of the question, for what
-        self._look: tuple[int, tuple[Any, ...]] | None = None
+        self._look: tuple[int, About] | None = None  # number of the question, about what
         self._looked: dict[str, Any] = {}
-        self._looked_at: tuple[Any, ...] = ()
+        self._looked_at: About | None = None
         self._look_ns = -LOOK_NS
         self._told_ns = -LOOK_NS
 
@@ -149,7 +155,7 @@ class Guard:
             self.changes += 1
         if given.keys() & {"basis", "margin_ns_per_m"}:
             self._looked = {}
-            self._looked_at = ()
+            self._looked_at = None
         self._keep_terms()
 
     @property
@@ -159,32 +165,7 @@ class Guard:
 
     def _keep_terms(self) -> None:
         """Have the gateway that may follow this one know what was asked for."""
-        mailbox = self._view.mailbox
-        if mailbox is None or (self._kept_life == self._view.life and self._kept == self.terms):
-            return
-        epoch = mailbox.header.start_ns
-        if self._kept_life == 0 and (before := kept(self._view.folder, epoch)):
-            self._go_on(before)
-        self._kept_life = self._view.life
-        self._kept = self.terms
-        try:
-            keep(self._view.folder, epoch, self.terms)
-        except MailboxError as error:
-            self._journal.note("warning", text=f"what the guard goes by is not kept: {error}")
-
-    def _go_on(self, before: Terms) -> None:
-        """Go by what a gateway before this one was asked for, as far as it is no laxer, unless this
-        one was asked for something else already.
-        """
-        if self.terms != self._configured or before == self._configured:
-            return
-        terms = no_laxer(before, self._configured)
-        text = (
-            f"the gateway has started anew; asked of the guard was {before.words()}, configured"
-            f" is {self._configured.words()}; it goes by {terms.words()}"
-        )
-        self._journal.note("warning", text=text)
-        self._policy, self.basis, self.margin_ns_per_m, self.auto = terms
+        self._policy, self.basis, self.margin_ns_per_m, self.auto = self._keeper.follow(self.terms)
 
     def summary(self) -> dict[str, Any]:
         """What `status` and the command `guard` tell."""
@@ -205,9 +186,12 @@ class Guard:
     @property
     def verdict(self) -> dict[str, Any] | None:
         """The verdict on the environment in force; None: it has not been judged (yet)."""
-        if self._looked_at[:2] != (self._view.life, self.in_force.revision):
-            return None
-        return self._looked.get("verdict")
+        return self._looked.get("verdict") if self._same(self._looked_at) else None
+
+    def _same(self, about: About | None) -> bool:
+        """Whether `about` is the environment in force."""
+        now = self._view.life, self.in_force.revision
+        return about is not None and (about.life, about.revision) == now
 
     def _unjudged(self) -> str:
         """Why there is no verdict on the environment in force, and what is known of it all the
@@ -262,8 +246,8 @@ class Guard:
         """Active damping [N s/m] without which the environment in force would be unsafe, where the
         policy would not have let it; None: nobody counts on any, or it is not known.
         """
-        verdict = self._looked.get("verdict") or {}
-        if not self.must or self._looked_at[:2] != (self._view.life, self.in_force.revision):
+        verdict = self.verdict or {}
+        if not self.must:
             return None
         least = verdict.get("least_damping_ns_per_m")
         return float(least) if isinstance(least, (int, float)) else None
@@ -352,18 +336,19 @@ class Guard:
             self._looked = {"verdict": verdict}
             self._looked_at = self._about()
 
-    def _about(self) -> tuple[Any, ...]:
-        """What a look is about: servo life, revision, measured delay, terms."""
-        return self._view.life, self.in_force.revision, self.delay.periods, self.changes
+    def _about(self) -> About:
+        """What a look would now be about."""
+        return About(self._view.life, self.in_force.revision, self.delay.periods, self.changes)
 
-    def _take_look(self, answer: dict[str, Any], about: tuple[Any, ...]) -> None:
-        if about[3] != self.changes:
+    def _take_look(self, answer: dict[str, Any], about: About) -> None:
+        if about.changes != self.changes:
             return  # it was looked at by other terms
         before = self._looked.get("verdict", {}).get("safe")
-        same = about[:2] == self._looked_at[:2]
+        last = self._looked_at
+        same = last is not None and (about.life, about.revision) == (last.life, last.revision)
         self._looked = answer if isinstance(answer.get("verdict"), dict) else {}
         self._looked_at = about
-        self._looked_delay = about[2]
+        self._looked_delay = about.delay_periods
         verdict = self._looked.get("verdict", {})
         if same and before and verdict.get("safe") is False and self.policy != "off":
             text = f"what is in force is not known to be passive any more: {verdict.get('text')}"

@@ -14,6 +14,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
+from hapticd.errors import MailboxError
+from hapticd.gateway.journal import Journal
+from hapticd.gateway.view import ServoView
 from hapticd.mailbox.files import GUARD_TERMS, write_whole
 from hapticd.params import STRICT_POLICIES, BasisName, Policy
 
@@ -69,3 +72,44 @@ def kept(folder: Path, epoch: int) -> Terms | None:
         return None
     known = found.policy in get_args(Policy) and found.basis in get_args(BasisName)
     return found if theirs == epoch and sound and known and isinstance(found.auto, bool) else None
+
+
+class TermsKeeper:
+    """Keeps the terms of the servo of `view`, and finds those of a gateway before this one."""
+
+    def __init__(self, view: ServoView, journal: Journal, configured: Terms) -> None:
+        self._view = view
+        self._journal = journal
+        self._configured = configured
+        self._kept = configured
+        self._life = 0  # for which they are kept
+
+    def follow(self, terms: Terms) -> Terms:
+        """Keep `terms` if they are new; those to go by from now on. At the first servo life they
+        are what a gateway before this one was asked for, as far as that is no laxer, unless this
+        one was asked for something already.
+        """
+        view = self._view
+        if view.mailbox is None or (self._life == view.life and self._kept == terms):
+            return terms
+        epoch = view.mailbox.header.start_ns
+        if self._life == 0 and terms == self._configured:
+            terms = self._found(epoch)
+        self._life = view.life
+        self._kept = terms
+        try:
+            keep(view.folder, epoch, terms)
+        except MailboxError as error:
+            self._journal.note("warning", text=f"what the guard goes by is not kept: {error}")
+        return terms
+
+    def _found(self, epoch: int) -> Terms:
+        before = kept(self._view.folder, epoch) or self._configured
+        terms = no_laxer(before, self._configured)
+        if before != self._configured:
+            text = (
+                f"the gateway has started anew; asked of the guard was {before.words()}, configured"
+                f" is {self._configured.words()}; it goes by {terms.words()}"
+            )
+            self._journal.note("warning", text=text)
+        return terms
