@@ -20,16 +20,18 @@ if a mass K q / 2 were missing, so a mass that is not known to MASS_SHARE leaves
 
 Clocks. The encoder is latched at times that the board tells, the intervals of the probe end at
 multiples of 250 us of the same clock, to within a constant. The encoder's way and the integral of
-the velocity agree only for the right constant (`clocked`), to some 0.1 us, and the right gain. The
-velocity may come later than the torque (a skew), which is one more unknown: the torque is shifted.
+the velocity agree only for the right constant (`clocked`), to some 0.1 us, the right gain, and the
+right corner of a high-pass in the velocity channel. The velocity may come later than the torque (a
+skew), and the torque channel may have a high-pass too: two more unknowns of the balance.
 
 Intervals: the equation is linear near its solution, and a sum over blocks of one second. Leaving
 out each in turn (jackknife) gives deviations and correlations without presuming white residuals.
 
-Assumptions. Each is a term that should not be there: a mass that changes with the frequency,
-friction that grows with the square of the speed, friction of speed that differs by direction, a
-delay that drifts, a steady pull. Added to the equation its coefficient has Student's t, so the
-chance of a false alarm is known: SIGNIFICANCE for all of them together (Bonferroni).
+Assumptions. Each is a term that should not be there: a mass that changes with the frequency (fitted
+along, so that m is what moves slowly), friction that grows with the square of the speed, friction
+of speed that differs by direction, a delay that drifts, a steady pull. Added to the equation its
+coefficient has Student's t, so the chance of a false alarm is known: SIGNIFICANCE for all of them
+together (Bonferroni).
 
 What would break it: a velocity so noisy that phi is chance (more than some 2 % of the motion), and
 motion above HIGH_HZ that is no small part of it.
@@ -37,6 +39,7 @@ motion above HIGH_HZ that is no small part of it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +65,17 @@ SPREADS_US = (0.0, 300.0, 1000.0, 3000.0, 8000.0)  # smoothing to begin with
 SMALL_US2 = 1e3  # difference by which the spread is differentiated
 SIGNIFICANCE = 0.01
 EDGE = 20  # samples left out at both ends
-NAMES = ("mass_kg", "viscous_ns_per_m", "coulomb_n", "gain", "lag_us", "spread_us2", "skew_us")
+NAMES = (
+    "mass_kg",
+    "viscous_ns_per_m",
+    "coulomb_n",
+    "gain",
+    "lag_us",
+    "spread_us2",
+    "skew_us",
+    "bend_kg",
+    "high_pass_rad_s",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +89,8 @@ class Handle:
     lag_us: float  # D + s
     spread_us2: float  # s^2; below 0 where noise says so
     skew_us: float  # by which the velocity comes later than the torque
+    bend_kg: float = 0.0  # what the mass grows by up to HIGH_HZ, with the square of the frequency
+    high_pass_rad_s: float = 0.0  # corner of the torque channel
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +101,7 @@ class Clock:
     phase_sd_us: float
     gain: float  # encoder's way by the integral of the velocity
     gain_sd: float
+    high_pass_rad_s: float  # corner of the velocity channel
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +125,8 @@ class Balance:
     """The solution. `sd` and `correlation` in the order of NAMES."""
 
     handle: Handle
-    sd: Floats  # (7,)
-    correlation: Floats  # (7, 7)
+    sd: Floats  # (9,)
+    correlation: Floats  # (9, 9)
     blocks: int
     residual: float  # rms of what is left, of the torque
     pull_n: float  # that acts all the time, or friction that is greater one way
@@ -128,15 +144,23 @@ def clocked(run: Played) -> Clock:
     late_us = run.board_us - SAMPLE_US * (run.last_index + 1.0)
     # an interval that had come was over, the next one was not
     phase_us = 0.5 * (float(late_us.max()) - SAMPLE_US + float(late_us.min()))
-    for _ in range(4):
-        found = _phase(run, phase_us)
+    corner = 0.0
+    for _ in range(5):
+        found = _phase(run, phase_us, corner)
         phase_us = found.phase_us
+        corner = found.high_pass_rad_s
     return found
 
 
-def _phase(run: Played, phase_us: float) -> Clock:
-    """The clock again, from a guess of its phase."""
-    v = run.velocity_m_per_s
+def passed(values: Floats, corner_rad_s: float) -> Floats:
+    """`values` (n,) without their mean, as they were before a high-pass of that corner."""
+    own = values - values.mean()
+    return np.asarray(own + corner_rad_s * (np.cumsum(own) - 0.5 * own) * H_S)
+
+
+def _phase(run: Played, phase_us: float, corner_rad_s: float) -> Clock:
+    """The clock again, from a guess of its phase and of the channel's high-pass."""
+    v = passed(run.velocity_m_per_s, corner_rad_s)
     way_m = np.concatenate(([0.0], np.cumsum(v))) * H_S
     at = (run.board_us - phase_us) / SAMPLE_US - run.first_index
     inside = (at >= 1.0) & (at < v.size - 2.0)
@@ -146,11 +170,16 @@ def _phase(run: Played, phase_us: float) -> Clock:
     seen = way_m[whole] + part * v[whole] * H_S - bend
     speed = np.interp(at[inside] - 0.5, np.arange(v.size), v)
     rate_hz = US_PER_S / run.period_us
-    columns = [_ticks(one, rate_hz) for one in (seen, speed, run.position_m[inside])]
-    fit = solved(np.stack(columns[:2], axis=2), columns[2])
-    gain, shift = fit.values
+    lost = np.cumsum(seen - seen.mean()) / rate_hz
+    parts = [_ticks(one, rate_hz) for one in (seen, speed, lost, run.position_m[inside])]
+    fit = solved(np.dstack(parts[:3]), parts[3])
+    gain, shift, corner = fit.values.tolist()
     return Clock(
-        phase_us - US_PER_S * shift / gain, US_PER_S * fit.sd[1] / gain, float(gain), fit.sd[0]
+        phase_us - US_PER_S * shift / gain,
+        US_PER_S * float(fit.sd[1]) / gain,
+        gain,
+        float(fit.sd[0]),
+        corner_rad_s + corner / gain,
     )
 
 
@@ -295,9 +324,9 @@ def friction(push_n: Floats, velocity: Floats, handle: Handle) -> Floats:
 def terms(run: Played, clock: Clock, handle: Handle) -> Terms:
     """The terms of the balance, as far as `handle` is needed for them."""
     drift = (run.position_m[-1] - run.position_m[0]) / (run.board_us[-1] - run.board_us[0])
-    velocity = run.velocity_m_per_s
+    velocity = passed(run.velocity_m_per_s, clock.high_pass_rad_s)
     velocity = velocity - velocity.mean() + drift * US_PER_S / clock.gain
-    torque = shifted(run.torque_n, -handle.skew_us)
+    torque = shifted(passed(run.torque_n, handle.high_pass_rad_s), -handle.skew_us)
     command = commanded(run, clock, handle.lag_us, handle.spread_us2)
     ends = (command[:1], 0.5 * (command[1:] + command[:-1]), command[-1:])
     push = torque + handle.gain * np.concatenate(ends)
@@ -321,7 +350,7 @@ def terms(run: Played, clock: Clock, handle: Handle) -> Terms:
 class _Rows(NamedTuple):
     """The equation by lines."""
 
-    columns: Floats  # (blocks, rows, 7) by NAMES
+    columns: Floats  # (blocks, rows, 9) by NAMES
     target: Floats  # (blocks, rows)
     extra: dict[str, Floats]  # of each test, (blocks, rows)
     run: Floats  # (blocks,) to which run a block belongs
@@ -375,7 +404,7 @@ def _begin(runs: Sequence[Played], clocks: Sequence[Clock]) -> Handle:
 
 def _moved(handle: Handle, values: Floats) -> tuple[Handle, float]:
     """`handle` after a round, and how far the lag went [us]."""
-    mass, viscous, coulomb, gain, lag, spread, skew = values.tolist()
+    mass, viscous, coulomb, gain, lag, spread, skew, bend, corner = values.tolist()
     stride = float(np.clip(lag, -STRIDE_US, STRIDE_US))
     widest = max(4e4, abs(handle.spread_us2))
     moved = Handle(
@@ -386,6 +415,8 @@ def _moved(handle: Handle, values: Floats) -> tuple[Handle, float]:
         handle.lag_us + stride,
         handle.spread_us2 + float(np.clip(spread, -widest, widest)),
         handle.skew_us + float(np.clip(skew, -STRIDE_US, STRIDE_US)),
+        bend,
+        handle.high_pass_rad_s + corner,
     )
     return moved, max(abs(stride), abs(skew))
 
@@ -425,16 +456,17 @@ def _of_run(run: Played, clock: Clock, handle: Handle, number: int) -> _Rows:
         -handle.gain * lag,
         -handle.gain * (wider - own.command) / SMALL_US2,
         skew,
+        bent,
+        -np.cumsum(own.torque - own.torque.mean()) * H_S,
     )
     extra = {
-        "rigid": bent,
         "linear": own.velocity * np.abs(own.velocity) / speed,
         "direction": np.abs(own.velocity),
         "delay": -handle.gain * lag * time,
     }
     count = (lag.size - 2 * EDGE) // BLOCK
     return _Rows(
-        np.stack([_lines(one) for one in columns], axis=2),
+        np.dstack([_lines(one) for one in columns]),
         _lines(own.torque),
         {name: _lines(one) for name, one in extra.items()},
         np.full(count, float(number)),
@@ -475,7 +507,6 @@ def _concluded(
     fit: Solution,
     weight: Floats | None,
 ) -> Balance:
-    columns, target = _weighted(rows, weight)
     left = rows.target - rows.columns @ fit.values
     covariance = fit.covariance
     sd = np.sqrt(np.diag(covariance))
@@ -491,26 +522,26 @@ def _concluded(
         float(pulls.mean()),
         float(pulls.std(ddof=1) / np.sqrt(blocks)),
         float(speeds.std()),
-        _tests(rows, columns, target, weight, pulls),
+        _tests(rows, fit, weight),
         clocks,
     )
 
 
-def _tests(
-    rows: _Rows, columns: Floats, target: Floats, weight: Floats | None, pulls: Floats
-) -> tuple[Test, ...]:
+def _tests(rows: _Rows, fit: Solution, weight: Floats | None) -> tuple[Test, ...]:
     """Each assumption by itself, beside what is fitted."""
-    found = []
-    freedom = len(target) - 1
-    critical = student_quantile(1.0 - 0.5 * SIGNIFICANCE / (len(rows.extra) + 1), freedom)
-    usual = student_quantile(0.975, freedom)
+    columns, target = _weighted(rows, weight)
+    bend = NAMES.index("bend_kg")
+    found = {"rigid": (float(fit.values[bend]), float(fit.sd[bend]))}
     for name, one in rows.extra.items():
         term = one if weight is None else one * weight
-        fit = solved(np.concatenate((columns, term[..., None]), axis=2), target)
-        size = float(fit.values[-1])
-        sd = float(fit.sd[-1])
-        found.append(Test(name, size, usual * sd, size / sd, critical))
-    mean = float(pulls.mean())
-    sd = float(pulls.std(ddof=1)) / np.sqrt(len(pulls))
-    found.append(Test("pull", mean, usual * sd, mean / sd if sd else 0.0, critical))
-    return tuple(found)
+        beside = solved(np.concatenate((columns, term[..., None]), axis=2), target)
+        found[name] = (float(beside.values[-1]), float(beside.sd[-1]))
+    pull_sd_n = float(rows.pull_n.std(ddof=1)) / sqrt(len(rows.pull_n))
+    found["pull"] = (float(rows.pull_n.mean()), pull_sd_n)
+    freedom = len(target) - 1
+    critical = student_quantile(1.0 - 0.5 * SIGNIFICANCE / len(found), freedom)
+    usual = student_quantile(0.975, freedom)
+    return tuple(
+        Test(name, size, usual * sd, size / sd if sd else 0.0, critical)
+        for name, (size, sd) in found.items()
+    )

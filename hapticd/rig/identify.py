@@ -2,8 +2,8 @@
 
 The handle is let go. A weak spring and damper keep it in the middle while the probe shakes it with
 noise, softly and then hard (`balance` tells Coulomb from viscous friction by that). Then a stiffer
-spring is rendered, as stiff as the model so far calls safe by far (its spectral radius without any
-Coulomb friction), and shaken hard again: its force shows delay and smoothing.
+spring is rendered, as stiff as friction keeps passive by far (Colgate and Schenkel's theorem with
+the lag found so far), and shaken hard again: its force shows delay and smoothing.
 
     mass, friction      from the balance of forces; in newtons that are the mean of two scales, the
                         probe's and the motor's, each weighed by its interval; motion by the encoder
@@ -29,16 +29,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
-from hapticd.analysis.loop import spectral_radius
+from hapticd.analysis.linearise import GAIN
+from hapticd.analysis.theorem import required_damping
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.params import FilterParams
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import Delay, Effect, Masses, Motor, Smoothing, Viscous
-from hapticd.plant.excitation import generator
-from hapticd.plant.model import Model
-from hapticd.rig.balance import LOW_HZ, NAMES, Balance, Handle, Test, balanced
+from hapticd.rig.balance import LOW_HZ, NAMES, Balance, Test, balanced
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.motor import limit_n
@@ -58,13 +55,14 @@ TRY_SHARE = 0.3  # of the probe's force
 MOST_SHARE = 0.8
 QUIET_SHARE = 0.45  # of the loud part
 TRAVEL_SHARE = 0.3  # of the half travel that the loud part may take
-STIFFNESSES = (800.0, 400.0, 200.0, 100.0, 50.0)  # N/m
-DAMPINGS = (1.0, 0.5, 0.25)  # N s/m
-SPARE = 2.5  # times as stiff and damped would still be stable
+STIFFNESSES = (1600.0, 800.0, 400.0, 200.0, 100.0, 50.0)  # N/m
+DAMPINGS = (0.4, 0.2, 0.1, 0.0)  # N s/m
+SPARE = 1.5
 
 MASS_SHARE = 1e-3  # what the balance itself may be wrong by
 FRICTION_SHARE = 5e-3
 LAG_US = 2.0
+TOLD_US = 1.0  # by the board's clock: its resolution
 UNKNOWN_SHARE = 0.02  # half of the interval of a scale that says none
 LEAST_SMOOTHING = 0.05  # of a period: less is written as delay
 
@@ -113,7 +111,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     loud_n = _loud_n(bench, servo)
     parts = (noise(QUIET_S, QUIET_SHARE * loud_n, 1), noise(LOUD_S, loud_n, 2))
     free = play(bench, np.concatenate(parts), CENTRE)
-    rendered = stiffest(balanced([free]).handle, facts, limit_n(servo))
+    rendered = stiffest(balanced([free]), facts, limit_n(servo))
     return concluded((free, play(bench, noise(RENDERED_S, loud_n, 3), rendered)), facts)
 
 
@@ -149,11 +147,14 @@ def relative_half(source: str, name: str) -> float:
     return abs(high - low) / abs(high + low)
 
 
-def noise(seconds: float, most_n: float, seed: int) -> Floats:
-    """Force [N at 4 kHz] (n,) up to `most_n`, from LOW_HZ up, falling off above CORNER_HZ."""
+def noise(seconds: float, most_n: float, number: int) -> Floats:
+    """Force [N at 4 kHz] (n,) up to `most_n`, from LOW_HZ up, falling off above CORNER_HZ; another
+    one for each `number`.
+    """
     samples = round(PROBE_RATE_HZ * seconds)
     f = np.fft.rfftfreq(samples, 1.0 / PROBE_RATE_HZ)
-    real, imaginary = generator(seed, 0).standard_normal((2, f.size))
+    random = np.random.Generator(np.random.Philox(key=number))
+    real, imaginary = random.standard_normal((2, f.size))
     shape = ((f >= LOW_HZ) & (f <= MOST_HZ)) / (1.0 + f / CORNER_HZ)
     force = np.fft.irfft(shape * (real + 1j * imaginary), samples)
     place = np.arange(samples)
@@ -177,38 +178,21 @@ def _loud_n(bench: Client, servo: Mapping[str, Any]) -> float:
 # --- what may be rendered -------------------------------------------------------------------------
 
 
-def effects_of(handle: Handle, delay: float, smoothing_us: float) -> tuple[Effect, ...]:
-    """The linear device of `handle` with its delay in periods and its smoothing."""
-    found: tuple[Effect, ...] = (
-        Masses(rotor_kg=handle.mass_kg),
-        Motor(torque_constant_nm_per_a=1.0, lever_m=1.0, resistance_ohm=1.0),
-        Viscous(rotor_ns_per_m=max(0.0, handle.viscous_ns_per_m)),
-        Delay(periods=delay),
-    )
-    if smoothing_us > 0.0:
-        found = (*found, Smoothing(corner_hz=US_PER_S / (2.0 * pi * smoothing_us)))
-    return found
-
-
-def stiffest(handle: Handle, facts: Facts, most_n: float) -> Environment:
-    """The stiffest spring of STIFFNESSES, with the most damping, that SPARE times as much would
-    not make unstable, and whose force for 1 mm is at most half of `most_n`.
+def stiffest(found: Balance, facts: Facts, most_n: float) -> Environment:
+    """The stiffest spring of STIFFNESSES, with the most damping, of which viscous friction and half
+    of what Coulomb friction is worth keep SPARE times as much passive, and whose force for 1 mm is
+    at most half of `most_n`; CENTRE where there is none.
     """
+    handle = found.handle
     delay = max(0.0, handle.lag_us) / facts.period_us
-    model = _model(effects_of(handle, delay, 0.0), facts)
+    spare = handle.viscous_ns_per_m + 0.5 * GAIN * handle.coulomb_n / found.speed_m_per_s
     for stiffness in STIFFNESSES:
         for damping in DAMPINGS:
-            asked = np.array(
-                [[SPARE * stiffness, damping, 0.0], [SPARE * stiffness, SPARE * damping, 0.0]]
-            )
-            stable = (spectral_radius(model, asked, 0.0, facts.filters) < 1.0).all()
-            if stable and 1e-3 * stiffness <= 0.5 * most_n:
+            asked = SPARE * np.array([[stiffness, damping, 0.0], [stiffness, 0.0, 0.0]])
+            needed, _ = required_damping(asked, US_PER_S / facts.period_us, delay, facts.filters)
+            if needed.max() <= spare and 1e-3 * stiffness <= 0.5 * most_n:
                 return Environment(stiffness, damping)
     return CENTRE
-
-
-def _model(effects: tuple[Effect, ...], facts: Facts) -> Model:
-    return compose_device("identified", effects, US_PER_S / facts.period_us)
 
 
 # --- what it says ---------------------------------------------------------------------------------
@@ -319,21 +303,21 @@ def _path(found: Balance, runs: Sequence[Played], facts: Facts) -> Path:
     spread_half = hypot(_half(found, "spread_us2"), doubt)
     least_us = _told_us(runs)
     most_s = max(0.0, handle.lag_us + lag_half - least_us)
+    spread = max(0.0, handle.spread_us2)
     low, middle, high = (
-        min(most_s, sqrt(max(0.0, handle.spread_us2 + side * spread_half))) for side in (-1, 0, 1)
+        min(most_s, sqrt(max(0.0, spread + side * spread_half))) for side in (-1, 0, 1)
     )
     parted = low > 0.0 and middle > LEAST_SMOOTHING * facts.period_us
-    smooth_us = middle if parted else 0.0
-    delay_us = handle.lag_us - smooth_us
+    if not parted:
+        low = middle = 0.0
+    lag = Value("lag", handle.lag_us, "us", handle.lag_us - lag_half, handle.lag_us + lag_half)
+    least_us = max(least_us - TOLD_US, lag.low - high)
     return Path(
-        Value("lag", handle.lag_us, "us", handle.lag_us - lag_half, handle.lag_us + lag_half),
-        Value(
-            "delay", delay_us, "us",
-            max(least_us - LAG_US, handle.lag_us - lag_half - high), handle.lag_us + lag_half - low,
-        ),
-        Value("smoothing", smooth_us, "us", low, high),
+        lag,
+        Value("delay", handle.lag_us - middle, "us", min(least_us, lag.value), lag.high - low),
+        Value("smoothing", middle, "us", low, high),
         parted,
-    )  # fmt: skip
+    )
 
 
 def _stiffness(run: Played) -> float:
