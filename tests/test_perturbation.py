@@ -1,5 +1,6 @@
 """A perturbation is limited like force, at the last place before the wire, and plays as asked."""
 
+import math
 from array import array
 from collections.abc import Iterator
 from dataclasses import replace
@@ -63,6 +64,22 @@ def test_a_perturbation_is_clamped_in_the_servo(stack: LockStep) -> None:
     found = played(stack.run(100))
     assert found[:240] == [high, low, high, low, high, 5] * 40
     assert max(map(abs, found)) * scale.per_count <= device.probe_limit_n + scale.per_count / 2
+
+
+def test_a_perturbation_plays_while_a_device_is_being_commissioned() -> None:
+    """It moves the handle, no push of the motor begins, and none of its limits ends it."""
+    params = servo_params(device=device_params(commissioning=True))
+    # 0.3 N at 10 Hz for 2 s: 8 g go to and fro by some mm
+    wave = [round(5000 * math.sin(2.0 * math.pi * n / 400.0)) for n in range(8000)]
+    with LockStep(params, board_params()) as stack:
+        enabled(stack)
+        start(stack, wave)
+        block = stack.run(2000)
+    found = np.frombuffer(block, DTYPE)
+    assert np.ptp(found["position_m"]) > 2e-3
+    assert not found["force_n"].any()
+    assert not found["fault"].any()
+    assert played(block)[:7000] == wave[1:7001]
 
 
 def test_a_clamp_follows_sign_and_offset_of_the_scale() -> None:

@@ -269,6 +269,23 @@ def test_ctrl_c_ends_perturbation_and_force():
         assert not hand.bench.newest["perturbing"]
 
 
+def test_what_shakes_is_kept_by_a_lease():
+    """So a process that hangs or dies ends it."""
+    leased = []
+    with Hand(touch=FRICTION, **FREE) as hand:
+
+        def noted(cmd, **fields):
+            if fields.get("action") == "start":
+                leased.append(dict(hand.bench.status()["leases"]))
+            return type(hand.bench).call(hand.bench, cmd, **fields)
+
+        hand.bench.call = noted
+        shaken(hand.bench)
+        assert not hand.bench.status()["leases"]
+    assert leased
+    assert all("measuring" in one for one in leased)
+
+
 def test_authority_that_is_lost_ends_the_step():
     with Hand(touch=FRICTION, **FREE) as hand:
 
@@ -293,7 +310,7 @@ def test_a_handle_that_wanders_off_is_let_go():
             return type(hand.bench).call(hand.bench, cmd, **fields)
 
         hand.bench.call = pulled
-        with pytest.raises(AnalysisError, match="wandered"):
+        with pytest.raises(AnalysisError, match="beyond"):
             shaken(hand.bench)
         assert hand.bench.status()["state"] == "disabled"
 

@@ -1,7 +1,6 @@
 """A perturbation of the probe while something is rendered, and both streams of what came of it.
 
-The measuring lease is held meanwhile: nobody else changes anything, and if this process hangs or
-dies, force ends with the lease (`zwidth.live` does the same). Before the waveform the handle rests
+The measuring lease is held meanwhile (`rig.streams`). Before the waveform the handle rests
 under the environment: what the torque channel shows then is its offset. The servo's ticks say when
 each sample was latched by the board's clock, which force was commanded, and how long the force
 before it took; the probe's samples, 250 us each of the same clock, say force and motion.
@@ -9,8 +8,7 @@ before it took; the probe's samples, 250 us each of the same clock, say force an
 What would break it: lost ticks or samples (refused: they leave a hole in the motion).
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,19 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Floats
-from hapticd.client.blocks import BlockDecoder, Records
+from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
-from hapticd.errors import AnalysisError, DaemonDown
-from hapticd.mailbox.layout import State
+from hapticd.errors import AnalysisError
 from hapticd.params import ScaleParams
 from hapticd.rig.push import ready
-from hapticd.rig.records import SILENT_LOOKS, TICKS, collect
+from hapticd.rig.records import collect
+from hapticd.rig.streams import Streams, inside, measuring, streams
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
-PROBE = "probe"
-LEASE_S = 5.0
-RENEW_TICKS = 1000
 REST_S = 0.6
 RAMP_S = 0.5
 SAMPLE_US = US_PER_S / PROBE_RATE_HZ
@@ -71,9 +66,8 @@ def play(bench: Client, waveform_n: Floats, environment: Environment) -> Played:
 
     AnalysisError where force ends meanwhile, the handle leaves its travel, or records are lost.
     """
-    lease = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
     stiffness, damping = environment
-    with _kept(lease), ready(bench):
+    with measuring(bench) as lease, ready(bench):
         bench.set(K=stiffness, B=damping, ramp_s=RAMP_S)
         bench.perturb_load(waveform_n)
         collect(bench, RAMP_S)
@@ -86,73 +80,21 @@ def play(bench: Client, waveform_n: Floats, environment: Environment) -> Played:
     return _beside(still, moving, bench.hello()["servo"]["device"])
 
 
-@contextmanager
-def _kept(lease: ClientLease) -> Iterator[None]:
-    lease.take()
-    try:
-        yield
-    finally:
-        lease.release()
-
-
-class _Streams(NamedTuple):
-    ticks: Records  # (n,)
-    samples: Records  # (N,)
-
-
-def _received(bench: Client, lease: ClientLease, seconds: float) -> _Streams:
-    """Both streams for `seconds` of the probe. DaemonDown if nothing comes for 2 s."""
-    decoders = {TICKS: BlockDecoder(), PROBE: BlockDecoder()}
-    parts: dict[str, list[Records]] = {TICKS: [], PROBE: []}
+def _received(bench: Client, lease: ClientLease, seconds: float) -> Streams:
+    """Both streams for `seconds`, whole."""
     travel_m = _travel_m(bench)
-    wanted = round(seconds * PROBE_RATE_HZ)
-    quiet = 0
-    for message in bench.messages((TICKS, PROBE)):
-        quiet = quiet + 1 if message is None else 0
-        if quiet > SILENT_LOOKS:
-            break
-        if message is None:
-            continue
-        topic, payload = message
-        block = decoders[topic].decode(payload)
-        if block.restarted:
-            raise DaemonDown("servo or board restarted meanwhile; see `hapticd status`, repeat")
-        if block.gap and parts[topic]:
-            raise AnalysisError(
-                f"{block.gap} records of {topic} were lost; quiet the host (`hapticd doctor`), and"
-                " repeat the step"
-            )
-        parts[topic].append(block.records)
-        if topic == TICKS:
-            _still_good(bench, block.records, travel_m)
-            if sum(map(len, parts[TICKS])) % RENEW_TICKS < len(block.records):
-                lease.renew()
-        if sum(map(len, parts[PROBE])) >= wanted and parts[TICKS]:
-            return _Streams(np.concatenate(parts[TICKS]), np.concatenate(parts[PROBE]))
-    raise DaemonDown("no samples of the probe came for 2 s; has this board probe inputs?")
+    found = streams(bench, seconds, lambda ticks: inside(bench, ticks, travel_m), lease)
+    if found.lost:
+        raise AnalysisError(
+            f"{found.lost} records were lost; quiet the host (`hapticd doctor`), and repeat the"
+            " step"
+        )
+    return found
 
 
 def _travel_m(bench: Client) -> tuple[float, float]:
     ends = bench.hello()["servo"]["environment"]["workspace"]
     return float(ends["lower_m"]), float(ends["upper_m"])
-
-
-def _still_good(bench: Client, ticks: Records, travel_m: tuple[float, float]) -> None:
-    """AnalysisError where force has ended, or the handle left its travel."""
-    if (ticks["state"] != State.ENABLED).any():
-        status = bench.status()
-        raise AnalysisError(
-            f"force ended meanwhile: the servo is {status['state']} ({status.get('cause', '')});"
-            " repeat the step"
-        )
-    low_m = float(ticks["position_m"].min())
-    high_m = float(ticks["position_m"].max())
-    if not travel_m[0] <= low_m <= high_m <= travel_m[1]:
-        raise AnalysisError(
-            f"the handle went to {1e3 * low_m:.3g} .. {1e3 * high_m:.3g} mm, beyond its travel of"
-            f" {1e3 * travel_m[0]:.3g} .. {1e3 * travel_m[1]:.3g} mm; let go of it in the middle,"
-            " and lay the axis level"
-        )
 
 
 def _signal(samples: Records, name: str, device: Mapping[str, Any]) -> Floats:
@@ -162,7 +104,7 @@ def _signal(samples: Records, name: str, device: Mapping[str, Any]) -> Floats:
     return np.asarray(scale.to_value(0.0) + slope * samples[name].astype(np.float64))
 
 
-def _beside(still: _Streams, moving: _Streams, device: Mapping[str, Any]) -> Played:
+def _beside(still: Streams, moving: Streams, device: Mapping[str, Any]) -> Played:
     ticks = moving.ticks
     index = moving.samples["index"].astype(np.float64)
     newest = np.searchsorted(moving.samples["time_ns"], ticks["time_ns"], side="right") - 1

@@ -23,12 +23,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.client.blocks import Block, BlockDecoder, Records
+from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError, DaemonDown
-from hapticd.mailbox.layout import State
+from hapticd.client.lease import ClientLease
+from hapticd.errors import AnalysisError
 from hapticd.rig.push import ready
-from hapticd.rig.records import SILENT_LOOKS, TICKS, collect
+from hapticd.rig.records import collect
+from hapticd.rig.streams import inside, measuring, streams
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 LINES_HZ = np.arange(10.0, 31.0)
@@ -38,13 +39,13 @@ CENTRE_S = 1.0
 SETTLE_S = 0.75
 SEARCH_S = 1.0
 SHAKE_S = 4.0
+QUIET_S = 0.1  # until what played has ended, and another waveform may be loaded
 FIRST_SHARE = 0.05  # of the probe's force
 MOST_SHARE = 0.8
 ENOUGH_M = 2e-3  # rms: friction then takes little of the force
 MOST_STRONGER = 2.0  # from one try to the next
 LEAST_STRONGER = 1.2
 MOST_TRAVEL_M = 12e-3  # from where the handle was let go, or from x = 0 if that is nearer
-PROBE = "probe"
 SAMPLES_PER_US = PROBE_RATE_HZ / US_PER_S
 
 
@@ -68,58 +69,23 @@ class Lines(NamedTuple):
     position_m: Complexes
 
 
-def record(bench: Client, seconds: float, guard: Floats | None = None) -> Recording:
-    """Both streams for `seconds` of the probe. DaemonDown if nothing comes for 2 s; AnalysisError
-    where this board has no probe, or, with a `guard` (lowest, highest position), where force ends
-    or the handle leaves it: the perturbation is stopped then.
+class Watch(NamedTuple):
+    """What a recording under force is kept by: the lease, and where the handle may go."""
+
+    lease: ClientLease
+    travel_m: tuple[float, float]
+
+
+def record(bench: Client, seconds: float, watch: Watch | None = None) -> Recording:
+    """Both streams for `seconds`; without `watch` nothing acts. Errors as those of `streams`, and
+    AnalysisError where force ends or the handle wanders off.
     """
-    decoders = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}
-    parts: dict[str, list[Records]] = {PROBE: [], TICKS: []}
-    wanted = round(seconds * PROBE_RATE_HZ)
-    quiet = 0
-    for message in bench.messages((PROBE, TICKS)):
-        quiet = quiet + 1 if message is None else 0
-        if quiet > SILENT_LOOKS:
-            break
-        if message is None:
-            _still_there(parts, wanted)
-            continue
-        block = decoders[message[0]].decode(message[1])
-        _same_life(block)
-        parts[message[0]].append(block.records)
-        if guard is not None and message[0] == TICKS:
-            _inside(bench, block.records, guard)
-        if sum(map(len, parts[PROBE])) >= wanted and parts[TICKS]:
-            return recording(np.concatenate(parts[PROBE]), np.concatenate(parts[TICKS]))
-    raise DaemonDown("nothing came for 2 s; see `hapticd status`, then repeat")
-
-
-def _still_there(parts: dict[str, list[Records]], wanted: int) -> None:
-    if not parts[PROBE] and sum(map(len, parts[TICKS])) > wanted:
-        raise AnalysisError(
-            "the probe stream is empty: this board has no probe inputs; leave `probe` out of"
-            " relies_on in its device file"
-        )
-
-
-def _same_life(block: Block) -> None:
-    if block.restarted:
-        raise DaemonDown("servo or board restarted meanwhile; see `hapticd status`, then repeat")
-
-
-def _inside(bench: Client, ticks: Records, guard: Floats) -> None:
-    newest = ticks[-1]
-    if newest["state"] != State.ENABLED:
-        status = bench.status()
-        cause = status.get("cause") or "somebody ended it"
-        raise AnalysisError(f"force ended meanwhile ({status['state']}: {cause}); repeat the step")
-    at_m = float(newest["position_m"])
-    if not guard[0] <= at_m <= guard[1]:
-        bench.perturb_stop()
-        raise AnalysisError(
-            f"the handle wandered to {1e3 * at_m:.3g} mm, beyond {1e3 * guard[0]:.3g} to"
-            f" {1e3 * guard[1]:.3g} mm; let it go near x = 0, lay the axis level, and repeat"
-        )
+    if watch is None:
+        found = streams(bench, seconds, lambda ticks: None)
+    else:
+        where_m = watch.travel_m
+        found = streams(bench, seconds, lambda ticks: inside(bench, ticks, where_m), watch.lease)
+    return recording(found.samples, found.ticks)
 
 
 def recording(samples: Records, ticks: Records) -> Recording:
@@ -179,35 +145,32 @@ def amplitudes(at: Floats, values: Floats) -> Complexes:
 
 
 @contextmanager
-def shaking(bench: Client) -> Iterator[Floats]:
-    """Enabled for a perturbation; the guard (2,) of the handle's position [m]. However it is left,
-    nothing plays and the device is disabled.
-    """
-    with ready(bench):
+def shaking(bench: Client) -> Iterator[Watch]:
+    """Enabled for a perturbation. However it is left, nothing plays and the device is disabled."""
+    with measuring(bench) as lease, ready(bench):
         if not bench.hello()["servo"]["device"]["commissioning"]:
             bench.set(K=CENTRE_N_PER_M, ramp_s=CENTRE_S)
         at_m = float(collect(bench, CENTRE_S).records["position_m"][-1])
-        ends = np.array([min(0.0, at_m) - MOST_TRAVEL_M, max(0.0, at_m) + MOST_TRAVEL_M])
-        yield ends
+        yield Watch(lease, (min(0.0, at_m) - MOST_TRAVEL_M, max(0.0, at_m) + MOST_TRAVEL_M))
         bench.perturb_stop()
 
 
 def shaken(bench: Client) -> Recording:
     """Shake the handle as strongly as it takes, and record it. AnalysisError as of `record`."""
     most_n = float(bench.hello()["servo"]["device"]["probe_limit_n"])
-    with shaking(bench) as guard:
+    with shaking(bench) as watch:
         share = FIRST_SHARE
         while True:
             _play(bench, waveform(share * most_n))
-            record(bench, SETTLE_S, guard)
-            went_m = rms(lines(record(bench, SEARCH_S, guard)).position_m)
+            record(bench, SETTLE_S, watch)
+            went_m = rms(lines(record(bench, SEARCH_S, watch)).position_m)
             if went_m >= ENOUGH_M or share >= MOST_SHARE:
-                return record(bench, SHAKE_S, guard)
+                return record(bench, SHAKE_S, watch)
             # friction takes its part of a weak force alone: motion grows faster than force
             stronger = min(MOST_STRONGER, ENOUGH_M / max(went_m, 1e-9))
             share = min(MOST_SHARE, max(LEAST_STRONGER, stronger) * share)
             bench.perturb_stop()
-            collect(bench, 0.1)
+            collect(bench, QUIET_S)
 
 
 def _play(bench: Client, force_n: Floats) -> None:
