@@ -125,6 +125,19 @@ TABLE: dict[str, dict[str, Target]] = {
         "attack_under_force": Target(">= 30", "", "an attack on a servo that stands shows little"),
         "attack_rarest": Target(">= 20", "", "every fault and trait comes often enough"),
     },
+    "blind": {
+        "blind_coverage": Target(
+            ">= 92", "", "percent; 95 % intervals of several hundred values, some of them together"
+        ),
+        "blind_least": Target(
+            ">= 16", "", "of 20; fewer are an interval that is too narrow, not chance (0.3 %)"
+        ),
+        "blind_halfwidths": Target("<= 1", "", "intervals that hold everything would be no news"),
+        "blind_refused": Target(">= 7", "", "what is broken has to be named, each of them"),
+        "blind_force_share": Target(
+            "<= 10", "", "percent; nobody knows what a motor does before its sign was seen"
+        ),
+    },
     "guard_attack": {
         "guard_unsafe": Target(
             "<= 0",

@@ -6,7 +6,7 @@
         rig.device_file                     template with the board's nominal scales, in a folder
         rig.write(result)                   keeps and writes what a step found, as the verbs do
         rig.restart()                       a new daemon of the written file; the device stays
-        rig.true("force.full_scale_n")      the true value of a quantity, in the unit of its Value
+        rig.true("moving mass", "identify") the true value of a quantity, in the unit of its Value
         rig.worst_share                     motor's force over the limit until signs were verified
 
 `first_day(rig)` does the steps that exist, in the order of the guided path, and tells what they
@@ -29,8 +29,9 @@ from blind_hand import Person
 from blind_truth import NOMINAL, SERIAL, BlindBoard, Truth, drawn
 
 from hapticd.assembly import lockstep
+from hapticd.errors import HapticdError
 from hapticd.params import BoardParams
-from hapticd.rig import damping, device_file, encoder, link, motor, probe, temperature
+from hapticd.rig import damping, device_file, encoder, identify, link, motor, probe, temperature
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
@@ -51,6 +52,17 @@ EDITS: dict[str, dict[str, Any]] = {  # what its owner writes into the template,
     "home": {"method": "none", "required": False},
 }
 CONFIG = 'device = "blind"\n[realtime]\nmode = "off"\n'
+
+# which step refuses a broken rig, and a word of what it says
+REFUSED = {
+    "stuck encoder": ("encoder", "stuck"),
+    "no authority": ("motor", "authority"),
+    "slipping lever": ("motor", "slip"),
+    "mass typed ten times wrong": ("motor", "typed wrong"),
+    "damping polarity": ("damping", "polarity"),
+    "dead probe channel": ("probe", "dead probe channel"),
+    "probe channels swapped": ("probe", "channels swapped"),
+}
 
 
 class BlindRig:
@@ -128,9 +140,12 @@ class BlindRig:
             self._worst_n = self.board.worst_n
         self._start()
 
-    def true(self, name: str) -> float | None:
-        """The true value of the quantity `name`, in the unit of its Value; None: unknown here."""
-        return known(self.truth).get(name)
+    def true(self, name: str, step: str = "") -> float | None:
+        """The true value of the quantity `name` of `step`, in the unit of its Value; None: unknown
+        here. Steps that mean different things by one name say so with their own.
+        """
+        quantities = known(self.truth)
+        return quantities.get(f"{step} {name}", quantities.get(name))
 
 
 def known(truth: Truth) -> dict[str, float]:
@@ -150,6 +165,23 @@ def known(truth: Truth) -> dict[str, float]:
         "force per ampere": truth.motor_n_per_a,
         "residual resistance": truth.residual_ohm,
         **_known_of_probe(truth),
+        **_known_of_model(truth),
+    }
+
+
+def _known_of_model(truth: Truth) -> dict[str, float]:
+    # the amplifier's lag is far too short to be told from delay
+    period_us = 1e6 / NOMINAL["rate_hz"]
+    amplifier_us = 1e6 / (2.0 * pi * truth.amplifier_hz)
+    smoothing_us = 1e6 / (2.0 * pi * truth.smoothing_hz)
+    delay_us = truth.delay_periods * period_us + amplifier_us
+    return {
+        "moving mass": truth.mass_kg,
+        "viscous friction": truth.viscous_ns_per_m,
+        "Coulomb friction": truth.coulomb_n,
+        "lag": delay_us + smoothing_us,
+        "identify delay": delay_us,
+        "smoothing": smoothing_us,
     }
 
 
@@ -175,7 +207,9 @@ def _known_of_probe(truth: Truth) -> dict[str, float]:
 
 @dataclass
 class Day:
-    """What became of a first day: every step's result, and why it ended."""
+    """What became of a first day: every step's result, and which step could not be done, and
+    why.
+    """
 
     results: list[StepResult] = field(default_factory=list)
     error: str = ""
@@ -206,16 +240,21 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
     "temperature": lambda rig: temperature.measure(
         rig.bench, rig.ask, temperature.Stated((NOMINAL["ambient_c"],))
     ),
+    "identify": lambda rig: identify.measure(rig.bench, rig.ask),
 }
 
 
 def first_day(rig: BlindRig, told: Callable[[str, Any], None] = lambda *_: None) -> Day:
-    """The steps in the order of the guided path, until one is refused. What a step finds is written
-    and the daemon started again before the next one.
+    """The steps in the order of the guided path, until one is refused or cannot be done. What a
+    step finds is written and the daemon started again before the next one.
     """
     day = Day()
     for name, step in STEPS.items():
-        result = step(rig)
+        try:
+            result = step(rig)
+        except HapticdError as error:
+            day.error = f"{name}: {error}"
+            break
         told(name, result)
         day.results.append(result)
         rig.write(result)

@@ -7,23 +7,13 @@ import functools
 from pathlib import Path
 
 import pytest
-from blind_rig import STEPS, BlindRig, first_day
+from blind_rig import REFUSED, STEPS, BlindRig, first_day
 from blind_truth import drawn
 
 PACKAGE = Path(__file__).resolve().parents[1] / "hapticd"
 # seeds of the benchmark begin at 1000
 SEEDS = (1, 2)
 MORE_SEEDS = (3, 5, 6, 7)
-# which step refuses a broken rig, and a word of what it says
-REFUSED = {
-    "stuck encoder": ("encoder", "stuck"),
-    "no authority": ("motor", "authority"),
-    "slipping lever": ("motor", "slip"),
-    "mass typed ten times wrong": ("motor", "typed wrong"),
-    "damping polarity": ("damping", "polarity"),
-    "dead probe channel": ("probe", "dead probe channel"),
-    "probe channels swapped": ("probe", "channels swapped"),
-}
 SECRETS = {  # names by which a simulated board, or the truth of one, could be reached
     "BoardParams",
     "BOARD_JSON",
@@ -53,6 +43,7 @@ def seen(seed):
 def agrees(seed):
     day, known, _, worst_share = seen(seed)
     assert day.refused is None
+    assert not day.error
     assert len(day.results) == len(STEPS)
     for one in day.values:
         if known[one.name] is not None:

@@ -35,7 +35,7 @@ from hapticd.errors import AnalysisError
 from hapticd.params import COMMISSIONING_SHARE, MOST_CORRECTION
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
-from hapticd.rig.push import Pushed, push, ready, wall_of
+from hapticd.rig.push import LOOK_S, Pushed, push, ready, wall_of
 from hapticd.rig.records import collect, identity_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded
 from hapticd.wire.codec import I16_HIGHEST
@@ -194,8 +194,11 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
 
 
 def settled_n(bench: Client, drawn_n: float) -> float:
-    """Mean commanded force [N] at rest, after `drawn_n` drew the handle aside and faded."""
-    bench.set(wall=wall_of(drawn_n, 0.0), ramp_s=DRAW_S)
+    """Mean commanded force [N] at rest, after `drawn_n` drew the handle aside and faded. It draws
+    from where the handle is: equally far to both sides, also under a load.
+    """
+    at_m = float(collect(bench, LOOK_S).records["position_m"].mean())
+    bench.set(wall=wall_of(drawn_n, at_m), ramp_s=DRAW_S)
     collect(bench, DRAW_S + SETTLE_S)
     bench.set(wall={"stiffness_n_per_m": 0.0}, ramp_s=DRAW_S)
     collect(bench, DRAW_S + SETTLE_S)
