@@ -235,6 +235,35 @@ def test_foreground_run_says_what_to_try(runtime: Path) -> None:
     assert process.returncode == 0
 
 
+def test_foreground_run_tells_what_happens(runtime: Path) -> None:
+    """Stops until one comes after the terminal has begun to listen."""
+    (runtime / "hapticd.toml").write_text(QUIET)
+    words = ["run", "--instance", "told", "--config", str(runtime / "hapticd.toml")]
+    log = runtime / "talk"
+    with (
+        log.open("wb") as talk,
+        subprocess.Popen(
+            [sys.executable, "-m", "hapticd", *words, "--no-console"],
+            stdout=subprocess.PIPE,
+            stderr=talk,
+        ) as process,
+    ):
+        assert process.stdout is not None
+        for _ in iter(process.stdout.readline, b"Ctrl-C here ends it.\n"):
+            pass
+        here = ["--instance", "told"]
+
+        def stopped_is_told() -> bool:
+            main(["stop", *here])
+            main(["reset", *here])
+            return "disabled -> stopped" in log.read_text()
+
+        until(stopped_is_told, "a stop in the terminal")
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 0
+
+
 def test_run_ends_when_its_reader_leaves(runtime: Path) -> None:
     (runtime / "hapticd.toml").write_text(QUIET)
     command = [

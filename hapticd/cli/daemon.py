@@ -4,6 +4,9 @@
 serves its help and mistakes.
 """
 
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -50,6 +53,7 @@ def run(
         () if rate_hz is None else (Override(("realtime", "rate_hz"), rate_hz, "--rate-hz"),)
     )
     settings = load(config, overrides)
+    followers: list[subprocess.Popen[bytes]] = []
 
     def tell(event: "ProcessEvent") -> None:
         try:
@@ -59,6 +63,8 @@ def run(
                 )
             elif event.kind == "ready":
                 terminal.data(_ready_text(settings, instance))
+                if not followers:
+                    followers.append(_follow_events(instance))
             elif event.kind == "page":
                 terminal.data(terminal.coloured(event.text, terminal.BOLD))
             else:
@@ -76,7 +82,25 @@ def run(
         console=CONSOLE_MODULE if console else "",
     )
     on_stop(supervisor.stop)
-    supervisor.run()
+    try:
+        supervisor.run()
+    finally:
+        for follower in followers:
+            follower.terminate()
+            follower.wait()
+
+
+def _follow_events(instance: str) -> "subprocess.Popen[bytes]":
+    """`hapticd events` in this terminal, from a process of its own: the one that looks after servo
+    and gateway has no threads and no sockets.
+    """
+    words = ["events", "--instance", instance, "--parent", str(os.getpid())]
+    return subprocess.Popen(
+        [sys.executable, "-m", "hapticd", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=2,
+        process_group=0,
+    )
 
 
 CONSOLE_MODULE = "hapticd.console.main"  # started by name: `run` itself loads no web server

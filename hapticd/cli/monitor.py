@@ -224,6 +224,7 @@ def events(
     seconds: Annotated[
         float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")
     ] = None,
+    parent: Annotated[int | None, typer.Option("--parent", hidden=True)] = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
     """Say what happens, a line each: states, faults with remedy, leases, warnings, flight files.
@@ -232,8 +233,10 @@ def events(
     """
     import msgpack
 
+    from hapticd.assembly.process import die_with_parent
     from hapticd.clock import MonotonicClock
 
+    die_with_parent(parent)
     clock = MonotonicClock()
     begin_ns = clock.now_ns()
     with connect(instance) as client, closing(client.messages((EVENT,), LOOK_S)) as messages:
