@@ -251,7 +251,7 @@ class Supervisor:
             self._end(self.gateway)
             if self.console is not None:
                 self._end(self.console)
-            files.remove(self.folder, *resolve.WRITTEN, files.CONSOLE)
+            files.remove(self.folder, *resolve.WRITTEN, files.CONSOLE, files.GUARD_TERMS)
             files.release(self.folder, SUPERVISOR_LOCK, claim)
         self.tell(ProcessEvent("ended", "", "ended: no force, both processes gone"))
 
