@@ -37,7 +37,7 @@ class Hand:
             if self.held_m is not None:
                 return free.rest(self.held_m)
             motor_n = self.gain * force_n + self.offset_n + self.reflex_n * (force_n != 0.0)
-            return free.step(state, motor_n + self.pull_n, torque_n, damping, count)
+            return free.step(state, motor_n, torque_n + self.pull_n, damping, count)
 
         self.axis.plant = self.free._replace(step=step)
 

@@ -237,7 +237,7 @@ def test_the_verb_writes_the_table_with_its_record(tmp_path, monkeypatch, capsys
     (tmp_path / "devices" / "own.toml").write_text(text)
     config = tmp_path / "hapticd.toml"
     config.write_text('device = "own"\n')
-    with Hand(touch=FRICTION, **FREE) as hand:
+    with Hand({"emf_velocity": ScaleParams(2.0 / 32767)}, touch=FRICTION, **FREE) as hand:
         hand.axis.damping_gain = 0.9
         monkeypatch.setattr(steps, "connect", lambda instance: nullcontext(hand.bench))
         monkeypatch.setattr(steps, "PAUSE_S", 0.0)
@@ -270,7 +270,9 @@ def composed(residual_ohm):
 
 
 def test_a_warm_winding_is_told_from_weak_damping():
-    with Hand(**composed(0.08)) as hand:
+    """Whatever the sign of the current is."""
+    wrong = {"current": ScaleParams(10.0 / 32767, -1)}
+    with Hand(wrong, **composed(0.08)) as hand:
         result = measure(hand.bench, nothing)
     found = values_of(result)
     assert holds(found["damping.full_scale_ns_per_m"], 10.0)

@@ -159,7 +159,7 @@ def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
     loop = float(found.values[-1]) if loops else 0.0
     loop_half = float(found.halves[-1]) if loops else 0.0
     took = (impulse - gain * damped) / (1.0 + loop * level)
-    mechanics = _least_squares(friction, took, weight * (1.0 + loop * level))
+    mechanics = least_squares(friction, took, weight * (1.0 + loop * level))
     return Balance(
         float(gain),
         float(found.halves[0]),
@@ -176,6 +176,7 @@ def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
 
 
 def _column(rows: Sequence[Row], name: str) -> Floats:
+    """The field `name` of all rows (n,)."""
     return np.array([getattr(row, name) for row in rows], np.float64)
 
 
@@ -225,19 +226,21 @@ def _fitted(
     loop = 0.0
     for _ in range(ITERATIONS if loops else 1):
         columns = np.column_stack([damped, loads * (1.0 + loop * level)[:, None]])
-        linear = _least_squares(columns, impulse, weight)
+        linear = least_squares(columns, impulse, weight)
         if not loops:
             return linear
         took = loads @ linear.values[1:]
         steep = np.column_stack([columns, took * level])
         # Gauss-Newton in g; the others are linear in it
-        step = _least_squares(steep, impulse - columns @ linear.values, weight)
+        step = least_squares(steep, impulse - columns @ linear.values, weight)
         loop += float(step.values[-1])
     return Fitted(np.append(linear.values, loop), step.halves)
 
 
-def _least_squares(columns: Floats, target: Floats, weight: Floats) -> Fitted:
-    """Weighted least squares (n, p) on (n,)."""
+def least_squares(columns: Floats, target: Floats, weight: Floats) -> Fitted:
+    """`columns` (n, p) on `target` (n,), each row times `weight` (n,), one over what may be
+    wrong in it; the residuals count where they are more.
+    """
     weighted = columns * weight[:, None]
     size = np.maximum(np.sqrt((weighted**2).sum(axis=0)), 1e-300)
     scaled = weighted / size

@@ -16,6 +16,8 @@ VERBS: dict[str, terminal.Verb] = {
     "encoder": steps.encoder,
     "motor": motor,
     "damping": damping.damping,
+    "trim": damping.trim,
+    "audit": damping.audit,
     "probe": sensors.probe,
     "temperature": sensors.temperature,
     "identify": identify,

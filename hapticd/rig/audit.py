@@ -1,0 +1,107 @@
+"""What is commanded against what is delivered: active damping and force, while a hand moves.
+
+Damping is that of `gateway.delivered`, which `hapticd status` shows all the time: what the motor
+does at equal force by the velocity of the encoder, over the last four seconds. Force is the slope
+of what the motor makes by its current on what is commanded, at equal velocity. Both need the force
+of an ampere, which `rig motor --winding` measures.
+
+What would break it: scales of current and position that are wrong (it is wrong by as much).
+"""
+
+from collections.abc import Mapping, Sequence
+from math import hypot
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.delivered import CALIBRATION, Estimate
+from hapticd.client.blocks import Records
+from hapticd.client.client import Client
+from hapticd.gateway.delivered import Delivered
+from hapticd.params import ServoParams, from_plain
+from hapticd.rig.damping import undamped
+from hapticd.rig.glide import least_squares
+from hapticd.rig.hand import Ask
+from hapticd.rig.moved import Means, joined, means_of, moved, raw_of, ready_to_move
+from hapticd.rig.result import Finding, StepResult, Value
+
+SECONDS = 6.0
+LOW = 0.8  # of what is commanded
+HIGH = 1.2
+LEAST_N = 0.02  # of commanded force, rms: less says nothing
+SETTLED = 1  # pieces until hand and damping have settled
+
+
+def measure(
+    bench: Client, ask: Ask, level: float | None = None, seconds: float = SECONDS
+) -> StepResult:
+    """Ask a hand to move the handle for `seconds` with the active damping `level` [N s/m], half of
+    the device's limit by default. CommandError unless disabled; AnalysisError where signs are not
+    verified, or force ends meanwhile.
+    """
+    servo = ready_to_move(bench)
+    if not servo["device"]["motor_n_per_a"]:
+        return StepResult("audit", (), [_unknown()])
+    wanted = 0.5 * servo["device"]["damping_limit_ns_per_m"] if level is None else level
+    with undamped(bench):
+        bench.damping(wanted)
+        pieces = moved(bench, ask, seconds)
+    return concluded(pieces[SETTLED:], servo)
+
+
+def _unknown() -> Finding:
+    remedy = "`hapticd rig motor --winding` measures it where the board reports its current"
+    return Finding("the device file does not say the force of an ampere", "not done", remedy)
+
+
+def concluded(pieces: Sequence[Records], servo: Mapping[str, Any]) -> StepResult:
+    """What consecutive records, in `pieces`, say on the `servo` of a hello."""
+    params = from_plain(ServoParams, dict(servo))
+    follows = Delivered(params, lambda: None)
+    for piece in pieces:
+        follows.take(piece)
+    rate_hz = params.realtime.rate_hz
+    means = joined([means_of(one, params.device.motor_n_per_a, rate_hz) for one in pieces])
+    values, findings = _damping(follows.estimate)
+    more_values, more_findings = _force(means, params)
+    arrays = raw_of(list(pieces))
+    return StepResult("audit", values + more_values, findings + more_findings, arrays=arrays)
+
+
+def _damping(found: Estimate) -> tuple[list[Value], list[Finding]]:
+    """Delivered of commanded damping."""
+    if found.estimate_ns_per_m is None or found.low is None or found.high is None:
+        what = f"active damping of {found.commanded:.3g} N s/m: {found.basis}"
+        return [], [Finding(what, "not done", "move the handle more, and repeat")]
+    value = Value("delivered damping", found.estimate_ns_per_m, "N s/m", found.low, found.high)
+    said = f"active damping: {found.estimate_ns_per_m:.3g} of {found.commanded:.3g} N s/m"
+    share = (found.low / found.commanded, found.high / found.commanded)
+    return [value], [_judged(f"{said}, by {found.basis}", share)]
+
+
+def _force(means: Means, servo: ServoParams) -> tuple[list[Value], list[Finding]]:
+    """Slope of the motor's force on the commanded one."""
+    if float(means.force_n.std()) < LEAST_N:
+        remedy = "move the handle more, and repeat"
+        return [], [Finding("force: next to none was commanded", "not done", remedy)]
+    ones = np.ones_like(means.force_n)
+    columns = np.column_stack([means.force_n, means.velocity_m_per_s, ones])
+    counted_n = servo.device.motor_n_per_a * servo.device.current.per_count
+    found = least_squares(columns, means.motor_n, np.full_like(ones, 1.0 / counted_n))
+    share = float(found.values[0])
+    half = hypot(float(found.halves[0]), CALIBRATION * share)
+    value = Value("delivered force", share, "of what is commanded", share - half, share + half)
+    what = f"force: {share:.3g} of what is commanded, by the current"
+    return [value], [_judged(what, (share - half, share + half))]
+
+
+def _judged(what: str, share: tuple[float, float]) -> Finding:
+    """A finding for an interval of delivered over commanded."""
+    low, high = share
+    if high < LOW:
+        remedy = "too little: look at amplifier, supply and resistance compensation"
+        return Finding(what, "warning", remedy)
+    if low > HIGH:
+        remedy = "too much: look at the scales of current and force, and at the compensation"
+        return Finding(what, "warning", remedy)
+    return Finding(what, "ok")
