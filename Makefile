@@ -1,6 +1,7 @@
 # Work with a checkout: make run | test | mutate | bench | deps | clean. A fresh machine needs make and Python 3.11 or newer.
 #
 #   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
+#   make practice           a simulated rig with hidden truths, to try `hapticd rig` without hardware (docs/first-day.md)
 #   make test               format, lint, types, layers, tests: what continuous integration runs
 #   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; minutes
 #   make firmware [FIRMWARE=FOLDER] check the reference firmware, or sources of your own, against the simulated board; minutes
@@ -19,7 +20,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run test mutate firmware bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench pins clean
+.PHONY: run practice test mutate firmware bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench pins clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -32,6 +33,9 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; 
 
 run: $(VENV)/run.stamp
 	@exec $(BIN)/hapticd run $(ARGS)
+
+practice: $(VENV)/run.stamp
+	@exec $(BIN)/python tests/practice_rig.py build/practice $(ARGS)
 
 test: deps-test $(VENV)/test.stamp
 	$(BIN)/ruff format --check .

@@ -1,6 +1,9 @@
 """`hapticd rig` from the command line, on a simulated rig in place of a daemon."""
 
+import datetime
 import json
+import socket
+import threading
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,10 +14,15 @@ from rig_hand import Hand
 
 from hapticd.cli.app import main
 from hapticd.cli.rig import guided, steps
+from hapticd.errors import AnalysisError, DaemonDown
 from hapticd.params import ScaleParams, TouchParams
+from hapticd.rig.device_file import write
+from hapticd.rig.hand import Request
+from hapticd.rig.result import Change
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 
+DAY = datetime.date(2026, 3, 4)
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5, "touch": TouchParams(0.0, 0.0, 0.03, 0.03)}
 EMF = ScaleParams(2.0 / 32767)  # as simulated.toml has it
 
@@ -128,3 +136,56 @@ def test_the_guided_path_does_each_step_that_is_wanted(config, hand, monkeypatch
     assert load(config).device.commissioning.signs_verified
     assert "start it again" in capsys.readouterr().err
     assert not list(said)
+
+
+def test_what_is_measured_says_how_old_it_is(config):
+    """A date that somebody typed is no measurement; neither is a table that is not there."""
+    file = load(config).device_file
+    assert guided.measured("position", load(config).device) == ""
+    assert guided.measured("commissioning", load(config).device) == ""
+    week_ago = datetime.date.today() - datetime.timedelta(7)
+    write(file, [Change("position", "m_per_count", 0.5e-6)], "rig encoder: 0.5 um", week_ago)
+    told = guided.measured("position", load(config).device)
+    assert told == f"measured {week_ago.isoformat()}, 7 days ago"
+
+
+def test_the_path_waits_until_the_daemon_has_read_what_was_written(config, hand, monkeypatch):
+    where = guided.Where("default", config)
+    monkeypatch.setattr(guided, "connect", steps.connect)
+    write(load(config).device_file, [Change("force", "full_scale_n", 9.0)], "rig motor", DAY)
+    assert "force" in guided._stale(where)
+    reasons = iter(["no daemon runs", "the device file has a new force", ""])
+    monkeypatch.setattr(guided, "_stale", lambda where: next(reasons))
+    asked = []
+    monkeypatch.setattr(steps, "answer", asked.append)
+    guided._await_restart(where)
+    assert len(asked) == 2
+    assert all("start the daemon again" in one for one in asked)
+
+
+def test_a_program_can_be_the_hand(tmp_path, monkeypatch):
+    """It gets the action with its amount, and what it cannot do ends the step."""
+    seen = []
+    door = socket.socket(socket.AF_UNIX)
+    door.bind(str(tmp_path / "hand"))
+    door.listen()
+
+    def hand():
+        for answer in ({"done": True}, {"error": "no such mass"}):
+            line, _ = door.accept()
+            with line:
+                seen.append(json.loads(line.makefile("rb").readline()))
+                line.sendall(json.dumps(answer).encode() + b"\n")
+
+    thread = threading.Thread(target=hand)
+    thread.start()
+    monkeypatch.setenv("HAPTICD_HAND", str(tmp_path / "hand"))
+    ask = steps.asking(False)
+    ask(Request("hang", "hang 50 g", 0.05))
+    with pytest.raises(AnalysisError, match="no such mass"):
+        ask(Request("hang", "hang 60 g", 0.06))
+    thread.join()
+    door.close()
+    assert [(one["action"], one["amount"]) for one in seen] == [("hang", 0.05), ("hang", 0.06)]
+    with pytest.raises(DaemonDown, match="HAPTICD_HAND"):
+        ask(Request("let go", "let go"))

@@ -1,7 +1,17 @@
 """`hapticd rig` without a verb: the steps in their order, each asked for before it begins.
 
+What is measured already says its date and may be left out, so the path goes on where it was left:
+after a restart of the daemon, an interruption, or on another day. A step that writes is followed by
+a restart, since the daemon reads its device file when it starts; the path waits for that.
+
 What would break it: a step whose numbers cannot be asked for in one line.
 """
+
+import datetime
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
@@ -10,52 +20,181 @@ from hapticd.cli.change import connect
 from hapticd.cli.rig import damping, sensors, steps
 from hapticd.cli.rig.identify import identify
 from hapticd.cli.rig.motor import motor
-from hapticd.errors import ConfigError
+from hapticd.errors import ConfigError, DaemonDown, HapticdError
+
+if TYPE_CHECKING:
+    from hapticd.settings.device import DeviceFile
 
 WELCOME = """\
 First day at the rig: what is measured goes into the device file, with its date and interval.
-Each can be left out now and done by itself later (`hapticd rig STEP`). Ctrl-C ends force."""
+Each can be left out now and done by itself later (`hapticd rig STEP`). Ctrl-C ends force; the path
+goes on from there when it is asked for again. Enter takes the answer in brackets."""
 RESTART = (
     "Signs are verified from the next start of the daemon: start it again, then `hapticd rig`."
 )
+DONE = "The path is at its end. `hapticd status`, docs/first-day.md: what to look at, and a trial."
 
 
-def guided(context: typer.Context) -> None:
+class Where(NamedTuple):
+    """Which daemon, by which configuration."""
+
+    instance: str
+    config: Path | None
+
+
+class Step(NamedTuple):
+    """A step as the path offers it."""
+
+    name: str
+    title: str
+    table: str  # of the device file, where its date stands; "": it writes nothing
+    questions: Sequence[str]
+    act: Callable[[Where, list[float]], None]
+
+
+MASSES = [
+    f"mass {place} in kg{'; 0 is one of them' if place == 1 else ''}" for place in range(1, 6)
+]
+FIRST = (
+    Step(
+        "link",
+        "ten seconds of frames without force, and the board's watchdog",
+        "",
+        (),
+        lambda at, _: steps.link(instance=at.instance),
+    ),
+    Step(
+        "encoder",
+        "sign, scale and noise, by hand",
+        "position",
+        ("distance from position A to B in m",),
+        lambda at, given: steps.encoder(given[0], **at._asdict()),
+    ),
+)
+SIGN = Step(
+    "motor",
+    "its sign, by pushes of 20 ms",
+    "commissioning",
+    (),
+    lambda at, _: motor(**at._asdict()),
+)
+LATER = (
+    Step(
+        "motor",
+        "its gain and offset, by five masses",
+        "force",
+        MASSES,
+        lambda at, given: motor(given, **at._asdict()),
+    ),
+    Step(
+        "damping",
+        "its polarity and N s/m per count, by pushes and glides",
+        "damping",
+        (),
+        lambda at, _: damping.damping(**at._asdict()),
+    ),
+    Step(
+        "probe",
+        "both channels, by shaking the handle without and with a mass",
+        "probe_velocity",
+        ("mass that is fixed to the handle in kg",),
+        lambda at, given: sensors.probe(given[0], **at._asdict()),
+    ),
+    Step(
+        "temperature",
+        "the winding's sensor, and the back-EMF by hand",
+        "temperature",
+        ("temperature of the room in degC",),
+        lambda at, given: sensors.temperature(given, **at._asdict()),
+    ),
+    Step(
+        "identify",
+        "mass, friction and delay, by shaking the free handle",
+        "model",
+        (),
+        lambda at, _: identify(**at._asdict()),
+    ),
+)
+
+
+def guided(
+    context: typer.Context,
+    config: terminal.ConfigFile = None,
+    instance: terminal.Instance = terminal.INSTANCE,
+) -> None:
     """The guided path, where no verb is named."""
     if context.invoked_subcommand is not None:
         return
+    where = Where(instance, config)
     terminal.talk(WELCOME)
-    if _wanted("link: ten seconds of frames without force"):
-        _kept_on(lambda: steps.link())
-    if _wanted("encoder: sign, scale and noise, by hand"):
-        distance_m = number("distance from position A to B in m")
-        _kept_on(lambda: steps.encoder(distance_m))
-    if _commissioning():
-        if _wanted("motor: its sign, by pushes of 20 ms"):
-            _kept_on(lambda: motor())
+    for step in FIRST:
+        _offer(step, where)
+    if _commissioning(where):
+        if _offer(SIGN, where):
             terminal.talk(RESTART)
         return
-    if _wanted("motor: its gain, by hanging masses"):
-        masses = [number(f"mass {place} in kg") for place in range(1, 6)]
-        _kept_on(lambda: motor(masses))
-    if _wanted("damping: its polarity and N s/m per count, by pushes and glides"):
-        _kept_on(lambda: damping.damping())
-    if _wanted("probe: both channels, by shaking the handle without and with a mass"):
-        fixed_kg = number("mass that is fixed to the handle in kg")
-        _kept_on(lambda: sensors.probe(fixed_kg))
-    if _wanted("temperature: the winding's sensor, and the back-EMF by hand"):
-        at_c = number("temperature of the room in degC")
-        _kept_on(lambda: sensors.temperature([at_c]))
-    if _wanted("identify: mass, friction and delay, by shaking the free handle"):
-        _kept_on(lambda: identify())
+    for step in LATER:
+        _offer(step, where)
+    terminal.talk(DONE)
 
 
-def _wanted(what: str) -> bool:
-    return steps.answer(f"{what}: now? yes or no") in ("y", "yes")
+def _offer(step: Step, where: Where) -> bool:
+    """Whether `step` was wanted, and begun."""
+    _await_restart(where)
+    known = measured(step.table, _device(where))
+    usual = "no" if known else "yes"
+    terminal.talk(f"\n{step.name}: {step.title}{f' ({known})' if known else ''}")
+    said = steps.answer(f"{'again' if known else 'now'}? yes or no [{usual}]") or usual
+    if said not in ("y", "yes"):
+        return False
+    given = [number(question) for question in step.questions]
+    _kept_on(lambda: step.act(where, given))
+    return True
 
 
-def _commissioning() -> bool:
-    with connect(terminal.INSTANCE) as client:
+def measured(table: str, device: "DeviceFile") -> str:
+    """When `table` of `device` was measured by a step, and how old that is; "": never."""
+    date = next(_dates(table, device), None)
+    if date is None:
+        return ""
+    days = (datetime.date.today() - date).days
+    return f"measured {date.isoformat()}, {f'{days} days ago' if days else 'today'}"
+
+
+def _dates(table: str, device: "DeviceFile") -> Iterator[datetime.date]:
+    found = getattr(device, table) if table else None
+    if table == "model" and found is not None:  # the note of an effect begins with its day
+        days = [re.match(r"\d{4}-\d\d-\d\d", found.table("masses").note)]
+        yield from (datetime.date.fromisoformat(one[0]) for one in days if one)
+    elif found is not None and found.source.startswith("rig ") and found.date:
+        yield found.date
+
+
+def _device(where: Where) -> "DeviceFile":
+    from hapticd.settings.load import load
+
+    return load(where.config).device
+
+
+def _await_restart(where: Where) -> None:
+    """Until the daemon runs, and has read what the device file says."""
+    while reason := _stale(where):
+        steps.answer(f"{reason}: start the daemon again, then Enter")
+
+
+def _stale(where: Where) -> str:
+    """Why no step may begin, "": nothing bars it."""
+    try:
+        with connect(where.instance) as client:
+            running = client.hello()["servo"]["device"]
+    except DaemonDown:
+        return "no daemon runs"
+    scales = steps.not_read_yet(running, _device(where))
+    return f"the device file has a new {', '.join(scales)}" if scales else ""
+
+
+def _commissioning(where: Where) -> bool:
+    with connect(where.instance) as client:
         return bool(client.hello()["servo"]["device"]["commissioning"])
 
 
@@ -74,3 +213,5 @@ def _kept_on(step: terminal.Verb) -> None:
         step()
     except typer.Exit:
         terminal.talk("this step has to be done again")
+    except HapticdError as error:
+        terminal.talk(f"{error}\nthis step has to be done again")

@@ -8,10 +8,12 @@ What would break it: a way out of a step that leaves the device enabled.
 """
 
 import datetime
+import os
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from hapticd.settings.load import Settings
 
 REFUSED = 4  # exit code of a step that found something that must not stay
+HAND = "HAPTICD_HAND"  # environment: the socket of a program that is the hand
 PAUSE_S = 5.0  # for what a hand should do, with --yes
 COLOURS = {"ok": terminal.GREEN, "warning": terminal.YELLOW, "refused": terminal.RED}
 
@@ -66,11 +69,19 @@ def lines(result: "StepResult") -> list[str]:
 
 
 def asking(yes: bool) -> "Ask":
-    """What asks a person; with --yes it tells, and waits a while."""
+    """What asks a person; with --yes it tells, and waits a while. Where HAPTICD_HAND names a
+    socket, the program there is the hand.
+    """
+    from hapticd.rig.machine_hand import asked_at
+
+    machine = os.environ.get(HAND)
+    done = asked_at(Path(machine)) if machine else None
 
     def ask(request: "Request") -> None:
         terminal.talk(f"> {request.text}")
-        if yes:
+        if done:
+            done(request)
+        elif yes:
             time.sleep(PAUSE_S)
         else:
             answer("  Enter when it is done")

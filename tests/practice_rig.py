@@ -1,0 +1,182 @@
+"""A rig to practise the first day on: a simulated board with hidden truths, and its hand.
+
+    python tests/practice_rig.py FOLDER [--instance NAME]   a daemon, until Ctrl-C
+    python tests/practice_rig.py FOLDER hang 0.05           what the hand does, by hand
+
+The first start lays out FOLDER as its owner would: hapticd.toml and a copy of the template of
+device files. What signs, gains, friction and delay the rig really has is drawn from a number that
+nobody is told, and stays in the servo's process; a client sees what it would see of a real board.
+The daemon starts again by itself when the device file has changed, as its owner would start it.
+
+The hand does what `hapticd rig` asks, as a program at a socket (HAPTICD_HAND), or what the second
+form says. The rigs are those that the tests judge the steps by, with other truths.
+
+What would break it: a computer that cannot run a servo in time beside other work (slots are lost,
+as `hapticd status` says, and what is measured gets wider intervals).
+"""
+
+import json
+import os
+import random
+import socket
+import sys
+import threading
+import time
+from pathlib import Path
+from unittest.mock import patch
+
+import tomlkit
+from blind_hand import Person
+from blind_rig import EDITS, TEMPLATE
+from blind_truth import NOMINAL, BlindBoard, drawn
+
+from hapticd.assembly import servo_main
+from hapticd.assembly.process import die_with_parent, on_stop
+from hapticd.assembly.supervisor import Supervisor, spawn
+from hapticd.clock import MonotonicClock
+from hapticd.errors import HapticdError
+from hapticd.mailbox.files import runtime_folder
+from hapticd.params import BoardParams, ServoParams
+from hapticd.rig.hand import Request
+from hapticd.rig.machine_hand import asked_at
+from hapticd.settings.load import load
+
+CONFIG = """\
+device = "practice"
+[realtime]
+mode = "off"
+[safety]
+lost_slots_limit = 10000        # a computer that practises beside other work loses slots
+"""
+SEED = ".rig"
+HAND = "hand.sock"
+
+
+def lay_out(folder: Path) -> None:
+    """Files as the owner of a new board has them, if there are none."""
+    device = folder / "devices" / "practice.toml"
+    if device.exists():
+        return
+    device.parent.mkdir(parents=True, exist_ok=True)
+    document = tomlkit.parse(TEMPLATE.read_text(encoding="utf-8"))
+    for table, values in EDITS.items():
+        (document[table] if table else document).update(values)
+    device.write_text(tomlkit.dumps(document), encoding="utf-8")
+    (folder / "hapticd.toml").write_text(CONFIG, encoding="utf-8")
+    (folder / SEED).write_text(str(random.SystemRandom().getrandbits(32)))
+
+
+def daemon(folder: Path, instance: str) -> None:
+    """Serve until a signal; begin again when the device file has changed."""
+    lay_out(folder)
+    device = folder / "devices" / "practice.toml"
+    ended = threading.Event()
+    which = "" if instance == "default" else f"--instance {instance}"
+    print(HELP.format(folder=folder, which=which), flush=True)
+    while not ended.is_set():
+        _serve(folder, device, instance, ended)
+
+
+def _serve(folder: Path, device: Path, instance: str, ended: threading.Event) -> None:
+    supervisor = Supervisor(
+        runtime_folder(instance),
+        load(folder / "hapticd.toml"),
+        instance,
+        MonotonicClock(),
+        lambda event: print(f"practice: {event.text}", flush=True),
+        start=lambda command, ready: spawn(_practised(command, folder), ready),
+    )
+
+    def end() -> None:
+        ended.set()
+        supervisor.stop()
+
+    on_stop(end)
+    threading.Thread(target=_watch, args=(device, supervisor), daemon=True).start()
+    supervisor.run()
+
+
+HELP = """
+A practice rig in {folder}. In another terminal:
+
+  export HAPTICD_CONFIG={folder}/hapticd.toml
+  export HAPTICD_HAND={folder}/hand.sock      the hand does what is asked
+  hapticd rig {which}
+"""
+
+
+def _practised(command, folder: Path) -> list[str]:
+    """The servo's process is this file, with the rig in it."""
+    if command[0] != "hapticd.assembly.servo_main":
+        return list(command)
+    own = str(Path(__file__).resolve().parent)
+    os.environ["PYTHONPATH"] = os.pathsep.join(
+        filter(None, (own, os.environ.get("PYTHONPATH", "").removeprefix(own + os.pathsep)))
+    )
+    return ["practice_rig", "--servo", str(folder), *command[1:]]
+
+
+def _watch(device: Path, supervisor: Supervisor) -> None:
+    before = device.stat().st_mtime_ns
+    while device.stat().st_mtime_ns == before:
+        time.sleep(0.2)
+    time.sleep(0.5)
+    supervisor.stop()
+
+
+def servo(folder: Path, arguments: list[str]) -> None:
+    """The servo's process."""
+    die_with_parent(int(arguments[arguments.index("--parent") + 1]))
+    sys.setswitchinterval(1e-4)  # the hand's thread gives the tick its turn soon
+    truth = drawn(int((folder / SEED).read_text()))
+    person = Person(truth.seed, truth.mass_kg, time.sleep, lambda kg: board.attach(kg))
+    person.mass_error = truth.mass_error
+    person.distance_error_m = truth.distance_error_m
+    board = BlindBoard(truth, None, person.pull_n)
+    threading.Thread(target=serve_hand, args=(folder / HAND, person), daemon=True).start()
+    params = servo_main.read_json(ServoParams, arguments[0])
+    with patch.object(servo_main, "simulated_backend", board.backend):
+        found = servo_main.Servo(params, BoardParams(**NOMINAL), MonotonicClock())
+    on_stop(found.stop)
+    found.run()
+
+
+def serve_hand(path: Path, person: Person) -> None:
+    """Do what comes in at the socket `path`, one request after the other."""
+    path.unlink(missing_ok=True)
+    with socket.socket(socket.AF_UNIX) as door:
+        door.bind(str(path))
+        door.listen()
+        while True:
+            line, _ = door.accept()
+            with line:
+                asked = json.loads(line.makefile("rb").readline())
+                try:
+                    person.ask(Request(asked["action"], asked["text"], asked["amount"]))
+                    answer = {"done": True}
+                except (KeyError, ValueError, TypeError) as error:
+                    answer = {"error": str(error)}
+                line.sendall(json.dumps(answer).encode() + b"\n")
+
+
+def main(arguments: list[str]) -> int:
+    """One of the forms above."""
+    if arguments[0] == "--servo":
+        servo(Path(arguments[1]), arguments[2:])
+        return 0
+    folder = Path(arguments[0]).resolve()
+    if len(arguments) > 1 and arguments[1] != "--instance":
+        amount = float(arguments[2]) if len(arguments) > 2 else 0.0
+        asked_at(folder / HAND)(Request(arguments[1], "by hand", amount))
+        return 0
+    daemon(folder, arguments[2] if len(arguments) > 2 else "default")
+    return 0
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        raise SystemExit(__doc__)
+    try:
+        raise SystemExit(main(sys.argv[1:]))
+    except HapticdError as error:
+        raise SystemExit(f"practice: {error}") from None
