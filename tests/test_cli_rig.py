@@ -41,6 +41,7 @@ def config(tmp_path: Path) -> Path:
 @pytest.fixture
 def hand(monkeypatch: pytest.MonkeyPatch):
     file = {"force": ScaleParams(COUNT_N, -1), "emf_velocity": EMF, "commissioning": True}
+    file["probe_limit_n"] = 2.0
     with Hand(file, **FREE) as found:
 
         @contextmanager
@@ -189,3 +190,23 @@ def test_a_program_can_be_the_hand(tmp_path, monkeypatch):
     assert [(one["action"], one["amount"]) for one in seen] == [("hang", 0.05), ("hang", 0.06)]
     with pytest.raises(DaemonDown, match="HAPTICD_HAND"):
         ask(Request("let go", "let go"))
+
+
+def test_probe_writes_both_channels_though_the_signs_are_not_verified(config, hand, monkeypatch):
+    monkeypatch.setattr(steps, "asking", lambda yes: hand.ask)
+    told = ["rig", "probe", "--mass", "0.02", "--no-one-signal", "--config", str(config)]
+    assert main([*told, "--yes", "--json"]) == 0
+    device = load(config).device
+    assert device.probe_torque.full_scale_n == pytest.approx(2.0, rel=0.01)
+    assert device.probe_velocity.full_scale_m_per_s == pytest.approx(2.0, rel=0.005)
+    assert device.limits.probe_n < 2.0  # its full scale is a little below that
+    assert "rig probe: probe_torque.full_scale_n" in device.probe_torque.source
+
+
+def test_temperature_writes_the_count_of_0_degrees(config, hand):
+    stated = ["rig", "temperature", "--at", "22", "--no-shake", "--config", str(config)]
+    assert main([*stated, "--yes", "--json"]) == 0
+    device = load(config).device
+    assert abs(device.temperature.offset_count) < 1.0
+    assert "temperature.offset_count" in device.temperature.source
+    assert "rig" not in device.emf_velocity.source
