@@ -258,9 +258,11 @@ def test_foreground_run_tells_what_happens(runtime: Path) -> None:
             main(["reset", *here])
             return "disabled -> stopped" in log.read_text()
 
-        until(stopped_is_told, "a stop in the terminal")
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=DEADLINE_S)
+        try:
+            until(stopped_is_told, "a stop in the terminal")
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=DEADLINE_S)
     assert process.returncode == 0
 
 
