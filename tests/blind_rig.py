@@ -31,7 +31,17 @@ from blind_truth import NOMINAL, SERIAL, BlindBoard, Truth, drawn
 from hapticd.assembly import lockstep
 from hapticd.errors import HapticdError
 from hapticd.params import BoardParams
-from hapticd.rig import damping, device_file, encoder, identify, link, motor, probe, temperature
+from hapticd.rig import (
+    damping,
+    device_file,
+    encoder,
+    identify,
+    link,
+    motor,
+    probe,
+    temperature,
+    winding,
+)
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
@@ -160,7 +170,10 @@ def known(truth: Truth) -> dict[str, float]:
         "force.full_scale_n": force_n * I16_HIGHEST,
         "force.offset_count": truth.force_offset_count,
         "damping.full_scale_ns_per_m": damping * U16_HIGHEST,
-        "friction seen": truth.coulomb_n,
+        "damping friction seen": truth.coulomb_n,
+        "motor.force_n_per_a": truth.motor_n_per_a,
+        "motor.winding_ohm": NOMINAL["winding_ohm"],
+        "back-EMF": truth.motor_n_per_a,
         "physical damping": truth.viscous_ns_per_m,
         "force per ampere": truth.motor_n_per_a,
         "residual resistance": truth.residual_ohm,
@@ -235,6 +248,7 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
     "encoder": lambda rig: encoder.measure(rig.bench, rig.ask, encoder.Distance(DISTANCE_M)),
     "motor sign": lambda rig: motor.measure_sign(rig.bench, rig.ask),
     "motor gain": lambda rig: motor.measure_gain(rig.bench, rig.ask, motor.Masses(MASSES_KG)),
+    "winding": lambda rig: winding.measure(rig.bench, rig.ask),
     "damping": lambda rig: damping.measure(rig.bench, rig.ask),
     "probe": lambda rig: probe.measure(rig.bench, rig.ask, probe.Attached(FIXED_KG)),
     "temperature": lambda rig: temperature.measure(

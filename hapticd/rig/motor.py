@@ -264,15 +264,25 @@ def concluded(
     half = abs(per_n) * hypot(line.intercept_half, unequal)
     offset = Value("force.offset_count", middle, "counts", middle - half, middle + half)
     findings = [_linear(line, means), believable(scale)]
-    friction_n = friction * abs(scale)
-    spread = Value("friction seen", friction_n, "N", 0.0, 2.0 * friction_n)
+    left = _left_at_rest(abs(scale) * readings_n)
     changes = [
         *full_scale_changes(gain, full_n, limit_n),
         Change("force", "offset_count", rounded(offset.value, offset.low, offset.high)),
     ]
     settled = all(one.verdict != "refused" for one in findings)
     arrays = {"weights_n": weights_n, "readings_n": readings_n}
-    return StepResult("motor", (gain, offset, spread), findings, changes if settled else (), arrays)
+    return StepResult("motor", (gain, offset, left), findings, changes if settled else (), arrays)
+
+
+def _left_at_rest(readings_n: Floats) -> Value:
+    """Half the difference between rest from above and from below (n, 2): no more than the friction,
+    and less where a load came to rest beyond its place.
+    """
+    halves = np.abs(np.diff(readings_n, axis=1))[:, 0] / 2.0
+    middle = float(halves.mean())
+    quantile = student_quantile(UPPER_END, len(halves) - 1)
+    half = quantile * float(halves.std(ddof=1)) / sqrt(len(halves))
+    return Value("friction left at rest", middle, "N", middle - half, middle + half)
 
 
 def full_scale_changes(gain: Value, full_n: float, limit_n: float) -> list[Change]:
