@@ -4,6 +4,8 @@ broken is refused by name, and the path knows no simulated board.
 
 import ast
 import functools
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,15 +21,15 @@ SECRETS = {  # names by which a simulated board, or the truth of one, could be r
     "BOARD_JSON",
     "board_params",
     "board.json",
-    "seed",
-    "simulation",
     "sim",
     "engine",
     "assembly",
+    ".backend",
+    ".plant",
+    ".seed",
+    ".simulation",
     ".stack",
-    "backend",
-    "plant",
-    "truth",
+    ".truth",
 }
 
 
@@ -98,8 +100,8 @@ def test_truths_differ_from_seed_to_seed_and_not_from_day_to_day():
 def names(tree):
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute):
-            yield f".{node.attr}"
             yield node.attr
+            yield f"{'np' if ast.unparse(node.value) == 'np' else ''}.{node.attr}"
         elif isinstance(node, ast.Name):
             yield node.id
         elif isinstance(node, ast.alias):
@@ -117,3 +119,19 @@ def test_the_path_names_nothing_by_which_it_could_know_the_truth(folder):
     for path in files:
         found = set(names(ast.parse(path.read_text(encoding="utf-8"))))
         assert not found & SECRETS, path
+
+
+def test_the_whole_path_loads_no_simulator():
+    """Steps and verbs in an interpreter of their own."""
+    program = (
+        "import pkgutil, sys, importlib, hapticd.rig, hapticd.cli.rig\n"
+        "for package in (hapticd.rig, hapticd.cli.rig):\n"
+        "    for one in pkgutil.iter_modules(package.__path__, package.__name__ + '.'):\n"
+        "        importlib.import_module(one.name)\n"
+        "print(*(name for name in sys.modules if name.startswith('hapticd.')))\n"
+    )
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    loaded = told.stdout.split()
+    assert "hapticd.rig.motor" in loaded, told.stderr
+    simulators = ("hapticd.sim", "hapticd.engine", "hapticd.assembly", "hapticd.plant.tables")
+    assert not [name for name in loaded if name.startswith(simulators)]
