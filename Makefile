@@ -9,6 +9,7 @@
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
 #   make reproduction-docs  the same, then tables, numbers and figures of docs/reproduction.md from it
+#   make pictures           take the screenshots of README and docs anew
 #   make docs               build the documentation in build/docs; warnings are errors
 #   make deps               install the system packages that are missing
 #   make pins               write constraints.txt anew: the newest version of every library that pyproject.toml allows
@@ -20,7 +21,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run practice test mutate firmware bench reproduce reproduction-docs docs deps deps-run deps-test deps-bench pins clean
+.PHONY: run practice test mutate firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-bench pins clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -60,6 +61,9 @@ reproduce: $(VENV)/run.stamp
 
 reproduction-docs: reproduce
 	$(BIN)/python docs/reproduce.py $(REPRODUCTION)
+
+pictures: deps-test $(VENV)/test.stamp
+	$(BIN)/python docs/pictures.py
 
 docs: $(VENV)/test.stamp
 	$(BIN)/python docs/generate.py

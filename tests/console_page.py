@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
-from playwright.sync_api import Page
+from playwright.sync_api import Page, TimeoutError
 
 CHROMIUM = "/usr/bin/chromium"
 ARGUMENTS = ("--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu")
@@ -18,11 +18,11 @@ PATIENCE_MS = 30_000
 
 
 class Served:
-    """`hapticd console` of an instance; its URL is known once it serves."""
+    """`hapticd console` of an instance, started in `folder`; its URL is known once it serves."""
 
-    def __init__(self, instance: str) -> None:
+    def __init__(self, instance: str, folder: Path) -> None:
         command = [sys.executable, "-m", "hapticd", "console", "--instance", instance, "--json"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder)
 
     def __enter__(self) -> Self:
         assert self.process.stdout is not None
@@ -48,11 +48,12 @@ def paused(pid: int) -> Iterator[None]:
 
 def wait_text(page: Page, place: str, text: str) -> None:
     """Until the element `place` shows `text`."""
-    page.wait_for_function(
-        "([place, text]) => document.querySelector(place).textContent.includes(text)",
-        arg=[place, text],
-        timeout=PATIENCE_MS,
-    )
+    shows = "([place, text]) => document.querySelector(place).textContent.includes(text)"
+    try:
+        page.wait_for_function(shows, arg=[place, text], timeout=PATIENCE_MS)
+    except TimeoutError:
+        seen = {one: page.inner_text(one) for one in (place, "#lamp", "#fault", "#log")}
+        raise AssertionError(f"{text!r} did not come: {seen}") from None
 
 
 def lamp_colour(page: Page, folder: Path) -> tuple[int, int, int]:

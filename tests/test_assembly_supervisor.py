@@ -49,17 +49,29 @@ class ScriptedProcess:
 class Stage:
     """A supervisor with a script: `at(seconds, action)` runs actions in virtual time."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, console: str = "") -> None:
         self.clock = VirtualClock(NS_PER_S)
         self.events: list[tuple[float, ProcessEvent]] = []
-        self.processes: dict[str, list[ScriptedProcess]] = {"servo_main": [], "gateway_main": []}
+        self.processes: dict[str, list[ScriptedProcess]] = {
+            "servo_main": [],
+            "gateway_main": [],
+            "page": [],
+        }
         self.on_start: Callable[[str, ScriptedProcess], None] = lambda name, process: None
         self.gateway_serves = True
+        self.page_serves = True
         self.stubborn = False
         self._script: list[tuple[float, Callable[[], None]]] = []
         settings = load(shipped("config") / "hapticd.toml")
         self.supervisor = Supervisor(
-            folder, settings, "default", self.clock, self._tell, self._start, self._served
+            folder,
+            settings,
+            "default",
+            self.clock,
+            self._tell,
+            self._start,
+            self._served,
+            console,
         )
         sleep = self.clock.sleep_until_ns
 
@@ -94,8 +106,10 @@ class Stage:
         name = command[0].rsplit(".", 1)[1]
         process = ScriptedProcess(100 + len(self.processes[name]), self.stubborn)
         self.processes[name].append(process)
-        assert all(Path(argument).exists() for argument in command[1:])
-        if name == "gateway_main" and self.gateway_serves:
+        assert name == "page" or all(Path(argument).exists() for argument in command[1:])
+        if (name == "gateway_main" and self.gateway_serves) or (
+            name == "page" and self.page_serves
+        ):
             os.write(ready, b"1")
         self.on_start(name, process)
         return process
@@ -124,6 +138,47 @@ def test_start_and_end_in_order(stage: Stage, folder: Path) -> None:
     assert stage.kinds() == START + END
     assert stage.got() == [["TERM"], ["TERM"]]
     assert list(folder.iterdir()) == []
+
+
+@pytest.fixture
+def with_page(folder: Path) -> Stage:
+    return Stage(folder, "the.page")
+
+
+def test_page_is_started_when_the_daemon_serves_and_ended_last(
+    with_page: Stage, folder: Path
+) -> None:
+    with_page.on_start = lambda name, _process: write_place(folder) if name == "page" else None
+    with_page.at(1.0, with_page.supervisor.stop)
+    with_page.supervisor.run()
+    ended = ["ending servo", "ending gateway", "ending console", "ended"]
+    assert with_page.kinds() == [*START, "page console", *ended]
+    assert with_page.events[3][1].text == "operators' page: http://127.0.0.1:1/"
+    assert list(folder.iterdir()) == []
+
+
+def write_place(folder: Path) -> None:
+    """What a console notes of itself."""
+    place = {"url": "http://127.0.0.1:1/", "port": 1, "pid": os.getpid()}
+    (folder / files.CONSOLE).write_text(json.dumps(place))
+
+
+def test_daemon_runs_without_a_page_that_cannot_be_served(with_page: Stage) -> None:
+    with_page.page_serves = False
+    with_page.at(1.0, with_page.die("page", 78))
+    with_page.at(9.0, with_page.supervisor.stop)
+    with_page.supervisor.run()
+    assert with_page.kinds() == [*START, "failed console", *END]
+    assert len(with_page.processes["page"]) == 1
+
+
+def test_page_that_dies_comes_back_and_takes_nobody_with_it(with_page: Stage) -> None:
+    for second in range(1, 10):
+        with_page.at(10.0 * second, with_page.die("page", 78))
+    with_page.at(99.0, with_page.supervisor.stop)
+    with_page.supervisor.run()
+    assert len(with_page.processes["page"]) == 10
+    assert [len(with_page.processes[name]) for name in ("servo_main", "gateway_main")] == [1, 1]
 
 
 def test_gateway_waits_for_the_mailbox(stage: Stage) -> None:

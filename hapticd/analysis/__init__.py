@@ -21,6 +21,7 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
     bases        `Theorem`, `Predicted`, `Measured`: how it is known what is safe
     allowed      `Judgement`: which displays a device withstands, and how far K, B and M may go
     judge        `Judge`: the answers of the guard; what it does with a change by `policies`
+    plane        `plane`: the K-B plane, with and without active damping
     passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M
     envelope     `envelope`: the Z-width envelope and its owners
     compare      `widths_db`, `check_alike`, `normalised`: displays side by side

@@ -19,6 +19,7 @@ from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theor
 from hapticd.analysis.coupled import GROWS, coupled_radius, shaking_hand
 from hapticd.analysis.displays import Display, Point, display_of
 from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.plane import plane
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
 from hapticd.analysis.theorem import lift, lifted_worst
 from hapticd.analysis.words import Verdicts, doubling, in_words, sentence
@@ -65,8 +66,13 @@ class Judge:
         return bool(self._cold)
 
     def answer(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """The answer to one request: `change`, `look` or `hand`."""
-        asks = {"change": self._change, "look": self._look, "hand": self._hand}
+        """The answer to one request: `change`, `look`, `hand` or `plane`."""
+        asks = {
+            "change": self._change,
+            "look": self._look,
+            "hand": self._hand,
+            "plane": self._plane,
+        }
         ask = request.get("ask")
         if ask not in asks:
             raise AnalysisError(f"the guard is asked {ask!r}; it knows {', '.join(asks)}")
@@ -106,6 +112,15 @@ class Judge:
         worse = judgement.worse(display)
         allowed = judgement.allowed(display, self.setup.lowest, self.setup.highest)
         return {"margin_ns_per_m": worse.margin_ns_per_m, "allowed": allowed}
+
+    def _plane(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        judgement, unknown = self._judgement(request)
+        if judgement is None:
+            return {"plane": None, "text": unknown}
+        display = display_of(request["target"], self.setup.environment)
+        on = min(float(request["level_on"]), self.setup.damping_limit_ns_per_m)
+        most_k, most_b, _ = self.setup.highest
+        return {"plane": plane(judgement, display, on, most_k, most_b)}
 
     def _hand(self, request: Mapping[str, Any]) -> dict[str, Any]:
         if self.theorem is None:

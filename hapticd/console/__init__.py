@@ -1,10 +1,16 @@
 """The operators' page: one process that is an ordinary client of a daemon, and a web server for
 browsers on this computer.
 
-    server   the web server: pages, the socket of each browser, the STOP request; who may talk to it
+    server   the web server: pages, the socket of each browser, the STOP request
     watch    telemetry -> frames for browsers, in a thread of its own
     outbox   what waits for one browser: bounded, the oldest is dropped
+    visitors who may talk to it
     asker    the commands of one browser: a client of its own, so that leases are the browser's
+    probing  live impedance from the probe stream: a running estimate
+    plane    the K-B plane of the guard, computed by plane_worker
+    recorder `hapticd record` as a process of its own
+    place    the file that says where the page is
+    main     the process that `hapticd run` starts
     static/  the page itself; beside our own files one that is not ours, uPlot
 
 Nothing here renders, judges or promises force: what the page shows is what the daemon says, and

@@ -21,9 +21,13 @@ from hapticd.client.client import Client
 from hapticd.client.conversation import receipt_of
 from hapticd.client.words import receipt_text, verdict_lines
 from hapticd.errors import CommandError, HapticdError
+from hapticd.plant.excitation import Stream, band_noise, generator
+from hapticd.plant.scene import Excitation
 
-CHANGES = frozenset(("set", "damping", "enable", "disable", "reset", "zero", "home", "perturb"))
+EXCITE = "excite"  # ours: noise as in a trial, repeated, until it is asked to end
+CHANGES = frozenset(("set", "damping", "enable", "disable", "reset", "zero", "home", EXCITE))
 ALLOWED = CHANGES | {"hello", "get", "guard", "lease", "status", "dump"}
+NOISE_SAMPLES = 1 << 14  # 4 s
 MOST_OPEN = 8  # questions of one browser without an answer
 Reply = Callable[[str], None]  # takes the text for the browser; called in the asker's thread
 
@@ -65,12 +69,23 @@ class Asker:
         if cmd in CHANGES and stops != self._stops():
             return _refused(number, "stopped", f"{cmd}: not done, for STOP was pressed after it")
         try:
+            if cmd == EXCITE:
+                return self._excited(number, bool(fields.get("on")))
             return _accepted(number, self._client.call(cmd, **fields))
         except CommandError as error:
             lines = verdict_lines(error.guard) if error.guard else []
             return _refused(number, error.code, "\n".join((str(error), *lines)))
         except (HapticdError, TypeError) as error:
             return _refused(number, type(error).__name__, str(error))
+
+    def _excited(self, number: Any, on: bool) -> str:
+        if not on:
+            return _accepted(number, self._client.call("perturb", action="stop"))
+        paper = Excitation("noise")
+        random = generator(paper.seed, Stream.SHARED)
+        noise = band_noise(NOISE_SAMPLES, paper.psd_n2_per_hz, paper.band_hz, random)
+        self._client.perturb_load(noise)
+        return _accepted(number, self._client.call("perturb", action="start", loop=True))
 
 
 def _accepted(number: Any, found: dict[str, Any]) -> str:

@@ -35,6 +35,9 @@ from hapticd.client import fast_stop
 from hapticd.console.asker import Asker
 from hapticd.console.outbox import Outbox
 from hapticd.console.place import Place
+from hapticd.console.plane import Planes
+from hapticd.console.probing import Probing
+from hapticd.console.recorder import Recorder
 from hapticd.console.visitors import Visitors
 from hapticd.console.watch import Watch
 from hapticd.errors import ConfigError, HapticdError
@@ -87,7 +90,9 @@ class Console:
         self._browsers: set[Browser] = set()
         self._latest: dict[str, str] = {}  # newest state and guard, for a page that has just come
         self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")
+        self._recordings: set[asyncio.Task[None]] = set()  # requests under way
         self._pages = 0
+        self.recorder = Recorder(instance, Path.cwd(), lambda text: self.publish("recorder", text))
         self.stops = 0  # asked of this page
 
     def app(self) -> Starlette:
@@ -100,6 +105,10 @@ class Console:
         ]
         return Starlette(routes=routes, middleware=[Middleware(Visitors)])
 
+    def folder(self) -> Path:
+        """The runtime folder of the daemon."""
+        return looked_for(self.instance)
+
     def publish(self, kind: str, message: bytes | str) -> None:
         """Give `message` to all browsers; called in the loop."""
         if isinstance(message, str) and kind != "event":
@@ -109,7 +118,7 @@ class Console:
 
     async def page(self, request: Request) -> Response:
         """The page, with what is known of the board in its text."""
-        report = read_report(looked_for(self.instance))
+        report = read_report(self.folder())
         words = {
             "@BOARD@": BOARDS[report.get("simulated")],
             "@DEVICE@": str(report.get("device", "")),
@@ -162,8 +171,21 @@ class Console:
             if "ack" in request:
                 browser.outbox.acknowledge(int(request["ack"]))
                 browser.news.set()
+            elif request.get("cmd") == "record":
+                recording = asyncio.create_task(self._record(browser, request))
+                self._recordings.add(recording)
+                recording.add_done_callback(self._recordings.discard)
             else:
                 browser.asker.ask(request, reply)
+
+    async def _record(self, browser: Browser, request: dict[str, Any]) -> None:
+        """Start or stop the recorder of this page."""
+        note = str(request.get("note", ""))
+        start = bool(request.get("start"))
+        trouble = await self.recorder.start(note) if start else self.recorder.stop()
+        text = trouble or ("recording begins" if start else "recording ends, and is packed")
+        told = {"kind": "reply", "ask": request.get("ask"), "ok": not trouble, "text": text}
+        browser.put("reply", json.dumps(told))
 
 
 def _read(text: str) -> dict[str, Any]:
@@ -242,9 +264,14 @@ async def _serve(
         loop.call_soon_threadsafe(console.publish, kind, message)
 
     line.listen()
-    watch = Watch(console.instance, publish)
+    planes = Planes(console.folder, lambda text: publish("plane", text))
+    probing = Probing(lambda text: publish("impedance", text))
+    watch = Watch(console.instance, publish, probing, planes)
     ready()
     try:
         await server.serve(sockets=[line])
     finally:
         watch.close()
+        probing.close()
+        planes.close()
+        await console.recorder.close()

@@ -24,6 +24,8 @@ import numpy as np
 
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
+from hapticd.console.plane import Planes
+from hapticd.console.probing import Probing
 from hapticd.errors import HapticdError
 from hapticd.faults import BY_NUMBER
 from hapticd.mailbox.layout import Flag, State
@@ -33,7 +35,8 @@ from hapticd.wire.frames import IN_EFFECT, IN_OFFSETS
 LOOK_S = 0.02
 RETRY_S = 0.25  # between looks for a daemon that is not there
 TICKS = "servo.raw"
-TOPICS = (TICKS, "state", "event", "guard")
+PROBE = "probe"
+TOPICS = (TICKS, PROBE, "state", "event", "guard")
 COLUMNS = (  # name, fields of the record that are summed, factor
     ("position_m", ("position_m",), 1.0),
     ("velocity_m_per_s", ("velocity_m_per_s",), 1.0),
@@ -97,11 +100,16 @@ def _now(record: Any) -> dict[str, Any]:
 
 
 class Watch:
-    """Follows the daemon `instance` until `close`, whether or not it is there."""
+    """Follows the daemon `instance` until `close`, whether or not it is there. Messages go to
+    `publish`, samples of the probe to `probing`, what the guard tells to `planes`.
+    """
 
-    def __init__(self, instance: str, publish: Publish) -> None:
+    def __init__(self, instance: str, publish: Publish, probing: Probing, planes: Planes) -> None:
         self._instance = instance
         self._publish = publish
+        self._probing = probing
+        self._planes = planes
+        self._level_on = 0.0  # N s/m, of `damping on`
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
         self._thread.start()
@@ -119,19 +127,30 @@ class Watch:
 
     def _follow(self) -> None:
         """Until the end. DaemonDown or MailboxError: there is no daemon to follow yet."""
-        decoder = BlockDecoder()
+        decoders = {TICKS: BlockDecoder(), PROBE: BlockDecoder()}
         with Client(self._instance, name="page") as client:
+            self._level_on = float(client.get()["parameters"]["damping_level"])
             for message in client.messages(TOPICS, LOOK_S):
                 if self._ending.is_set():
                     return
-                if message is not None:
-                    self._take(decoder, *message)
+                if message is None:
+                    continue
+                topic, payload = message
+                if topic in decoders:
+                    self._take_block(topic, decoders[topic].decode(payload))
+                else:
+                    self._take(topic, msgpack.unpackb(payload))
 
-    def _take(self, decoder: BlockDecoder, topic: str, payload: bytes) -> None:
-        if topic == TICKS:
-            block = decoder.decode(payload)
-            if len(block.records):
-                self._publish("frame", frame(block))
-        else:
-            told = msgpack.unpackb(payload)
-            self._publish(topic, json.dumps({"kind": topic, "told": told}))
+    def _take_block(self, topic: str, block: Block) -> None:
+        if topic == PROBE:
+            self._probing.take(block)
+        elif len(block.records):
+            self._probing.excited = bool(block.records["perturbing"][-1])
+            self._publish("frame", frame(block))
+
+    def _take(self, topic: str, told: dict[str, Any]) -> None:
+        if topic == "state" and told.get("added_damping_asked_ns_per_m"):
+            self._level_on = float(told["added_damping_asked_ns_per_m"])
+        elif topic == "guard":
+            self._planes.follow(told, self._level_on)
+        self._publish(topic, json.dumps({"kind": topic, "told": told}))

@@ -4,6 +4,8 @@
 const get = (id) => document.getElementById(id);
 const NAMES = { K: "stiffness_n_per_m", B: "damping_ns_per_m", M: "mass_kg", level: "added_damping_asked_ns_per_m" };
 const UNITS = { K: "N/m", B: "N s/m", M: "kg", level: "N s/m" };
+// Fifty times a second: what stays as it is costs nothing.
+const put = (id, text) => get(id).textContent === text || (get(id).textContent = text);
 const DAMPED = 1e-6; // N s/m: less is off
 
 export class Controls {
@@ -25,9 +27,10 @@ export class Controls {
     }
   }
 
-  async ask(cmd, fields) {
+  // Ask, and tell what became of it; `done` are the words for what has no receipt.
+  async ask(cmd, fields, done) {
     const answer = await this.link.ask(cmd, fields);
-    this.tell(answer.ok ? "done" : "refused", answer.text ?? `${cmd}: done`);
+    this.tell(answer.ok ? "done" : "refused", answer.text ?? done ?? `${cmd}: done`);
     if (answer.warning) this.tell("warning", answer.warning);
     return answer.ok;
   }
@@ -57,21 +60,23 @@ export class Controls {
   // --- what the daemon says --------------------------------------------------------------------
 
   show(now) {
-    for (const [name, field] of Object.entries(NAMES)) get(`${name}-now`).textContent = plain(now[field]);
+    for (const [name, field] of Object.entries(NAMES)) put(`${name}-now`, plain(now[field]));
     const effect = now.damping_effect_ns_per_m;
     this.damped = effect === null ? now.added_damping_asked_ns_per_m > DAMPED : effect > DAMPED;
     const known = effect !== null;
-    get("damping-switch").ariaChecked = known ? String(this.damped) : "mixed";
-    get("damping-word").textContent = known ? (this.damped ? `ON ${plain(effect)}` : "OFF") : "unknown";
-    get("damping-board").textContent = known
+    const checked = known ? String(this.damped) : "mixed";
+    if (get("damping-switch").ariaChecked !== checked) get("damping-switch").ariaChecked = checked;
+    put("damping-word", known ? (this.damped ? `ON ${effect.toFixed(2)}` : "OFF") : "unknown");
+    put("damping-board", known
       ? `board reports ${now.damping_count} counts = ${plain(effect)} N\u202fs/m`
-      : "this board does not report its damping";
+      : "this board does not report its damping");
   }
 
   fault(told) {
     const [name, words] = get("fault").children;
     name.textContent = told.fault === "none" ? "" : `${told.fault}: ${told.cause}`;
-    words.textContent = told.fault === "none" ? "" : `${told.action}. To leave: ${told.remedy}`;
+    words.textContent = told.fault === "none" ? "" : `To leave: ${told.remedy}. (${told.action})`;
+    words.title = words.textContent;
   }
 
   guard(told) {
@@ -81,7 +86,7 @@ export class Controls {
     const safe = verdict.safe;
     get("margin").className = safe === true ? "safe" : safe === false ? "unsafe" : "unknown";
     get("margin").textContent = margin === null || margin === undefined ? "margin unknown"
-      : margin < 0 ? `${plain(-margin)} N s/m short` : safe ? `${plain(margin)} N s/m to spare` : "not safe";
+      : margin < 0 ? `short ${three(-margin)} N\u202fs/m` : safe ? `spare ${three(margin)} N\u202fs/m` : "not safe";
     get("verdict").textContent = verdict.text ?? "nothing was judged yet";
     for (const name of ["K", "B", "M"]) get(`${name}-range`).textContent = this.range(name, verdict.allowed?.[name], verdict.allowed);
     const least = verdict.least_damping_ns_per_m;
@@ -93,11 +98,13 @@ export class Controls {
   range(name, allowed, known) {
     const limit = this.limits[name];
     const limits = limit ? `takes ${plain(limit.low)} to ${plain(limit.high)}` : "";
-    const passive = allowed ? `passive ${plain(allowed[0])} to ${plain(allowed[1])}`
+    const passive = allowed ? `passive ${three(allowed[0])} to ${three(allowed[1])}`
       : known && Object.keys(known).length ? `no ${name} alone is passive` : "passive: unknown";
     return `${passive}${limits && `; ${limits}`}`;
   }
 }
+
+const three = (value) => plain(Number(value.toPrecision(3)));
 
 // A number as people read it: four digits, no exponent for what is common.
 export function plain(value) {

@@ -5,8 +5,9 @@ const ACK_EVERY = 5;
 const RETRY_MS = 300;
 
 export class Link {
-  constructor(handlers) {
+  constructor(handlers, opened) {
     this.handlers = handlers; // {frame(header, columns), state, guard, event, ...}
+    this.opened = opened; // called with each new connection
     this.asked = new Map();
     this.number = 0;
     this.taken = 0;
@@ -16,6 +17,7 @@ export class Link {
   connect() {
     this.socket = new WebSocket(`ws://${location.host}/live`);
     this.socket.binaryType = "arraybuffer";
+    this.socket.onopen = () => this.opened();
     this.socket.onmessage = (message) => this.take(message.data);
     this.socket.onclose = () => {
       for (const done of this.asked.values()) {

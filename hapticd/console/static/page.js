@@ -3,7 +3,10 @@
 // second is no data.
 
 import { Controls } from "./controls.js";
+import { Impedance } from "./impedance.js";
 import { Link } from "./link.js";
+import { Leases, Recorder, Timing } from "./panels.js";
+import { Plane } from "./plane.js";
 import { Scope } from "./scope.js";
 import { stopButton } from "./stop.js";
 
@@ -21,10 +24,13 @@ function tell(kind, text) {
   line.title = text;
   const time = document.createElement("time");
   time.textContent = new Date().toTimeString().slice(0, 8);
-  line.append(time, kind === "refused" ? `refused: ${text}` : text);
+  line.append(time, kind === "refused" && !text.includes("refused") ? `refused: ${text}` : text);
   get("log").prepend(line);
   while (get("log").children.length > MOST_LINES) get("log").lastChild.remove();
 }
+
+const transition = (told) =>
+  `${told.before} → ${told.state}${told.fault === "none" ? "" : `, ${told.fault}: ${told.cause}`}${told.name ? `; ${told.name}` : ""}`;
 
 function lamp(state) {
   const words = state === "nodata" ? "NO DATA" : state;
@@ -42,35 +48,53 @@ const handlers = {
     came_ms = performance.now();
     lamp(header.now.state);
     board(header.simulated);
-    scope.take(header, columns);
-    controls.show(header.now);
+    for (const part of [scope, timing]) part.take(header, columns);
+    for (const part of [controls, plane, impedance]) part.show(header.now);
   },
   state(told) {
     controls.fault(told);
+    for (const part of [timing, leases]) part.state(told);
   },
+  plane: (told) => plane.take(told),
+  impedance: (told) => impedance.take(told),
+  recorder: (told) => recorder.take(told),
   guard(told) {
-    controls.guard(told);
+    for (const part of [controls, plane]) part.guard(told);
   },
   event(told) {
-    if (told.text && told.kind !== "answer") tell(told.kind === "warning" ? "warning" : "event", told.text);
+    if (told.kind === "state") tell(["stopped", "fault"].includes(told.state) ? "error" : "event", transition(told));
+    else if (told.text && told.kind !== "answer") tell(told.kind === "warning" ? "warning" : "event", told.text);
   },
 };
+
+// --- the parts ---------------------------------------------------------------------------------
 
 function theme(name) {
   root.dataset.theme = name;
   localStorage.setItem("theme", name);
-  scope?.recolour();
 }
 
-let scope = null;
 theme(localStorage.getItem("theme") ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
-scope = new Scope(tell);
-const link = new Link(handlers);
+const link = new Link(handlers, introduce);
 const controls = new Controls(link, tell);
+const ask = (...words) => controls.ask(...words);
+const scope = new Scope(tell);
+const plane = new Plane();
+const impedance = new Impedance(ask);
+const timing = new Timing();
+const leases = new Leases(link, ask);
+const recorder = new Recorder(ask, tell);
 stopButton(get("stop"), tell);
-get("theme").addEventListener("click", () => theme(root.dataset.theme === "dark" ? "light" : "dark"));
-setInterval(() => performance.now() - came_ms > NO_DATA_MS && lamp("nodata"), LOOK_MS);
-link.socket.addEventListener("open", async () => {
-  const hello = await link.ask("hello", { name: "page" });
-  if (hello.ok) controls.limits = hello.result.limits;
+get("theme").addEventListener("click", () => {
+  theme(root.dataset.theme === "dark" ? "light" : "dark");
+  for (const part of [...scope.strips, plane, impedance]) part.build();
 });
+setInterval(() => performance.now() - came_ms > NO_DATA_MS && lamp("nodata"), LOOK_MS);
+
+// Each connection is another client of the daemon: with its own number, and what it may ask.
+async function introduce() {
+  const hello = await link.ask("hello", { name: "page" });
+  if (!hello.ok) return;
+  controls.limits = hello.result.limits;
+  leases.actor = hello.result.actor;
+}

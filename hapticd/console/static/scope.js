@@ -4,13 +4,15 @@
 // more samples than pixels the least and the greatest in each pixel are drawn, so that no peak is
 // lost. What is saved are the samples themselves, of exactly the time that is shown.
 
+import { looks } from "./plane.js";
+
 const KEPT = 1 << 17; // samples of each signal
 const DRAW_MS = 40;
 const SIGNALS = [
   { name: "position_m", title: "position", unit: "mm", scale: 1e3, least: 0.02, digits: 4 },
   { name: "velocity_m_per_s", title: "velocity", unit: "mm/s", scale: 1e3, least: 1, digits: 2 },
   { name: "force_n", title: "force", unit: "N", scale: 1, least: 0.05, digits: 4 },
-  { name: "damping_ns_per_m", title: "damping in effect", unit: "N s/m", scale: 1, least: 1, digits: 3, zero: true },
+  { name: "damping_ns_per_m", title: "damping", unit: "N s/m", scale: 1, least: 1, digits: 3, zero: true },
 ];
 const get = (id) => document.getElementById(id);
 
@@ -23,7 +25,7 @@ export class Scope {
     this.strips = SIGNALS.map((signal) => new Strip(signal, get("strips"), (range) => this.select(range)));
     for (const signal of SIGNALS) get("source").add(new Option(signal.title, signal.name));
     for (const id of ["trigger", "source", "edge", "threshold", "pre", "span"]) {
-      get(id).addEventListener("change", () => this.arm());
+      get(id).addEventListener("input", () => this.arm());
     }
     get("pause").addEventListener("click", () => this.pause(!this.paused));
     get("measure").addEventListener("click", () => this.measure(get("measure").ariaPressed !== "true"));
@@ -140,7 +142,7 @@ export class Scope {
     if (this.mode && this.triggered === null) return `waiting for the trigger: ${this.signal.title} ${this.edge > 0 ? "rising" : "falling"} through ${get("threshold").value} ${this.signal.unit}`;
     if (!view) return "";
     const zero = this.mode ? "0 s is the trigger" : "0 s is now";
-    const more = this.range ? `; selected ${seconds(this.range[1] - this.range[0])}, ${(1 / (this.range[1] - this.range[0])).toPrecision(4)} Hz` : "; drag to measure";
+    const more = this.range ? `; selected ${seconds(this.range[1] - this.range[0])}, ${(1 / (this.range[1] - this.range[0])).toPrecision(4)} Hz` : "";
     return `${zero}${more}`;
   }
 
@@ -210,13 +212,7 @@ class Strip {
 
   build() {
     this.plot?.destroy();
-    const style = getComputedStyle(document.documentElement);
-    const colour = (name) => style.getPropertyValue(name).trim();
-    const rem = parseFloat(style.fontSize);
-    const axis = {
-      stroke: colour("--soft"), font: `${Math.round(0.8 * rem)}px system-ui, "DejaVu Sans", sans-serif`,
-      grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false },
-    };
+    const { colour, rem, axis } = looks();
     const options = {
       width: Math.max(50, this.place.clientWidth), height: Math.max(30, this.place.clientHeight),
       padding: [0.4 * rem, 0.6 * rem, this.last ? 0 : 0.2 * rem, 0], legend: { show: false },
@@ -224,7 +220,7 @@ class Strip {
       scales: { x: { time: false, range: () => this.span ?? [-1, 0] }, y: { range: () => this.limits } },
       axes: [
         { ...axis, size: this.last ? 1.3 * rem : 0, gap: 0.1 * rem, space: 5 * rem, values: this.last ? undefined : () => [] },
-        { ...axis, size: 4.2 * rem, gap: 0.3 * rem, space: 1.8 * rem, values: (_plot, ticks) => ticks.map((one) => Number(one.toPrecision(6))) },
+        { ...axis, size: 4.2 * rem, gap: 0.3 * rem, space: 1.2 * rem, values: (_plot, ticks) => ticks.map((one) => Number(one.toPrecision(6))) },
       ],
       series: [{}, { stroke: colour("--trace"), width: Math.max(1.2, 0.09 * rem), points: { show: false } }],
       hooks: { setSelect: [(plot) => this.dragged(plot)] },
@@ -324,8 +320,8 @@ function statistics(ring, first, after, signal) {
   if (!count) return "";
   const mean = sum / count;
   const deviation = Math.sqrt(Math.max(0, squares / count - mean * mean));
-  const show = (one) => fixed(one, signal.digits);
-  return `mean ${show(mean)}  sd ${show(deviation)}  min ${show(low)}  max ${show(high)}  p-p ${show(high - low)}`;
+  const show = (one) => String(Number(Number(one.toPrecision(3)).toFixed(signal.digits)));
+  return `mean ${show(mean)}  sd ${show(deviation)}  ${show(low)} to ${show(high)}  p-p ${show(high - low)}`;
 }
 
 const fixed = (value, digits) => (Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value).toFixed(digits);

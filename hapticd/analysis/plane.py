@@ -1,0 +1,111 @@
+"""The K-B plane of a device: at which B a given K withstands every passive hand, at one virtual
+mass, one pair of filters and one level of active damping.
+
+A grid of K and B is judged by the basis of the guard (`bases`), the same that answers requests, so
+that what a picture of the plane shows is what the guard would say. For each K the safe values of B
+are taken as one interval, the one nearest to its middle; the set of the theorem is convex for a
+rigid device, and at one delay an interval in B for those that were looked at.
+
+What would break it: an interval of B that is narrower than a step of the grid, which is not seen.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.allowed import Judgement
+from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.displays import Display
+
+_COLUMNS = 60  # values of K
+_ROWS = 41  # values of B
+_HALVINGS = 5  # of a step of B, towards an edge
+_ROOM = 1.25  # of the axes beyond what is safe, and beyond the display in force
+
+
+def plane(
+    judgement: Judgement, display: Display, level_on: float, most_k: float, most_b: float
+) -> dict[str, Any]:
+    """The edges of the safe B over K, without active damping and with `level_on` [N s/m].
+
+    {K: [..], without: {level, low, high}, with: {level, low, high}, B: [lowest, highest of the
+    axis]}; `low` and `high` hold None where no B is safe. `most_k` [N/m] and `most_b` [N s/m] bound
+    the axes.
+    """
+    stiffness, damping = _axes(judgement, display, level_on, most_k, most_b)
+    found = {
+        name: {"level": level, **_edges(judgement, display, level, stiffness, damping)}
+        for name, level in (("without", 0.0), ("with", level_on))
+    }
+    return {"K": stiffness.tolist(), "B": [float(damping[0]), float(damping[-1])], **found}
+
+
+def _axes(
+    judgement: Judgement, display: Display, level_on: float, most_k: float, most_b: float
+) -> tuple[Floats, Floats]:
+    """K from 0 and B round 0, so that the safe set and the display in force are inside."""
+    free = display._replace(stiffness_n_per_m=0.0, damping_ns_per_m=0.0, added_ns_per_m=level_on)
+    lowest = (0.0, -most_b, display.mass_kg)
+    highest = (most_k, most_b, display.mass_kg)
+    alone = judgement.allowed(free, lowest, highest)
+    low, high = alone["B"] or [-1.0, 1.0]
+    middle = free._replace(damping_ns_per_m=0.5 * (low + high))
+    farthest = max(_end(alone["K"]), _end(judgement.allowed(middle, lowest, highest)["K"]), 1.0)
+    stiffest = _ROOM * max(farthest, min(display.stiffness_n_per_m, 4.0 * farthest))
+    reach = _ROOM * max(-low, high, min(abs(display.damping_ns_per_m), 4.0 * max(-low, high)))
+    bottom = max(-reach, 2.0 * min(low, display.damping_ns_per_m, -0.1 * reach))
+    return np.linspace(0.0, stiffest, _COLUMNS), np.linspace(bottom, reach, _ROWS)
+
+
+def _end(interval: list[float] | None) -> float:
+    return interval[1] if interval else 0.0
+
+
+def _edges(
+    judgement: Judgement, display: Display, level: float, stiffness: Floats, damping: Floats
+) -> dict[str, list[float | None]]:
+    """Lowest and highest safe B (columns,) of each K."""
+    damped = display._replace(added_ns_per_m=level)
+
+    def safe(at_k: Floats, at_b: Floats) -> Flags:
+        points = np.column_stack((at_k, at_b, np.full(len(at_k), display.mass_kg)))
+        flags = np.ones(len(points), np.bool_)
+        for at in judgement.conditions(damped):
+            flags &= judgement.basis.safe(points, at)
+        return flags
+
+    grid = safe(np.repeat(stiffness, len(damping)), np.tile(damping, len(stiffness)))
+    runs = [_longest(row) for row in grid.reshape(len(stiffness), -1)]
+    edges: dict[str, list[float | None]] = {}
+    for name, end, step in (("low", 0, -1), ("high", 1, 1)):
+        known = [column for column, run in enumerate(runs) if run is not None]
+        inside = np.array([(runs[column] or (0, 0))[end] for column in known], np.int64)
+        outside = np.clip(inside + step, 0, len(damping) - 1)
+        values = _bisected(safe, stiffness[known], damping[inside], damping[outside])
+        edges[name] = [None] * len(stiffness)
+        for column, value in zip(known, values.tolist(), strict=True):
+            edges[name][column] = value
+    return edges
+
+
+def _bisected(
+    safe: Callable[[Floats, Floats], Flags], stiffness: Floats, inside: Floats, outside: Floats
+) -> Floats:
+    """The last safe B between one that is and one that is not, for each K (n,)."""
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (inside + outside)
+        held = safe(stiffness, middle)
+        inside = np.where(held, middle, inside)
+        outside = np.where(held, outside, middle)
+    return inside
+
+
+def _longest(safe: Flags) -> tuple[int, int] | None:
+    """First and last place of the longest run of true flags; None for none."""
+    held = np.flatnonzero(safe)
+    if not held.size:
+        return None
+    runs = np.split(held, np.flatnonzero(np.diff(held) > 1) + 1)
+    longest = max(runs, key=len)
+    return int(longest[0]), int(longest[-1])

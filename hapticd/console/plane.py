@@ -1,0 +1,87 @@
+"""The K-B plane for the page, computed by a process of its own and shown as long as it holds.
+
+It is the guard's own judgement (`analysis.judge`) on the model in the daemon's guard.json, asked
+again when basis, margin, delay, mass, filters or the level of active damping change. It takes up to
+seconds, so it must not run where telemetry and STOP go: `python -m hapticd.console.plane_worker`
+reads the question and writes the answer, at low priority. The live point is the page's.
+
+What would break it: a worker that outlives the console (it dies with it), or one that judges on
+another configuration than the daemon's (the file is read for each plane).
+"""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hapticd.mailbox.files import GUARD_JSON
+
+WORKER = f"{__package__}.plane_worker"
+KEPT = ("M", "filters")  # of what is in force, beside the guard's terms and the level
+DELAY_STEP = 0.0625  # periods: less does not ask for another plane
+
+
+class Planes:
+    """Follows the guard's messages; gives `publish` a plane, as text, when there is a new one."""
+
+    def __init__(self, folder: Callable[[], Path], publish: Callable[[str], None]) -> None:
+        self._folder = folder
+        self._publish = publish
+        self._shown: tuple[Any, ...] = ()
+        self._worker: subprocess.Popen[str] | None = None
+        self._thread: threading.Thread | None = None
+
+    def close(self) -> None:
+        """End the worker."""
+        if self._worker is not None:
+            self._worker.kill()
+        if self._thread is not None:
+            self._thread.join()
+
+    def follow(self, guard: dict[str, Any], level_on: float) -> None:
+        """Ask for a plane if `guard` (topic) and the level of `damping on` call for another."""
+        given = (guard.get("verdict") or {}).get("given")
+        if given is None or (self._thread is not None and self._thread.is_alive()):
+            return
+        delay = guard["delay_periods"]
+        rounded = None if delay is None else DELAY_STEP * round(delay / DELAY_STEP)
+        terms = (guard["basis"], guard["margin_ns_per_m"], rounded, level_on)
+        asked = (*terms, *(json.dumps(given[name]) for name in KEPT), _reach(given))
+        if asked != self._shown:
+            self._shown = asked
+            request = {
+                "ask": "plane",
+                "basis": guard["basis"],
+                "margin_ns_per_m": guard["margin_ns_per_m"],
+                "delay_periods": rounded,
+                "target": given,
+                "level_on": level_on,
+            }
+            self._ask(json.dumps(request))
+
+    def _ask(self, request: str) -> None:
+        self._worker = subprocess.Popen(
+            [sys.executable, "-m", WORKER, str(self._folder() / GUARD_JSON), str(os.getpid())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )
+        self._thread = threading.Thread(
+            target=self._await_answer, args=(self._worker, request), name="plane", daemon=True
+        )
+        self._thread.start()
+
+    def _await_answer(self, worker: "subprocess.Popen[str]", request: str) -> None:
+        answer, _ = worker.communicate(request)
+        if worker.returncode == 0:
+            self._publish(answer)
+
+
+def _reach(given: dict[str, Any]) -> tuple[int, int]:
+    """Which powers of two K and B are below: a plane has to hold the point."""
+    return int(abs(given["K"])).bit_length(), int(4 * abs(given["B"])).bit_length()

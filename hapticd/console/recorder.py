@@ -1,0 +1,87 @@
+"""Recording from the page: `hapticd record` as a process of its own, one at a time.
+
+It is that verb, so the file is the same, and a page or a console that dies ends it in order: the
+recorder dies with the console by SIGTERM, which finishes the file. Files go to the folder in which
+the console was started; nothing that a page sends becomes part of a path.
+"""
+
+import asyncio
+import json
+import signal
+import sys
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+LONGEST_NOTE = 500
+LIVE = ".part.h5"  # ending of a recording that grows
+LOOK_S = 0.05  # until the file is there
+
+
+class Recorder:
+    """The recorder of instance `instance`; gives `publish` what it does, as text."""
+
+    def __init__(self, instance: str, folder: Path, publish: Callable[[str], None]) -> None:
+        self._instance = instance
+        self._folder = folder
+        self._publish = publish
+        self._process: asyncio.subprocess.Process | None = None
+        self._task: asyncio.Task[None] | None = None
+
+    async def start(self, note: str) -> str:
+        """Begin with the operator's note; why it did not, or an empty text."""
+        if self._process is not None:
+            return "a recording is under way already: stop it first"
+        file = self._folder / f"{datetime.now():%Y%m%d-%H%M%S}-{self._instance}.h5"
+        words = [sys.executable, "-m", "hapticd", "record", str(file), "--json"]
+        self._process = await asyncio.create_subprocess_exec(
+            *words,
+            f"--note={note[:LONGEST_NOTE]}",
+            "--instance",
+            self._instance,
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            process_group=0,
+        )
+        self._task = asyncio.create_task(self._await_end(self._process, file))
+        part = file.with_suffix(LIVE)
+        while self._process is not None and not part.exists():
+            await asyncio.sleep(LOOK_S)
+        if self._process is not None:
+            self._tell({"recording": True, "file": str(file), "note": note})
+        return ""
+
+    def stop(self) -> str:
+        """Have it finish; the file is told when it is packed. Why not, or an empty text."""
+        if self._process is None:
+            return "nothing is being recorded"
+        self._process.send_signal(signal.SIGINT)
+        return ""
+
+    async def close(self) -> None:
+        """Finish what is being recorded."""
+        if self._process is not None and self._task is not None:
+            self._process.send_signal(signal.SIGINT)
+            await self._task
+
+    async def _await_end(self, process: asyncio.subprocess.Process, file: Path) -> None:
+        out, err = await process.communicate()
+        self._process = None
+        self._tell({"recording": False, "file": str(file), "text": _ending(out, err)})
+
+    def _tell(self, told: dict[str, Any]) -> None:
+        self._publish(json.dumps({"kind": "recorder", "told": told}))
+
+
+def _ending(out: bytes, err: bytes) -> str:
+    """What `hapticd record --json` said at its end, in one line."""
+    try:
+        found = json.loads(out.decode().splitlines()[-1])
+    except (ValueError, IndexError):
+        return f"not recorded: {err.decode(errors='replace').strip()[-300:]}"
+    if not found.get("ok"):
+        return f"not recorded: {found['error']['message']}"
+    missing = found["missing"]["servo"]
+    return f"{found['file']}: {found['seconds']:.1f} s, {found['records']} ticks, {missing} missing"
