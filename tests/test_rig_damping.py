@@ -189,6 +189,17 @@ def test_too_much_compensation_is_warned_about_and_refused():
     assert "at most 9.4" in result.findings[-1].remedy
 
 
+def test_a_push_that_met_a_stop_is_refused():
+    """The stop took a third of one impulse."""
+    rows = made_up(np.random.default_rng(9), 1.0)
+    assert concluded(rows, device()).settled
+    rows[20] = rows[20]._replace(impulse_ns=1.5 * rows[20].impulse_ns)
+    result = concluded(rows, device())
+    assert not result.settled
+    assert not result.changes
+    assert any("a stop or a hand" in one.remedy for one in result.findings)
+
+
 def test_a_gain_of_twice_the_file_is_refused():
     result = concluded(made_up(np.random.default_rng(7), 1.0, gain=2.3), device())
     assert not result.settled

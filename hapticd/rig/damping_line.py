@@ -31,6 +31,7 @@ LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit
 LEAST_LEVELS = 3
 UNKNOWN = 0.01  # half of the interval of a scale whose source names none
 FLOOR = 0.003  # of the gain, however many pushes there were
+MOST_BESIDE = 0.1  # share of its impulse by which a push may lie beside the others
 BESIDE = 0.03  # share by which a level may lie beside the line
 WARN = -0.5  # loop gain
 REFUSE = -0.9
@@ -61,7 +62,13 @@ def concluded(
         physical,
         _about("friction seen", found.coulomb_n, "N", found.coulomb_half, scales),
     ]
-    said = [*findings, *_line(levels, gains / found.gain), _gain(found.gain), _loop(found, top)]
+    said = [
+        *findings,
+        _together(found),
+        *_line(levels, gains / found.gain),
+        _gain(found.gain),
+        _loop(found, top),
+    ]
     written = rounded(gain.value, gain.low, gain.high)
     changes = [Change("damping", "full_scale_ns_per_m", written)]
     if written < top:  # no more than the converter makes
@@ -127,6 +134,18 @@ def _residual(found: Balance, known_n_per_a: float, scales: float) -> Iterator[V
     scale = n_per_a**2 if n_per_a else 1.0
     unit = "ohm" if n_per_a else "m/s per N"
     yield _about(name, scale * rho, unit, scale * half, 2.0 * scales)
+
+
+def _together(found: Balance) -> Finding:
+    """Whether every push fits the others."""
+    worst = float(np.abs(found.beside).max())
+    what = f"the worst push lies {100.0 * worst:.2g} % beside the others"
+    if worst <= MOST_BESIDE:
+        return Finding(what, "ok")
+    remedy = (
+        "a stop or a hand was in its way: leave the handle free, 10 mm to either side, and repeat"
+    )
+    return Finding(what, "refused", remedy)
 
 
 def _line(levels: Floats, shares: Floats) -> Iterator[Finding]:

@@ -134,6 +134,7 @@ class Balance:
     coulomb_half: float
     by_current: bool
     loads_ns: Floats  # (n,) what friction took of each impulse
+    beside: Floats  # (n,) share of each impulse that is left over
 
     def impulses_of_damping(self, rows: Sequence[Row]) -> Floats:
         """(n,) what is left of each impulse for the active damping."""
@@ -160,6 +161,8 @@ def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
     loop_half = float(found.halves[-1]) if loops else 0.0
     took = (impulse - gain * damped) / (1.0 + loop * level)
     mechanics = least_squares(friction, took, weight * (1.0 + loop * level))
+    lost = loads @ np.array(coefficients)
+    left = impulse - gain * damped - lost * (1.0 + loop * level)
     return Balance(
         float(gain),
         float(found.halves[0]),
@@ -171,7 +174,8 @@ def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
         float(mechanics.values[1]),
         hypot(float(mechanics.halves[1]), float(mechanics.values[1]) * _mistimed(rows)),
         by_current,
-        np.asarray(loads @ np.array(coefficients)),
+        lost,
+        np.asarray(left / impulse),
     )
 
 
