@@ -195,6 +195,8 @@ def _known_of_model(truth: Truth) -> dict[str, float]:
         "lag": delay_us + smoothing_us,
         "identify delay": delay_us,
         "smoothing": smoothing_us,
+        "first resonance": truth.resonance_hz,
+        "sliding mass": truth.slider_kg,
     }
 
 

@@ -1,12 +1,11 @@
 """`rig identify` on simulated boards whose mass, friction and delay the step does not know."""
 
-import numpy as np
 import pytest
 from models import board_params, device_params, servo_params
 
 from hapticd.errors import AnalysisError, CommandError
 from hapticd.params import ScaleParams, TouchParams
-from hapticd.rig.identify import measure, relative_half
+from hapticd.rig.identify import measure
 from hapticd.zwidth.lockstep import LockStepBench
 
 STOPS = {"lower_stop_m": -0.05, "upper_stop_m": 0.05}
@@ -113,10 +112,3 @@ def test_whatever_ends_it_leaves_no_force(way):
         assert float(rig.newest["force_n"]) == 0.0
         assert not rig.newest["perturbing"]
         assert not rig._leases
-
-
-def test_the_interval_of_a_scale_is_read_from_its_source():
-    assert relative_half(SEEN.format("force.full_scale_n"), "force.full_scale_n") == pytest.approx(
-        0.005
-    )
-    assert np.isnan(relative_half("data sheet", "force.full_scale_n"))

@@ -55,11 +55,14 @@ BLOCK = PROBE_RATE_HZ  # samples: lines 1 Hz apart
 LEAST_BLOCKS = 8
 LOW_HZ = 5.0
 HIGH_HZ = 200.0
-CLOCK_HZ = (5.0, 150.0)
-CLOCK_BLOCK_S = 0.5
+COUPLED_HZ = 450.0  # up to where a resonance is fitted
+RATIO = 0.05  # of critical damping, to begin with
+CLOCK_HZ = (5.0, 40.0)
+CLOCK_BLOCK_S = 1.0
 SMOOTH_LINES = 15  # on each side, of the residuals that weigh the lines
-ROUNDS = 14
-SETTLED_US = 0.02
+FIRST_ROUNDS = 3
+ROUNDS = 10
+SETTLED_US = 0.05
 STRIDE_US = 300.0  # most that a round changes the lag
 SPREADS_US = (0.0, 300.0, 1000.0, 3000.0, 8000.0)  # smoothing to begin with
 SMALL_US2 = 1e3  # difference by which the spread is differentiated
@@ -75,7 +78,11 @@ NAMES = (
     "skew_us",
     "bend_kg",
     "high_pass_rad_s",
+    "slider_kg",
+    "slider_rad_s",
+    "slider_ratio",
 )
+RIGID = 9  # of them: the last three are those of a resonance
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +98,9 @@ class Handle:
     skew_us: float  # by which the velocity comes later than the torque
     bend_kg: float = 0.0  # what the mass grows by up to HIGH_HZ, with the square of the frequency
     high_pass_rad_s: float = 0.0  # corner of the torque channel
+    slider_kg: float = 0.0  # what hangs on a spring, beside mass_kg; 0: everything is rigid
+    slider_rad_s: float = 0.0  # its own frequency while the rest is held
+    slider_ratio: float = 0.0  # of its critical damping
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +112,7 @@ class Clock:
     gain: float  # encoder's way by the integral of the velocity
     gain_sd: float
     high_pass_rad_s: float  # corner of the velocity channel
+    yield_s2: float  # by which the encoder goes further, by the square of the frequency [rad/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +136,8 @@ class Balance:
     """The solution. `sd` and `correlation` in the order of NAMES."""
 
     handle: Handle
-    sd: Floats  # (9,)
-    correlation: Floats  # (9, 9)
+    sd: Floats  # (RIGID,), or of all with a resonance
+    correlation: Floats  # square
     blocks: int
     residual: float  # rms of what is left, of the torque
     pull_n: float  # that acts all the time, or friction that is greater one way
@@ -171,15 +182,19 @@ def _phase(run: Played, phase_us: float, corner_rad_s: float) -> Clock:
     speed = np.interp(at[inside] - 0.5, np.arange(v.size), v)
     rate_hz = US_PER_S / run.period_us
     lost = np.cumsum(seen - seen.mean()) / rate_hz
-    parts = [_ticks(one, rate_hz) for one in (seen, speed, lost, run.position_m[inside])]
-    fit = solved(np.dstack(parts[:3]), parts[3])
-    gain, shift, corner = fit.values.tolist()
+    bent = np.zeros(seen.size)
+    bent[1:-1] = -np.diff(seen, 2) * rate_hz**2
+    columns = (seen, speed, lost, bent, run.position_m[inside])
+    parts = [_ticks(one[1:-1], rate_hz) for one in columns]
+    fit = solved(np.dstack(parts[:-1]), parts[-1])
+    gain, shift, corner, further = fit.values.tolist()
     return Clock(
         phase_us - US_PER_S * shift / gain,
         US_PER_S * float(fit.sd[1]) / gain,
         gain,
         float(fit.sd[0]),
         corner_rad_s + corner / gain,
+        further / gain,
     )
 
 
@@ -241,6 +256,7 @@ class Terms(NamedTuple):
     """Means (n,) under the triangles of two intervals, of one run."""
 
     acceleration: Floats
+    slider: Floats  # acceleration of what hangs on the spring
     velocity: Floats
     friction: Floats  # phi
     command: Floats  # F
@@ -328,8 +344,9 @@ def terms(run: Played, clock: Clock, handle: Handle) -> Terms:
     velocity = velocity - velocity.mean() + drift * US_PER_S / clock.gain
     torque = shifted(passed(run.torque_n, handle.high_pass_rad_s), -handle.skew_us)
     command = commanded(run, clock, handle.lag_us, handle.spread_us2)
-    ends = (command[:1], 0.5 * (command[1:] + command[:-1]), command[-1:])
-    push = torque + handle.gain * np.concatenate(ends)
+    acceleration = np.diff(velocity) / H_S
+    slider = hung(acceleration, handle.slider_rad_s, handle.slider_ratio)
+    push = torque + _widened(handle.gain * command - handle.slider_kg * slider)
     phi = np.zeros(velocity.size)
     pull = 0.0
     for _ in range(2):
@@ -339,9 +356,24 @@ def terms(run: Played, clock: Clock, handle: Handle) -> Terms:
     blocks = rest[: rest.size // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
     two = (0.5 * (one[1:] + one[:-1]) for one in (velocity, phi, torque))
     mean_velocity, mean_phi, mean_torque = two
-    return Terms(
-        np.diff(velocity) / H_S, mean_velocity, mean_phi, command, mean_torque, pull, blocks
-    )
+    return Terms(acceleration, slider, mean_velocity, mean_phi, command, mean_torque, pull, blocks)
+
+
+def _widened(means: Floats) -> Floats:
+    """Interval means (n + 1,) by those under triangles (n,)."""
+    return np.concatenate((means[:1], 0.5 * (means[1:] + means[:-1]), means[-1:]))
+
+
+def hung(acceleration: Floats, rate_rad_s: float, ratio: float) -> Floats:
+    """Acceleration (n,) of a mass that hangs by a spring and a damper on what moves with
+    `acceleration` (n,); zeros for a rate of 0.
+    """
+    if rate_rad_s <= 0.0:
+        return np.zeros(acceleration.size)
+    s = 2j * np.pi * np.fft.rfftfreq(acceleration.size, H_S)
+    tied = 2.0 * ratio * rate_rad_s * s + rate_rad_s**2
+    found = np.fft.irfft(np.fft.rfft(acceleration) * tied / (s**2 + tied), acceleration.size)
+    return np.asarray(found)
 
 
 # --- solving --------------------------------------------------------------------------------------
@@ -350,21 +382,21 @@ def terms(run: Played, clock: Clock, handle: Handle) -> Terms:
 class _Rows(NamedTuple):
     """The equation by lines."""
 
-    columns: Floats  # (blocks, rows, 9) by NAMES
+    columns: Floats  # (blocks, rows, RIGID or all) by NAMES
     target: Floats  # (blocks, rows)
     extra: dict[str, Floats]  # of each test, (blocks, rows)
     run: Floats  # (blocks,) to which run a block belongs
     pull_n: Floats  # (blocks,)
 
 
-def balanced(runs: Sequence[Played]) -> Balance:
-    """Solve the balance of all `runs` together. AnalysisError where they are too short or nothing
-    moves.
+def balanced(runs: Sequence[Played], coupled: bool = False) -> Balance:
+    """Solve the balance of all `runs` together, of one rigid mass or of two that are `coupled`.
+    AnalysisError where they are too short or nothing moves.
     """
     if sum(run.torque_n.size // BLOCK for run in runs) < LEAST_BLOCKS:
         raise AnalysisError(f"less than {LEAST_BLOCKS} s of motion; play longer waveforms")
     clocks = tuple(clocked(run) for run in runs)
-    handle = _begin(runs, clocks)
+    handle = _begin(runs, clocks, coupled)
     weight: Floats | None = None
     for _ in range(ROUNDS):
         rows = _rows(runs, clocks, handle)
@@ -376,26 +408,22 @@ def balanced(runs: Sequence[Played]) -> Balance:
     return _concluded(runs, clocks, handle, rows, fit, weight)
 
 
-def _begin(runs: Sequence[Played], clocks: Sequence[Clock]) -> Handle:
-    """The best of some guesses of the smoothing, everything else by least squares."""
+def _begin(runs: Sequence[Played], clocks: Sequence[Clock], coupled: bool) -> Handle:
+    """The best of some guesses of the smoothing, each after a few rounds."""
     known = np.concatenate([run.delay_us[run.delay_us >= 0.0] for run in runs])
     delay_us = float(np.median(known)) if known.size else 0.25 * runs[0].period_us
     best: tuple[float, Handle] | None = None
     for smooth_us in SPREADS_US:
         handle = Handle(1e-2, 0.0, 0.0, 1.0, delay_us + smooth_us, smooth_us**2, 0.0)
-        for _ in range(3):
+        if coupled:
+            further = max(float(np.mean([clock.yield_s2 for clock in clocks])), 1e-8)
+            rate = 1.0 / sqrt(further)
+            handle = replace(handle, slider_kg=3e-3, slider_rad_s=rate, slider_ratio=RATIO)
+        for _ in range(FIRST_ROUNDS):
             rows = _rows(runs, clocks, handle)
-            fit = solved(rows.columns[..., :4], rows.target)
-            mass, viscous, coulomb, gain = fit.values.tolist()
-            handle = replace(
-                handle,
-                mass_kg=abs(mass) or 1e-3,
-                viscous_ns_per_m=viscous,
-                coulomb_n=max(coulomb, 0.0),
-                gain=gain,
-            )
-        left = rows.target - rows.columns[..., :4] @ fit.values
-        size = float((left**2).sum())
+            fit = solved(rows.columns, rows.target)
+            handle, _ = _moved(handle, fit.values)
+        size = float(((rows.target - rows.columns @ fit.values) ** 2).sum())
         if best is None or size < best[0]:
             best = (size, handle)
     assert best is not None
@@ -404,20 +432,30 @@ def _begin(runs: Sequence[Played], clocks: Sequence[Clock]) -> Handle:
 
 def _moved(handle: Handle, values: Floats) -> tuple[Handle, float]:
     """`handle` after a round, and how far the lag went [us]."""
-    mass, viscous, coulomb, gain, lag, spread, skew, bend, corner = values.tolist()
+    mass, viscous, coulomb, gain, lag, spread, skew, bend, corner = values[:RIGID].tolist()
     stride = float(np.clip(lag, -STRIDE_US, STRIDE_US))
     widest = max(4e4, abs(handle.spread_us2))
-    moved = Handle(
-        abs(mass) or handle.mass_kg,
-        viscous,
-        max(coulomb, 0.0),
-        gain,
-        handle.lag_us + stride,
-        handle.spread_us2 + float(np.clip(spread, -widest, widest)),
-        handle.skew_us + float(np.clip(skew, -STRIDE_US, STRIDE_US)),
-        bend,
-        handle.high_pass_rad_s + corner,
+    moved = replace(
+        handle,
+        mass_kg=abs(mass) or handle.mass_kg,
+        viscous_ns_per_m=viscous,
+        coulomb_n=max(coulomb, 0.0),
+        gain=gain,
+        lag_us=handle.lag_us + stride,
+        spread_us2=handle.spread_us2 + float(np.clip(spread, -widest, widest)),
+        skew_us=handle.skew_us + float(np.clip(skew, -STRIDE_US, STRIDE_US)),
+        bend_kg=bend,
+        high_pass_rad_s=handle.high_pass_rad_s + corner,
     )
+    if handle.slider_rad_s > 0.0:
+        slider, rate, ratio = values[RIGID:].tolist()
+        most = 0.1 * handle.slider_rad_s
+        moved = replace(
+            moved,
+            slider_kg=max(slider, 1e-6),
+            slider_rad_s=handle.slider_rad_s + float(np.clip(rate, -most, most)),
+            slider_ratio=float(np.clip(handle.slider_ratio + ratio, 1e-3, 0.5)),
+        )
     return moved, max(abs(stride), abs(skew))
 
 
@@ -448,7 +486,7 @@ def _of_run(run: Played, clock: Clock, handle: Handle, number: int) -> _Rows:
     speed = float(own.velocity.std()) or 1.0
     bent = np.zeros(lag.size)
     bent[1:-1] = -np.diff(own.acceleration, 2) / (2.0 * np.pi * HIGH_HZ * H_S) ** 2
-    columns = (
+    columns: tuple[Floats, ...] = (
         own.acceleration,
         own.velocity,
         own.friction,
@@ -459,6 +497,10 @@ def _of_run(run: Played, clock: Clock, handle: Handle, number: int) -> _Rows:
         bent,
         -np.cumsum(own.torque - own.torque.mean()) * H_S,
     )
+    high_hz = HIGH_HZ
+    if handle.slider_rad_s > 0.0:
+        columns = (*columns, *_of_slider(own, handle))
+        high_hz = COUPLED_HZ
     extra = {
         "linear": own.velocity * np.abs(own.velocity) / speed,
         "direction": np.abs(own.velocity),
@@ -466,16 +508,26 @@ def _of_run(run: Played, clock: Clock, handle: Handle, number: int) -> _Rows:
     }
     count = (lag.size - 2 * EDGE) // BLOCK
     return _Rows(
-        np.dstack([_lines(one) for one in columns]),
-        _lines(own.torque),
-        {name: _lines(one) for name, one in extra.items()},
+        np.dstack([_lines(one, high_hz) for one in columns]),
+        _lines(own.torque, high_hz),
+        {name: _lines(one, high_hz) for name, one in extra.items()},
         np.full(count, float(number)),
         own.pull_blocks_n[:count],
     )
 
 
-def _lines(values: Floats) -> Floats:
-    return lines(values[EDGE:-EDGE], BLOCK, PROBE_RATE_HZ, (LOW_HZ, HIGH_HZ))
+def _of_slider(own: Terms, handle: Handle) -> tuple[Floats, Floats, Floats]:
+    """Columns of the mass on a spring, of its frequency and of its damping."""
+    rate = handle.slider_rad_s
+    ratio = handle.slider_ratio
+    faster = hung(own.acceleration, 1.001 * rate, ratio) - own.slider
+    damped = hung(own.acceleration, rate, ratio + 1e-3) - own.slider
+    mass = handle.slider_kg
+    return own.slider, mass * faster / (1e-3 * rate), mass * damped / 1e-3
+
+
+def _lines(values: Floats, high_hz: float) -> Floats:
+    return lines(values[EDGE:-EDGE], BLOCK, PROBE_RATE_HZ, (LOW_HZ, high_hz))
 
 
 def _weighted(rows: _Rows, weight: Floats | None) -> tuple[Floats, Floats]:

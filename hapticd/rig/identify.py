@@ -20,10 +20,9 @@ that the residuals contradict is told, in words, where it matters as well as bei
 What would break it: a hand on the handle (its mass and damper are then the device's).
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, pi, sqrt
+from math import hypot, isnan, nan, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,7 +39,16 @@ from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.motor import limit_n
 from hapticd.rig.played import Environment, Played, play
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, Verdict, rounded
+from hapticd.rig.result import (
+    UPPER_END,
+    Change,
+    Finding,
+    StepResult,
+    Value,
+    Verdict,
+    relative_half,
+    rounded,
+)
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 CENTRE = Environment(20.0, 0.3)
@@ -61,9 +69,12 @@ SPARE = 1.5
 
 MASS_SHARE = 1e-3  # what the balance itself may be wrong by
 FRICTION_SHARE = 5e-3
+SPLIT_SHARE = 0.02  # rotor against slider
 LAG_US = 2.0
+SKEW_SHARE = 0.05  # a channel that is late may smooth instead
 TOLD_US = 1.0  # by the board's clock: its resolution
 UNKNOWN_SHARE = 0.02  # half of the interval of a scale that says none
+CERTAIN = 20.0  # deviations of a resonance that is told
 LEAST_SMOOTHING = 0.05  # of a period: less is written as delay
 
 MATTERS = {  # from which size on a contradicted assumption matters
@@ -73,7 +84,6 @@ MATTERS = {  # from which size on a contradicted assumption matters
     "pull": 0.1,  # of the friction
     "delay": 0.05,  # of a period
 }
-_INTERVAL = r"{name} [-+.\deE]+ [^(]*\(95 %: ([-+.\deE]+) to ([-+.\deE]+)\)"
 
 
 @dataclass(frozen=True)
@@ -120,9 +130,9 @@ def facts_of(servo: Mapping[str, Any]) -> Facts:
     device = servo["device"]
     environment = servo["environment"]
     scales = Scales(
-        relative_half(device["force"]["source"], "force.full_scale_n"),
-        relative_half(device["probe_torque"]["source"], "probe_torque.full_scale_n"),
-        relative_half(device["position"]["source"], "position.m_per_count"),
+        relative_half(device["force"]["source"], "force.full_scale_n", nan),
+        relative_half(device["probe_torque"]["source"], "probe_torque.full_scale_n", nan),
+        relative_half(device["position"]["source"], "position.m_per_count", nan),
     )
     motor = {
         "n_per_a": float(device["motor_n_per_a"]),
@@ -134,17 +144,6 @@ def facts_of(servo: Mapping[str, Any]) -> Facts:
         FilterParams(**environment["acceleration_filter"]),
     )
     return Facts(US_PER_S / float(servo["realtime"]["rate_hz"]), scales, filters, motor)
-
-
-def relative_half(source: str, name: str) -> float:
-    """Half of the interval that a `source` states of the value `name`, of its middle; nan if it
-    states none.
-    """
-    found = re.search(_INTERVAL.format(name=re.escape(name)), source)
-    if found is None:
-        return float("nan")
-    low, high = (float(one) for one in found.groups())
-    return abs(high - low) / abs(high + low)
 
 
 def noise(seconds: float, most_n: float, number: int) -> Floats:
@@ -209,7 +208,7 @@ class Path(NamedTuple):
 
 def concluded(runs: Sequence[Played], facts: Facts) -> StepResult:
     """What the `runs` say, the last of which has the stiffest spring."""
-    found = balanced(runs)
+    found = _solved(runs)
     arrays = {
         name: values
         for number, run in enumerate(runs)
@@ -221,10 +220,24 @@ def concluded(runs: Sequence[Played], facts: Facts) -> StepResult:
     mechanics = _mechanics(found, facts)
     path = _path(found, runs, facts)
     findings += [*_scales(found, facts), _parting(path, found), *_assumptions(found, facts)]
-    values = (*mechanics, path.lag, path.delay, path.smoothing, *_channels(found))
+    resonance = _resonance(found, mechanics[0])
+    values = (*mechanics, *resonance, path.lag, path.delay, path.smoothing, *_channels(found))
     settled = all(one.verdict != "refused" for one in findings)
-    changes = _changes(mechanics, path, facts) if settled else ()
+    changes = _changes(found, mechanics, path, facts) if settled else ()
     return StepResult("identify", values, findings, changes, arrays)
+
+
+def _solved(runs: Sequence[Played]) -> Balance:
+    """The balance of one rigid mass, or of two where that is contradicted and two are told."""
+    rigid = balanced(runs)
+    test = next(one for one in rigid.tests if one.name == "rigid")
+    if not test.significant or test.size < MATTERS["rigid"] * rigid.handle.mass_kg:
+        return rigid
+    two = balanced(runs, coupled=True)
+    sd = float(two.sd[NAMES.index("slider_rad_s")])
+    told = two.handle.slider_rad_s > CERTAIN * sd
+    share = two.handle.slider_kg / two.handle.mass_kg
+    return two if told and share > MATTERS["rigid"] else rigid
 
 
 def _moved(found: Balance) -> Finding:
@@ -254,17 +267,49 @@ def _mechanics(found: Balance, facts: Facts) -> tuple[Value, Value, Value]:
     shared_n = FRICTION_SHARE * _friction_n(found)
     shared = shared_n / found.speed_m_per_s
 
-    def value(name: str, unit: str, field: str, doubt: float, moves: bool) -> Value:
-        size = getattr(handle, field) * scale / (motion if moves else 1.0)
-        own = hypot(_half(found, field), doubt) * scale
-        wide = hypot(own, abs(size) * hypot(scale_half, motion_half if moves else 0.0))
+    total_kg = handle.mass_kg + handle.slider_kg
+
+    def value(name: str, unit: str, fitted: float, own: float, moves: bool) -> Value:
+        size = fitted * scale / (motion if moves else 1.0)
+        wide = hypot(own * scale, size * scale_half, size * motion_half if moves else 0.0)
         return Value(name, size, unit, size - wide, size + wide)
 
+    mass_half = hypot(_total_half(found), MASS_SHARE * total_kg)
+    viscous_half = hypot(_half(found, "viscous_ns_per_m"), shared)
+    coulomb_half = hypot(_half(found, "coulomb_n"), shared_n)
     return (
-        value("moving mass", "kg", "mass_kg", MASS_SHARE * handle.mass_kg, True),
-        value("viscous friction", "N s/m", "viscous_ns_per_m", shared, True),
-        value("Coulomb friction", "N", "coulomb_n", shared_n, False),
+        value("moving mass", "kg", total_kg, mass_half, True),
+        value("viscous friction", "N s/m", handle.viscous_ns_per_m, viscous_half, True),
+        value("Coulomb friction", "N", handle.coulomb_n, coulomb_half, False),
     )
+
+
+def _total_half(found: Balance) -> float:
+    """Half of the 95 % interval of all that moves, by its blocks."""
+    if not found.handle.slider_kg:
+        return _half(found, "mass_kg")
+    own = NAMES.index("mass_kg")
+    slider = NAMES.index("slider_kg")
+    twice = 2.0 * found.correlation[own, slider] * found.sd[own] * found.sd[slider]
+    variance = float(found.sd[own] ** 2 + found.sd[slider] ** 2 + twice)
+    return student_quantile(UPPER_END, found.blocks - 1) * sqrt(max(0.0, variance))
+
+
+def _resonance(found: Balance, mass: Value) -> list[Value]:
+    """What slides on the transmission, and the resonance of the two; nothing where all is rigid."""
+    handle = found.handle
+    if not handle.slider_kg:
+        return []
+    scale = mass.value / (handle.mass_kg + handle.slider_kg)
+    slider = scale * handle.slider_kg
+    wide = hypot(SPLIT_SHARE * slider, scale * _half(found, "slider_kg"))
+    own_hz = handle.slider_rad_s / (2.0 * pi)
+    hz = own_hz * sqrt(1.0 + handle.slider_kg / handle.mass_kg)
+    hz_half = hz * hypot(0.5 * SPLIT_SHARE, _half(found, "slider_rad_s") / handle.slider_rad_s)
+    return [
+        Value("sliding mass", slider, "kg", slider - wide, slider + wide),
+        Value("first resonance", hz, "Hz", hz - hz_half, hz + hz_half),
+    ]
 
 
 def _friction_n(found: Balance) -> float:
@@ -274,7 +319,7 @@ def _friction_n(found: Balance) -> float:
 
 
 def _known(half: float) -> float:
-    return UNKNOWN_SHARE if np.isnan(half) else half
+    return UNKNOWN_SHARE if isnan(half) else half
 
 
 def _newton(found: Balance, facts: Facts) -> tuple[float, float]:
@@ -297,9 +342,9 @@ def _motion(found: Balance) -> float:
 def _path(found: Balance, runs: Sequence[Played], facts: Facts) -> Path:
     """Delay and smoothing, as far as the lag can be parted."""
     handle = found.handle
-    lag_half = hypot(_half(found, "lag_us"), LAG_US)
     stiffness = _stiffness(runs[-1])
-    doubt = 2.0 * MASS_SHARE * handle.mass_kg / stiffness * US_PER_S**2
+    doubt = 2.0 * MASS_SHARE * (handle.mass_kg + handle.slider_kg) / stiffness * US_PER_S**2
+    lag_half = hypot(_half(found, "lag_us"), LAG_US, _lag_by_spread(found) * doubt)
     spread_half = hypot(_half(found, "spread_us2"), doubt)
     least_us = _told_us(runs)
     most_s = max(0.0, handle.lag_us + lag_half - least_us)
@@ -320,6 +365,13 @@ def _path(found: Balance, runs: Sequence[Played], facts: Facts) -> Path:
     )
 
 
+def _lag_by_spread(found: Balance) -> float:
+    """How much the lag changes with a spread that is wrong [1/us]."""
+    lag = NAMES.index("lag_us")
+    spread = NAMES.index("spread_us2")
+    return float(found.correlation[lag, spread] * found.sd[lag] / found.sd[spread])
+
+
 def _stiffness(run: Played) -> float:
     """What was rendered, by the slope of the command over the position [N/m], at least 1."""
     x = run.position_m - run.position_m.mean()
@@ -334,12 +386,12 @@ def _told_us(runs: Sequence[Played]) -> float:
 
 def _channels(found: Balance) -> tuple[Value, ...]:
     gain = found.handle.gain
-    gain_half = _half(found, "gain")
-    skew = found.handle.skew_us
-    skew_half = _half(found, "skew_us")
+    gain_half = hypot(_half(found, "gain"), MASS_SHARE)
+    skew = -found.handle.skew_us  # of the velocity's sampling, as `rig probe` has it
+    skew_half = hypot(_half(found, "skew_us"), LAG_US, SKEW_SHARE * skew)
     return (
         Value("motor by probe", gain, "N/N", gain - gain_half, gain + gain_half),
-        Value("probe skew", skew, "us", skew - skew_half - LAG_US, skew + skew_half + LAG_US),
+        Value("probe skew", skew, "us", skew - skew_half, skew + skew_half),
     )
 
 
@@ -347,7 +399,7 @@ def _scales(found: Balance, facts: Facts) -> list[Finding]:
     """Whether the scales of the device file agree with each other."""
     scales = facts.scales
     findings = []
-    unknown = [name for name, half in vars(scales).items() if np.isnan(half)]
+    unknown = [name for name, half in vars(scales).items() if isnan(half)]
     if unknown:
         what = f"no interval of {', '.join(unknown)}: {100 * UNKNOWN_SHARE:g} % is taken"
         findings.append(Finding(what, "warning", "`hapticd rig` measures them first"))
@@ -383,7 +435,24 @@ def _assumptions(found: Balance, facts: Facts) -> list[Finding]:
         "pull": per_n,
         "delay": 1.0 / facts.period_us,
     }
-    return [_assumed(test, per_unit[test.name] * test.size) for test in found.tests]
+    asked = [test for test in found.tests if not (test.name == "rigid" and found.handle.slider_kg)]
+    return [
+        *_yielding(found),
+        *(_assumed(test, per_unit[test.name] * test.size) for test in asked),
+    ]
+
+
+def _yielding(found: Balance) -> list[Finding]:
+    """That there are two masses, where there are."""
+    handle = found.handle
+    if not handle.slider_kg:
+        return []
+    own_hz = handle.slider_rad_s / (2.0 * pi)
+    what = (
+        f"contradicted: one rigid mass: {1e3 * handle.slider_kg:.3g} g of it yield, by themselves"
+        f" at {own_hz:.4g} Hz with {handle.slider_ratio:.2g} of critical damping"
+    )
+    return [Finding(what, "ok", "the model has two masses and [model.coupling]")]
 
 
 _WORDS = {
@@ -414,12 +483,11 @@ def _assumed(test: Test, share: float) -> Finding:
 # --- what is written ------------------------------------------------------------------------------
 
 
-def _changes(mechanics: Sequence[Value], path: Path, facts: Facts) -> list[Change]:
+def _changes(found: Balance, mechanics: Sequence[Value], path: Path, facts: Facts) -> list[Change]:
     """The tables of [model]."""
     mass, viscous, coulomb = mechanics
-    names = ["viscous", "coulomb", "delay", *(("smoothing",) if path.parted else ())]
-    tables: dict[str, dict[str, float]] = {
-        "masses": {"rotor_kg": _rounded(mass)},
+    tables: dict[str, dict[str, float | str]] = {
+        **_masses(found, mass),
         "motor": _motor(facts),
         "viscous": {"rotor_ns_per_m": max(0.0, _rounded(viscous))},
         "coulomb": {"rotor_n": max(0.0, _rounded(coulomb))},
@@ -429,22 +497,50 @@ def _changes(mechanics: Sequence[Value], path: Path, facts: Facts) -> list[Chang
         corner_hz = US_PER_S / (2.0 * pi * path.smoothing.value)
         tables["smoothing"] = {"corner_hz": float(f"{corner_hz:.6g}")}
     converters = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
+    names = tuple(name for name in tables if name not in ("masses", "motor"))
     changes = [Change("model", "effects", (*names, *converters))]
     for table, numbers in tables.items():
         changes += [Change(f"model.{table}", key, value) for key, value in numbers.items()]
     return changes
 
 
+def _masses(found: Balance, mass: Value) -> dict[str, dict[str, float | str]]:
+    """Tables of what moves, with the transmission where it yields."""
+    handle = found.handle
+    if not handle.slider_kg:
+        return {"masses": {"rotor_kg": _rounded(mass), "slider_kg": 0.0}}
+    slider = mass.value * handle.slider_kg / (handle.mass_kg + handle.slider_kg)
+    rate = handle.slider_rad_s
+    damping = 2.0 * handle.slider_ratio * rate * slider
+    return {
+        "masses": {"rotor_kg": _digits(mass.value - slider), "slider_kg": _digits(slider)},
+        "coupling": {
+            "stiffness_n_per_m": _digits(slider * rate**2),
+            "damping_ns_per_m": _digits(damping),
+        },
+    }
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.5g}")
+
+
 def _rounded(value: Value) -> float:
     return rounded(value.value, value.low, value.high)
 
 
-def _motor(facts: Facts) -> dict[str, float]:
-    """Force per ampere at a lever of 1 m; prediction needs none of it."""
+def _motor(facts: Facts) -> dict[str, float | str]:
+    """Force per ampere at a lever of 1 m. Where nobody measured it, numbers that say so: the table
+    has to stand, and nothing of it is predicted with.
+    """
     known = facts.motor
-    return {
+    found: dict[str, float | str] = {
         "torque_constant_nm_per_a": known["n_per_a"] or 1.0,
         "lever_m": 1.0,
         "resistance_ohm": known["ohm"] or 1.0,
         "reference_c": known["reference_c"],
     }
+    if not known["n_per_a"]:
+        note = "not measured: `hapticd rig motor` with a current; no prediction depends on it"
+        found |= {"source": "inferred", "note": note}
+    return found

@@ -17,7 +17,7 @@ temperature of the rests, which is written beside it).
 """
 
 from collections.abc import Mapping
-from math import hypot, isfinite
+from math import hypot, isfinite, nan
 from typing import Any
 
 import numpy as np
@@ -27,12 +27,11 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.identify import relative_half
 from hapticd.rig.link import require_disabled
 from hapticd.rig.motor import allowed_n, fitted, refuse_commissioning
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect, servo_rate_hz
-from hapticd.rig.result import Change, Finding, StepResult, Value, rounded
+from hapticd.rig.result import Change, Finding, StepResult, Value, relative_half, rounded
 from hapticd.units import COPPER_PER_K
 
 LEVELS = (0.25, 0.5, 0.75, 1.0)  # of a tenth of the force, to either side
@@ -128,8 +127,8 @@ def concluded(
     findings = list(_alive(rests, moved, device))
     if any(one.verdict == "refused" for one in findings):
         return StepResult("motor", (), findings, (), arrays)
-    newton = relative_half(device["force"]["source"], "force.full_scale_n")
-    metre = relative_half(device["position"]["source"], "position.m_per_count")
+    newton = relative_half(device["force"]["source"], "force.full_scale_n", nan)
+    metre = relative_half(device["position"]["source"], "position.m_per_count", nan)
     per_ampere = _slope("motor.force_n_per_a", "N/A", rests[:, 1], rests[:, 0], newton)
     warmed = COPPER_PER_K * float(np.ptp(rests[:, 3])) / 2.0
     ohm = _slope("motor.winding_ohm", "ohm", rests[:, 1], rests[:, 2], warmed)

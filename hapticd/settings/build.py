@@ -337,8 +337,9 @@ def _motor(device: DeviceFile) -> dict[str, float]:
         return _winding(known.force_n_per_a, known.winding_ohm, known.reference_c)
     if plant := device.plant:
         return _winding(plant.torque_constant_n_per_a, plant.winding_ohm, plant.ambient_c)
-    if model := device.model:
-        motor = model.table("motor")
+    motor = device.model.table("motor") if device.model else None
+    # a real device's model may have to name a motor that nobody measured
+    if motor is not None and (device.simulated or motor.source != "inferred"):
         force_n_per_a = motor.torque_constant_nm_per_a / motor.lever_m
         return _winding(force_n_per_a, motor.resistance_ohm, motor.reference_c)
     return {"motor_n_per_a": device.home.current_n_per_a}

@@ -1,0 +1,186 @@
+"""The balance of forces: its closed forms, and made-up records of a handle whose truth is known."""
+
+import numpy as np
+import pytest
+from shaken_handle import Truth, shaken
+
+from hapticd.analysis.verdict import student_quantile
+from hapticd.errors import AnalysisError
+from hapticd.rig.balance import RIGID, Clock, Handle, balanced, clocked, commanded, friction
+from hapticd.rig.identify import Facts, Scales, concluded, noise
+from hapticd.rig.played import Played
+
+FACTS = Facts(
+    1000.0,
+    Scales(0.0, 0.0, 0.0),
+    (None, None),
+    {"n_per_a": 1.65, "ohm": 1.6, "reference_c": 20.0},
+)
+SEEDS = range(8)
+
+
+def runs_of(truth, seed=0):
+    """The handle shaken softly and hard under a weak spring, and hard under a stiff one."""
+    free = np.concatenate((noise(5.0, 0.3, 3 * seed), noise(5.0, 0.7, 3 * seed + 1)))
+    return (
+        shaken(truth, free, 20.0, 0.3, seed),
+        shaken(truth, noise(6.0, 0.7, 3 * seed + 2), 200.0, 0.2, seed + 1000),
+    )
+
+
+def contradicted(truth):
+    found = concluded(runs_of(truth), FACTS)
+    return [one.what for one in found.findings if one.what.startswith("contradicted")]
+
+
+def staircase(force_n, at_us):
+    """Played with commands alone: a tick each millisecond."""
+    ticks = np.arange(force_n.size)
+    torque = np.zeros(4 * force_n.size)
+    return Played(
+        1000.0 * ticks, 0.0 * ticks, force_n, -1.0 + 0.0 * ticks, at_us, 0.0, torque, torque
+    )
+
+
+@pytest.mark.parametrize(("lag_us", "smooth_us"), [(0.0, 0.0), (330.0, 0.0), (930.0, 800.0)])
+def test_a_command_is_delayed_and_smoothed_exactly(lag_us, smooth_us):
+    """Against sums over steps of 1 us."""
+    force = np.random.default_rng(1).standard_normal(40)
+    run = staircase(force, np.zeros(40))
+    found = commanded(run, Clock(0.0, 0.0, 1.0, 0.0, 0.0, 0.0), lag_us, smooth_us**2)
+    time = np.arange(40_000) + 0.5 - (lag_us - smooth_us)
+    held = force[np.clip(np.floor(time / 1000.0), 0, 39).astype(int)]
+    smooth = np.empty(held.size)
+    level = force[0]
+    keep = np.exp(-1.0 / smooth_us) if smooth_us else 0.0
+    for n, target in enumerate(held):
+        # mean over the step of an exponential approach
+        after = target + (level - target) * keep
+        smooth[n] = target + (level - target) * smooth_us * (1.0 - keep) if smooth_us else target
+        level = after
+    triangle = np.concatenate((np.arange(250) + 0.5, 249.5 - np.arange(250))) / 250.0**2
+    means = np.correlate(smooth, triangle, "valid")[::250]
+    np.testing.assert_allclose(found[8:150], means[8:150], atol=2e-6)
+
+
+@pytest.mark.parametrize("push_n", [-0.04, -0.01, 0.0, 0.03])
+def test_friction_that_holds_is_as_much_as_pushes(push_n):
+    handle = Handle(0.01, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0)
+    found = friction(np.full(5, push_n), np.zeros(5), handle)
+    np.testing.assert_allclose(found, push_n / 0.05, atol=1e-12)
+
+
+def test_friction_turns_where_the_velocity_does():
+    """From -2 mm/s with 20 m/s^2 more than friction: at rest after a fifth of the interval."""
+    handle = Handle(0.01, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0)
+    push = np.full(5, 0.35)
+    slope = (0.35 + 0.05) / 0.01
+    before = -0.002 + slope * 250e-6 * (np.arange(5) - 2)
+    mean = before + 0.5 * slope * 250e-6
+    stop = 0.002 / slope
+    rest = 250e-6 - stop
+    mean[2] = (-0.5 * 0.002 * stop + 0.5 * (0.3 / 0.01) * rest**2) / 250e-6
+    found = friction(push, mean, handle)
+    assert found[1] == -1.0
+    assert found[2] == pytest.approx(1.0 - 2.0 * stop / 250e-6, abs=0.05)
+
+
+def test_the_probes_clock_is_found_by_the_motion():
+    run = shaken(Truth(), noise(8.0, 0.7, 1), 20.0, 0.3, 0)
+    late = Played(run.board_us + 90.0, *list(vars(run).values())[1:])
+    found = clocked(late)
+    assert found.phase_us == pytest.approx(90.0, abs=0.5)
+    assert found.gain == pytest.approx(1.0, abs=2e-3)
+
+
+def test_nothing_moves_is_said():
+    still = staircase(np.zeros(12_000), np.zeros(12_000))
+    with pytest.raises(AnalysisError, match="nothing moved"):
+        balanced([still])
+
+
+@pytest.fixture(scope="module")
+def several():
+    """(result, truth) of several devices."""
+    found = []
+    for seed in SEEDS:
+        random = np.random.default_rng(seed)
+        truth = Truth(
+            mass_kg=random.uniform(0.004, 0.012),
+            viscous_ns_per_m=random.uniform(0.2, 0.6),
+            coulomb_n=random.uniform(0.02, 0.06),
+            delay_steps=int(random.integers(8, 60)),
+            noise_m_per_s=random.uniform(0.2e-4, 2e-4),
+        )
+        found.append((concluded(runs_of(truth, seed), FACTS), truth))
+    return found
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth(several):
+    names = ("moving mass", "viscous friction", "Coulomb friction", "lag")
+    inside = dict.fromkeys(names, 0)
+    for result, truth in several:
+        true = {
+            "moving mass": truth.mass_kg,
+            "viscous friction": truth.viscous_ns_per_m,
+            "Coulomb friction": truth.coulomb_n,
+            "lag": truth.lag_us,
+        }
+        for one in result.values:
+            if one.name in inside:
+                inside[one.name] += one.low <= true[one.name] <= one.high
+    assert sum(inside.values()) >= 0.92 * len(several) * len(inside), inside
+
+
+@pytest.mark.slow
+def test_no_assumption_is_contradicted_where_all_hold(several):
+    told = [one.what for result, _ in several for one in result.findings if one.verdict != "ok"]
+    assert not told
+
+
+@pytest.mark.slow
+def test_intervals_are_narrow(several):
+    """A tenth of friction, a twentieth of a period."""
+    for result, truth in several:
+        half = {one.name: 0.5 * (one.high - one.low) for one in result.values}
+        assert half["viscous friction"] <= 0.1 * truth.viscous_ns_per_m
+        assert half["Coulomb friction"] <= 0.1 * truth.coulomb_n
+        assert half["lag"] <= 50.0
+
+
+def test_smoothing_is_told_from_delay_where_it_is_long():
+    truth = Truth(smoothing_s=1.5e-3, delay_steps=16)
+    values = {one.name: one for one in concluded(runs_of(truth), FACTS).values}
+    assert values["smoothing"].low <= 1500.0 <= values["smoothing"].high
+    assert values["delay"].low <= 250.0 <= values["total delay"].high
+    assert values["smoothing"].high - values["smoothing"].low < 300.0
+
+
+def test_short_smoothing_is_not_told_from_delay_and_the_interval_says_so():
+    truth = Truth(smoothing_s=1e-4, delay_steps=16)
+    result = concluded(runs_of(truth), FACTS)
+    values = {one.name: one for one in result.values}
+    assert values["lag"].low <= 350.0 <= values["lag"].high
+    assert values["delay"].low <= 250.0 <= values["total delay"].high
+    assert values["smoothing"].low <= 100.0 <= values["smoothing"].high
+    written = {(one.table, one.key): one.value for one in result.changes}
+    assert written["model.delay", "periods"] == pytest.approx(0.35, abs=0.01)
+
+
+def test_viscous_friction_that_differs_by_direction_is_a_contradiction():
+    assert any("both directions" in one for one in contradicted(Truth(viscous_more=0.4)))
+
+
+def test_coulomb_friction_that_differs_by_direction_is_a_contradiction():
+    """It cannot be told from a steady pull, and both are named."""
+    (told,) = contradicted(Truth(coulomb_more=0.3))
+    assert "resists one way" in told
+
+
+def test_the_pull_of_a_sound_device_is_within_its_interval():
+    found = balanced(runs_of(Truth()))
+    pull = next(one for one in found.tests if one.name == "pull")
+    assert abs(pull.size) <= 2.0 * pull.half
+    assert found.sd.shape == (RIGID,)
+    assert pull.critical > student_quantile(0.995, found.blocks - 1)
