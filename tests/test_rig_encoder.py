@@ -1,12 +1,15 @@
 """`rig encoder` on a board whose true sign and scale are others than its device file's."""
 
+import struct
+
 import numpy as np
 import pytest
 from models import COUNT_M
 from rig_hand import Hand
 
 from hapticd.params import ScaleParams
-from hapticd.rig.encoder import Distance, concluded, measure, scale_of
+from hapticd.rig.encoder import Distance, concluded, measure, passages, scale_of
+from hapticd.wire import frames
 
 DISTANCE = Distance(0.01, 10e-6)
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}
@@ -94,3 +97,36 @@ def test_the_scale_lies_in_its_interval_nineteen_times_in_twenty():
         scale = scale_of(steps, Distance(0.01, 1e-12))
         inside += scale.low <= COUNT_M <= scale.high
     assert 930 <= inside <= 970
+
+
+def test_an_index_mark_is_found_and_written_where_homing_uses_it():
+    """It lies 4000 counts to positive x of x = 0; the encoder counts down as x grows."""
+    marks = np.array([-4000.0, -4001.0])
+    moving = -arrays()["moving"]
+    given = arrays(marks=marks, moving=moving, steps=np.full(3, -20_000.0))
+    result = concluded(given, DISTANCE, COUNT_M, "index")
+    (mark,) = [one for one in result.values if one.name == "home.position_m"]
+    assert mark.low <= 4000.5 * 0.5e-6 <= mark.high
+    assert {(one.table, one.key) for one in result.changes} >= {("home", "position_m")}
+    by_stop = concluded(given, DISTANCE, COUNT_M, "stop")
+    assert not [one for one in by_stop.changes if one.table == "home"]
+
+
+def test_an_index_mark_that_wanders_is_not_written():
+    given = arrays(marks=np.array([4000.0, 4100.0]))
+    result = concluded(given, DISTANCE, COUNT_M, "index")
+    assert result.settled
+    assert not [one for one in result.changes if one.table == "home"]
+    assert any("do not home" in one.remedy for one in result.findings)
+    unseen = concluded(arrays(marks=np.array([])), DISTANCE, COUNT_M, "index")
+    assert any("not passed" in one.what for one in unseen.findings)
+
+
+def test_a_frame_tells_where_the_mark_was():
+    """30 counts before the sample that lies at 1000."""
+    frame = bytearray(frames.IN_BYTES)
+    struct.pack_into("<h", frame, 26, 30)
+    records = np.zeros(3, [("status", "<u4"), ("in_frame", f"V{frames.IN_BYTES}")])
+    records["status"][1] = frames.StatusBit.INDEX
+    records["in_frame"][1] = np.void(bytes(frame))
+    assert passages(records, np.array([0.0, 1000.0, 2000.0])).tolist() == [970.0]

@@ -6,6 +6,8 @@ distance further to positive x, some times over; the counts between scatter by h
 placed (Student's t), and the stated distance has a tolerance of its own; both are added in
 quadrature. While it moves, each of the lowest bits has to change: one that never does is a wire.
 
+An encoder with an index mark says in a frame how far behind it lies: each passage tells its place.
+
 What would break it: a handle that is moved by somebody else than who is asked (the signs of the
 repetitions then differ, which is refused).
 """
@@ -17,12 +19,15 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
+from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.params import MOST_CORRECTION
 from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded
+from hapticd.wire import codec, frames
+from hapticd.wire.frames import Capability, StatusBit
 
 REST_S = 2.0
 MOVE_S = 5.0
@@ -51,9 +56,14 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
     require_disabled(bench)
     position = bench.hello()["servo"]["device"]["position"]
 
+    marks: list[float] = []
+
     def counts(action: Action, text: str, seconds: float, amount_m: float = 0.0) -> Floats:
         ask(Request(action, text, amount_m))
-        return counts_of(collect(bench, seconds).records, position)
+        records = collect(bench, seconds).records
+        found = counts_of(records, position)
+        marks.extend(passages(records, found))
+        return found
 
     rest = counts("let go", "let go of the handle and let it come to rest", REST_S)
     moving = counts(
@@ -69,15 +79,30 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
         first = counts("hold", at_a, HOLD_S)
         second = counts("hold", at_b, HOLD_S, distance.metres)
         steps.append(float(np.median(second) - np.median(first)))
-    ask(Request("origin", "hold the handle where x = 0 shall be"))
+    here = counts("origin", "hold the handle where x = 0 shall be", HOLD_S)
     bench.zero()
     arrays = {"rest": rest, "moving": moving, "steps": np.array(steps)}
-    return concluded(arrays, distance, float(position["per_count"]))
+    if Capability.INDEX & int((bench.status().get("servo") or {}).get("capabilities", 0)):
+        arrays["marks"] = np.array(marks) - float(np.median(here))
+    home = str(bench.hello()["servo"]["device"]["home"]["method"])
+    return concluded(arrays, distance, float(position["per_count"]), home)
 
 
-def concluded(arrays: dict[str, Floats], distance: Distance, m_per_count: float) -> StepResult:
-    """What counts at rest (n,), during the motion (m,) and of the steps from A to B (k,) say, with
-    the `m_per_count` of the device file.
+def passages(records: Records, counts: Floats) -> Floats:
+    """Counts (k,) of the index mark, as the frames of `records` (n,) with `counts` tell it."""
+    passed = np.flatnonzero(records["status"] & StatusBit.INDEX)
+    heads = (frames.IN_SEALED.unpack(bytes(one)) for one in records["in_frame"][passed])
+    behind = np.array([head[codec.HEAD_INDEX_OFFSET] for head in heads])
+    found: Floats = counts[passed] - behind
+    return found
+
+
+def concluded(
+    arrays: dict[str, Floats], distance: Distance, m_per_count: float, home: str = "none"
+) -> StepResult:
+    """What counts at rest (n,), during the motion (m,), of the steps from A to B (k,) and of the
+    index mark from x = 0 on (`marks`, where there is one) say, with the `m_per_count` and the
+    method to `home` of the device file.
     """
     rest = arrays["rest"]
     moving = arrays["moving"]
@@ -95,6 +120,14 @@ def concluded(arrays: dict[str, Floats], distance: Distance, m_per_count: float)
             Change("position", "sign", 1 if went > 0.0 else -1),
             Change("position", "m_per_count", rounded(scale.value, scale.low, scale.high)),
         ]
+    if changes and "marks" in arrays:
+        place = np.sign(went) * scale.value * arrays["marks"]
+        findings.append(_index(place, scale.value))
+        if findings[-1].verdict == "ok":
+            mark = _mark(place, scale.value)
+            values.append(mark)
+            if home == "index":
+                changes.append(Change("home", "position_m", float(f"{mark.value:.6g}")))
     return StepResult("encoder", values, findings, changes, arrays)
 
 
@@ -107,6 +140,26 @@ def scale_of(steps: Floats, distance: Distance) -> Value:
     value = distance.metres / mean
     half = relative * value
     return Value("position.m_per_count", value, "m", value - half, value + half)
+
+
+def _index(place_m: Floats, m_per_count: float) -> Finding:
+    """Whether the passages of the index mark, at `place_m` (k,), agree."""
+    if not len(place_m):
+        remedy = "move the handle further, or use another way to home"
+        return Finding("the index mark was not passed", "warning", remedy)
+    apart = float(np.ptp(place_m)) / m_per_count
+    what = f"{len(place_m)} passages of the index mark, {apart:.2g} counts apart"
+    if apart <= QUIET_COUNTS:
+        return Finding(what, "ok")
+    return Finding(
+        what, "warning", "counts are lost, or there are several marks: do not home by it"
+    )
+
+
+def _mark(place_m: Floats, m_per_count: float) -> Value:
+    value = float(np.median(place_m))
+    half = max(float(np.ptp(place_m)), m_per_count) / 2.0
+    return Value("home.position_m", value, "m", value - half, value + half)
 
 
 def _noise(rest: Floats) -> Value:
