@@ -36,7 +36,7 @@ run: $(VENV)/run.stamp
 	@exec $(BIN)/hapticd run $(ARGS)
 
 practice: $(VENV)/run.stamp
-	@exec $(BIN)/python tests/practice_rig.py build/practice $(ARGS)
+	@exec $(BIN)/python tests/practice_rig.py build/practice $(if $(ARGS),$(ARGS),rig)
 
 test: deps-test $(VENV)/test.stamp
 	$(BIN)/ruff format --check .

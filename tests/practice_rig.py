@@ -1,15 +1,18 @@
 """A rig to practise the first day on: a simulated board with hidden truths, and its hand.
 
+    python tests/practice_rig.py FOLDER rig [VERB ..]       `hapticd rig` in virtual time, or zwidth
     python tests/practice_rig.py FOLDER [--instance NAME]   a daemon, until Ctrl-C
-    python tests/practice_rig.py FOLDER hang 0.05           what the hand does, by hand
+    python tests/practice_rig.py FOLDER hang 0.05           what the hand does there, by hand
 
 The first start lays out FOLDER as its owner would: hapticd.toml and a copy of the template of
 device files. What signs, gains, friction and delay the rig really has is drawn from a number that
 nobody is told, and stays in the servo's process; a client sees what it would see of a real board.
 The daemon starts again by itself when the device file has changed, as its owner would start it.
 
-The hand does what `hapticd rig` asks, as a program at a socket (HAPTICD_HAND), or what the second
-form says. The rigs are those that the tests judge the steps by, with other truths.
+The first form needs no daemon and no time: servo, board and hand run as fast as they can, as the
+tests do, and each verb sees the device file as it is. With a daemon, the hand does what
+`hapticd rig` asks, as a program at a socket (HAPTICD_HAND), or what the third form says. The rigs
+are those that the tests judge the steps by, with other truths.
 
 What would break it: a computer that cannot run a servo in time beside other work (slots are lost,
 as `hapticd status` says, and what is measured gets wider intervals).
@@ -22,17 +25,22 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
 import tomlkit
 from blind_hand import Person
-from blind_rig import EDITS, TEMPLATE
+from blind_rig import EDITS, TEMPLATE, BlindRig
 from blind_truth import NOMINAL, BlindBoard, drawn
 
 from hapticd.assembly import servo_main
 from hapticd.assembly.process import die_with_parent, on_stop
 from hapticd.assembly.supervisor import Supervisor, spawn
+from hapticd.cli.app import main as hapticd_main
+from hapticd.cli.rig import steps
+from hapticd.client import Client
 from hapticd.clock import MonotonicClock
 from hapticd.errors import HapticdError
 from hapticd.mailbox.files import runtime_folder
@@ -124,6 +132,35 @@ def _watch(device: Path, supervisor: Supervisor) -> None:
     supervisor.stop()
 
 
+def quick(folder: Path, arguments: list[str]) -> int:
+    """`hapticd` with `arguments` on the rig of `folder`, in virtual time; its exit code."""
+    lay_out(folder)
+    with ExitStack() as stack, BlindRig(int((folder / SEED).read_text())) as rig:
+        rig.config_file = folder / "hapticd.toml"
+        rig.device_file = folder / "devices" / "practice.toml"
+        read_ns = 0
+
+        @contextmanager
+        def connected(_instance: str) -> Iterator[Client]:
+            nonlocal read_ns
+            if read_ns != (read_ns := rig.device_file.stat().st_mtime_ns):
+                rig.restart()  # as its owner would start the daemon again
+            yield rig.bench
+
+        def ask(request: Request) -> None:
+            print(f"> {request.text}")
+            rig.ask(request)
+
+        modules = [one for name, one in sys.modules.items() if name.startswith("hapticd.cli.")]
+        for module in modules:
+            if hasattr(module, "connect"):
+                stack.enter_context(patch.object(module, "connect", connected))
+        stack.enter_context(patch.object(steps, "asking", lambda yes: ask))
+        named = {"HAPTICD_CONFIG": str(folder / "hapticd.toml")}
+        stack.enter_context(patch.dict(os.environ, named))
+        return hapticd_main(arguments)
+
+
 def servo(folder: Path, arguments: list[str]) -> None:
     """The servo's process."""
     die_with_parent(int(arguments[arguments.index("--parent") + 1]))
@@ -165,6 +202,8 @@ def main(arguments: list[str]) -> int:
         servo(Path(arguments[1]), arguments[2:])
         return 0
     folder = Path(arguments[0]).resolve()
+    if arguments[1:2] in (["rig"], ["zwidth"]):
+        return quick(folder, arguments[1:])
     if len(arguments) > 1 and arguments[1] != "--instance":
         amount = float(arguments[2]) if len(arguments) > 2 else 0.0
         asked_at(folder / HAND)(Request(arguments[1], "by hand", amount))

@@ -44,12 +44,13 @@ class Daemon:
         ignore_interrupt: bool = False,
         settings: str = QUIET,
         console: bool = False,
+        name: str = "",
     ) -> None:
-        self.instance = f"test-{os.getpid()}"
+        self.instance = f"test-{os.getpid()}{name}"
         self.folder = runtime / "hapticd" / f"instance-{self.instance}"
-        config = runtime / "hapticd.toml"
+        config = runtime / f"hapticd{name}.toml"
         config.write_text(settings)
-        self.log = runtime / "log"
+        self.log = runtime / f"log{name}"
         self.seen: set[int] = set()
         command = [
             sys.executable,
@@ -405,3 +406,38 @@ def test_trial_that_is_ended_leaves_the_device_disabled(
         assert trial.wait(DEADLINE_S) == 128 + number
     status = ask("status")
     assert (status["state"], status["perturbing"]) == ("disabled", 0)
+
+
+def test_three_instances_on_one_machine_know_nothing_of_each_other(
+    runtime: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each has its own device, state and end; a name that is not there is said to be none."""
+
+    def told(daemon: Daemon, *words: str) -> Any:
+        capsys.readouterr()
+        assert daemon.cli(*words, "--json") == 0
+        return json.loads(capsys.readouterr().out)
+
+    devices = {"-left": "simulated", "-middle": "ideal", "-right": "warming"}
+    with contextlib.ExitStack() as stack:
+        daemons = [
+            stack.enter_context(
+                Daemon(runtime, settings=f'device = "{device}"\n{QUIET}', name=name)
+            )
+            for name, device in devices.items()
+        ]
+        for number, daemon in enumerate(daemons):
+            told(daemon, "set", f"K={100 + number}", "--ramp-s", "0")
+        assert told(daemons[1], "enable")["state"] == "enabled"
+        found = [told(daemon, "get")["parameters"]["K"] for daemon in daemons]
+        assert found == [100.0, 101.0, 102.0]
+        states = [told(daemon, "status")["state"] for daemon in daemons]
+        assert states == ["disabled", "enabled", "disabled"]
+        assert told(daemons[0], "stop")["ok"]
+        daemons[2].process.send_signal(signal.SIGINT)
+        assert daemons[2].process.wait(DEADLINE_S) == 0
+        assert told(daemons[1], "status")["state"] == "enabled"
+        assert told(daemons[0], "status")["state"] == "stopped"
+        capsys.readouterr()
+        assert daemons[2].cli("get") != 0
+        assert "no daemon runs there" in capsys.readouterr().err

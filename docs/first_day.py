@@ -1,0 +1,101 @@
+"""The figures of docs/first-day.md: `python docs/first_day.py`, from one blind rig of the tests.
+
+Steps that a figure shows are done on the rig SEED, in virtual time, so the same code gives the same
+bytes. Its truth is drawn beside what was found only here: the steps do not know it.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+DOCS = Path(__file__).resolve().parent
+sys.path[:0] = [str(DOCS.parent / "tests")]
+
+from blind_rig import BlindRig, first_day  # noqa: E402
+
+from hapticd.report.style import BLACK, BLUE, ORANGE, WIDTH_IN, axes, styled  # noqa: E402
+from hapticd.rig.motor import fitted  # noqa: E402
+from hapticd.rig.result import StepResult  # noqa: E402
+
+SEED = 2026
+SHOWN_S = 0.15  # of a push
+FIGURE = DOCS / "figures" / "first-day.svg"
+
+
+def moved(axis, result: StepResult) -> None:
+    """The handle goes to positive x, and the counts fall or rise."""
+    counts = result.arrays["moving"]
+    axis.plot(np.arange(len(counts)) / 1e3, counts / 1e3, color=BLUE)
+    axis.set(title="encoder: moved to positive x", xlabel="time (s)", ylabel="thousand counts")
+
+
+def pushed(axis, result: StepResult) -> None:
+    """Two pushes, and where the handle went, by the encoder's new sign."""
+    for number, colour in ((0, BLUE), (1, ORANGE)):
+        force = result.arrays[f"force_n_{number}"]
+        position = result.arrays[f"position_m_{number}"]
+        begin = int(np.flatnonzero(force)[0])
+        at = slice(max(0, begin - 20), begin + round(1e3 * SHOWN_S))
+        time_ms = np.arange(at.start, at.start + len(position[at])) - begin
+        label = f"{np.abs(force).max() * np.sign(force[begin]):+.2g} N for 20 ms"
+        axis.plot(time_ms, 1e3 * (position[at] - position[begin]), color=colour, label=label)
+    axis.set(title="motor: two pushes", xlabel="time (ms)", ylabel="moved by (mm)")
+    axis.legend()
+
+
+def hung(axis, result: StepResult) -> None:
+    """Commanded force at rest under each weight, from above and from below, and the line."""
+    weights = result.arrays["weights_n"]
+    readings = result.arrays["readings_n"]
+    line = fitted(weights, readings.mean(axis=1))
+    axis.plot(weights, line.intercept + line.slope * weights, color=BLACK, linewidth=0.8)
+    for place, colour in ((0, BLUE), (1, ORANGE)):
+        label = ("from positive x", "from negative x")[place]
+        axis.plot(weights, readings[:, place], "o", color=colour, label=label)
+    axis.set(title="motor: masses", xlabel="weight (N)", ylabel="commanded at rest (N)")
+    axis.legend()
+
+
+def found(axis, results: list[StepResult], rig: BlindRig) -> None:
+    """What was found over what is true, with its interval."""
+    known = [
+        (one, rig.true(one.name))
+        for result in results
+        for one in result.values
+        if one.high > one.low
+    ]
+    shown = [(one, true) for one, true in known if true and one.name not in LEFT_OUT]
+    for row, (one, true) in enumerate(shown):
+        ends = 100.0 * (np.array([one.low, one.value, one.high]) / true - 1.0)
+        axis.plot(ends[[0, 2]], [row, row], color=BLUE)
+        axis.plot(ends[1], row, "o", color=BLUE)
+    axis.axvline(0.0, color=BLACK, linewidth=0.8)
+    axis.set(title="found, beside the truth", xlabel="difference (%)", xlim=(-6.0, 6.0))
+    axis.set_yticks(range(len(shown)), [one.name for one, _ in shown], fontsize=7)
+    axis.invert_yaxis()
+
+
+LEFT_OUT = ("delay", "clock drift", "friction seen", "force.offset_count", "watchdog")
+
+
+def main() -> None:
+    """Do the day and draw it."""
+    with BlindRig(SEED) as rig, styled():
+        day = first_day(rig)
+        if day.error:
+            raise SystemExit(day.error)
+        by_name = {}
+        for result in day.results:
+            name = "gain" if "weights_n" in result.arrays else result.step
+            by_name[name] = result
+        figure, (first, second, third, fourth) = axes(2, 2, WIDTH_IN, 5.0)
+        moved(first, by_name["encoder"])
+        pushed(second, by_name["motor"])
+        hung(third, by_name["gain"])
+        found(fourth, day.results, rig)
+        figure.savefig(FIGURE, metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    main()
