@@ -30,6 +30,7 @@ from hapticd.plant.tables import board_fields
 from hapticd.rig.damping import measure
 from hapticd.rig.damping_line import concluded
 from hapticd.rig.glide import Row, balance, row_of
+from hapticd.rig.push import push, ready
 from hapticd.rig.result import Value, relative_half
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
@@ -349,6 +350,22 @@ def test_a_hand_that_does_not_let_go_ends_the_step():
         with pytest.raises(AnalysisError, match="take your hand off"):
             measure(hand.bench, nothing)
         assert hand.bench.status()["state"] == "disabled"
+
+
+def test_a_host_that_takes_its_time_gets_more_of_it():
+    """Each request takes a third of a second, which is more than the shortest lead."""
+    with Hand(touch=FRICTION, **FREE) as hand:
+        bench = hand.bench
+
+        def slow(**fields):
+            bench.run(333)
+            return type(bench).set(bench, **fields)
+
+        with ready(bench):
+            bench.set = slow
+            found = push(bench, 0.2, 0.02, 0.3)
+        assert np.count_nonzero(found.records["force_n"]) == 20
+        assert found.moved_m > 1e-4
 
 
 def test_ctrl_c_ends_force_and_damping():

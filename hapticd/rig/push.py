@@ -17,10 +17,13 @@ import numpy as np
 
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
+from hapticd.errors import CommandError
 from hapticd.rig.records import collect, servo_rate_hz
 
 FAR_M = 0.02
-LEAD_S = 0.2  # from the last look at a tick to the begin: commands and telemetry take their time
+# from the last look at a tick to the begin: commands and telemetry take their time; more, each time
+# that it was too little
+LEADS_S = (0.2, 0.6, 2.0)
 AFTER_S = 0.1
 LOOK_S = 0.1
 GAIN_S = 0.2  # beyond the ramp of the gain
@@ -70,16 +73,25 @@ def push(
     """Push with `force_n` for `seconds`, from where the handle is; the servo is enabled. What
     `scheduled` asks for the tick of the begin comes before it.
     """
-    rate_hz = servo_rate_hz(bench)
-    look = collect(bench, LOOK_S)
-    newest = look.records[-1]
-    begin = look.newest_tick + round(LEAD_S * rate_hz)
-    end = begin + round(seconds * rate_hz)
-    wall = wall_of(force_n, float(newest["position_m"]))
-    scheduled(begin)
+    for lead_s in LEADS_S:
+        look = collect(bench, LOOK_S)
+        at_m = float(look.records["position_m"][-1])
+        begin = look.newest_tick + round(lead_s * servo_rate_hz(bench))
+        try:
+            scheduled(begin)
+            _schedule(bench, wall_of(force_n, at_m), begin, seconds)
+            break
+        except CommandError:
+            # too late: what was scheduled of it ends something, and harms no later push
+            if lead_s == LEADS_S[-1] or collect(bench, LOOK_S).newest_tick < begin:
+                raise
+    found = collect(bench, lead_s + seconds + after_s).records
+    pushed = found[found["tick"] >= begin]
+    moved_m = float(pushed["position_m"][-1]) - at_m if len(pushed) else np.nan
+    return Pushed(force_n, moved_m, found)
+
+
+def _schedule(bench: Client, wall: dict[str, float], begin: int, seconds: float) -> None:
+    end = begin + round(seconds * servo_rate_hz(bench))
     bench.set(wall=FREE, ramp_s=0.0, at_tick=end)  # first: nothing begins that has no end
     bench.set(wall=wall, ramp_s=0.0, at_tick=begin)
-    found = collect(bench, LEAD_S + seconds + after_s).records
-    pushed = found[found["tick"] >= begin]
-    moved_m = float(pushed["position_m"][-1] - newest["position_m"]) if len(pushed) else np.nan
-    return Pushed(force_n, moved_m, found)
