@@ -118,7 +118,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
         )
     facts = facts_of(servo)
     ask(Request("let go", "let go of the handle in the middle of its travel; it will be shaken"))
-    loud_n = _loud_n(bench, servo)
+    loud_n = loudest_n(bench, servo)
     parts = (noise(QUIET_S, QUIET_SHARE * loud_n, 1), noise(LOUD_S, loud_n, 2))
     free = play(bench, np.concatenate(parts), CENTRE)
     rendered = stiffest(balanced([free]), facts, limit_n(servo))
@@ -162,7 +162,7 @@ def noise(seconds: float, most_n: float, number: int) -> Floats:
     return np.asarray(force * (most_n / np.abs(force).max()))
 
 
-def _loud_n(bench: Client, servo: Mapping[str, Any]) -> float:
+def loudest_n(bench: Client, servo: Mapping[str, Any]) -> float:
     """Greatest force of the loud part, for which the handle keeps well inside its travel."""
     probe_n = float(servo["device"]["probe_limit_n"])
     tried = play(bench, noise(TRY_S, TRY_SHARE * probe_n, 0), CENTRE)

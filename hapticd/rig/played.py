@@ -32,10 +32,11 @@ SAMPLE_US = US_PER_S / PROBE_RATE_HZ
 
 
 class Environment(NamedTuple):
-    """What is rendered meanwhile, M = 0."""
+    """What is rendered meanwhile."""
 
     stiffness_n_per_m: float
     damping_ns_per_m: float
+    mass_kg: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +67,9 @@ def play(bench: Client, waveform_n: Floats, environment: Environment) -> Played:
 
     AnalysisError where force ends meanwhile, the handle leaves its travel, or records are lost.
     """
-    stiffness, damping = environment
+    stiffness, damping, mass = environment
     with measuring(bench) as lease, ready(bench):
-        bench.set(K=stiffness, B=damping, ramp_s=RAMP_S)
+        bench.set(K=stiffness, B=damping, M=mass, ramp_s=RAMP_S)
         bench.perturb_load(waveform_n)
         collect(bench, RAMP_S)
         still = _received(bench, lease, REST_S)

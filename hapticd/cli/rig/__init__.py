@@ -6,6 +6,7 @@ from hapticd.cli import terminal
 from hapticd.cli.rig import damping, guided, sensors, steps
 from hapticd.cli.rig.identify import identify
 from hapticd.cli.rig.motor import motor
+from hapticd.cli.rig.verify import verify
 
 app = typer.Typer(
     invoke_without_command=True,
@@ -21,6 +22,7 @@ VERBS: dict[str, terminal.Verb] = {
     "probe": sensors.probe,
     "temperature": sensors.temperature,
     "identify": identify,
+    "verify": verify,
 }
 app.callback()(guided.guided)
 for name, verb in VERBS.items():

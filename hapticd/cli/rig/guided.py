@@ -20,6 +20,7 @@ from hapticd.cli.change import connect
 from hapticd.cli.rig import damping, sensors, steps
 from hapticd.cli.rig.identify import identify
 from hapticd.cli.rig.motor import motor
+from hapticd.cli.rig.verify import verify
 from hapticd.errors import ConfigError, DaemonDown, HapticdError
 
 if TYPE_CHECKING:
@@ -114,6 +115,13 @@ LATER = (
         (),
         lambda at, _: identify(**at._asdict()),
     ),
+    Step(
+        "verify",
+        "known springs, dampers and masses, and the certificate",
+        "",
+        (),
+        lambda at, _: verify(**at._asdict()),
+    ),
 )
 
 
@@ -184,13 +192,18 @@ def _await_restart(where: Where) -> None:
 
 def _stale(where: Where) -> str:
     """Why no step may begin, "": nothing bars it."""
+    from hapticd.settings.load import load
+
     try:
         with connect(where.instance) as client:
-            running = client.hello()["servo"]["device"]
+            servo = client.hello()["servo"]
     except DaemonDown:
         return "no daemon runs"
-    scales = steps.not_read_yet(running, _device(where))
-    return f"the device file has a new {', '.join(scales)}" if scales else ""
+    settings = load(where.config)
+    if scales := steps.not_read_yet(servo["device"], settings.device):
+        return f"the device file has a new {', '.join(scales)}"
+    read = servo["device_file_sha256"]
+    return "the device file has changed" if read not in ("", settings.device_file_sha256) else ""
 
 
 def _commissioning(where: Where) -> bool:

@@ -1,0 +1,184 @@
+"""The certificate of a rig: what was verified, when, on what; as JSON and as one page.
+
+It is of one device file, by the hash of its bytes, and of one board, by serial number, firmware and
+life; and it names everything that the numbers rest on: every calibration with date, board and
+interval, versions of hapticd and of its libraries, the machine. It says what was not verified as
+plainly as what was. The page is HTML without anything from elsewhere, so that it prints and keeps.
+
+`recording.certificate` finds it again, and says whether the device file has changed since.
+
+What would break it: a step that verifies something and is not a finding.
+"""
+
+import html
+import json
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from hapticd.recording.calibrations import used_scales
+from hapticd.recording.certificate import certificate_path
+from hapticd.recording.provenance import (
+    RECORDING_LIBRARIES,
+    commit,
+    processor,
+    provenance,
+    versions,
+)
+from hapticd.rig.records import BoardIdentity
+from hapticd.rig.result import StepResult
+
+VERSION = 1
+NOT_VERIFIED = (
+    "active damping: `hapticd rig damping` measures it, `hapticd rig audit` compares it",
+    "the hard-wired emergency stop: press it under a small force",
+    "the board's watchdog: `hapticd rig link`",
+    "behaviour above 150 Hz, and near the ends of the travel",
+    "a hand that holds the handle: Z was measured with the handle free",
+)
+STYLE = """body{font:11pt/1.35 sans-serif;max-width:50em;margin:2em auto}h1{font-size:1.4em}
+table{border-collapse:collapse;width:100%;margin:.5em 0}td,th{border-bottom:1px solid #bbb;
+text-align:left;vertical-align:top;padding:.15em .6em .15em 0;font-size:9pt}
+.refused{font-weight:bold}p.verdict{font-size:1.2em;font-weight:bold}
+@media print{body{margin:0;max-width:none}}"""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What is certified: the device of a hello's `servo`, its file, its board."""
+
+    servo: Mapping[str, Any]
+    device_file: Path
+    device_file_sha256: str
+    board: BoardIdentity
+    realtime: Mapping[str, Any]  # rights that the servo got
+
+
+def content(result: StepResult, subject: Subject, now: datetime) -> dict[str, Any]:
+    """The certificate as JSON values; `result` is that of `verify`."""
+    servo = subject.servo
+    device = servo["device"]
+    done = [one for one in result.findings if one.verdict != "not done"]
+    left = [one.what for one in result.findings if one.verdict == "not done"]
+    return {
+        "certificate": VERSION,
+        "verdict": "verified" if result.settled else "not verified",
+        "date": now.date().isoformat(),
+        "time": now.isoformat(timespec="seconds"),
+        "device": {
+            "name": device["name"],
+            "file": subject.device_file.name,
+            "file_sha256": subject.device_file_sha256,
+            "serial": subject.board.serial or device["serial"],
+            "firmware": subject.board.firmware,
+            "life": subject.board.life,
+            "simulated": servo["simulated"],
+            "rate_hz": servo["realtime"]["rate_hz"],
+            "config_hash": servo["config_hash"],
+        },
+        "values": [asdict(one) for one in result.values],
+        "verified": [asdict(one) for one in done],
+        "not_verified": [*left, *NOT_VERIFIED],
+        "calibrations": _calibrations(device),
+        "software": provenance(commit=commit(), recording=versions(RECORDING_LIBRARIES)),
+        "machine": {
+            "kernel": f"{platform.system()} {platform.release()}",
+            "cpu": processor(),
+            "realtime": dict(subject.realtime),
+        },
+    }
+
+
+def _calibrations(device: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Every scale that measurements rest on; its source states values with intervals."""
+    return [
+        {
+            "table": table,
+            "date": scale["date"] or "none",
+            "serial": scale.get("serial") or device["serial"],
+            "source": scale["source"],
+        }
+        for table, scale in used_scales(device, probed=True).items()
+    ]
+
+
+def write(said: Mapping[str, Any], device_file: Path) -> list[Path]:
+    """The certificate beside the device file, as JSON and as a page, in place of an earlier one of
+    the same device file; both paths.
+    """
+    path = certificate_path(device_file, said["device"]["file_sha256"])
+    path.parent.mkdir(exist_ok=True)
+    texts = {path.with_suffix(".html"): page(said), path: json.dumps(said, indent=1) + "\n"}
+    for target, text in texts.items():
+        partial = target.with_name(f".{target.name}")
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, target)
+    return [path, path.with_suffix(".html")]
+
+
+def page(said: Mapping[str, Any]) -> str:
+    """The certificate `said` as one page of HTML."""
+    device = said["device"]
+    badge = "SIMULATED: no force left the computer. " if device["simulated"] else ""
+    values = [(one["name"], _interval(one)) for one in said["values"]]
+    found = [(one["verdict"], one["what"], one["remedy"]) for one in said["verified"]]
+    scales = [
+        (one["table"], one["date"], one["serial"], one["source"]) for one in said["calibrations"]
+    ]
+    software = said["software"]
+    libraries = ", ".join(f"{name} {one}" for name, one in software["libraries"].items())
+    machine = said["machine"]
+    life = "unknown" if device["life"] is None else device["life"]
+    about = [
+        ("device", device["name"]),
+        ("device file", f"{device['file']}, SHA-256 {device['file_sha256']}"),
+        ("board", f"{device['serial']}, firmware {device['firmware'] or 'unknown'}, life {life}"),
+        ("rate", f"{device['rate_hz']:g} Hz"),
+        ("verified at", said["time"]),
+        ("software", f"hapticd {software['hapticd']} {software['commit']}"),
+        ("libraries", f"Python {software['python']}, {libraries}"),
+        ("machine", f"{machine['cpu']}, {machine['kernel']}"),
+        ("real-time rights", json.dumps(machine["realtime"])),
+    ]
+    parts = (
+        f"<h1>Certificate of {_text(device['name'])}</h1>",
+        f'<p class="verdict">{_text(badge)}{_text(said["verdict"])}, {_text(said["date"])}</p>',
+        _table((), about),
+        "<h2>Known parts, as the probe sees them</h2>",
+        _table(("part", "value (95 %)"), values),
+        "<h2>What was looked at</h2>",
+        _table(("", "what", "what to do"), found),
+        "<h2>Calibrations</h2>",
+        _table(("table", "date", "board", "source"), scales),
+        "<h2>Not verified here</h2>",
+        _table((), [(one,) for one in said["not_verified"]]),
+        "<p>It holds for this device file and this board. Whoever changes the file, the board, its"
+        " firmware or the mechanics repeats <code>hapticd rig verify</code>.</p>",
+    )
+    head = f"<meta charset='utf-8'><title>{_text(device['name'])}</title><style>{STYLE}</style>"
+    return (
+        f"<!doctype html><html lang='en'><head>{head}</head><body>{''.join(parts)}</body></html>\n"
+    )
+
+
+def _interval(value: Mapping[str, Any]) -> str:
+    between = f"{value['low']:.4g} to {value['high']:.4g}"
+    return f"{value['value']:.4g} {value['unit']} ({between})"
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    def line(cells: Sequence[Any], tag: str) -> str:
+        kind = " class='refused'" if cells and cells[0] == "refused" else ""
+        told = "".join(f"<{tag}>{_text(cell)}</{tag}>" for cell in cells)
+        return f"<tr{kind}>{told}</tr>"
+
+    top = line(head, "th") if head else ""
+    return f"<table>{top}{''.join(line(row, 'td') for row in rows)}</table>"
+
+
+def _text(value: Any) -> str:
+    return html.escape(str(value))

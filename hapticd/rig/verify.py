@@ -1,0 +1,300 @@
+"""Does the display render what it is asked for? Springs, dampers and masses that are known, seen
+from the probe.
+
+Each is rendered, or attached by a hand, beside one environment that stays the same, and Z is
+measured under short noise with it and without it. Their difference is the known part alone:
+
+    rendered    H(f) (K + B D1(z) + M D2(z)) / jw     hold, delay and filters of the law; the delay
+                                                       is the one that the board told meanwhile
+    attached    j w m,  k / jw                         whatever the servo does
+
+and friction, which is less where the handle moves faster, adds a constant (its equivalent for
+Gaussian motion, Booton 1954). So by lines of LOW_HZ to HIGH_HZ
+
+    dZ = s dZ_known + c
+
+is solved for the real numbers s and c, each line weighed by its uncertainty ("h_force": the force
+is what is known). s = 1 says that the parts agree. What it may differ by are the intervals that the
+calibrations state: of force, position and both probe channels for what is rendered, of the probe
+alone for what is attached; with the record's own interval, and a quarter of c for what of friction
+is no constant.
+
+Beside it the vectors of `vectors`, timing meanwhile, and the age of every calibration are
+findings. `certificate` makes the document of them. What is not verified here is said there.
+
+What would break it: a handle that somebody holds (another mass), a first resonance below 2 HIGH_HZ.
+"""
+
+import datetime
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from math import hypot, pi, sqrt
+from typing import Any
+
+import numpy as np
+
+from hapticd.analysis.arrays import Complexes, Floats
+from hapticd.analysis.impedance import Impedance, impedance
+from hapticd.analysis.loop import derivatives, held
+from hapticd.analysis.spectra import DEFAULT_LAG, spa
+from hapticd.client.client import Client
+from hapticd.errors import AnalysisError
+from hapticd.params import FilterParams
+from hapticd.recording.calibrations import doubts
+from hapticd.rig import vectors
+from hapticd.rig.hand import Ask, Request
+from hapticd.rig.identify import CENTRE, UNKNOWN_SHARE, loudest_n, noise, relative_half
+from hapticd.rig.link import MOST_SPREAD, RARE, require_disabled
+from hapticd.rig.played import Environment, Played, play
+from hapticd.rig.result import Finding, StepResult, Value, Verdict
+from hapticd.units import PROBE_RATE_HZ, US_PER_S
+
+SECONDS = 20.0
+LOW_HZ = 8.0
+HIGH_HZ = 150.0
+EVERY = 3  # lines of the window between independent values
+NORMAL = 1.96
+FRICTION_SHARE = 0.25  # of the change of friction that is no constant
+MASS_SHARE = 1e-3  # half of the interval of an attached mass, and of a spring
+UNIT_N_PER_M = "N/m"
+
+RENDERED = ("force.full_scale_n", "position.m_per_count")
+PROBED = ("probe_torque.full_scale_n", "probe_velocity.full_scale_m_per_s")
+
+
+@dataclass(frozen=True)
+class KnownParts:
+    """What is rendered beside the environment BESIDE, and what is attached by hand (0: nothing)."""
+
+    stiffness_n_per_m: float = 60.0
+    damping_ns_per_m: float = 1.0
+    mass_kg: float = 0.004
+    attached_kg: float = 0.0
+    spring_n_per_m: float = 0.0
+    seconds: float = SECONDS  # of each run
+
+
+BESIDE = CENTRE  # what is rendered beside
+
+
+@dataclass(frozen=True)
+class Part:
+    """One known part, in `unit`, and how it comes to the handle."""
+
+    name: str
+    size: float
+    unit: str
+    environment: Environment  # that is rendered meanwhile
+    request: Request | None = None  # what a person does; None: it is rendered
+
+    @property
+    def scales(self) -> tuple[str, ...]:
+        """The calibrations on which it rests."""
+        return PROBED if self.request else RENDERED + PROBED
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """How commands become forces."""
+
+    rate_hz: float
+    delay_us: float
+    smoothing_hz: float  # 0: none is known
+    filters: tuple[FilterParams, FilterParams]
+
+
+def parts_of(known: KnownParts) -> list[Part]:
+    """The parts that are asked for, in their order."""
+    stiffness, damping, mass = BESIDE
+    k = known.stiffness_n_per_m
+    b = known.damping_ns_per_m
+    m = known.mass_kg
+    found = [
+        Part("rendered spring", k, UNIT_N_PER_M, Environment(stiffness + k, damping, mass)),
+        Part("rendered damper", b, "N s/m", Environment(stiffness, damping + b, mass)),
+        Part("rendered mass", m, "kg", Environment(stiffness, damping, mass + m)),
+    ]
+    if kg := known.attached_kg:
+        words = f"fix {kg:g} kg firmly to the handle, and let go of it"
+        found.append(Part("attached mass", kg, "kg", BESIDE, Request("attach", words, kg)))
+    if spring := known.spring_n_per_m:
+        words = f"put a spring of {spring:g} N/m between handle and frame, and let go"
+        request = Request("spring", words, spring)
+        found.append(Part("attached spring", spring, UNIT_N_PER_M, BESIDE, request))
+    return found
+
+
+def measure(bench: Client, ask: Ask, known: KnownParts = KnownParts()) -> StepResult:
+    """Shake the handle with and without each part, and compare. CommandError unless disabled;
+    AnalysisError where the signs are not verified, or as `play`.
+    """
+    require_disabled(bench)
+    servo = bench.hello()["servo"]
+    if servo["device"]["commissioning"]:
+        raise AnalysisError(
+            "a display is verified once its signs are: `hapticd rig motor` without masses, then"
+            " start the daemon again"
+        )
+    before = counted(bench)
+    free = Request("let go", "let go of the handle in the middle of its travel; it will be shaken")
+    ask(free)
+    loud_n = loudest_n(bench, servo)
+    waveforms = (noise(known.seconds, loud_n, seed) for seed in range(1, 10))
+    runs = {"": play(bench, next(waveforms), BESIDE)}
+    for part in parts_of(known):
+        if part.request:
+            ask(part.request)
+        runs[part.name] = play(bench, next(waveforms), part.environment)
+        if part.request:
+            ask(free)
+    after = counted(bench)
+    counts = {name: count - before.get(name, 0) for name, count in after.items()}
+    return concluded(runs, counts, servo, known, datetime.date.today())
+
+
+def counted(bench: Client) -> dict[str, int]:
+    """Late ticks and lost slots of the servo of `bench` so far, as far as it tells."""
+    counters = bench.status().get("counters", {})
+    return {name: int(counters[name]) for name in ("late_events", "lost_slots") if name in counters}
+
+
+def concluded(
+    runs: Mapping[str, Played],
+    counts: Mapping[str, int],
+    servo: Mapping[str, Any],
+    known: KnownParts,
+    day: datetime.date,
+) -> StepResult:
+    """What the runs say, by name of the part, "" for none, on the device of a hello's `servo`;
+    `counts` of late ticks and lost slots are those meanwhile.
+    """
+    delays = np.concatenate([one.delay_us[one.delay_us >= 0.0] for one in runs.values()])
+    way = rendering_of(servo, float(np.median(delays)) if delays.size else 0.0)
+    z = {name: measured(one) for name, one in runs.items()}
+    values: list[Value] = []
+    findings: list[Finding] = []
+    for part in parts_of(known):
+        value = seen(part, z[""], z[part.name], way)
+        values.append(value)
+        findings.append(judged(part, value, servo["device"]))
+    ticks = sum(one.board_us.size for one in runs.values())
+    findings += [*vectors.compared(), *_late(counts, ticks), _delay(delays, way)]
+    findings += _calibrations(servo, day)
+    arrays = {
+        name: values
+        for number, one in enumerate(runs.values())
+        for name, values in one.arrays(number).items()
+    }
+    return StepResult("verify", values, findings, arrays=arrays)
+
+
+def rendering_of(servo: Mapping[str, Any], delay_us: float) -> Rendering:
+    """How the device of a hello's `servo` makes force of commands, with the delay that was seen."""
+    law = servo["environment"]
+    return Rendering(
+        float(servo["realtime"]["rate_hz"]),
+        delay_us,
+        float(servo["device"]["force_smoothing_hz"]),
+        (FilterParams(**law["velocity_filter"]), FilterParams(**law["acceleration_filter"])),
+    )
+
+
+def measured(run: Played) -> Impedance:
+    """Z of a run at independent lines of the band."""
+    spectra = spa(run.torque_n, run.velocity_m_per_s, PROBE_RATE_HZ, DEFAULT_LAG)
+    f = spectra.frequency_hz
+    inside = np.flatnonzero((f >= LOW_HZ) & (f <= HIGH_HZ))
+    return impedance(spectra.part(inside[::EVERY]), "h_force")
+
+
+def expected(part: Part, frequency_hz: Floats, way: Rendering) -> Complexes:
+    """The impedance (F,) that `part` adds [N s/m]."""
+    s = 2j * pi * frequency_hz
+    if part.request:
+        added = part.size * s if part.unit == "kg" else part.size / s
+        return np.asarray(added)
+    turn = np.exp(s / way.rate_hz)
+    velocity, acceleration = derivatives(turn, way.rate_hz, way.filters)
+    law = np.array(part.environment) - np.array(BESIDE)
+    path = held(frequency_hz, way.rate_hz, way.delay_us * way.rate_hz / US_PER_S)
+    if way.smoothing_hz:
+        path = path / (1.0 + 1j * frequency_hz / way.smoothing_hz)
+    return np.asarray((law[0] + law[1] * velocity + law[2] * acceleration) * path / s)
+
+
+def seen(part: Part, without: Impedance, with_it: Impedance, way: Rendering) -> Value:
+    """How large `part` is by the probe, with its 95 % interval by the records."""
+    theory = expected(part, without.frequency_hz, way)
+    change = with_it.impedance_ns_per_m - without.impedance_ns_per_m
+    sd = np.hypot(with_it.sd_ns_per_m, without.sd_ns_per_m) / sqrt(2.0)  # of each of its two parts
+    rows = np.stack((theory, np.ones_like(theory)), axis=1) / sd[:, None]
+    matrix = np.concatenate((rows.real, rows.imag))
+    target = np.concatenate(((change / sd).real, (change / sd).imag))
+    (scale, friction), *_ = np.linalg.lstsq(matrix, target, rcond=None)
+    left = target - matrix @ (scale, friction)
+    spread = max(1.0, sqrt(float(left @ left) / (left.size - 2)))
+    own = NORMAL * spread * sqrt(float(np.linalg.inv(matrix.T @ matrix)[0, 0]))
+    of_friction = FRICTION_SHARE * abs(friction) / sqrt(float(np.mean(np.abs(theory) ** 2)))
+    half = hypot(own, of_friction)
+    size = part.size
+    return Value(part.name, scale * size, part.unit, (scale - half) * size, (scale + half) * size)
+
+
+def judged(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
+    """Whether what was seen lies where the calibrations of `device` let it lie."""
+    halves = {name: relative_half(_source(device, name), name) for name in part.scales}
+    unknown = [name for name, half in halves.items() if np.isnan(half)]
+    known = [UNKNOWN_SHARE if np.isnan(half) else half for half in halves.values()]
+    allowed = hypot(*known, MASS_SHARE if part.request else 0.0)
+    scale = value.value / part.size
+    own = 0.5 * (value.high - value.low) / part.size
+    limit = hypot(allowed, own)
+    what = (
+        f"{part.name}: {part.size:g} {part.unit} is {value.value:.4g} at the probe, off by"
+        f" {100 * (scale - 1):+.2g} %; calibrations and record leave {100 * limit:.2g} %"
+    )
+    if unknown:
+        share = f"{100 * UNKNOWN_SHARE:g} %"
+        what += f" ({', '.join(unknown)}: no interval known, {share} taken)"
+    if abs(scale - 1.0) <= limit:
+        return Finding(what, "ok")
+    steps = "`hapticd rig probe`" if part.request else "`hapticd rig motor`, `hapticd rig probe`"
+    remedy = f"let go of the handle and repeat; if it stays so, {steps} and `hapticd rig identify`"
+    return Finding(what, "refused", remedy)
+
+
+def _source(device: Mapping[str, Any], name: str) -> str:
+    return str(device[name.partition(".")[0]]["source"])
+
+
+def _late(counts: Mapping[str, int], ticks: int) -> Iterator[Finding]:
+    """Late ticks and lost slots, of so many."""
+    if not counts:
+        yield Finding("timing: late ticks and lost slots", "not done", "this daemon tells none")
+        return
+    rare = sum(counts.values()) <= RARE * ticks
+    told = " and ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+    verdict: Verdict = "ok" if rare else "warning"
+    remedy = "" if rare else "quiet the host: `hapticd doctor`"
+    yield Finding(f"timing: {told} in {ticks} ticks", verdict, remedy)
+
+
+def _delay(delays_us: Floats, way: Rendering) -> Finding:
+    """How long forces came after their samples, and how much that varied."""
+    if not delays_us.size:
+        return Finding("timing: from sample to force", "not done", "the board tells no ages")
+    low, middle, high = np.quantile(delays_us, (0.005, 0.5, 0.995)) * way.rate_hz / US_PER_S
+    what = f"timing: sample to force {middle:.3g} periods, 99 % within {high - low:.3g}"
+    if high - low <= MOST_SPREAD:
+        return Finding(what, "ok")
+    return Finding(what, "warning", "repeat `hapticd rig link`, and quiet the host")
+
+
+def _calibrations(servo: Mapping[str, Any], day: datetime.date) -> Iterator[Finding]:
+    """Calibrations that cannot be relied on."""
+    found = doubts(servo, day, probed=True)
+    for one in found:
+        yield Finding(f"calibration {one}", "refused", one.remedy)
+    if not found:
+        asked = "a simulated device needs none" if servo["simulated"] else "of this board, in date"
+        yield Finding(f"calibrations: {asked}", "ok")
