@@ -14,7 +14,7 @@ from hapticd.analysis.impedance import Impedance
 from hapticd.cli.app import main
 from hapticd.cli.rig import steps
 from hapticd.errors import AnalysisError
-from hapticd.params import FilterParams, TouchParams, to_plain
+from hapticd.params import FilterParams, ScaleParams, TouchParams, to_plain
 from hapticd.recording.certificate import certificate_beside, certificate_of
 from hapticd.rig import vectors, verify
 from hapticd.rig.certificate import page
@@ -24,6 +24,7 @@ from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5, "touch": TouchParams(0.0, 0.0, 0.02, 0.02)}
+EMF = ScaleParams(2.0 / 32767)  # as config/devices/simulated.toml has it
 SHORT = KnownParts(seconds=6.0)
 WAY = Rendering(1000.0, 125.0, 0.0, (FilterParams(100.0), FilterParams(72.0)))
 F_HZ = np.linspace(8.0, 150.0, 50)
@@ -195,7 +196,7 @@ def config(tmp_path: Path) -> Path:
 def hand(config, monkeypatch):
     """A rig whose daemon was started with the device file of `config`."""
     settings = load(config)
-    with Hand(**FREE) as found:
+    with Hand({"emf_velocity": EMF}, **FREE) as found:
         bench = found.bench
         bench._servo = dataclasses.replace(
             bench._servo,
