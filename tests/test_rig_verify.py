@@ -19,7 +19,16 @@ from hapticd.recording.certificate import certificate_beside, certificate_of
 from hapticd.rig import vectors, verify
 from hapticd.rig.certificate import page
 from hapticd.rig.result import Value
-from hapticd.rig.verify import KnownParts, Rendering, expected, judged, measure, parts_of, seen
+from hapticd.rig.verify import (
+    KnownParts,
+    Rendering,
+    changed,
+    expected,
+    judged,
+    measure,
+    parts_of,
+    seen,
+)
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 
@@ -46,16 +55,21 @@ def z_of(values):
     return Impedance(F_HZ, values, 0.01 * ones, ones, ones, ones, "h_force", "probe", 40.0)
 
 
-@pytest.mark.parametrize("name", [one.name for one in parts_of(KnownParts(0, 0, 0, 0.01, 500.0))])
-def test_a_part_is_found_beside_a_change_of_friction(name):
-    (part,) = (
-        one for one in parts_of(KnownParts(60.0, 1.0, 0.004, 0.01, 500.0)) if one.name == name
-    )
+ALL = parts_of(KnownParts(60.0, 1.0, 0.004, 0.01, 500.0))
+
+
+@pytest.mark.parametrize(("smoothing_ms", "encoder"), [(0.0, 0.0), (0.5, 2.0)])
+def test_each_part_is_found_beside_friction_smoothing_and_a_resonance(smoothing_ms, encoder):
     free = 2j * np.pi * F_HZ * 0.008 + 0.7
-    changed = free + 1.03 * expected(part, F_HZ, WAY) + 0.11
-    found = seen(part, z_of(free), z_of(changed), WAY)
-    assert found.value == pytest.approx(1.03 * part.size, rel=1e-9)
-    assert found.low < found.value < found.high
+    path = 1.0 / (1.0 + 2e-3j * np.pi * F_HZ * smoothing_ms)
+    more = 1.0 / (1.0 - 1e-5 * encoder * F_HZ**2)
+    changes = []
+    for part in ALL:
+        theory = expected(part, F_HZ, WAY) * (more**2 if part.request else path * more)
+        changes.append(changed(part, z_of(free), z_of(free + 1.03 * theory + 0.05), WAY))
+    for part, found in zip(ALL, seen(changes), strict=True):
+        assert found.value == pytest.approx(1.03 * part.size, rel=1e-6), part.name
+        assert found.low < found.value < found.high
 
 
 def test_what_is_rendered_comes_late_and_through_its_smoothing():

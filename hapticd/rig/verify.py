@@ -9,12 +9,16 @@ measured under short noise with it and without it. Their difference is the known
     attached    j w m,  k / jw                         whatever the servo does
 
 and friction, which is less where the handle moves faster, adds a constant (its equivalent for
-Gaussian motion, Booton 1954). So by lines of LOW_HZ to HIGH_HZ
+Gaussian motion, Booton 1954). What nobody told of the way of a command, a smoothing of time
+constant q, and what the encoder sees more of the handle's motion towards a resonance, 1 / (1 - p
+f^2), are the same for all that is rendered. So by lines of LOW_HZ to HIGH_HZ
 
-    dZ = s dZ_known + c
+    dZ = s dZ_known / ((1 + jw q) (1 - p f^2)) + c
 
-is solved for the real numbers s and c, each line weighed by its uncertainty ("h_force": the force
-is what is known). s = 1 says that the parts agree. What it may differ by are the intervals that the
+is solved for the real numbers s and c of each part, and q and p of all, each line weighed by its
+uncertainty ("h_force": the force is what is known). What is attached is seen through the resonance
+twice, below ATTACHED_HZ; how much it changes that is not known, so three times what it does counts
+as doubt. s = 1 says that the parts agree. What it may differ by are the intervals that the
 calibrations state: of force, position and both probe channels for what is rendered, of the probe
 alone for what is attached; with the record's own interval, and a quarter of c for what of friction
 is no constant.
@@ -22,11 +26,11 @@ is no constant.
 Beside it the vectors of `vectors`, timing meanwhile, and the age of every calibration are
 findings. `certificate` makes the document of them. What is not verified here is said there.
 
-What would break it: a handle that somebody holds (another mass), a first resonance below 2 HIGH_HZ.
+What would break it: a handle that somebody holds (another mass), a first resonance below HIGH_HZ.
 """
 
 import datetime
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot, pi, sqrt
 from typing import Any
@@ -51,11 +55,16 @@ from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 SECONDS = 20.0
 LOW_HZ = 8.0
-HIGH_HZ = 150.0
+HIGH_HZ = 120.0
+ATTACHED_HZ = 25.0
+LAG = 2 * DEFAULT_LAG  # samples: what the window averages is little beside a spring's slope
+ROUNDS = 12  # of the way of commands
+STEP = 1e-4  # by which it is differentiated, in ms and 1e-5 / Hz^2
 EVERY = 3  # lines of the window between independent values
 NORMAL = 1.96
 FRICTION_SHARE = 0.25  # of the change of friction that is no constant
 MASS_SHARE = 1e-3  # half of the interval of an attached mass, and of a spring
+FLEXIBLE = 3.0  # times what the resonance does, as a doubt of what is attached
 UNIT_N_PER_M = "N/m"
 
 RENDERED = ("force.full_scale_n", "position.m_per_count")
@@ -171,12 +180,9 @@ def concluded(
     delays = np.concatenate([one.delay_us[one.delay_us >= 0.0] for one in runs.values()])
     way = rendering_of(servo, float(np.median(delays)) if delays.size else 0.0)
     z = {name: measured(one) for name, one in runs.items()}
-    values: list[Value] = []
-    findings: list[Finding] = []
-    for part in parts_of(known):
-        value = seen(part, z[""], z[part.name], way)
-        values.append(value)
-        findings.append(judged(part, value, servo["device"]))
+    parts = parts_of(known)
+    values = seen([changed(one, z[""], z[one.name], way) for one in parts])
+    findings = [judged(*one, servo["device"]) for one in zip(parts, values, strict=True)]
     ticks = sum(one.board_us.size for one in runs.values())
     findings += [*vectors.compared(), *_late(counts, ticks), _delay(delays, way)]
     findings += _calibrations(servo, day)
@@ -201,7 +207,7 @@ def rendering_of(servo: Mapping[str, Any], delay_us: float) -> Rendering:
 
 def measured(run: Played) -> Impedance:
     """Z of a run at independent lines of the band."""
-    spectra = spa(run.torque_n, run.velocity_m_per_s, PROBE_RATE_HZ, DEFAULT_LAG)
+    spectra = spa(run.torque_n, run.velocity_m_per_s, PROBE_RATE_HZ, LAG)
     f = spectra.frequency_hz
     inside = np.flatnonzero((f >= LOW_HZ) & (f <= HIGH_HZ))
     return impedance(spectra.part(inside[::EVERY]), "h_force")
@@ -222,22 +228,117 @@ def expected(part: Part, frequency_hz: Floats, way: Rendering) -> Complexes:
     return np.asarray((law[0] + law[1] * velocity + law[2] * acceleration) * path / s)
 
 
-def seen(part: Part, without: Impedance, with_it: Impedance, way: Rendering) -> Value:
-    """How large `part` is by the probe, with its 95 % interval by the records."""
-    theory = expected(part, without.frequency_hz, way)
-    change = with_it.impedance_ns_per_m - without.impedance_ns_per_m
-    sd = np.hypot(with_it.sd_ns_per_m, without.sd_ns_per_m) / sqrt(2.0)  # of each of its two parts
-    rows = np.stack((theory, np.ones_like(theory)), axis=1) / sd[:, None]
-    matrix = np.concatenate((rows.real, rows.imag))
-    target = np.concatenate(((change / sd).real, (change / sd).imag))
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What a part changes of Z at its lines."""
+
+    part: Part
+    frequency_hz: Floats  # (F,)
+    theory: Complexes  # (F,) that it should be, N s/m
+    found: Complexes  # (F,) that it is, N s/m
+    sd: Floats  # (F,) of each of its two parts
+
+    def equations(self, path: Complexes) -> tuple[Floats, Floats]:
+        """Rows (2 F, 2) of scale and friction, and what they should give (2 F,), by `path` (F,)."""
+        rows = np.stack((self.theory * path, np.ones_like(self.theory)), axis=1) / self.sd[:, None]
+        target = self.found / self.sd
+        matrix = np.concatenate((rows.real, rows.imag))
+        return matrix, np.concatenate((target.real, target.imag))
+
+
+def changed(part: Part, without: Impedance, with_it: Impedance, way: Rendering) -> Change:
+    """What `part` changes of the impedance at the probe."""
+    f = without.frequency_hz
+    inside = f <= (ATTACHED_HZ if part.request else HIGH_HZ)
+    found = (with_it.impedance_ns_per_m - without.impedance_ns_per_m)[inside]
+    sd = np.hypot(with_it.sd_ns_per_m, without.sd_ns_per_m)[inside] / sqrt(2.0)
+    return Change(part, f[inside], expected(part, f[inside], way), found, sd)
+
+
+def passed(frequency_hz: Floats, told: Floats) -> Complexes:
+    """The way of a command (F,), of `told` = smoothing [ms] and encoder [1e-5 / Hz^2]."""
+    smoothing = 1.0 + 2e-3j * pi * frequency_hz * told[0]
+    return np.asarray(1.0 / smoothing / (1.0 - 1e-5 * told[1] * frequency_hz**2))
+
+
+def seen(changes: Sequence[Change]) -> list[Value]:
+    """How large each of `changes` is by the probe, with its 95 % interval by the records; of those
+    that are rendered at least two.
+    """
+    rendered = [one for one in changes if not one.part.request]
+    told, values = _together(rendered)
+    return [*values, *(_attached(one, told[1]) for one in changes if one.part.request)]
+
+
+def _together(changes: Sequence[Change]) -> tuple[Floats, list[Value]]:
+    """The way of commands, and each part that is rendered."""
+    told = np.zeros(2)
+    for _ in range(ROUNDS):
+        left = _left(changes, told)
+        slopes = _slopes(lambda at: _left(changes, at), told)
+        told = told - np.linalg.lstsq(slopes, left, rcond=None)[0]
+    solved = [_solved(one, told) for one in changes]
+    blocks = [one.equations(passed(one.frequency_hz, told))[0] for one in changes]
+    matrix = np.zeros((sum(map(len, blocks)), 2 * len(changes) + 2))
+    row = 0
+    for number, block in enumerate(blocks):
+        matrix[row : row + len(block), 2 * number : 2 * number + 2] = block
+        row += len(block)
+    matrix[:, -2:] = -_slopes(lambda at: _left(changes, at, solved), told)
+    left = _left(changes, told)
+    spread = max(1.0, sqrt(float(left @ left) / (left.size - matrix.shape[1])))
+    deviations = spread * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
+    halves = NORMAL * deviations[:-2:2]
+    return told, [
+        _value(one, *by, half)
+        for one, by, half in zip(changes, solved, halves.tolist(), strict=True)
+    ]
+
+
+def _attached(one: Change, encoder: float) -> Value:
+    """A part that a hand attached, where the encoder sees `encoder` [1e-5 / Hz^2] more."""
+    more = passed(one.frequency_hz, np.array([0.0, encoder]))
+    matrix, target = one.equations(more**2)
     (scale, friction), *_ = np.linalg.lstsq(matrix, target, rcond=None)
     left = target - matrix @ (scale, friction)
     spread = max(1.0, sqrt(float(left @ left) / (left.size - 2)))
     own = NORMAL * spread * sqrt(float(np.linalg.inv(matrix.T @ matrix)[0, 0]))
-    of_friction = FRICTION_SHARE * abs(friction) / sqrt(float(np.mean(np.abs(theory) ** 2)))
+    doubt = FLEXIBLE * float(np.mean(np.abs(more - 1.0)))
+    return _value(one, scale, friction, hypot(own, doubt))
+
+
+def _solved(one: Change, told: Floats) -> tuple[float, float]:
+    """Scale and friction of a part, with the way of commands `told`."""
+    matrix, target = one.equations(passed(one.frequency_hz, told))
+    scale, friction = np.linalg.lstsq(matrix, target, rcond=None)[0].tolist()
+    return scale, friction
+
+
+def _left(
+    changes: Sequence[Change], told: Floats, solved: Sequence[tuple[float, float]] | None = None
+) -> Floats:
+    """What is left of all equations with the way `told`, and the parts `solved` or the best."""
+    left = []
+    for number, one in enumerate(changes):
+        matrix, target = one.equations(passed(one.frequency_hz, told))
+        by = _solved(one, told) if solved is None else solved[number]
+        left.append(target - matrix @ by)
+    return np.concatenate(left)
+
+
+def _slopes(of: Callable[[Floats], Floats], at: Floats) -> Floats:
+    """Derivatives (n, 2) of `of` by the two numbers `at`."""
+    steps = STEP * np.eye(2)
+    return np.stack([(of(at + step) - of(at - step)) / (2.0 * STEP) for step in steps], axis=1)
+
+
+def _value(one: Change, scale: float, friction: float, own: float) -> Value:
+    """The size of a part by its scale, known to `own` by the records, beside some friction."""
+    of_friction = FRICTION_SHARE * abs(friction) / sqrt(float(np.mean(np.abs(one.theory) ** 2)))
     half = hypot(own, of_friction)
-    size = part.size
-    return Value(part.name, scale * size, part.unit, (scale - half) * size, (scale + half) * size)
+    part = one.part
+    low = (scale - half) * part.size
+    return Value(part.name, scale * part.size, part.unit, low, (scale + half) * part.size)
 
 
 def judged(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
