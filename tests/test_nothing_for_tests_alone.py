@@ -25,7 +25,6 @@ PLAIN = {"staticmethod", "classmethod", "property", "abstractmethod", "dataclass
 FOUND_BY_BASE = {"Effect"}
 
 ALLOWED = {
-    "wire.codec.decode_out": "the board's half of the codec: golden frames, and boards in Python",
     "wire.frames.CRC_POLYNOMIAL": "every constant of the C header has its twin",
     "engine.compiled.law_f32": "named in the text of a kernel, with its type",
     "engine.compiled.law_f64": "named in the text of a kernel, with its type",
