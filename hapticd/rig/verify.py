@@ -32,7 +32,7 @@ What would break it: a handle that somebody holds (another mass), a first resona
 import datetime
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, pi, sqrt
+from math import hypot, nan, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -47,10 +47,10 @@ from hapticd.params import FilterParams
 from hapticd.recording.calibrations import doubts
 from hapticd.rig import vectors
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.identify import CENTRE, UNKNOWN_SHARE, loudest_n, noise, relative_half
+from hapticd.rig.identify import CENTRE, UNKNOWN_SHARE, loudest_n, noise
 from hapticd.rig.link import MOST_SPREAD, RARE, require_disabled
 from hapticd.rig.played import Environment, Played, play
-from hapticd.rig.result import Finding, StepResult, Value, Verdict
+from hapticd.rig.result import Finding, StepResult, Value, Verdict, relative_half
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 SECONDS = 20.0
@@ -343,7 +343,7 @@ def _value(one: Change, scale: float, friction: float, own: float) -> Value:
 
 def judged(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
     """Whether what was seen lies where the calibrations of `device` let it lie."""
-    halves = {name: relative_half(_source(device, name), name) for name in part.scales}
+    halves = {name: relative_half(_source(device, name), name, nan) for name in part.scales}
     unknown = [name for name, half in halves.items() if np.isnan(half)]
     known = [UNKNOWN_SHARE if np.isnan(half) else half for half in halves.values()]
     allowed = hypot(*known, MASS_SHARE if part.request else 0.0)
