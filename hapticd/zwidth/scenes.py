@@ -12,6 +12,7 @@ What would break it: comparing what is predicted at one perturbation with trials
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import inf
+from pathlib import Path
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from hapticd.plant.model import Model
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.settings.build import device_effects, rigid_effects
 from hapticd.settings.device import DeviceFile
-from hapticd.settings.load import find_device, validated
+from hapticd.settings.load import find_config, find_device, validated
 from hapticd.settings.toml import read, shipped
 from hapticd.units import PROBE_RATE_HZ
 
@@ -209,10 +210,20 @@ def device_scene(name: str) -> Scene | None:
 
 
 def scene_of_device(title: str) -> Scene | None:
-    """The scene of the shipped device file that gives its device this name; None if there is
-    none, or none to simulate.
+    """The scene of the device file that gives its device this name, of the configuration's or else
+    of the shipped ones; None if there is none, or none to simulate.
     """
-    for path in sorted((shipped("config") / "devices").glob("*.toml")):
+    shipped_files = sorted((shipped("config") / "devices").glob("*.toml"))
+    for path in (*_configured(), *shipped_files):
         if read(path).data.get("name") == title:
-            return device_scene(path.stem)
+            return device_scene(str(path))
     return None
+
+
+def _configured() -> tuple[Path, ...]:
+    """The device file that the configuration names, if there are both."""
+    try:
+        document = read(find_config())
+        return (find_device(str(document.data.get("device")), document.path, "device"),)
+    except ConfigError:
+        return ()
