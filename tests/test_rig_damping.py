@@ -44,7 +44,7 @@ N_PER_A = 1.65
 FORCE = ScaleParams(COUNT_N)
 RECORD = np.dtype(
     [
-        ("tick", "<u8"),
+        ("slot", "<u8"),
         ("position_m", "<f8"),
         ("force_n", "<f8"),
         ("damping_effect_ns_per_m", "<f4"),
@@ -82,7 +82,7 @@ def recorded(mass_kg, damping, friction_n, force_n, push_s, level=0.0):
     t = np.arange(-0.2, 1.0, 1.0 / RATE_HZ)
     x, rest_s = glided(t, mass_kg, damping, friction_n, force_n, push_s)
     records = np.zeros(len(t), RECORD)
-    records["tick"] = np.arange(len(t))
+    records["slot"] = np.arange(len(t))
     records["position_m"] = COUNT_M * np.floor(x / COUNT_M + 0.5)
     records["force_n"] = np.where((t >= 0.0) & (t < push_s - 1e-9), force_n, 0.0)
     records["damping_effect_ns_per_m"] = level
@@ -113,13 +113,13 @@ def test_a_push_to_the_other_side_is_the_same_row():
     assert other == pytest.approx(one._replace(direction=-1.0), rel=1e-3)
 
 
-@pytest.mark.parametrize("spoilt", ["tick", "begins", "ends"])
-def test_a_push_that_misses_ticks_or_rest_is_no_row(spoilt):
+@pytest.mark.parametrize("spoilt", ["slot", "begins", "ends"])
+def test_a_push_that_misses_slots_or_rest_is_no_row(spoilt):
     records, _, _ = recorded(0.008, 2.0, 0.03, 0.3, 0.03)
-    if spoilt == "tick":
-        records["tick"][300:] += 1
+    if spoilt == "slot":
+        records["slot"][300:] += 1
     place = slice(0, 100) if spoilt == "begins" else slice(-100, None)
-    if spoilt != "tick":
+    if spoilt != "slot":
         records["position_m"][place] += np.linspace(0.0, 1e-4, 100)
     assert row_of(records, FORCE, COUNT_M, RATE_HZ) is None
 

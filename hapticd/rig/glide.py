@@ -66,12 +66,12 @@ class Row(NamedTuple):
 
 
 def row_of(records: Records, force: ScaleParams, m_per_count: float, rate_hz: float) -> Row | None:
-    """What the `records` of a push tell; None where ticks are missing, or it does not begin and end
-    at rest.
+    """What the `records` of a push tell; None where ticks are missing or were late by a period,
+    or it does not begin and end at rest.
     """
     position = records["position_m"].astype(np.float64)
     rest = round(REST_S * rate_hz)
-    if len(records) < 4 * rest or (np.diff(records["tick"].astype(np.int64)) != 1).any():
+    if len(records) < 4 * rest or (np.diff(records["slot"].astype(np.int64)) != 1).any():
         return None
     before = position[:rest]
     after = position[-rest:]
