@@ -235,7 +235,7 @@ def _effects(truth: Truth, attached_kg: float) -> tuple[Any, ...]:
 class BlindProbe(Probe):
     """A probe whose channels have offsets, high-passes and a skew of their own."""
 
-    __slots__ = ("_broken", "_corners", "_fed", "_kept", "_last", "_signal", "_truth")
+    __slots__ = ("_broken", "_corners", "_fed", "_kept", "_last", "_signal", "_truth", "_unrounded")
 
     def __init__(self, params: BoardParams, truth: Truth, broken: str | None) -> None:
         self._truth = truth
@@ -245,6 +245,7 @@ class BlindProbe(Probe):
         self._kept = [0.0, 0.0]
         self._last = 0.0
         self._fed = 0  # samples that one signal is still fed into both channels
+        self._unrounded = Random(f"rounding {truth.seed}").uniform
         self._signal = Random(f"one signal {truth.seed}").gauss
         super().__init__(params)
 
@@ -260,6 +261,8 @@ class BlindProbe(Probe):
             self._fed -= 1
             torque = self._signal(0.0, ONE_SIGNAL_COUNTS)
             velocity = torque + self._noise * self._gauss(0.0, 1.0)
+        # it is rounded already; a converter rounds once, after skew, high-pass and offset
+        velocity += self._unrounded(-0.5, 0.5)
         late = self._truth.skew_us * 1e-6 * PROBE_RATE_HZ
         velocity, self._last = (1.0 - late) * velocity + late * self._last, velocity
         torque = self._passed(0, torque) + self._truth.probe_torque_offset_count

@@ -34,6 +34,7 @@ SECONDS = 30.0
 BAND_HZ = (0.8, 200.0)
 PERIOD_US = US_PER_S / PROBE_RATE_HZ
 HANN_SPREAD = 35.0 / 18.0  # of the variance of what is fitted under it: mean w^4 / (mean w^2)^2
+UNEVEN = 2.0  # of a variance: what a fit leaves is rather of its model, and not alike at all lines
 LEAST_COUNTS = 20.0  # rms in the band, of a signal that says something
 LEAST_COHERENT = 0.5  # share of the velocity channel's power that is the torque channel's
 MOST_SKEW = 0.1  # of a sample: 9 degrees at 1 kHz
@@ -101,7 +102,7 @@ def _fitted(f: Floats, angles: Floats, weight: Floats) -> Phase:
     weights = inverse @ (columns.T @ (angles * np.sqrt(weight)))
     left = angles * np.sqrt(weight) - columns @ weights
     freedom = len(f) / HANN_SPREAD - len(scale)
-    spread = float(left @ left) / (len(f) - len(scale))
+    spread = UNEVEN * float(left @ left) / (len(f) - len(scale))
     covariance = inverse * spread * HANN_SPREAD / np.outer(scale, scale)
     return Phase(weights / scale, covariance, freedom)
 

@@ -3,21 +3,9 @@
 The perturbation shakes the free handle at 10 to 30 Hz (`rig.shaken`), first as it is, then with a
 known mass fixed to it.
 
-Velocity: the channel's lines V against j w X of the encoder give scale and sign.
-
-Force: what the torque channel says, T counts of g newtons, moves everything there is,
-
-    g T = m A + b V + c S + k X       at every line, with real m, b, c, k
-
-A, V and X being acceleration, velocity and position at the encoder, S the lines of sign(velocity):
-Coulomb friction is no noise but a known signal. The four weights are fitted for each recording; m/g
-differs between the two by the known mass alone, M / g = m2/g - m1/g. What moves, what damps it, and
-what a weak spring does that keeps it in the middle cancel: neither the device's mass nor its motor
-has to be known. The sign of g is that of the difference.
-
-Both channels turn the phase (they are AC-coupled, and sampled when they are): V against j w X shows
-that of the velocity channel, and one signal into both channels (`rig.one_signal`) the difference.
-With both known T is turned back.
+The encoder gives scale and sign of the velocity channel; what the mass adds to the torque gives
+those of the torque channel (`rig.added_mass`). One signal into both channels shows what is left of
+their phases (`rig.one_signal`).
 
 Dead and swapped channels are found before anything is fitted. What is played is known: the torque
 channel has to follow it, delayed at most, and the velocity channel the encoder's velocity.
@@ -28,23 +16,22 @@ something soft (its mode has to be far above 30 Hz).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import copysign, floor, hypot, pi, sqrt
+from math import floor, hypot, pi, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.rig import one_signal
+from hapticd.rig.added_mass import Added, added, channel
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.result import (
     POSITION_HALF,
-    UPPER_END,
     Change,
     Finding,
     StepResult,
@@ -73,7 +60,6 @@ LEAST_COHERENT = 0.9  # of a channel's lines, with what it should follow
 MOST_LEFT = 0.05  # of the torque's lines, that the fit leaves
 WORST_HALF = 0.1  # of the force gain, beyond which the mass made no difference
 FACTOR = 2.0  # between file and measurement, beyond which a mass is rather mistyped
-UNEVEN = 2.0  # of a variance: what a fit leaves is rather of its model, and not alike at all lines
 SHEPPARD = 1.0 / 12.0  # variance of rounding (Sheppard 1898), from half a count of noise on
 SHIFTS = np.linspace(-1.0, 1.0, 1001)  # of the longest delay, at which lines are compared
 LATEST_S = 2e-3  # between encoder and probe
@@ -150,11 +136,15 @@ def concluded(
     if _settled(findings):
         turned = _compared(taken.one, judged, values, findings)
     if taken.loaded is not None and _settled(findings):
-        loaded = lines(taken.loaded)
         half = relative_half(device["position"]["source"], "position.m_per_count", POSITION_HALF)
+        of_velocity = channel(bare)
+        found = added(taken.bare, taken.loaded, of_velocity, turned)
+        findings += _weighed(found)
         gains = {
-            "probe_torque": force_gain(bare, loaded, turned, attached, half, findings),
-            "probe_velocity": velocity_gain(bare, half),
+            "probe_torque": force_gain(found, attached, half),
+            "probe_velocity": Gain(
+                1.0 / of_velocity.counts, hypot(of_velocity.relative_half, half)
+            ),
         }
         findings += [_believable(name, one, device[name]) for name, one in gains.items()]
         values += [*_of_gains(gains), *_of_rest(taken.rest, gains)]
@@ -239,86 +229,22 @@ def alike(found: Complexes, known: Complexes, latest_s: float) -> float:
     return float(common.max() / power)
 
 
-def velocity_phase(bare: Lines) -> tuple[float, Floats]:
-    """Sign of the velocity channel, and its phase (l,) against the encoder's velocity: a delay and
-    a high-pass.
-    """
-    ratio = bare.velocity / (2j * pi * LINES_HZ * bare.position_m)
-    sign = copysign(1.0, float(ratio.real.sum()))
-    columns = np.stack([LINES_HZ, 1.0 / LINES_HZ], axis=1)
-    weights = np.linalg.lstsq(columns, np.angle(sign * ratio), rcond=None)[0]
-    return sign, columns @ weights
+def force_gain(found: Added, attached: Attached, position_half: float) -> Gain:
+    """N of a count."""
+    relative = hypot(found.half / found.counts, attached.tolerance, position_half)
+    return Gain(attached.kilograms / found.counts, relative)
 
 
-def velocity_gain(bare: Lines, position_half: float) -> Gain:
-    """m/s of a count, against an encoder whose scale is known to `position_half`."""
-    sign, _ = velocity_phase(bare)
-    speed = 2.0 * pi * LINES_HZ * np.abs(bare.position_m)
-    power = float(speed @ speed)
-    counts = float(speed @ np.abs(bare.velocity)) / power
-    left = np.abs(bare.velocity) - counts * speed
-    freedom = len(speed) - 1
-    spread = UNEVEN * float(left @ left) / freedom
-    half = student_quantile(UPPER_END, freedom) * sqrt(spread / power)
-    return Gain(sign / counts, hypot(half / counts, position_half))
-
-
-class Moved(NamedTuple):
-    """Counts of the torque channel per m/s^2, with its variance; share of the torque's lines that
-    the fit leaves.
-    """
-
-    mass: float
-    variance: float
-    left: float
-
-
-def fitted(found: Lines, turned: Floats) -> Moved:
-    """Fit the torque's lines; `turned` (l,) is the phase of the velocity channel against it."""
-    omega = 2.0 * pi * LINES_HZ
-    sign, of_velocity = velocity_phase(found)
-    torque = found.torque * np.exp(-1j * (of_velocity - turned))
-    friction = sign * found.friction * np.exp(-1j * of_velocity)
-    at = found.position_m
-    known = np.stack([-(omega**2) * at, 1j * omega * at, friction, at], axis=1)
-    columns = np.concatenate([known.real, known.imag])
-    size = np.linalg.norm(columns, axis=0)
-    seen = np.concatenate([torque.real, torque.imag])
-    inverse = np.linalg.pinv((columns / size).T @ (columns / size))
-    weights = inverse @ ((columns / size).T @ seen)
-    left = seen - columns / size @ weights
-    spread = UNEVEN * float(left @ left) / (len(seen) - len(weights))
-    variance = spread * float(inverse[0, 0]) / float(size[0]) ** 2
-    share = float(np.linalg.norm(left) / np.linalg.norm(seen))
-    return Moved(float(weights[0] / size[0]), variance, share)
-
-
-def force_gain(
-    bare: Lines,
-    loaded: Lines,
-    turned: Floats,
-    attached: Attached,
-    position_half: float,
-    findings: list[Finding],
-) -> Gain:
-    """N of a count, from lines without and with the mass; what is thought of them is added to
-    `findings`.
-    """
-    before = fitted(bare, turned)
-    after = fitted(loaded, turned)
-    heavier = after.mass - before.mass
-    freedom = 2 * (2 * len(LINES_HZ) - 4)
-    half = student_quantile(UPPER_END, freedom) * sqrt(before.variance + after.variance)
-    relative = half / abs(heavier)
-    left = max(before.left, after.left)
-    what = f"mass, damping and friction leave {100 * left:.2g} % of the torque unexplained"
+def _weighed(found: Added) -> list[Finding]:
+    """What is to be thought of the fit of both recordings."""
+    what = f"masses, damping and friction leave {100 * found.left:.2g} % of the torque unexplained"
     remedy = "fix the mass so that nothing rattles, and keep hands and table still"
-    findings.append(Finding(what, *(("ok", "") if left <= MOST_LEFT else ("warning", remedy))))
+    findings = [Finding(what, *(("ok", "") if found.left <= MOST_LEFT else ("warning", remedy)))]
+    relative = found.half / abs(found.counts)
     if relative > WORST_HALF:
         what = f"the mass tells the force to {100 * relative:.2g} % alone"
         findings.append(Finding(what, "refused", "was it fixed? Repeat it, or take a heavier one"))
-    gain = attached.kilograms / heavier
-    return Gain(gain, hypot(relative, attached.tolerance, position_half))
+    return findings
 
 
 def _believable(name: str, gain: Gain, scale: Mapping[str, Any]) -> Finding:

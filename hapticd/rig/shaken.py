@@ -41,8 +41,8 @@ SEARCH_S = 1.0
 SHAKE_S = 4.0
 QUIET_S = 0.1  # until what played has ended, and another waveform may be loaded
 FIRST_SHARE = 0.05  # of the probe's force
-MOST_SHARE = 0.8
-ENOUGH_M = 2e-3  # rms: friction then takes little of the force
+MOST_SHARE = 0.95
+ENOUGH_M = 3e-3  # rms: friction then takes little of the force
 MOST_STRONGER = 2.0  # from one try to the next
 LEAST_STRONGER = 1.2
 MOST_TRAVEL_M = 12e-3  # from where the handle was let go, or from x = 0 if that is nearer
@@ -65,7 +65,6 @@ class Lines(NamedTuple):
 
     torque: Complexes  # counts
     velocity: Complexes  # counts
-    friction: Complexes  # of sign(velocity) in the velocity's counts
     position_m: Complexes
 
 
@@ -120,11 +119,9 @@ def waveform(peak_n: float) -> Floats:
 
 def lines(found: Recording) -> Lines:
     """The lines of a recording of whole seconds."""
-    signs = np.sign(found.velocity - found.velocity.mean())
-    signals = np.stack([found.torque, found.velocity, signs])
-    torque, velocity, friction = amplitudes(found.number, signals)
+    torque, velocity = amplitudes(found.number, np.stack([found.torque, found.velocity]))
     (position_m,) = amplitudes(found.place, found.position_m[None, :])
-    return Lines(torque, velocity, friction, position_m)
+    return Lines(torque, velocity, position_m)
 
 
 def amplitudes(at: Floats, values: Floats) -> Complexes:
