@@ -7,6 +7,8 @@ import hashlib
 import json
 import socket
 import struct
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -15,13 +17,15 @@ import msgpack
 import numpy as np
 import pytest
 from starlette.datastructures import Headers
+from test_cli_process import until
 
 from hapticd.client import CommandError
-from hapticd.client.blocks import BlockDecoder
+from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.console import asker, server
 from hapticd.console.asker import Asker
-from hapticd.console.outbox import FRAMES, WINDOW, Outbox
+from hapticd.console.outbox import FRAMES, WINDOW, WORDS, Outbox
 from hapticd.console.place import Place
+from hapticd.console.probing import estimate
 from hapticd.console.visitors import objection
 from hapticd.console.watch import frame
 from hapticd.errors import ConfigError
@@ -59,11 +63,18 @@ def test_replies_pass_frames_and_are_not_held_back_by_a_full_window() -> None:
         outbox.frame(b"x")
         outbox.pop()
     outbox.frame(b"x")
-    outbox.reply("first")
+    outbox.words("first")
     outbox.latest("state", "old")
     outbox.latest("state", "new")
-    outbox.reply("second")
+    outbox.words("second")
     assert [outbox.pop() for _ in range(4)] == ["first", "second", "new", None]
+
+
+def test_a_browser_that_reads_nothing_is_no_heap() -> None:
+    outbox = Outbox()
+    for number in range(10 * WORDS):
+        outbox.words(str(number))
+    assert outbox.pop() == str(9 * WORDS)
 
 
 # --- who may talk to it ---------------------------------------------------------------------------
@@ -306,6 +317,27 @@ def test_the_place_is_told_while_the_page_lives_and_its_port_kept(tmp_path: Path
     assert console_place(tmp_path) is None
 
 
+@pytest.mark.process
+@pytest.mark.usefixtures("runtime")
+def test_a_verb_that_is_tied_ends_with_its_parent() -> None:
+    """A parent that is killed says nothing to anybody; the verb is one that needs no daemon."""
+    tied = [sys.executable, "-m", "hapticd.console.tied"]
+    program = f"""
+import os, subprocess, time
+child = subprocess.Popen({tied!r} + [str(os.getpid()), "console", "--instance", "nobody", "--json"])
+print(child.pid, flush=True)
+time.sleep(600)
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, text=True
+    ) as parent:
+        assert parent.stdout is not None
+        child = Path("/proc") / parent.stdout.readline().strip()
+        assert json.loads(parent.stdout.readline())["ok"]  # it serves
+        parent.kill()
+    until(lambda: not child.exists(), "its end")
+
+
 # --- what is not ours -----------------------------------------------------------------------------
 
 
@@ -321,3 +353,48 @@ def test_vendored_file_is_the_one_that_was_released() -> None:
 def test_nothing_else_is_vendored() -> None:
     names = {path.name for path in (STATIC / "vendor").iterdir()}
     assert names == {"uPlot.iife.min.js", "uPlot.txt"}
+
+
+# --- impedance ------------------------------------------------------------------------------------
+
+
+def probe_block(force_n: np.ndarray, velocity: np.ndarray, gap: int = 0) -> Block:
+    """A block of the probe as the gateway sends it: counts, and what they mean."""
+    dtype = [("index", "<u8"), ("time_ns", "<i8"), ("torque", "<i2"), ("velocity", "<i2")]
+    records = np.zeros(len(force_n), dtype)
+    records["torque"] = np.round(-force_n / 1e-4) + 7
+    records["velocity"] = np.round(velocity / 1e-5)
+    scale = {
+        "torque": {"per_count": 1e-4, "sign": -1, "offset_count": 7.0},
+        "velocity": {"per_count": 1e-5, "sign": 1, "offset_count": 0.0},
+    }
+    return Block(records, gap, False, {"scale": scale})
+
+
+def damper(samples: int = 20_000) -> tuple[np.ndarray, np.ndarray]:
+    """Force on a pure damper of 2 N s/m, and its velocity."""
+    velocity = np.random.default_rng(3).normal(0.0, 0.03, samples)
+    return 2.0 * velocity, velocity
+
+
+def test_estimate_is_the_impedance_whatever_signs_and_offsets_the_counts_have() -> None:
+    force, velocity = damper()
+    found = estimate(
+        [probe_block(force[:9000], velocity[:9000]), probe_block(force[9000:], velocity[9000:])]
+    )
+    np.testing.assert_allclose(found["real"], 2.0, atol=0.01)
+    np.testing.assert_allclose(found["size"], 2.0, atol=0.01)
+    assert (found["seconds"], found["lost"]) == (5.0, 0)
+
+
+def test_samples_that_were_lost_are_told() -> None:
+    force, velocity = damper()
+    blocks = [probe_block(force, velocity, gap=50), probe_block(force, velocity, gap=12)]
+    assert estimate(blocks)["lost"] == 12  # what was lost before the first is not missing
+
+
+def test_what_is_not_coherent_is_not_shown() -> None:
+    force, velocity = damper()
+    noise = np.random.default_rng(4).normal(0.0, 1.0, len(force))
+    found = estimate([probe_block(0.001 * force + noise, velocity)])
+    assert found["real"] == [None] * len(found["real"])

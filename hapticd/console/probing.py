@@ -5,7 +5,8 @@ Force and velocity of the last WINDOW_S seconds go through the same estimator as
 own. It says what is seen now; it is no verdict: the time is short, parameters may change within it,
 and nobody has judged the record.
 
-What would break it: a record over a gap in the probe's samples (it begins anew after one).
+Samples that were lost are told, not mended: each gap spoils at most LAG of the products that are
+averaged. What would break it: a device that is excited by something that the probe does not see.
 """
 
 import json
@@ -51,7 +52,7 @@ class Probing:
     def take(self, block: Block) -> None:
         """Append a block; what is older than WINDOW_S falls."""
         with self._lock:
-            if block.gap or block.restarted or not self.excited:
+            if block.restarted or not self.excited:
                 self._blocks = []
                 self._samples = 0
             self._blocks.append(block)
@@ -74,8 +75,8 @@ class Probing:
 
 
 def estimate(blocks: list[Block]) -> dict[str, Any]:
-    """Z of the record in `blocks`: {frequency_hz, real, sd, size, seconds, coherence}; lines that
-    are not coherent hold None.
+    """Z of the record in `blocks`: {frequency_hz, real, sd, size, seconds, lost, coherence}; lines
+    that are not coherent hold None.
     """
     records = np.concatenate([block.records for block in blocks])
     scale = blocks[-1].header["scale"]
@@ -96,6 +97,7 @@ def estimate(blocks: list[Block]) -> dict[str, Any]:
         "size": shown(np.abs(found.impedance_ns_per_m)),
         "coherence": float(np.median(found.coherence)),
         "seconds": len(records) / PROBE_RATE_HZ,
+        "lost": sum(block.gap for block in blocks[1:]),
     }
 
 

@@ -7,6 +7,7 @@ the console was started; nothing that a page sends becomes part of a path.
 
 import asyncio
 import json
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 LONGEST_NOTE = 500
+TIED = f"{__package__}.tied"
 LIVE = ".part.h5"  # ending of a recording that grows
 LOOK_S = 0.05  # until the file is there
 
@@ -34,9 +36,8 @@ class Recorder:
         if self._process is not None:
             return "a recording is under way already: stop it first"
         file = self._folder / f"{datetime.now():%Y%m%d-%H%M%S}-{self._instance}.h5"
-        words = [sys.executable, "-m", "hapticd", "record", str(file), "--json"]
         self._process = await asyncio.create_subprocess_exec(
-            *words,
+            *(sys.executable, "-m", TIED, str(os.getpid()), "record", str(file), "--json"),
             f"--note={note[:LONGEST_NOTE]}",
             "--instance",
             self._instance,

@@ -64,7 +64,7 @@ class Browser:
         if isinstance(message, bytes):
             self.outbox.frame(message)
         elif kind in ("reply", "event"):
-            self.outbox.reply(message)
+            self.outbox.words(message)
         else:
             self.outbox.latest(kind, message)
         self.news.set()
