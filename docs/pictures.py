@@ -10,8 +10,10 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 
+from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from hapticd.mailbox.daemons import console_place, daemon_folder
@@ -22,6 +24,7 @@ INSTANCE = "display"
 SIZE = {"width": 1280, "height": 720}
 LOOK_MS = 200
 PATIENCE = 150  # looks
+COLOURS = 64
 
 
 def main() -> None:
@@ -77,8 +80,11 @@ def opened(browser: Browser, url: str, scheme: str) -> Page:
 
 
 def taken(page: Page, name: str) -> None:
-    """The picture of the whole page; the page is closed."""
-    page.screenshot(path=str(FIGURES / f"{name}.png"))
+    """The picture of the whole page, with few colours so that the file is small; the page is
+    closed.
+    """
+    drawn = Image.open(BytesIO(page.screenshot())).convert("RGB")
+    drawn.quantize(COLOURS).save(FIGURES / f"{name}.png", optimize=True)
     page.context.close()
 
 
