@@ -15,13 +15,24 @@ from benchmarks.worker import ROOT, environment
 
 
 @contextmanager
-def echoing() -> Iterator["zmq.Socket[bytes]"]:
-    """A DEALER whose messages come back."""
+def echoing_at() -> Iterator[str]:
+    """The endpoint of a process that sends back what it gets."""
     with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
         endpoint = f"ipc://{folder}/echo"
         process = subprocess.Popen(
             [sys.executable, "-m", "benchmarks.echo_worker", endpoint], env=environment(), cwd=ROOT
         )
+        try:
+            yield endpoint
+        finally:
+            process.terminate()
+            process.wait()
+
+
+@contextmanager
+def echoing() -> Iterator["zmq.Socket[bytes]"]:
+    """A DEALER whose messages come back."""
+    with echoing_at() as endpoint:
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         socket = context.socket(zmq.DEALER)
         socket.setsockopt(zmq.RCVTIMEO, 10_000)
@@ -29,10 +40,7 @@ def echoing() -> Iterator["zmq.Socket[bytes]"]:
         try:
             yield socket
         finally:
-            socket.send(b"")
             context.destroy(linger=100)
-            process.terminate()
-            process.wait()
 
 
 def echo_ns(socket: "zmq.Socket[bytes]", message: bytes) -> int:

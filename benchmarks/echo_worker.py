@@ -6,16 +6,12 @@ import zmq
 
 
 def main() -> None:
-    """Serve until an empty message."""
+    """Serve until it is terminated."""
     context = zmq.Context()
     socket = context.socket(zmq.ROUTER)
     socket.bind(sys.argv[1])
     while True:
-        parts = socket.recv_multipart()
-        socket.send_multipart(parts)
-        if not parts[-1]:
-            break
-    context.destroy(linger=100)
+        socket.send_multipart(socket.recv_multipart())
 
 
 if __name__ == "__main__":

@@ -54,6 +54,7 @@ GROUPS = {  # parts whose figures belong together
         "tick",
         "late",
         "latency",
+        "cli_verbs",
         "guard",
         "guard_cpu",
         "telemetry",

@@ -77,6 +77,18 @@ TABLE: dict[str, dict[str, Target]] = {
             "a period of waiting for the tick, and 1.2 ms until the gateway has seen it",
         ),
     },
+    "cli_verbs": {
+        "cli_set_ratio": Target(
+            "<= 5x",
+            "`python -c` with one ZeroMQ round trip, started in turns",
+            "the command line, pydantic and numpy are loaded before one message is sent",
+        ),
+        "cli_stop_ratio": Target(
+            "<= 1.5x",
+            "the same",
+            "its way loads neither the command line nor ZeroMQ",
+        ),
+    },
     "guard": {
         "guard_path_ratio": Target(
             "<= 6x",
