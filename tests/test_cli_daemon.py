@@ -4,6 +4,8 @@ import dataclasses
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any, Self
 
@@ -671,3 +673,16 @@ def test_shell_completes_verbs(
     monkeypatch.setenv("COMP_CWORD", "1")
     assert main([]) == 0
     assert capsys.readouterr().out.split() == ["monitor"]
+
+
+@pytest.mark.process
+def test_a_verb_at_the_shell_loads_no_arrays() -> None:
+    """Half of the time of `hapticd set` went into numpy and verbs that nobody had asked for."""
+    script = (
+        "import sys; from hapticd.cli.app import main;"
+        " main(['set', 'K=1', '--instance', 'nobody']); print(*sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert not {"numpy", "hapticd.cli.zwidth", "hapticd.cli.rig"} & set(done.stdout.split())

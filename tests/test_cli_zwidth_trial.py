@@ -17,7 +17,7 @@ from hapticd.analysis.findings import Finding
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.verdict import judge, two_digits
 from hapticd.cli import change
-from hapticd.cli.app import app, main
+from hapticd.cli.app import command_line, main
 from hapticd.cli.zwidth.trial import compared, needed
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
@@ -153,7 +153,7 @@ def bracketed(command, path=()):
 
 def test_brackets_of_help_texts_are_printed(capsys):
     """Unless escaped they are taken for markup."""
-    for path, text in bracketed(get_command(app)):
+    for path, text in bracketed(get_command(command_line())):
         main([*path, "--help"])
         assert text in capsys.readouterr().out, f"{' '.join(path)}: {text}"
 

@@ -14,7 +14,7 @@ from types import ModuleType
 import pytest
 import typer.main
 
-from hapticd.cli.app import app
+from hapticd.cli.app import command_line
 from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS
 from hapticd.gateway.schemas import MODELS
 from hapticd.gateway.telemetry import TOPICS
@@ -142,7 +142,7 @@ def test_configuration_page_says_range_and_default(site: Path) -> None:
 
 def test_every_verb_is_listed(site: Path) -> None:
     text = page(site, "commands.md")
-    group = typer.main.get_command(app)
+    group = typer.main.get_command(command_line())
     for name, command in group.commands.items():  # type: ignore[attr-defined]
         for verb in (
             [f"{name} {inner}" for inner in command.commands]

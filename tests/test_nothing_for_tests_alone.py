@@ -73,7 +73,9 @@ def bound(node: ast.Assign | ast.AnnAssign) -> Iterator[str]:
 
 
 def named(tree: ast.AST) -> Counter[str]:
-    """Names that the syntax reads; a text that is one word may be a name that is looked up."""
+    """Names that the syntax reads; a text that is one word, or one behind a module's, may be a name
+    that is looked up.
+    """
     count: Counter[str] = Counter()
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
@@ -81,7 +83,7 @@ def named(tree: ast.AST) -> Counter[str]:
         elif isinstance(node, ast.Attribute):
             count[node.attr] += 1
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            count[node.value] += 1
+            count[node.value.rpartition(".")[2]] += 1
     return count
 
 

@@ -5,13 +5,13 @@ from typing import Any
 
 import typer.main
 
-from hapticd.cli.app import app
+from hapticd.cli.app import command_line
 from pages.markdown import table
 
 
 def commands_page() -> str:
     """Every verb with its options."""
-    root = typer.main.get_command(app)
+    root = typer.main.get_command(command_line())
     parts = [
         "# Commands\n",
         f"{root.help}\n",

@@ -1,35 +1,73 @@
-"""All verbs under one name, and what becomes of errors."""
+"""All verbs under one name, and what becomes of errors.
+
+A verb is imported when it is asked for: `hapticd set` loads neither numpy nor what measures. Only
+help and mistakes load all of them.
+"""
 
 from collections.abc import Sequence
-from typing import Annotated
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
 
 from hapticd import __version__
-from hapticd.cli import (
-    bridge,
-    console,
-    daemon,
-    guard,
-    keys,
-    lease,
-    monitor,
-    recording,
-    rig,
-    sim,
-    system,
-    terminal,
-    zwidth,
-)
+from hapticd.cli import terminal
 from hapticd.errors import HapticdError
 
 USAGE = 2
+VERBS = {  # module of this package, and function
+    "run": "daemon.run",
+    "set": "daemon.set_parameters",
+    "get": "daemon.get_parameters",
+    "damping": "daemon.damping",
+    "guard": "guard.guard",
+    "enable": "daemon.enable",
+    "disable": "daemon.disable",
+    "stop": "daemon.stop",
+    "reset": "daemon.reset",
+    "zero": "daemon.zero",
+    "home": "daemon.home",
+    "status": "daemon.status",
+    "monitor": "monitor.monitor",
+    "events": "monitor.events",
+    "console": "console.console",
+    "record": "recording.record",
+    "replay": "recording.replay",
+    "dump": "daemon.dump",
+    "doctor": "system.doctor",
+    "accuracy": "sim.accuracy",
+    "install-system": "system.install_system",
+}
+GROUPS = {  # module, and its verbs
+    "perturb": "daemon.perturb_app",
+    "lease": "lease.lease_app",
+    "rec": "recording.rec_app",
+    "keys": "keys.app",
+    "bridge": "bridge.app",
+    "config": "system.config_app",
+    "sim": "sim.sim_app",
+    "rig": "rig.app",
+    "zwidth": "zwidth.app",
+}
 
-app = typer.Typer(
-    name="hapticd",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-)
+
+def command_line(asked: str = "") -> typer.Typer:
+    """The whole command line, or only its part `asked` if that is a verb or a group."""
+    app = typer.Typer(name="hapticd", no_args_is_help=True, pretty_exceptions_enable=False)
+    app.callback()(hapticd)
+    whole = asked not in VERBS | GROUPS
+    for name, place in VERBS.items():
+        if whole or name == asked:
+            terminal.verb(app, name)(_loaded(place))
+    for name, place in GROUPS.items():
+        if whole or name == asked:
+            app.add_typer(_loaded(place), name=name)
+    return app
+
+
+def _loaded(place: str) -> Any:
+    module, _, name = place.partition(".")
+    return getattr(import_module(f"hapticd.cli.{module}"), name)
 
 
 def _version(asked: bool) -> None:
@@ -38,7 +76,6 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def hapticd(
     _: Annotated[
         bool,
@@ -48,46 +85,10 @@ def hapticd(
     """A haptic display's servo daemon: run it, set it, watch it, stop it."""
 
 
-VERBS: dict[str, terminal.Verb] = {
-    "run": daemon.run,
-    "set": daemon.set_parameters,
-    "get": daemon.get_parameters,
-    "damping": daemon.damping,
-    "guard": guard.guard,
-    "enable": daemon.enable,
-    "disable": daemon.disable,
-    "stop": daemon.stop,
-    "reset": daemon.reset,
-    "zero": daemon.zero,
-    "home": daemon.home,
-    "status": daemon.status,
-    "monitor": monitor.monitor,
-    "events": monitor.events,
-    "console": console.console,
-    "record": recording.record,
-    "replay": recording.replay,
-    "dump": daemon.dump,
-    "doctor": system.doctor,
-    "accuracy": sim.accuracy,
-    "install-system": system.install_system,
-}
-for name, verb in VERBS.items():
-    terminal.verb(app, name)(verb)
-app.add_typer(daemon.perturb_app, name="perturb")
-app.add_typer(lease.lease_app, name="lease")
-app.add_typer(recording.rec_app, name="rec")
-app.add_typer(keys.app, name="keys")
-app.add_typer(bridge.app, name="bridge")
-app.add_typer(system.config_app, name="config")
-app.add_typer(sim.sim_app, name="sim")
-app.add_typer(rig.app, name="rig")
-app.add_typer(zwidth.app, name="zwidth")
-
-
 def main(arguments: Sequence[str]) -> int:
     """Run one command line; the exit code."""
     try:
-        app(args=list(arguments), prog_name="hapticd")
+        command_line(*arguments[:1])(args=list(arguments), prog_name="hapticd")
     except HapticdError as error:
         terminal.complain(error, as_json="--json" in arguments)
         return error.exit_code

@@ -25,7 +25,7 @@ import zmq
 import zmq.asyncio
 from numpy.typing import ArrayLike
 
-from hapticd.client.blocks import Block, Excerpt, Records, joined
+from hapticd.client.blocks import Block, Excerpt, Records, chunks, joined
 from hapticd.client.conversation import (
     INTRODUCTION_MS,
     STOP_TIMEOUT_S,
@@ -38,7 +38,7 @@ from hapticd.client.conversation import (
     socket_file,
 )
 from hapticd.client.lease import RENEWALS, lost_error
-from hapticd.client.verbs import POLL_S, Verbs, chunks, hand_of
+from hapticd.client.verbs import POLL_S, Verbs, hand_of
 from hapticd.errors import CommandError, DaemonDown, MailboxError
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET

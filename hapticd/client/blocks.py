@@ -1,18 +1,20 @@
-"""Telemetry messages as numpy arrays, with what was lost between them."""
+"""Telemetry messages as numpy arrays, with what was lost between them; waveforms as requests."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import msgpack
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hapticd.errors import ConfigError
 from hapticd.units import NS_PER_S
 
 Records = NDArray[np.void]
+# 32 kB as float32, half of what a message may hold
+CHUNK_SAMPLES = 8192  # of a waveform, in one message
 STREAMED = ("servo.raw", "probe")  # topics whose messages are blocks of records
 
 
@@ -91,3 +93,11 @@ def joined(blocks: Sequence[Block]) -> tuple[Records, int]:
     """All records of `blocks` in one structured array (n,), and how many it lacks."""
     records = np.concatenate([block.records for block in blocks])
     return records, sum(block.gap for block in blocks)
+
+
+def chunks(samples_n: ArrayLike) -> Iterator[dict[str, Any]]:
+    """Fields of the requests that load a waveform: force [N] at 4 kHz, shape (n,)."""
+    samples = np.asarray(samples_n, "<f4").ravel()
+    for start in range(0, max(len(samples), 1), CHUNK_SAMPLES):
+        chunk = samples[start : start + CHUNK_SAMPLES].tobytes()
+        yield {"action": "load", "samples_n": chunk, "offset": start}

@@ -8,6 +8,8 @@ every command a method: those of one request are `verbs`, which asyncio has as w
 Every call ends within its time-out, with a reply, a CommandError (the daemon refused: `code` and
 `detail` say why) or DaemonDown (nobody answers, or the gateway has no servo).
 
+numpy is loaded by what needs it, streams and waveforms: a verb at the shell does not wait for it.
+
 What would break it: use from several threads, since a ZeroMQ socket belongs to one; and waiting for
 a reply without a deadline, since a gateway may die between request and reply.
 """
@@ -15,13 +17,11 @@ a reply without a deadline, since a gateway may die between request and reply.
 import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import msgpack
 import zmq
-from numpy.typing import ArrayLike
 
-from hapticd.client.blocks import Block, Excerpt, Records, joined
 from hapticd.client.conversation import (
     INTRODUCTION_MS,
     STOP_TIMEOUT_S,
@@ -34,13 +34,18 @@ from hapticd.client.conversation import (
     socket_file,
 )
 from hapticd.client.lease import ClientLease
-from hapticd.client.verbs import POLL_S, Verbs, chunks, hand_of
+from hapticd.client.verbs import POLL_S, Verbs, hand_of
 from hapticd.errors import CommandError, DaemonDown, MailboxError
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.params import AtEnd, Leased
 from hapticd.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from hapticd.client.blocks import Block, Records
 
 MESSAGES_QUEUED = 10_000  # per subscription, before ZeroMQ drops the newest
 
@@ -233,8 +238,10 @@ class Client(Verbs[Receipt, dict[str, Any]]):
         """
         return ClientLease(self.call, what, ttl_s=ttl_s, at_end=at_end, take_over=take_over or None)
 
-    def perturb_load(self, samples_n: ArrayLike) -> int:
+    def perturb_load(self, samples_n: "ArrayLike") -> int:
         """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has."""
+        from hapticd.client.blocks import chunks
+
         loaded: int = 0
         for chunk in chunks(samples_n):
             loaded = self._result("perturb", **chunk)["samples"]
@@ -265,13 +272,15 @@ class Client(Verbs[Receipt, dict[str, Any]]):
 
     def stream(
         self, topic: str = "servo.raw", seconds: float | None = None, count: int | None = None
-    ) -> Generator[Block, None, None]:
+    ) -> "Generator[Block, None, None]":
         """Blocks of `servo.raw` (one record a tick) or `probe` (4 kHz) as they come: see Block.
 
         `seconds` of recorded time or `count` records, the last block cut to fit; without either,
         until you stop. DaemonDown when nothing comes for the client's time-out; ConfigError for a
         topic without blocks (see `listen`).
         """
+        from hapticd.client.blocks import Excerpt
+
         excerpt = Excerpt(topic, seconds, count)
         for payload in self._line.listen(topic, self._timeout_s):
             block = excerpt.next(payload)
@@ -280,8 +289,10 @@ class Client(Verbs[Receipt, dict[str, Any]]):
             if excerpt.complete:
                 return
 
-    def record(self, seconds: float, topic: str = "servo.raw") -> tuple[Records, int]:
+    def record(self, seconds: float, topic: str = "servo.raw") -> "tuple[Records, int]":
         """All records of the next `seconds` in one structured array (n,), and how many it lacks."""
+        from hapticd.client.blocks import joined
+
         return joined(list(self.stream(topic, seconds=seconds)))
 
     def listen(self, topic: str) -> Generator[Any, None, None]:

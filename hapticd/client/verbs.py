@@ -6,11 +6,7 @@ dict]` or `Verbs[Awaitable[Receipt], Awaitable[dict]]`.
 What would break it: a verb that needs two replies; it belongs into the clients.
 """
 
-from collections.abc import Iterator
 from typing import Any, Generic, Literal, TypeVar
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from hapticd.params import BasisName, DampingMode, Policy
 
@@ -18,8 +14,6 @@ R = TypeVar("R")  # what a change gives: a Receipt, now or later
 D = TypeVar("D")  # what a question gives: a map, now or later
 
 POLL_S = 0.02  # between two looks at the state
-# 32 kB as float32, half of what a message may hold
-CHUNK_SAMPLES = 8192  # of a waveform, in one message
 
 
 class Verbs(Generic[R, D]):
@@ -154,14 +148,6 @@ class Verbs(Generic[R, D]):
         The file appears soon after this returns, and is whole when it does.
         """
         return self._result("dump")
-
-
-def chunks(samples_n: ArrayLike) -> Iterator[dict[str, Any]]:
-    """Fields of the requests that load a waveform: force [N] at 4 kHz, shape (n,)."""
-    samples = np.asarray(samples_n, "<f4").ravel()
-    for start in range(0, max(len(samples), 1), CHUNK_SAMPLES):
-        chunk = samples[start : start + CHUNK_SAMPLES].tobytes()
-        yield {"action": "load", "samples_n": chunk, "offset": start}
 
 
 def hand_of(status: dict[str, Any], verdict: dict[str, Any]) -> dict[str, Any] | None:
