@@ -482,6 +482,23 @@ def test_every_verb_explains_itself(verb: str, capsys: pytest.CaptureFixture[str
     assert "--json" in text
 
 
+def test_config_check_names_the_templates_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The board's serial number is written, and nothing was measured at it."""
+    folder = tmp_path / "devices"
+    folder.mkdir()
+    template = (shipped("config") / "devices" / "example-board.toml").read_text()
+    own = template.replace('serial = "CHANGE-ME"', 'serial = "B7"', 1)
+    (folder / "mine.toml").write_text(own)
+    file = tmp_path / "hapticd.toml"
+    file.write_text('device = "mine"\n')
+    assert main(["config", "check", str(file)]) == 0
+    talk = capsys.readouterr().err
+    assert "not to be relied on: force: it is of the board 'CHANGE-ME'" in talk
+    assert "`hapticd rig motor`" in talk
+
+
 def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"hapticd {__version__}\n"

@@ -4,6 +4,7 @@ All three print and none applies anything: `doctor` names the exact fix of what 
 `install-system` writes files below a root.
 """
 
+import datetime
 import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,9 +30,13 @@ ConfigArgument = Annotated[
 def check_config(
     file: ConfigArgument = None, config: terminal.ConfigFile = None, as_json: terminal.Json = False
 ) -> None:
-    """Say what is wrong, with file, line, value and limit; exit 78 if anything is."""
+    """Say what is wrong, with file, line, value and limit; exit 78 if anything is. Calibrations
+    that cannot be relied on are named, and leave the configuration good.
+    """
     from hapticd.gateway import auth
-    from hapticd.settings.build import gateway_params
+    from hapticd.params import to_plain
+    from hapticd.recording.calibrations import doubts
+    from hapticd.settings.build import gateway_params, servo_params
     from hapticd.settings.load import load
     from hapticd.sim.injection import check_kind
 
@@ -40,17 +45,22 @@ def check_config(
         check_kind(injection.kind, str(settings.config_file))
     if warning := auth.warning(gateway_params(settings)):
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
+    servo = to_plain(servo_params(settings, terminal.INSTANCE))
+    doubted = doubts(servo, datetime.date.today())
     found = {
         "ok": True,
         "config": str(settings.config_file),
         "device": str(settings.device_file),
         "hash": settings.config_hash,
+        "calibrations": [str(one) for one in doubted],
     }
     if as_json:
         terminal.data_json(found)
     else:
         device = f"device {settings.device.name!r} of {settings.device_file}"
         terminal.data(f"{settings.config_file}: good, with {device}")
+        for one in doubted:
+            terminal.talk(f"hapticd: not to be relied on: {one}; {one.remedy}")
 
 
 @terminal.verb(config_app, "show")
