@@ -499,6 +499,15 @@ def test_config_check_names_the_templates_numbers(
     assert "`hapticd rig motor`" in talk
 
 
+def test_config_check_refuses_the_untouched_template(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "hapticd.toml"
+    file.write_text('device = "example-board"\n')
+    assert main(["config", "check", str(file)]) == 78
+    assert "serial = 'CHANGE-ME' is the template's" in capsys.readouterr().err
+
+
 def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"hapticd {__version__}\n"

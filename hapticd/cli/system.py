@@ -13,8 +13,10 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.errors import HapticdError, RealtimeError
+from hapticd.errors import ConfigError, HapticdError, RealtimeError
 from hapticd.units import US_PER_S
+
+TEMPLATE_SERIAL = "CHANGE-ME"  # of config/devices/example-board.toml
 
 if TYPE_CHECKING:
     from hapticd.doctor.checks import CheckResult, Requirements
@@ -43,6 +45,11 @@ def check_config(
     settings = load(file or config)
     for injection in settings.config.simulation.injections:
         check_kind(injection.kind, str(settings.config_file))
+    if settings.device.serial == TEMPLATE_SERIAL:
+        raise ConfigError(
+            f"{settings.device_file}: serial = {TEMPLATE_SERIAL!r} is the template's; copy it to"
+            " devices/NAME.toml, and write your board's serial number, as `lsusb -v` says it"
+        )
     if warning := auth.warning(gateway_params(settings)):
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
     servo = to_plain(servo_params(settings, terminal.INSTANCE))
