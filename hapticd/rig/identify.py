@@ -69,9 +69,10 @@ SPARE = 1.5
 
 MASS_SHARE = 1e-3  # what the balance itself may be wrong by
 FRICTION_SHARE = 5e-3
-SPLIT_SHARE = 0.02  # rotor against slider
+SPLIT_SHARE = 0.04  # rotor against slider: friction of the slider is the rotor's here
 LAG_US = 2.0
 SKEW_SHARE = 0.05  # a channel that is late may smooth instead
+YIELDING_SKEW_US = 10.0  # friction of the slider looks like some of it
 TOLD_US = 1.0  # by the board's clock: its resolution
 UNKNOWN_SHARE = 0.02  # half of the interval of a scale that says none
 CERTAIN = 20.0  # deviations of a resonance that is told
@@ -121,7 +122,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     loud_n = loudest_n(bench, servo)
     parts = (noise(QUIET_S, QUIET_SHARE * loud_n, 1), noise(LOUD_S, loud_n, 2))
     free = play(bench, np.concatenate(parts), CENTRE)
-    rendered = stiffest(balanced([free]), facts, limit_n(servo))
+    rendered = stiffest(_solved([free]), facts, limit_n(servo))
     return concluded((free, play(bench, noise(RENDERED_S, loud_n, 3), rendered)), facts)
 
 
@@ -388,7 +389,8 @@ def _channels(found: Balance) -> tuple[Value, ...]:
     gain = found.handle.gain
     gain_half = hypot(_half(found, "gain"), MASS_SHARE)
     skew = -found.handle.skew_us  # of the velocity's sampling, as `rig probe` has it
-    skew_half = hypot(_half(found, "skew_us"), LAG_US, SKEW_SHARE * skew)
+    doubt_us = YIELDING_SKEW_US if found.handle.slider_kg else LAG_US
+    skew_half = hypot(_half(found, "skew_us"), doubt_us, SKEW_SHARE * skew)
     return (
         Value("motor by probe", gain, "N/N", gain - gain_half, gain + gain_half),
         Value("probe skew", skew, "us", skew - skew_half, skew + skew_half),
