@@ -15,6 +15,7 @@ GRIP_N_PER_M = 5e3
 GRIP_RATIO = 1.0  # of critical damping
 SPEED_M_PER_S = 0.02
 SCATTER_M = 5e-6  # rms, of a handle that is held against something firm
+PRESSED = 2  # times that a hand follows what friction holds back
 SHAKEN_M = 3e-3
 SHAKEN_HZ = 3.0
 SETTLED_S = 2.0  # that the person waits before "it is done"
@@ -55,6 +56,10 @@ class Person:
     def pull_n(self, state: Any, seconds: float) -> float:
         """Force on the handle over the next `seconds`; springs as they are in the middle."""
         x = state[POSITION]
+        self._at_m = x
+        if self._path is None and not self._spring_n_per_m:
+            self._now_s += seconds
+            return self.weight_n
         v = state[VELOCITY]
         middle = x + 0.5 * seconds * v
         force = self.weight_n - self._spring_n_per_m * (middle - self._spring_m)
@@ -62,7 +67,6 @@ class Person:
             at, speed = self._path(self._now_s + 0.5 * seconds)
             force += GRIP_N_PER_M * (at - middle) + self._grip_ns_per_m * (speed - v)
         self._now_s += seconds
-        self._at_m = x
         return force
 
     def ask(self, request: Request) -> None:
@@ -102,7 +106,13 @@ class Person:
         if self._a_m is None:
             self._a_m = self._at_m - 2e-3
         error_m = self.distance_error_m if amount else 0.0
-        self._go(self._a_m + amount + error_m + self._random.gauss(0.0, SCATTER_M))
+        to_m = self._a_m + amount + error_m + self._random.gauss(0.0, SCATTER_M)
+        self._go(to_m)
+        aim_m = to_m
+        for _ in range(PRESSED):  # against something firm: friction does not keep it away
+            aim_m += to_m - self._at_m
+            self._path = way(self._now_s, aim_m, aim_m)
+            self._pass_time(0.5)
 
     def _hang(self, kilograms: float) -> None:
         self._hung += kilograms > 0.0

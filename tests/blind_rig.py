@@ -93,7 +93,6 @@ class BlindRig:
         self.person.distance_error_m = self.truth.distance_error_m
         self.person.typed_wrong = broken == "mass typed ten times wrong"
         self.board = BlindBoard(self.truth, broken, self.person.pull_n)
-        self._worst_n = 0.0
         self._start()
 
     def _lay_out(self) -> None:
@@ -129,7 +128,7 @@ class BlindRig:
     @property
     def worst_share(self) -> float:
         """Largest force of the motor before signs were verified, over the device's limit."""
-        return (self._worst_n or self.board.worst_n) / LIMIT_N
+        return self.board.worst_n / LIMIT_N
 
     def pass_time(self, seconds: float) -> None:
         """The rig runs on."""
@@ -146,8 +145,7 @@ class BlindRig:
     def restart(self) -> None:
         """A new daemon reads the device file; the device on the table stays as it is."""
         self.bench.close()
-        if not commissioning(self.settings.device) and not self._worst_n:
-            self._worst_n = self.board.worst_n
+        self.board.watched &= commissioning(self.settings.device)
         self._start()
 
     def true(self, name: str, step: str = "") -> float | None:

@@ -59,6 +59,7 @@ NOMINAL: dict[str, Any] = {  # as config/devices/example-board.toml has them
     "winding_ohm": 1.6,
     "ambient_c": 22.0,
 }
+SUBSTEP_S = 1.0 / (SUBSTEPS_PER_TICK * NOMINAL["rate_hz"])
 HIGHEST_DAMPING_NS_PER_M = 12.0
 ONE_SIGNAL_COUNTS = 3000.0  # rms
 BROKEN = (
@@ -235,7 +236,17 @@ def _effects(truth: Truth, attached_kg: float) -> tuple[Any, ...]:
 class BlindProbe(Probe):
     """A probe whose channels have offsets, high-passes and a skew of their own."""
 
-    __slots__ = ("_broken", "_corners", "_fed", "_kept", "_last", "_signal", "_truth", "_unrounded")
+    __slots__ = (
+        "_broken",
+        "_corners",
+        "_fed",
+        "_kept",
+        "_last",
+        "_late",
+        "_signal",
+        "_truth",
+        "_unrounded",
+    )
 
     def __init__(self, params: BoardParams, truth: Truth, broken: str | None) -> None:
         self._truth = truth
@@ -244,6 +255,7 @@ class BlindProbe(Probe):
         self._corners = [2.0 * pi * hz / PROBE_RATE_HZ for hz in corners_hz]
         self._kept = [0.0, 0.0]
         self._last = 0.0
+        self._late = truth.skew_us * 1e-6 * PROBE_RATE_HZ  # of a sample
         self._fed = 0  # samples that one signal is still fed into both channels
         self._unrounded = Random(f"rounding {truth.seed}").uniform
         self._signal = Random(f"one signal {truth.seed}").gauss
@@ -256,15 +268,17 @@ class BlindProbe(Probe):
     def end_interval(self, travel_m: float, impulse_ns: float | None = None) -> None:
         """The pair of the interval, as its channels record it."""
         super().end_interval(travel_m, impulse_ns)
-        torque, velocity = (float(count) for count in self.pairs[-2:])
+        torque = float(self.pairs[-2])
+        velocity = float(self.pairs[-1])
         if self._fed:
             self._fed -= 1
             torque = self._signal(0.0, ONE_SIGNAL_COUNTS)
             velocity = torque + self._noise * self._gauss(0.0, 1.0)
         # it is rounded already; a converter rounds once, after skew, high-pass and offset
         velocity += self._unrounded(-0.5, 0.5)
-        late = self._truth.skew_us * 1e-6 * PROBE_RATE_HZ
-        velocity, self._last = (1.0 - late) * velocity + late * self._last, velocity
+        now = velocity
+        velocity += self._late * (self._last - now)
+        self._last = now
         torque = self._passed(0, torque) + self._truth.probe_torque_offset_count
         velocity = self._passed(1, velocity) + self._truth.probe_velocity_offset_count
         if self._broken == "dead probe channel":
@@ -293,7 +307,9 @@ class BlindBoard:
         self._noise = Random(f"encoder {truth.seed}").gauss
         self.plant = self._plant(0.0)
         self.state = self.plant.rest(truth.start_m)
-        self.worst_n = 0.0  # of the motor, since it was last set to 0
+        self._probe_sign = truth.probe_torque_sign
+        self.watched = True  # as long as nobody has verified the signs
+        self.worst_n = 0.0  # of the motor meanwhile
         self.axis: Axis | None = None
 
     def attach(self, kilograms: float) -> None:
@@ -357,9 +373,9 @@ class BlindBoard:
         return self.truth.position_sign * at_m + noise_m * self._noise(0.0, 1.0)
 
     def _step(self, state: Any, force_n: float, torque_n: float, level: float, n: int) -> Any:
-        seconds = n / (SUBSTEPS_PER_TICK * self.params.rate_hz)
-        pull_n = self._outside(state, seconds)
-        pushed_n = self.truth.probe_torque_sign * torque_n
-        after = self.plant.step(state, force_n, pushed_n + pull_n, level, n)
-        self.worst_n = max(self.worst_n, abs(self.plant.motor_force(after, force_n, level)))
+        pull_n = self._outside(state, n * SUBSTEP_S) + self._probe_sign * torque_n
+        after = self.plant.step(state, force_n, pull_n, level, n)
+        if self.watched:
+            made_n = abs(self.plant.motor_force(after, force_n, level))
+            self.worst_n = max(self.worst_n, made_n)
         return after
