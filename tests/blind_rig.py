@@ -258,9 +258,11 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
 }
 
 
-def first_day(rig: BlindRig, told: Callable[[str, Any], None] = lambda *_: None) -> Day:
-    """The steps in the order of the guided path, until one is refused or cannot be done. What a
-    step finds is written and the daemon started again before the next one.
+def first_day(
+    rig: BlindRig, told: Callable[[str, Any], None] = lambda *_: None, until: str = ""
+) -> Day:
+    """The steps in the order of the guided path, `until` one, or one that is refused or cannot be
+    done. What a step finds is written and the daemon started again before the next one.
     """
     day = Day()
     for name, step in STEPS.items():
@@ -272,7 +274,7 @@ def first_day(rig: BlindRig, told: Callable[[str, Any], None] = lambda *_: None)
         told(name, result)
         day.results.append(result)
         rig.write(result)
-        if not result.settled:
+        if not result.settled or name == until:
             break
         if result.changes:
             rig.restart()

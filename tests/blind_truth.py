@@ -170,7 +170,7 @@ def drawn(seed: int) -> Truth:
         viscous_ns_per_m=random.uniform(0.2, 0.5),
         coulomb_n=random.uniform(0.02, 0.06),
         rotor_share=random.uniform(0.4, 0.7),
-        resonance_hz=random.uniform(300.0, 450.0),
+        resonance_hz=random.uniform(600.0, 900.0),
         resonance_ratio=random.uniform(0.03, 0.1),
         smoothing_hz=random.uniform(150.0, 400.0),
         residual_ohm=random.uniform(-0.03, 0.06),

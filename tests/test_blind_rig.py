@@ -14,8 +14,10 @@ from blind_truth import drawn
 
 PACKAGE = Path(__file__).resolve().parents[1] / "hapticd"
 # seeds of the benchmark begin at 1000
-SEEDS = (1, 2)
-MORE_SEEDS = (3, 5, 6, 7)
+SEED = 1
+MORE_SEEDS = (2, 3)
+QUICK = "motor gain"  # the step until which a day is quick
+LONG_S = 1800  # for a whole day on a machine with other work
 SECRETS = {  # names by which a simulated board, or the truth of one, could be reached
     "BoardParams",
     "BOARD_JSON",
@@ -34,44 +36,55 @@ SECRETS = {  # names by which a simulated board, or the truth of one, could be r
 
 
 @functools.cache
-def seen(seed):
+def seen(seed, until=""):
     """The day at the rig `seed`, what is true, the device as it was written, and the force."""
     with BlindRig(seed) as rig:
-        day = first_day(rig)
-        known = {one.name: rig.true(one.name) for one in day.values}
+        day = first_day(rig, until=until)
+        known = [
+            (one, true)
+            for result in day.results
+            for one in result.values
+            if (true := rig.true(one.name, result.step)) is not None
+        ]
         return day, known, rig.settings.device, rig.worst_share
 
 
-def agrees(seed):
+def agrees(seed, until=""):
+    """Within twice the interval: one chance in 10 000, and the seed makes it none."""
+    day, known, _, worst_share = seen(seed, until)
+    assert day.refused is None
+    assert not day.error
+    for one, true in known:
+        half = (one.high - one.low) / 2.0
+        assert abs(one.value - true) <= 2.0 * half, f"{one}, true {true}"
+    assert 0.0 < worst_share <= 0.1
+
+
+def test_what_the_first_day_finds_is_what_is_true():
+    agrees(SEED, QUICK)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(LONG_S)
+@pytest.mark.parametrize("seed", MORE_SEEDS)
+def test_the_first_day_comes_to_its_end(seed):
+    """Every step is done; how often intervals hold the truth is what benchmarks/blind.py counts."""
     day, known, _, worst_share = seen(seed)
     assert day.refused is None
     assert not day.error
     assert len(day.results) == len(STEPS)
-    for one in day.values:
-        if known[one.name] is not None:
-            half = (one.high - one.low) / 2.0
-            assert abs(one.value - known[one.name]) <= 2.0 * half, str(one)
+    assert sum(one.low <= true <= one.high for one, true in known) >= 0.6 * len(known)
     assert 0.0 < worst_share <= 0.1
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_what_the_first_day_finds_is_what_is_true(seed):
-    agrees(seed)
+def test_the_written_signs_are_the_true_ones():
+    device = seen(SEED, QUICK)[2]
+    assert device.position.sign == drawn(SEED).position_sign
+    assert device.force.sign == drawn(SEED).force_sign
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", MORE_SEEDS)
-def test_what_the_first_day_finds_is_what_is_true_at_more_rigs(seed):
-    agrees(seed)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_the_written_signs_are_the_true_ones(seed):
-    device = seen(seed)[2]
-    assert device.position.sign == drawn(seed).position_sign
-    assert device.force.sign == drawn(seed).force_sign
-
-
+@pytest.mark.timeout(LONG_S)
 @pytest.mark.parametrize("broken", REFUSED)
 def test_a_broken_rig_is_refused_by_name(broken):
     with BlindRig(4, broken) as rig:
