@@ -47,6 +47,7 @@ from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.settings.build import commissioning, servo_params
 from hapticd.settings.load import Settings, load
+from hapticd.units import COPPER_PER_K
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 from hapticd.zwidth.lockstep import LockStepBench
 
@@ -153,6 +154,9 @@ class BlindRig:
         here. Steps that mean different things by one name say so with their own.
         """
         quantities = known(self.truth)
+        if motor_table := self.settings.device.motor:
+            warmer_k = motor_table.reference_c - NOMINAL["ambient_c"]
+            quantities["motor.winding_ohm"] *= 1.0 + COPPER_PER_K * warmer_k
         return quantities.get(f"{step} {name}", quantities.get(name))
 
 

@@ -186,6 +186,7 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
             drawn_n = DRAWN_SHARE * limit_n(servo)
             readings.append([settled_n(bench, side * drawn_n) for side in (1.0, -1.0)])
         state = bench.status()["state"]
+    ask(Request("let go", "take the masses off and let go of the handle"))
     if state != "enabled":
         raise AnalysisError(f"force ended meanwhile (the servo is {state}); repeat the step")
     device = servo["device"]
