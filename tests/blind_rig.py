@@ -40,6 +40,7 @@ from hapticd.rig import (
     motor,
     probe,
     temperature,
+    verify,
     winding,
 )
 from hapticd.rig.one_signal import Judged
@@ -196,6 +197,7 @@ def _known_of_model(truth: Truth) -> dict[str, float]:
         "Coulomb friction": truth.coulomb_n,
         "lag": delay_us + smoothing_us,
         "identify delay": delay_us,
+        "identify probe skew": truth.skew_us,  # by which the velocity comes later
         "smoothing": smoothing_us,
         "first resonance": truth.resonance_hz,
         "sliding mass": truth.slider_kg,
@@ -259,6 +261,7 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
         rig.bench, rig.ask, temperature.Stated((NOMINAL["ambient_c"],))
     ),
     "identify": lambda rig: identify.measure(rig.bench, rig.ask),
+    "verify": lambda rig: verify.measure(rig.bench, rig.ask),
 }
 
 
