@@ -17,7 +17,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "hapticd"
 SEED = 1
 MORE_SEEDS = (2, 3)
 QUICK = "motor gain"  # the step until which a day is quick
-LONG_S = 1800  # for a whole day on a machine with other work
+pytestmark = pytest.mark.timeout(1800)  # a whole day on a machine with other work
 SECRETS = {  # names by which a simulated board, or the truth of one, could be reached
     "BoardParams",
     "BOARD_JSON",
@@ -65,7 +65,6 @@ def test_what_the_first_day_finds_is_what_is_true():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(LONG_S)
 @pytest.mark.parametrize("seed", MORE_SEEDS)
 def test_the_first_day_comes_to_its_end(seed):
     """Every step is done; how often intervals hold the truth is what benchmarks/blind.py counts."""
@@ -84,7 +83,6 @@ def test_the_written_signs_are_the_true_ones():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(LONG_S)
 @pytest.mark.parametrize("broken", REFUSED)
 def test_a_broken_rig_is_refused_by_name(broken):
     with BlindRig(4, broken) as rig:
