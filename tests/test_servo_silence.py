@@ -7,6 +7,7 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, State, Value
 from hapticd.params import UsbParams
+from hapticd.servo.plan import SETTLED, flatten, unflatten
 from hapticd.wire.frames import StatusBit
 
 SILENCE = {Value.SILENCE_S: 0.05}
@@ -109,3 +110,13 @@ def test_slots_that_it_listened_in_vain_are_not_lost_ones():
     assert after["grace_lost_slots"] == before["grace_lost_slots"]
     tripped = (records["status"] & StatusBit.WATCHDOG) != 0
     assert tripped.sum() == 1
+
+
+def test_a_replay_from_a_checkpoint_goes_on_with_the_silence(stack):
+    stack.do(Command.WITHHOLD, SILENCE)
+    stack.run(5)
+    state = stack.loop.state
+    assert state[SETTLED].plan.silent_until > stack.loop.slot
+    again = unflatten(flatten(state))
+    assert again[SETTLED].plan.silent_until == state[SETTLED].plan.silent_until
+    assert again[SETTLED].out_flags == state[SETTLED].out_flags
