@@ -102,12 +102,19 @@ def quantised(force_n: Floats, scale: ScaleParams) -> Floats:
 
 def _moving(away: Floats, way: float, edge: float) -> float:
     """Periods from the first motion to the last. Near its ends the speed is proportional to time,
-    so the way from rest is its square: it takes as long to `edge` as from there to four times that.
+    so the root of the way from rest is a line: it takes as long to `edge` as from there to four
+    times that.
     """
-    left = (way - away)[::-1]
-    begin = 2.0 * _crossing(away, edge) - _crossing(away, 4.0 * edge)
-    end = 2.0 * _crossing(left, edge) - _crossing(left, 4.0 * edge)
+    begin = _rest(away, edge)
+    end = _rest((way - away)[::-1], edge)
     return max(len(away) - 1 - end - begin, 1.0)
+
+
+def _rest(rising: Floats, edge: float) -> float:
+    """Where a motion (n,) of constant acceleration from rest began, between samples."""
+    root = np.sqrt(np.maximum(rising, 0.0))
+    first = float(edge) ** 0.5
+    return 2.0 * _crossing(root, first) - _crossing(root, 2.0 * first)
 
 
 def _crossing(rising: Floats, level: float) -> float:
@@ -161,6 +168,7 @@ def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
     loop_half = float(found.halves[-1]) if loops else 0.0
     took = (impulse - gain * damped) / (1.0 + loop * level)
     mechanics = least_squares(friction, took, weight * (1.0 + loop * level))
+    mistimed_n = float(mechanics.values[1]) * _mistimed(rows)
     lost = loads @ np.array(coefficients)
     left = impulse - gain * damped - lost * (1.0 + loop * level)
     return Balance(
@@ -170,9 +178,9 @@ def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
         loop_half,
         float(coefficients[0]) if by_current else 0.0,
         float(mechanics.values[0]),
-        float(mechanics.halves[0]),
+        hypot(float(mechanics.halves[0]), mistimed_n * _slowness(rows)),
         float(mechanics.values[1]),
-        hypot(float(mechanics.halves[1]), float(mechanics.values[1]) * _mistimed(rows)),
+        hypot(float(mechanics.halves[1]), mistimed_n),
         by_current,
         lost,
         np.asarray(left / impulse),
@@ -202,6 +210,11 @@ def _weights(rows: Sequence[Row], friction: Floats) -> Floats:
 def _mistimed(rows: Sequence[Row]) -> float:
     """Share of friction that an error of all times of motion would take or add."""
     return TIMING_S / float(np.median(_column(rows, "seconds")))
+
+
+def _slowness(rows: Sequence[Row]) -> float:
+    """Time of motion over way [s/m], in the middle: what friction loses, damping gains."""
+    return float(np.median(_column(rows, "seconds") / _column(rows, "way_m")))
 
 
 def _current_tells(rows: Sequence[Row], a_per_count: float) -> bool:
