@@ -188,6 +188,19 @@ def test_a_board_that_was_flashed_while_it_was_there_is_looked_at_again(place, v
         assert report(stack)["differences"][0].startswith(said)
 
 
+def test_a_loop_that_never_pauses_bars_a_board_that_was_flashed():
+    anew = InjectionParams("restart", tick=50)
+    servo = servo_params(device=device_params(signs_firmware="1.0"))
+    with LockStep(servo, board_params(injections=(anew,))) as stack:
+        stack.run(30)
+        flashed(stack, 8, 7)
+        stack.loop.run(600)  # as a daemon runs: without an end
+        ticks = records(b"".join(stack.run(1) for _ in range(4)))
+        of_that_run = ticks[(ticks["tick"] >= 300) & (ticks["tick"] < 630)]
+        assert len(of_that_run) == 330
+        assert (of_that_run["host"] & DEVICE_DIFFERS).all()
+
+
 def test_a_board_that_only_started_anew_may_make_force_again():
     anew = InjectionParams("restart", tick=50)
     servo = servo_params(device=device_params(signs_firmware="1.0"))
