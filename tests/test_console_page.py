@@ -2,6 +2,7 @@
 itself. Nothing here looks at the page's own variables: texts, roles and pixels alone.
 """
 
+import json
 import os
 import signal
 import socket
@@ -27,7 +28,6 @@ from test_cli_process import QUIET, Daemon, last_record, until
 
 from hapticd.client import Client, CommandError
 from hapticd.mailbox import files
-from hapticd.mailbox.daemons import console_place
 from hapticd.mailbox.layout import State
 
 pytestmark = pytest.mark.process
@@ -429,12 +429,13 @@ def test_a_slow_browser_delays_nobody(page: Page, served: Served, client: Client
 
 
 def test_console_that_died_comes_back_at_its_port_and_finds_its_pages(
-    chromium: Browser, runtime: Path
+    chromium: Browser, runtime: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with Daemon(runtime, console=True) as daemon:
         until(lambda: "page" in daemon.events(), "a page")
-        place = console_place(daemon.folder)
-        assert place is not None
+        assert daemon.cli("status", "--json") == 0
+        place = json.loads(capsys.readouterr().out)["console"]
+        assert place["url"] in daemon.log.read_text()  # what `hapticd run` says
         page = opened(chromium, place["url"])
         wait_text(page, "#lamp", "disabled")
         os.kill(place["pid"], signal.SIGKILL)
