@@ -153,7 +153,7 @@ def test_smoothing_is_told_from_delay_where_it_is_long():
     truth = Truth(smoothing_s=1.5e-3, delay_steps=16)
     values = {one.name: one for one in concluded(runs_of(truth), FACTS).values}
     assert values["smoothing"].low <= 1500.0 <= values["smoothing"].high
-    assert values["delay"].low <= 250.0 <= values["total delay"].high
+    assert values["delay"].low <= 250.0 <= values["delay"].high
     assert values["smoothing"].high - values["smoothing"].low < 300.0
 
 
@@ -162,7 +162,7 @@ def test_short_smoothing_is_not_told_from_delay_and_the_interval_says_so():
     result = concluded(runs_of(truth), FACTS)
     values = {one.name: one for one in result.values}
     assert values["lag"].low <= 350.0 <= values["lag"].high
-    assert values["delay"].low <= 250.0 <= values["total delay"].high
+    assert values["delay"].low <= 250.0 <= values["delay"].high
     assert values["smoothing"].low <= 100.0 <= values["smoothing"].high
     written = {(one.table, one.key): one.value for one in result.changes}
     assert written["model.delay", "periods"] == pytest.approx(0.35, abs=0.01)
