@@ -14,8 +14,8 @@ from blind_truth import drawn
 
 PACKAGE = Path(__file__).resolve().parents[1] / "hapticd"
 # seeds of the benchmark begin at 1000
-SEED = 1
-MORE_SEEDS = (2, 3)
+SEED = 3  # both signs are wrong in the template, and the motor is weaker
+MORE_SEEDS = (2, 5)
 QUICK = "motor gain"  # the step until which a day is quick
 pytestmark = pytest.mark.timeout(1800)  # a whole day on a machine with other work
 SECRETS = {  # names by which a simulated board, or the truth of one, could be reached
