@@ -6,9 +6,11 @@ from shaken_handle import Truth, shaken
 
 from hapticd.analysis.verdict import student_quantile
 from hapticd.errors import AnalysisError
-from hapticd.rig.balance import RIGID, Clock, Handle, balanced, clocked, commanded, friction
+from hapticd.rig.balance import RIGID, balanced
+from hapticd.rig.balance_terms import Handle, commanded, friction
 from hapticd.rig.identify import Facts, Scales, concluded, noise
 from hapticd.rig.played import Played
+from hapticd.rig.probe_clock import Clock, clocked
 
 FACTS = Facts(
     1000.0,

@@ -1,0 +1,165 @@
+"""The forces on a perturbed handle, each as the mean that the balance of forces takes.
+
+Means over intervals of the velocity give v' exactly, as a mean under the triangle of two intervals;
+the probe's torque is held, and the smoothed staircase of commands has a double integral in closed
+form. phi is the mean of what friction does: the sign of the velocity, and where forces do not
+overcome Fc, as much as they are (within an interval the velocity runs straight, so the moment of a
+reversal is known).
+
+What would break it: a velocity so noisy that phi is chance (more than some 2 % of the motion).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.rig.played import SAMPLE_US, Played
+from hapticd.rig.probe_clock import H_S, Clock, passed
+from hapticd.units import PROBE_RATE_HZ, US_PER_S
+
+BLOCK = PROBE_RATE_HZ  # samples: lines 1 Hz apart
+EDGE = 20  # samples left out at both ends
+
+
+@dataclass(frozen=True, slots=True)
+class Handle:
+    """What moves, and the way of a command to it."""
+
+    mass_kg: float
+    viscous_ns_per_m: float
+    coulomb_n: float
+    gain: float  # of the motor: force by command, both in N
+    lag_us: float  # D + s
+    spread_us2: float  # s^2; below 0 where noise says so
+    skew_us: float  # by which the velocity comes later than the torque
+    bend_kg: float = 0.0  # what the mass grows by up to HIGH_HZ, with the square of the frequency
+    high_pass_rad_s: float = 0.0  # corner of the torque channel
+    slider_kg: float = 0.0  # what hangs on a spring, beside mass_kg; 0: everything is rigid
+    slider_rad_s: float = 0.0  # its own frequency while the rest is held
+    slider_ratio: float = 0.0  # of its critical damping
+
+
+class Terms(NamedTuple):
+    """Means (n,) under the triangles of two intervals, of one run."""
+
+    acceleration: Floats
+    slider: Floats  # acceleration of what hangs on the spring
+    velocity: Floats
+    friction: Floats  # phi
+    command: Floats  # F
+    torque: Floats
+    pull_n: float  # f0
+    pull_blocks_n: Floats  # (blocks,)
+
+
+def commanded(run: Played, clock: Clock, lag_us: float, spread_us2: float) -> Floats:
+    """F (N - 1,): the staircase of commands behind its delay and smoothing."""
+    if spread_us2 < 0.0:  # continued evenly, so that noise about 0 has no edge to lean on
+        straight = commanded(run, clock, lag_us, 0.0)
+        return 2.0 * straight - commanded(run, clock, lag_us, -spread_us2)
+    smooth_us = float(np.sqrt(spread_us2))
+    edge_us = run.board_us + (lag_us - smooth_us)
+    count = run.torque_n.size + 1
+    grid_us = clock.phase_us + SAMPLE_US * (run.first_index + np.arange(count))
+    twice = _integral(edge_us / US_PER_S, run.force_n, smooth_us / US_PER_S, grid_us / US_PER_S)
+    return np.asarray(np.diff(twice, 2) / H_S**2)
+
+
+def _integral(edge_s: Floats, value: Floats, smooth_s: float, at_s: Floats) -> Floats:
+    """Double integral at `at_s` of the smoothed staircase of `value` (n,) from `edge_s` (n,) on."""
+    length = np.diff(edge_s, append=2.0 * edge_s[-1] - edge_s[-2])
+    tail = np.exp(-length / smooth_s) if smooth_s > 0.0 else np.zeros(length.size)
+    away = _away(value, tail)
+    passed = smooth_s * (1.0 - tail)
+    once = np.concatenate(([0.0], np.cumsum(value * length + away * passed)))[:-1]
+    step = once * length + 0.5 * value * length**2 + away * smooth_s * (length - passed)
+    twice = np.concatenate(([0.0], np.cumsum(step)))[:-1]
+    k = np.clip(np.searchsorted(edge_s, at_s, side="right") - 1, 0, value.size - 1)
+    since = np.maximum(at_s - edge_s[k], 0.0)
+    fading = np.exp(-since / smooth_s) if smooth_s > 0.0 else np.zeros(since.size)
+    return np.asarray(
+        twice[k]
+        + once[k] * since
+        + 0.5 * value[k] * since**2
+        + away[k] * smooth_s * (since - smooth_s * (1.0 - fading))
+    )
+
+
+def _away(value: Floats, tail: Floats) -> Floats:
+    """How far (n,) the smoothed force is from each value when that begins."""
+    force = float(value[0])
+    found = []
+    for share, target in zip(tail.tolist(), value.tolist(), strict=True):
+        found.append(force - target)
+        force = target + (force - target) * share
+    return np.array(found)
+
+
+def shifted(values: Floats, later_us: float, slopes: int = 0) -> Floats:
+    """`values` (n,) as they were `later_us` later, or their derivative per us."""
+    jw = 2j * np.pi * np.fft.rfftfreq(values.size, H_S) / US_PER_S
+    turned = np.fft.rfft(values) * np.exp(jw * later_us) * jw**slopes
+    return np.asarray(np.fft.irfft(turned, values.size))
+
+
+def friction(push_n: Floats, velocity: Floats, handle: Handle) -> Floats:
+    """phi (n,): the mean sign of friction in each interval, in which `push_n` acts and the mean
+    velocity is `velocity`.
+    """
+    mass = handle.mass_kg
+    level = max(handle.coulomb_n, 1e-9)
+    driven = push_n - handle.viscous_ns_per_m * velocity
+    phi = np.sign(velocity)
+    start = velocity.copy()
+    for _ in range(3):
+        slope = (driven - level * phi) / mass
+        start[1:] = 0.5 * (velocity[1:] + velocity[:-1]) + 0.25 * H_S * (slope[:-1] - slope[1:])
+        before = np.sign(start)
+        braked = (driven - level * before) / mass
+        stops = start * braked < 0.0
+        until = np.ones(start.size)
+        until[stops] = np.minimum(1.0, -start[stops] / (braked[stops] * H_S))
+        until[before == 0.0] = 0.0
+        phi = until * before + (1.0 - until) * np.clip(driven / level, -1.0, 1.0)
+    return np.asarray(phi)
+
+
+def terms(run: Played, clock: Clock, handle: Handle) -> Terms:
+    """The terms of the balance, as far as `handle` is needed for them."""
+    drift = (run.position_m[-1] - run.position_m[0]) / (run.board_us[-1] - run.board_us[0])
+    velocity = passed(run.velocity_m_per_s, clock.high_pass_rad_s)
+    velocity = velocity - velocity.mean() + drift * US_PER_S / clock.gain
+    torque = shifted(passed(run.torque_n, handle.high_pass_rad_s), -handle.skew_us)
+    command = commanded(run, clock, handle.lag_us, handle.spread_us2)
+    acceleration = np.diff(velocity) / H_S
+    slider = hung(acceleration, handle.slider_rad_s, handle.slider_ratio)
+    push = torque + _widened(handle.gain * command - handle.slider_kg * slider)
+    phi = np.zeros(velocity.size)
+    pull = 0.0
+    for _ in range(2):
+        phi = friction(push - pull, velocity, handle)
+        rest = push - handle.viscous_ns_per_m * velocity - handle.coulomb_n * phi
+        pull = float(rest[EDGE:-EDGE].mean())
+    blocks = rest[: rest.size // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+    two = (0.5 * (one[1:] + one[:-1]) for one in (velocity, phi, torque))
+    mean_velocity, mean_phi, mean_torque = two
+    return Terms(acceleration, slider, mean_velocity, mean_phi, command, mean_torque, pull, blocks)
+
+
+def _widened(means: Floats) -> Floats:
+    """Interval means (n + 1,) by those under triangles (n,)."""
+    return np.concatenate((means[:1], 0.5 * (means[1:] + means[:-1]), means[-1:]))
+
+
+def hung(acceleration: Floats, rate_rad_s: float, ratio: float) -> Floats:
+    """Acceleration (n,) of a mass that hangs by a spring and a damper on what moves with
+    `acceleration` (n,); zeros for a rate of 0.
+    """
+    if rate_rad_s <= 0.0:
+        return np.zeros(acceleration.size)
+    s = 2j * np.pi * np.fft.rfftfreq(acceleration.size, H_S)
+    tied = 2.0 * ratio * rate_rad_s * s + rate_rad_s**2
+    found = np.fft.irfft(np.fft.rfft(acceleration) * tied / (s**2 + tied), acceleration.size)
+    return np.asarray(found)
