@@ -237,7 +237,7 @@ def test_foreground_run_says_what_to_try(runtime: Path) -> None:
 
 
 def test_foreground_run_tells_what_happens(runtime: Path) -> None:
-    """Stops until one comes after the terminal has begun to listen."""
+    """Enabled again and again, until one comes after the terminal has begun to listen."""
     (runtime / "hapticd.toml").write_text(QUIET)
     words = ["run", "--instance", "told", "--config", str(runtime / "hapticd.toml")]
     log = runtime / "talk"
@@ -254,13 +254,13 @@ def test_foreground_run_tells_what_happens(runtime: Path) -> None:
             pass
         here = ["--instance", "told"]
 
-        def stopped_is_told() -> bool:
-            main(["stop", *here])
-            main(["reset", *here])
-            return "disabled -> stopped" in log.read_text()
+        def enabled_is_told() -> bool:
+            main(["enable", *here])
+            main(["disable", *here])
+            return "disabled -> enabled" in log.read_text()
 
         try:
-            until(stopped_is_told, "a stop in the terminal")
+            until(enabled_is_told, "an enable in the terminal")
         finally:
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=DEADLINE_S)
