@@ -197,7 +197,6 @@ def _known_of_model(truth: Truth) -> dict[str, float]:
         "Coulomb friction": truth.coulomb_n,
         "lag": delay_us + smoothing_us,
         "identify delay": delay_us,
-        "identify probe skew": truth.skew_us,  # by which the velocity comes later
         "smoothing": smoothing_us,
         "first resonance": truth.resonance_hz,
         "sliding mass": truth.slider_kg,
