@@ -198,6 +198,7 @@ class DeviceParams:
     motor_n_per_a: float = 0.0  # force at the endpoint per ampere, from the device file; 0: unknown
     winding_ohm: float = 0.0  # at `winding_reference_c`, from the device file; 0: unknown
     winding_reference_c: float = 20.0
+    motor_lever_m: float = 1.0  # radius that turns torque into force, from [motor]; 1: unknown
     # its signs are not verified: little force, a box for K, B and M (servo.commissioning)
     commissioning: bool = False
     signs_firmware: str = ""  # of the board when its signs were seen, like 1.0; "": any

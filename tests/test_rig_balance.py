@@ -8,7 +8,9 @@ from hapticd.analysis.verdict import student_quantile
 from hapticd.errors import AnalysisError
 from hapticd.rig.balance import RIGID, balanced
 from hapticd.rig.balance_terms import Handle, commanded, friction
-from hapticd.rig.identify import Facts, Scales, concluded, noise
+from hapticd.rig.excitation import noise
+from hapticd.rig.identify import concluded
+from hapticd.rig.mechanics import Facts, Motor, Scales
 from hapticd.rig.played import Played
 from hapticd.rig.probe_clock import Clock, clocked
 
@@ -16,7 +18,7 @@ FACTS = Facts(
     1000.0,
     Scales(0.0, 0.0, 0.0),
     (None, None),
-    {"n_per_a": 1.65, "ohm": 1.6, "reference_c": 20.0},
+    Motor(1.65, 1.6, 20.0),
 )
 SEEDS = range(8)
 

@@ -1,7 +1,7 @@
 """`rig identify` on simulated boards whose mass, friction and delay the step does not know."""
 
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import date
 from pathlib import Path
 
@@ -17,7 +17,8 @@ from hapticd.errors import AnalysisError, CommandError
 from hapticd.params import ScaleParams, TouchParams
 from hapticd.plant.compose import compose
 from hapticd.rig.device_file import write
-from hapticd.rig.identify import measure
+from hapticd.rig.identify import facts_of, measure
+from hapticd.rig.model_tables import motor_table
 from hapticd.settings import build
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.lockstep import LockStepBench
@@ -200,6 +201,15 @@ def test_the_written_model_has_the_impedance_of_the_device(two_masses):
         for one in (model, truth)
     )
     assert np.abs(found / true - 1.0).max() < 0.05
+
+
+def test_the_lever_of_the_motor_is_written_with_its_torque():
+    motor = {"motor_n_per_a": 1.65, "winding_ohm": 1.6, "motor_lever_m": 0.02}
+    servo = servo_params(device=replace(device_params(), **motor))
+    facts = facts_of(asdict(servo))
+    written = motor_table(facts.motor)
+    assert written["torque_constant_nm_per_a"] == pytest.approx(0.033)
+    assert written["lever_m"] == 0.02
 
 
 def test_a_motor_that_nobody_measured_is_not_taken_for_one(found, tmp_path):

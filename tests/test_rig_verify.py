@@ -136,7 +136,7 @@ def test_a_motor_stronger_than_its_calibration_is_refused():
 def test_a_device_whose_signs_nobody_saw_is_not_shaken():
     with (
         Hand({"commissioning": True}) as hand,
-        pytest.raises(AnalysisError, match="once its signs are"),
+        pytest.raises(AnalysisError, match="verified once the signs are verified"),
     ):
         measure(hand.bench, nothing, SHORT)
 

@@ -33,11 +33,11 @@ from hapticd.params import ScaleParams
 from hapticd.rig.damping_line import FACTOR, LEVELS, REFUSE, concluded
 from hapticd.rig.glide import Balance, Row, balance, row_of
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled
+from hapticd.rig.link import require_disabled, require_verified
 from hapticd.rig.motor import allowed_n, await_rest
 from hapticd.rig.push import push, ready
 from hapticd.rig.records import collect, servo_rate_hz
-from hapticd.rig.result import Finding, StepResult
+from hapticd.rig.result import Finding, StepResult, settled
 
 # --- pushes ---------------------------------------------------------------------------------------
 FIRST_SHARE = 0.05  # of the force that is allowed
@@ -152,11 +152,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     require_disabled(bench)
     servo = bench.hello()["servo"]
     device = servo["device"]
-    if device["commissioning"]:
-        raise AnalysisError(
-            "damping is measured once the signs are verified: `hapticd rig motor` without masses,"
-            " then start the daemon again"
-        )
+    require_verified(servo, "damping is measured")
     top = float(device["damping_limit_ns_per_m"])
     if top <= 0.0:
         why = "limits.damping_ns_per_m is 0: a board without active damping has none to measure"
@@ -167,7 +163,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
         with ready(bench):
             rig = Rig(bench)
             findings = _risen(rig, top, float(device["current"]["per_count"]))
-    if any(one.verdict == "refused" for one in findings):
+    if not settled(findings):
         return StepResult("damping", (), findings, (), rig.arrays())
     return concluded(rig.rows, device, findings, rig.arrays())
 

@@ -24,7 +24,16 @@ import numpy.typing as npt
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.rig.glide import Balance, Row, balance
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, relative_half, rounded
+from hapticd.rig.result import (
+    UPPER_END,
+    Change,
+    Finding,
+    StepResult,
+    Value,
+    relative_half,
+    rounded,
+    settled,
+)
 from hapticd.wire.codec import U16_HIGHEST
 
 LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit
@@ -78,8 +87,7 @@ def concluded(
     if physical.low > 0.0:
         least = float(f"{LEAST_SHARE * physical.low:.2g}")
         changes.append(Change("limits", "physical_damping_ns_per_m", least))
-    settled = all(one.verdict != "refused" for one in said)
-    return StepResult("damping", values, said, changes if settled else (), arrays or {})
+    return StepResult("damping", values, said, changes if settled(said) else (), arrays or {})
 
 
 def _value(name: str, value: float, unit: str, relative: float) -> Value:

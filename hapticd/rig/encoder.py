@@ -25,7 +25,7 @@ from hapticd.params import MOST_CORRECTION
 from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, StatusBit
 
@@ -111,11 +111,11 @@ def concluded(
     findings = [*_at_rest(rest), *_moving(moving, went), *_steps(steps, went)]
     values = [_noise(rest)]
     changes: list[Change] = []
-    if all(one.verdict != "refused" for one in findings):
+    if settled(findings):
         scale = scale_of(steps, distance)
         values.append(scale)
         findings.append(_believable(scale, m_per_count, distance))
-    if all(one.verdict != "refused" for one in findings):
+    if settled(findings):
         changes = [
             Change("position", "sign", 1 if went > 0.0 else -1),
             Change("position", "m_per_count", rounded(scale.value, scale.low, scale.high)),

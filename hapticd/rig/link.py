@@ -29,7 +29,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.errors import CommandError
+from hapticd.errors import AnalysisError, CommandError
 from hapticd.rig import watchdog
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
@@ -107,6 +107,17 @@ def require_disabled(bench: Client) -> None:
     if state != "disabled":
         raise CommandError(
             "refused", f"the servo is {state}, a step begins from disabled; `hapticd disable`"
+        )
+
+
+def require_verified(servo: Mapping[str, Any], what: str) -> None:
+    """AnalysisError that says `what` while the signs of the device of the hello's `servo` are not
+    verified.
+    """
+    if servo["device"]["commissioning"]:
+        raise AnalysisError(
+            f"{what} once the signs are verified: `hapticd rig motor` without masses, then start"
+            " the daemon again"
         )
 
 

@@ -34,10 +34,10 @@ from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.params import COMMISSIONING_SHARE, MOST_CORRECTION
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled
+from hapticd.rig.link import require_disabled, require_verified
 from hapticd.rig.push import LOOK_S, Pushed, push, ready, wall_of
 from hapticd.rig.records import collect, identity_of
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
 from hapticd.wire.codec import I16_HIGHEST
 
 PUSH_S = 0.02
@@ -84,9 +84,9 @@ def measure_sign(bench: Client, ask: Ask) -> StepResult:
     findings = [_pushed(one) for one in pushes]
     agree = {bool(one.moved_m * one.force_n > 0.0) for one in pushes}
     changes: list[Change] = []
-    if all(one.verdict != "refused" for one in findings):
+    if settled(findings):
         findings.append(_sign(agree))
-    if all(one.verdict != "refused" for one in findings):
+    if settled(findings):
         right = agree == {True}
         sign = int(servo["device"]["force"]["sign"])
         board = identity_of(bench, pushes[-1].records)
@@ -212,17 +212,8 @@ def limit_n(servo: dict[str, Any]) -> float:
     return min(own_n, float(servo["safety"]["force_limit_n"]))
 
 
-def refuse_commissioning(servo: dict[str, Any]) -> None:
-    """AnalysisError while the signs of the device of `servo` are not verified."""
-    if servo["device"]["commissioning"]:
-        raise AnalysisError(
-            "the gain is measured once the signs are verified: `hapticd rig motor` without masses,"
-            " then start the daemon again"
-        )
-
-
 def _refuse(servo: dict[str, Any], masses: Masses) -> None:
-    refuse_commissioning(servo)
+    require_verified(servo, "the gain is measured")
     if len(set(masses.kilograms)) < 3 or min(masses.kilograms) < 0.0:
         raise AnalysisError(
             "a line with residuals takes three masses at least; name 0 and two more"
@@ -270,9 +261,10 @@ def concluded(
         *full_scale_changes(gain, full_n, limit_n),
         Change("force", "offset_count", rounded(offset.value, offset.low, offset.high)),
     ]
-    settled = all(one.verdict != "refused" for one in findings)
     arrays = {"weights_n": weights_n, "readings_n": readings_n}
-    return StepResult("motor", (gain, offset, left), findings, changes if settled else (), arrays)
+    return StepResult(
+        "motor", (gain, offset, left), findings, changes if settled(findings) else (), arrays
+    )
 
 
 def _left_at_rest(readings_n: Floats) -> Value:

@@ -24,7 +24,7 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled
+from hapticd.rig.link import require_disabled, require_verified
 from hapticd.rig.push import ready
 from hapticd.rig.records import collect
 
@@ -85,11 +85,8 @@ def ready_to_move(bench: Client) -> dict[str, Any]:
     """
     require_disabled(bench)
     servo: dict[str, Any] = bench.hello()["servo"]
-    if servo["device"]["commissioning"]:
-        raise AnalysisError(
-            "a hand that moves against a spring looks like a wrong sign until the signs are"
-            " verified: `hapticd rig motor` without masses, then start the daemon again"
-        )
+    # before, a hand that moves against a spring looks like a wrong sign
+    require_verified(servo, "a hand moves against a spring")
     return servo
 
 

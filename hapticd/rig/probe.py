@@ -38,6 +38,7 @@ from hapticd.rig.result import (
     Value,
     change_of,
     relative_half,
+    settled,
 )
 from hapticd.rig.shaken import (
     LINES_HZ,
@@ -112,7 +113,7 @@ def measure(
     device = bench.hello()["servo"]["device"]
     ask(Request("let go", "let go of the handle near x = 0, and let it come to rest"))
     taken = Taken(record(bench, REST_S), shaken(bench))
-    if _settled(channels(lines(taken.bare))):
+    if settled(channels(lines(taken.bare))):
         text = f"fix {attached.kilograms:g} kg firmly to the handle and let go of it"
         ask(Request("attach", text, attached.kilograms))
         taken = taken._replace(loaded=shaken(bench))
@@ -133,9 +134,9 @@ def concluded(
     values: list[Value] = []
     changes: list[Change] = []
     turned: Floats = np.zeros(len(LINES_HZ))
-    if _settled(findings):
+    if settled(findings):
         turned = _compared(taken.one, judged, values, findings)
-    if taken.loaded is not None and _settled(findings):
+    if taken.loaded is not None and settled(findings):
         half = relative_half(device["position"]["source"], "position.m_per_count", POSITION_HALF)
         of_velocity = channel(bare)
         found = added(taken.bare, taken.loaded, of_velocity, turned)
@@ -148,13 +149,9 @@ def concluded(
         }
         findings += [_believable(name, one, device[name]) for name, one in gains.items()]
         values += [*_of_gains(gains), *_of_rest(taken.rest, gains)]
-        if _settled(findings):
+        if settled(findings):
             changes = [*_changes(gains, values), *_within_reach(values, device["probe_limit_n"])]
     return StepResult("probe", values, findings, changes, _arrays(taken))
-
-
-def _settled(findings: list[Finding]) -> bool:
-    return all(one.verdict != "refused" for one in findings)
 
 
 def _compared(

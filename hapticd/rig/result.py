@@ -8,7 +8,7 @@ What would break it: a step that writes although one of its findings is refused 
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -68,7 +68,7 @@ class StepResult:
     @property
     def settled(self) -> bool:
         """Whether nothing was refused."""
-        return all(one.verdict != "refused" for one in self.findings)
+        return settled(self.findings)
 
     def plain(self) -> dict[str, Any]:
         """As JSON values, without the arrays."""
@@ -79,6 +79,11 @@ class StepResult:
             "findings": [asdict(one) for one in self.findings],
             "changes": [asdict(one) for one in self.changes],
         }
+
+
+def settled(findings: Iterable[Finding]) -> bool:
+    """Whether none of the `findings` is refused."""
+    return all(one.verdict != "refused" for one in findings)
 
 
 def change_of(one: Value) -> Change:

@@ -26,7 +26,7 @@ from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled
+from hapticd.rig.link import require_disabled, require_verified
 from hapticd.rig.motor import (
     MOST_RESIDUAL,
     REPEATS,
@@ -34,12 +34,11 @@ from hapticd.rig.motor import (
     fitted,
     full_scale_changes,
     limit_n,
-    refuse_commissioning,
     settled_n,
 )
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
 from hapticd.wire.codec import I16_HIGHEST
 
 LEVELS = 3
@@ -75,7 +74,7 @@ def measure(bench: Client, ask: Ask, spring: Spring) -> StepResult:
     """
     require_disabled(bench)
     servo = bench.hello()["servo"]
-    refuse_commissioning(servo)
+    require_verified(servo, "the gain is measured")
     most_n = min(SHARE * limit_n(servo), MOST_M * spring.n_per_m) / OVERSHOOT
     ask(
         Request(
@@ -135,9 +134,8 @@ def concluded(
     share = line.worst / float(np.ptp(places))
     findings = [_linear(share), believable(scale)]
     changes = full_scale_changes(gain, full_n / scale, limit_n)
-    settled = all(one.verdict != "refused" for one in findings)
     arrays = {"rests": rests}
-    return StepResult("motor", (gain, seen), findings, changes if settled else (), arrays)
+    return StepResult("motor", (gain, seen), findings, changes if settled(findings) else (), arrays)
 
 
 def _linear(share: float) -> Finding:
@@ -154,7 +152,7 @@ def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> St
     """
     require_disabled(bench)
     servo = bench.hello()["servo"]
-    refuse_commissioning(servo)
+    require_verified(servo, "the offset is measured")
     ask(Request("let go", "let go of the handle, with nothing hanging from it"))
     drawn_n = DRAWN_SHARE * limit_n(servo)
     with ready(bench):

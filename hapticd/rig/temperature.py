@@ -33,7 +33,7 @@ from hapticd.rig import back_emf
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, raw_counts
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
 REST_S = 10.0
@@ -116,10 +116,10 @@ def concluded(
     findings = [_living(readings), _steady(drift)]
     values = [_noise(readings[-1], per_count), drift]
     changes: list[Change] = []
-    if _settled(findings):
+    if settled(findings):
         values += scale_of(readings, stated, scale)
         findings.append(_plausible(readings, stated, scale, values))
-    if _settled(findings):
+    if settled(findings):
         changes = _changes(values, readings, stated, scale)
     arrays: dict[str, Any] = {"readings": readings, "stated_c": np.array(stated.celsius)}
     if shaken is not None:
@@ -128,12 +128,7 @@ def concluded(
         findings += other.findings
         changes += other.changes
         arrays |= other.arrays
-    settled = _settled(findings)
-    return StepResult("temperature", values, findings, changes if settled else (), arrays)
-
-
-def _settled(findings: list[Finding]) -> bool:
-    return all(one.verdict != "refused" for one in findings)
+    return StepResult("temperature", values, findings, changes if settled(findings) else (), arrays)
 
 
 def _living(readings: Floats) -> Finding:

@@ -42,13 +42,13 @@ from hapticd.analysis.impedance import Impedance, impedance
 from hapticd.analysis.loop import derivatives, held
 from hapticd.analysis.spectra import DEFAULT_LAG, spa
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
 from hapticd.params import FilterParams
 from hapticd.recording.calibrations import doubts
 from hapticd.rig import vectors
+from hapticd.rig.excitation import CENTRE, loudest_n, noise
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.identify import CENTRE, UNKNOWN_SHARE, loudest_n, noise
-from hapticd.rig.link import MOST_SPREAD, RARE, require_disabled
+from hapticd.rig.link import MOST_SPREAD, RARE, require_disabled, require_verified
+from hapticd.rig.mechanics import UNKNOWN_SHARE
 from hapticd.rig.played import Environment, Played, play
 from hapticd.rig.result import Finding, StepResult, Value, Verdict, relative_half
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
@@ -139,11 +139,7 @@ def measure(bench: Client, ask: Ask, known: KnownParts = KnownParts()) -> StepRe
     """
     require_disabled(bench)
     servo = bench.hello()["servo"]
-    if servo["device"]["commissioning"]:
-        raise AnalysisError(
-            "a display is verified once its signs are: `hapticd rig motor` without masses, then"
-            " start the daemon again"
-        )
+    require_verified(servo, "a display is verified")
     before = counted(bench)
     free = Request("let go", "let go of the handle in the middle of its travel; it will be shaken")
     ask(free)

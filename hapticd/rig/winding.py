@@ -27,11 +27,11 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled
-from hapticd.rig.motor import allowed_n, fitted, refuse_commissioning
+from hapticd.rig.link import require_disabled, require_verified
+from hapticd.rig.motor import allowed_n, fitted
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect, servo_rate_hz
-from hapticd.rig.result import Change, Finding, StepResult, Value, relative_half, rounded
+from hapticd.rig.result import Change, Finding, StepResult, Value, relative_half, rounded, settled
 from hapticd.units import COPPER_PER_K
 
 LEVELS = (0.25, 0.5, 0.75, 1.0)  # of a tenth of the force, to either side
@@ -54,7 +54,7 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
     """
     require_disabled(bench)
     servo = bench.hello()["servo"]
-    refuse_commissioning(servo)
+    require_verified(servo, "the winding is measured")
     ask(Request("hold", "hold the handle firmly where it is; it will be pushed gently", 0.0))
     most_n = allowed_n(servo)
     with ready(bench):
@@ -125,7 +125,7 @@ def concluded(
     """
     arrays = {"rests": rests, "moved": moved}
     findings = list(_alive(rests, moved, device))
-    if any(one.verdict == "refused" for one in findings):
+    if not settled(findings):
         return StepResult("motor", (), findings, (), arrays)
     newton = relative_half(device["force"]["source"], "force.full_scale_n", nan)
     metre = relative_half(device["position"]["source"], "position.m_per_count", nan)
@@ -136,7 +136,7 @@ def concluded(
     values = [per_ampere, ohm, induced, *_torque(per_ampere, lever_m)]
     findings += [*_signs(per_ampere, ohm, induced), _agreement(per_ampere, induced)]
     changes: list[Change] = []
-    if all(one.verdict != "refused" for one in findings):
+    if settled(findings):
         changes = [_change(one, *one.name.split(".")) for one in (per_ampere, ohm)]
         celsius = float(rests[:, 3].mean())
         reference_c = round(celsius, 1) if isfinite(celsius) else ROOM_C

@@ -332,7 +332,8 @@ def _motor(device: DeviceFile) -> dict[str, float]:
     it is simulated, or else as homing takes it.
     """
     if measured := device.motor:
-        return _winding(measured.force_n_per_a, measured.winding_ohm, measured.reference_c)
+        found = _winding(measured.force_n_per_a, measured.winding_ohm, measured.reference_c)
+        return found | {"motor_lever_m": measured.lever_m or 1.0}
     if known := device.resistance:
         return _winding(known.force_n_per_a, known.winding_ohm, known.reference_c)
     if plant := device.plant:

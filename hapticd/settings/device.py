@@ -283,7 +283,7 @@ class MotorTable(TomlTable):
     reference_c: float = Field(20.0, ge=-40, le=150)
     lever_m: float | None = Field(None, gt=0, le=10)
     """Radius that turns torque into endpoint force, as its owner says; nothing is computed from
-    it here but the torque constant, force_n_per_a lever_m."""
+    it here but the torque constant, the product of `force_n_per_a` and `lever_m`."""
     date: datetime.date | None = None
     """When it was measured."""
     source: str = ""

@@ -1,0 +1,228 @@
+"""What the balance of forces says of the device, with intervals that count what it cannot know.
+
+Newtons are the mean of two scales, the probe's and the motor's, each weighed by its interval;
+motion is the encoder's. To the intervals of the blocks (`jackknife`) come those of the scales, and
+what the balance itself may be wrong by.
+
+The lag of a command is delay and smoothing together and is known at once. How it is parted is told
+by the curvature of the command's path, by the board's clock (the delay is at least what that says),
+and by neither to the last: both say their intervals. A smoothing that cannot be told from delay
+counts as delay, since their sum is what decides stability.
+
+What would break it: two scales that are wrong alike (nothing here contradicts them).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, isnan, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from hapticd.analysis.verdict import student_quantile
+from hapticd.params import FilterParams
+from hapticd.rig.balance import NAMES, Balance
+from hapticd.rig.played import Played
+from hapticd.rig.result import UPPER_END, Value
+from hapticd.units import US_PER_S
+
+MASS_SHARE = 1e-3  # what the balance itself may be wrong by
+FRICTION_SHARE = 5e-3
+SPLIT_SHARE = 0.04  # rotor against slider: friction of the slider is the rotor's here
+LAG_US = 2.0
+SKEW_SHARE = 0.05  # a channel that is late may smooth instead
+YIELDING_SKEW_US = 10.0  # friction of the slider looks like some of it
+TOLD_US = 1.0  # by the board's clock: its resolution
+UNKNOWN_SHARE = 0.02  # half of the interval of a scale that says none
+LEAST_SMOOTHING = 0.05  # of a period: less is written as delay
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Relative halves of the 95 % intervals of the device file's scales; nan where it says none."""
+
+    motor: float
+    probe: float
+    encoder: float
+
+
+@dataclass(frozen=True)
+class Motor:
+    """What the device file says of the motor."""
+
+    n_per_a: float  # force at the endpoint per ampere; 0: unknown
+    ohm: float  # of the winding, at `reference_c`; 0: unknown
+    reference_c: float
+    lever_m: float = 1.0  # radius that turns torque into force; 1: unknown
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known of the device before."""
+
+    period_us: float
+    scales: Scales
+    filters: tuple[FilterParams, FilterParams]
+    motor: Motor
+
+
+class Mechanics(NamedTuple):
+    """What moves and what resists, each with its 95 % interval."""
+
+    mass: Value  # kg
+    viscous: Value  # N s/m
+    coulomb: Value  # N
+
+
+class Path(NamedTuple):
+    """The way of a command: each in us, with its 95 % interval."""
+
+    lag: Value
+    delay: Value
+    smoothing: Value
+    parted: bool  # whether there is a smoothing that is written
+
+
+def half_of(found: Balance, name: str) -> float:
+    """Half of the 95 % interval of a quantity of the balance, by its blocks."""
+    return student_quantile(UPPER_END, found.blocks - 1) * float(found.sd[NAMES.index(name)])
+
+
+def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
+    """Mass and friction, in newtons of both scales and metres of the encoder."""
+    handle = found.handle
+    scale, scale_half = _newton(found, facts)
+    motion = _motion(found)
+    motion_half = known_half(facts.scales.encoder)
+
+    # what one of the two frictions has too much the other one lacks
+    shared_n = FRICTION_SHARE * friction_n(found)
+    shared = shared_n / found.speed_m_per_s
+
+    total_kg = handle.mass_kg + handle.slider_kg
+
+    def value(name: str, unit: str, fitted: float, own: float, moves: bool) -> Value:
+        size = fitted * scale / (motion if moves else 1.0)
+        wide = hypot(own * scale, size * scale_half, size * motion_half if moves else 0.0)
+        return Value(name, size, unit, size - wide, size + wide)
+
+    mass_half = hypot(_total_half(found), MASS_SHARE * total_kg)
+    viscous_half = hypot(half_of(found, "viscous_ns_per_m"), shared)
+    coulomb_half = hypot(half_of(found, "coulomb_n"), shared_n)
+    return Mechanics(
+        value("moving mass", "kg", total_kg, mass_half, True),
+        value("viscous friction", "N s/m", handle.viscous_ns_per_m, viscous_half, True),
+        value("Coulomb friction", "N", handle.coulomb_n, coulomb_half, False),
+    )
+
+
+def _total_half(found: Balance) -> float:
+    """Half of the 95 % interval of all that moves, by its blocks."""
+    if not found.handle.slider_kg:
+        return half_of(found, "mass_kg")
+    own = NAMES.index("mass_kg")
+    slider = NAMES.index("slider_kg")
+    twice = 2.0 * found.correlation[own, slider] * found.sd[own] * found.sd[slider]
+    variance = float(found.sd[own] ** 2 + found.sd[slider] ** 2 + twice)
+    return student_quantile(UPPER_END, found.blocks - 1) * sqrt(max(0.0, variance))
+
+
+def resonance_of(found: Balance, mass: Value) -> list[Value]:
+    """What slides on the transmission, and the resonance of the two; nothing where all is rigid."""
+    handle = found.handle
+    if not handle.slider_kg:
+        return []
+    scale = mass.value / (handle.mass_kg + handle.slider_kg)
+    slider = scale * handle.slider_kg
+    wide = hypot(SPLIT_SHARE * slider, scale * half_of(found, "slider_kg"))
+    own_hz = handle.slider_rad_s / (2.0 * pi)
+    hz = own_hz * sqrt(1.0 + handle.slider_kg / handle.mass_kg)
+    hz_half = hz * hypot(0.5 * SPLIT_SHARE, half_of(found, "slider_rad_s") / handle.slider_rad_s)
+    return [
+        Value("sliding mass", slider, "kg", slider - wide, slider + wide),
+        Value("first resonance", hz, "Hz", hz - hz_half, hz + hz_half),
+    ]
+
+
+def friction_n(found: Balance) -> float:
+    """Typical friction, at the rms speed."""
+    handle = found.handle
+    return handle.coulomb_n + abs(handle.viscous_ns_per_m) * found.speed_m_per_s
+
+
+def known_half(half: float) -> float:
+    return UNKNOWN_SHARE if isnan(half) else half
+
+
+def _newton(found: Balance, facts: Facts) -> tuple[float, float]:
+    """What a newton of the probe's scale is taken to be, and the half of its interval: two scales,
+    each weighed by its interval.
+    """
+    probe = known_half(facts.scales.probe)
+    motor = known_half(facts.scales.motor)
+    both = hypot(probe, motor)
+    if both == 0.0:
+        return 1.0, 0.0
+    return float(found.handle.gain ** -((probe / both) ** 2)), probe * motor / both
+
+
+def _motion(found: Balance) -> float:
+    """Encoder's motion by that of the velocity channel."""
+    return float(np.mean([clock.gain for clock in found.clocks]))
+
+
+def path_of(found: Balance, runs: Sequence[Played], facts: Facts) -> Path:
+    """Delay and smoothing, as far as the lag can be parted."""
+    handle = found.handle
+    stiffness = _stiffness(runs[-1])
+    doubt = 2.0 * MASS_SHARE * (handle.mass_kg + handle.slider_kg) / stiffness * US_PER_S**2
+    lag_half = hypot(half_of(found, "lag_us"), LAG_US, _lag_by_spread(found) * doubt)
+    spread_half = hypot(half_of(found, "spread_us2"), doubt)
+    least_us = _told_us(runs)
+    most_us = max(0.0, handle.lag_us + lag_half - least_us)
+    spread = max(0.0, handle.spread_us2)
+    low, middle, high = (
+        min(most_us, sqrt(max(0.0, spread + side * spread_half))) for side in (-1, 0, 1)
+    )
+    parted = low > 0.0 and middle > LEAST_SMOOTHING * facts.period_us
+    if not parted:
+        low = middle = 0.0
+    lag = Value("lag", handle.lag_us, "us", handle.lag_us - lag_half, handle.lag_us + lag_half)
+    least_us = max(least_us - TOLD_US, lag.low - high)
+    return Path(
+        lag,
+        Value("delay", handle.lag_us - middle, "us", min(least_us, lag.value), lag.high - low),
+        Value("smoothing", middle, "us", low, high),
+        parted,
+    )
+
+
+def _lag_by_spread(found: Balance) -> float:
+    """How much the lag changes with a spread that is wrong [1/us]."""
+    lag = NAMES.index("lag_us")
+    spread = NAMES.index("spread_us2")
+    return float(found.correlation[lag, spread] * found.sd[lag] / found.sd[spread])
+
+
+def _stiffness(run: Played) -> float:
+    """What was rendered, by the slope of the command over the position [N/m], at least 1."""
+    x = run.position_m - run.position_m.mean()
+    return max(1.0, -float(x @ run.force_n) / float(x @ x))
+
+
+def _told_us(runs: Sequence[Played]) -> float:
+    """The delay by the board's clock; 0 where it says nothing."""
+    known = np.concatenate([run.delay_us[run.delay_us >= 0.0] for run in runs])
+    return float(np.median(known)) if known.size else 0.0
+
+
+def channels(found: Balance) -> tuple[Value, ...]:
+    gain = found.handle.gain
+    gain_half = hypot(half_of(found, "gain"), MASS_SHARE)
+    skew = -found.handle.skew_us  # of the velocity's sampling, as `rig probe` has it
+    doubt_us = YIELDING_SKEW_US if found.handle.slider_kg else LAG_US
+    skew_half = hypot(half_of(found, "skew_us"), doubt_us, SKEW_SHARE * skew)
+    return (
+        Value("motor by probe", gain, "N/N", gain - gain_half, gain + gain_half),
+        Value("probe skew", skew, "us", skew - skew_half, skew + skew_half),
+    )
