@@ -1,5 +1,9 @@
 """`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
 
+from dataclasses import asdict
+from datetime import date
+from pathlib import Path
+
 import numpy as np
 import pytest
 from models import COUNT_N
@@ -8,8 +12,20 @@ from rig_hand import Hand
 from hapticd.errors import AnalysisError, CommandError, HapticdError
 from hapticd.gateway.view import as_records
 from hapticd.params import ScaleParams, TouchParams
-from hapticd.rig.motor import Masses, concluded, fitted, measure_gain, measure_sign
+from hapticd.rig.device_file import write
+from hapticd.rig.motor import (
+    Masses,
+    concluded,
+    fitted,
+    measure_gain,
+    measure_sign,
+    most_of,
+)
 from hapticd.rig.push import push
+from hapticd.settings.build import device_params as device_params_of
+from hapticd.settings.load import load_device
+
+DEVICES = Path(__file__).resolve().parents[1] / "config" / "devices"
 
 FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}
@@ -145,6 +161,21 @@ def test_all_masses_typed_ten_times_wrong_are_refused():
     result = concluded(masses.weights_n, readings(masses.weights_n / 10), masses, SCALE)
     assert not result.settled
     assert "kg" in result.findings[1].remedy
+
+
+@pytest.mark.parametrize("home_n", [0.5, 1.9])
+def test_a_weaker_motor_leaves_the_device_file_valid(tmp_path, home_n):
+    file = tmp_path / "device.toml"
+    text = (DEVICES / "example-board.toml").read_text()
+    file.write_text(text.replace("force_n = 0.5 ", f"force_n = {home_n} "))
+    device = device_params_of(load_device(file))
+    force = {**SCALE, "per_count": device.force.per_count}
+    masses = Masses((0.0, 0.05, 0.1))
+    told = readings(masses.weights_n, scale=0.7)
+    result = concluded(masses.weights_n, told, masses, force, most_of(asdict(device)))
+    written = write(file, result.changes, "rig motor", date(2026, 11, 22))
+    assert written.limits.force_n < 0.7 * device.force_limit_n
+    assert written.home.force_n == min(home_n, written.limits.force_n)
 
 
 def test_intervals_of_a_line_hold_nineteen_times_in_twenty():

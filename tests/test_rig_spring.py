@@ -9,6 +9,7 @@ from rig_hand import Hand
 from hapticd.errors import AnalysisError
 from hapticd.params import TouchParams
 from hapticd.rig import encoder, motor
+from hapticd.rig.motor import Most
 from hapticd.rig.spring import Spring, concluded, measure, measure_offset
 
 FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
@@ -81,7 +82,7 @@ def test_a_spring_typed_ten_times_wrong_is_refused():
 
 
 def test_a_weaker_motor_lowers_the_limit_of_the_device():
-    result = concluded(rests(scale=0.9), SPRING, SCALE, 8.0)
+    result = concluded(rests(scale=0.9), SPRING, SCALE, Most(8.0, 0.5))
     changes = {(one.table, one.key): one.value for one in result.changes}
     assert changes["force", "full_scale_n"] == pytest.approx(0.9 * 32767 * COUNT_N, rel=1e-3)
     assert 7.1 < changes["limits", "force_n"] <= 7.2

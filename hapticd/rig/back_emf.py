@@ -19,6 +19,7 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
+from hapticd.rig.plausible import count_of
 from hapticd.rig.records import raw_counts
 from hapticd.rig.result import (
     POSITION_HALF,
@@ -38,7 +39,6 @@ LEAST_SPEED_M_PER_S = 5e-3  # rms, of a handle that was shaken
 LEAST_COUNTS = 5.0  # rms of a channel that is not dead
 LEAST_COHERENT = 0.9
 SMOOTHED_TICKS = 9
-FACTOR = 2.0  # between file and measurement
 
 
 def concluded(shaken: Records, device: Mapping[str, Any]) -> StepResult:
@@ -55,15 +55,19 @@ def concluded(shaken: Records, device: Mapping[str, Any]) -> StepResult:
     halves = student_quantile(UPPER_END, BLOCKS - 1) * deviations
     source = str(device["position"]["source"])
     position_half = relative_half(source, "position.m_per_count", POSITION_HALF)
-    full = I16_HIGHEST / float(weights[0])
+    per_speed, _, at_rest = weights.tolist()
+    per_speed_half, _, at_rest_half = halves.tolist()
+    full = I16_HIGHEST / per_speed
     values = [
-        _full_scale(abs(full), hypot(halves[0] / weights[0], position_half)),
-        _offset(float(weights[2]), float(halves[2])),
+        _full_scale(abs(full), hypot(per_speed_half / per_speed, position_half)),
+        _offset(at_rest, at_rest_half),
     ]
     ratio = full / (I16_HIGHEST * int(scale["sign"]) * float(scale["per_count"]))
     sign = Change("emf_velocity", "sign", 1 if full > 0.0 else -1)
     changes = [sign, *map(change_of, values)]
-    return StepResult("back-EMF", values, [finding, _believable(ratio)], changes, arrays)
+    remedy = "correct full_scale_m_per_s in the device file, and repeat"
+    findings = [finding, count_of("emf_velocity", ratio, remedy)]
+    return StepResult("back-EMF", values, findings, changes, arrays)
 
 
 def _full_scale(full: float, relative: float) -> Value:
@@ -121,13 +125,4 @@ def _followed(counts: Floats, speed: Floats, weights: Floats) -> Finding:
     if share < LEAST_COHERENT:
         remedy = "it is no velocity: look at what is connected, and at the resistance compensation"
         return Finding(what, "refused", remedy)
-    return Finding(what, "ok")
-
-
-def _believable(ratio: float) -> Finding:
-    what = f"emf_velocity: a count is {ratio:.4g} of what the device file says"
-    if not 1.0 / FACTOR <= abs(ratio) <= FACTOR:
-        return Finding(what, "refused", "correct full_scale_m_per_s in the device file, and repeat")
-    if ratio < 0.0:
-        return Finding(what, "warning", "its sign is the other one; the device file gets it")
     return Finding(what, "ok")

@@ -24,7 +24,7 @@ What would break it: a friction that differs from one reading to the next (it sh
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import floor, hypot, inf, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -72,6 +72,21 @@ class Masses:
     def weights_n(self) -> Floats:
         """Force at the endpoint (n,)."""
         return GRAVITY_M_PER_S2 * self.ratio * np.array(self.kilograms)
+
+
+class Most(NamedTuple):
+    """Forces that the device file allows, in N of its own scale."""
+
+    limit_n: float  # limits.force_n
+    home_n: float  # home.force_n
+
+
+UNBOUNDED = Most(inf, inf)
+
+
+def most_of(device: dict[str, Any]) -> Most:
+    """What the `device` of a hello allows."""
+    return Most(float(device["force_limit_n"]), float(device["home"]["force_n"]))
 
 
 def measure_sign(bench: Client, ask: Ask) -> StepResult:
@@ -190,8 +205,7 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
     if state != "enabled":
         raise AnalysisError(f"force ended meanwhile (the servo is {state}); repeat the step")
     device = servo["device"]
-    own_n = float(device["force_limit_n"])
-    return concluded(weights, np.array(readings), masses, device["force"], own_n)
+    return concluded(weights, np.array(readings), masses, device["force"], most_of(device))
 
 
 def settled_n(bench: Client, drawn_n: float) -> float:
@@ -231,10 +245,10 @@ def concluded(
     readings_n: Floats,
     masses: Masses,
     force: dict[str, Any],
-    limit_n: float = inf,
+    most: Most = UNBOUNDED,
 ) -> StepResult:
     """What commanded forces (n, 2) under `weights_n` (n,) say, with the file's scale `force` and
-    its `limit_n`.
+    what it allows at `most`.
     """
     means = readings_n.mean(axis=1)
     line = fitted(weights_n, means)
@@ -258,7 +272,7 @@ def concluded(
     findings = [_linear(line, means), believable(scale)]
     left = _left_at_rest(abs(scale) * readings_n)
     changes = [
-        *full_scale_changes(gain, full_n, limit_n),
+        *full_scale_changes(gain, full_n, most),
         Change("force", "offset_count", rounded(offset.value, offset.low, offset.high)),
     ]
     arrays = {"weights_n": weights_n, "readings_n": readings_n}
@@ -278,19 +292,23 @@ def _left_at_rest(readings_n: Floats) -> Value:
     return Value("friction left at rest", middle, "N", middle - half, middle + half)
 
 
-def full_scale_changes(gain: Value, full_n: float, limit_n: float) -> list[Change]:
-    """What the full scale `gain` in place of `full_n` [N] writes, with the device's `limit_n`."""
+def full_scale_changes(gain: Value, full_n: float, most: Most) -> list[Change]:
+    """What the full scale `gain` in place of `full_n` [N] writes into a file that allows `most`."""
     found = Change("force", "full_scale_n", rounded(gain.value, gain.low, gain.high))
-    return [found, *_within_reach(gain.low / full_n, limit_n)]
+    return [found, *_within_reach(gain.low / full_n, most)]
 
 
-def _within_reach(scale: float, limit_n: float) -> list[Change]:
+def _within_reach(scale: float, most: Most) -> list[Change]:
     """The board clamps counts: with a motor that is weaker than its file says, the most that it
-    makes is less, too.
+    makes is less, too, and no stop can be sought with more than that.
     """
-    if scale >= 1.0 or limit_n == inf:
+    if scale >= 1.0 or most.limit_n == inf:
         return []
-    return [Change("limits", "force_n", floor(scale * limit_n * 1e3) / 1e3)]
+    reach_n = floor(scale * most.limit_n * 1e3) / 1e3
+    changes = [Change("limits", "force_n", reach_n)]
+    if most.home_n > reach_n:
+        changes.append(Change("home", "force_n", reach_n))
+    return changes
 
 
 @dataclass(frozen=True)

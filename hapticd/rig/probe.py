@@ -30,6 +30,7 @@ from hapticd.rig.added_mass import Added, added, channel
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.one_signal import Judged
+from hapticd.rig.plausible import count_of
 from hapticd.rig.result import (
     POSITION_HALF,
     Change,
@@ -60,7 +61,6 @@ LEAST_COUNTS = 5.0  # rms of a channel that is not dead
 LEAST_COHERENT = 0.9  # of a channel's lines, with what it should follow
 MOST_LEFT = 0.05  # of the torque's lines, that the fit leaves
 WORST_HALF = 0.1  # of the force gain, beyond which the mass made no difference
-FACTOR = 2.0  # between file and measurement, beyond which a mass is rather mistyped
 SHEPPARD = 1.0 / 12.0  # variance of rounding (Sheppard 1898), from half a count of noise on
 SHIFTS = np.linspace(-1.0, 1.0, 1001)  # of the longest delay, at which lines are compared
 LATEST_S = 2e-3  # between encoder and probe
@@ -246,13 +246,8 @@ def _weighed(found: Added) -> list[Finding]:
 
 def _believable(name: str, gain: Gain, scale: Mapping[str, Any]) -> Finding:
     ratio = gain.per_count / (int(scale["sign"]) * float(scale["per_count"]))
-    what = f"{name}: a count is {ratio:.4g} of what the device file says"
-    if not 1.0 / FACTOR <= abs(ratio) <= FACTOR:
-        remedy = "is the mass in kg, and was it fixed? Else correct the full scale in the file"
-        return Finding(what, "refused", remedy)
-    if ratio < 0.0:
-        return Finding(what, "warning", "its sign is the other one; the device file gets it")
-    return Finding(what, "ok")
+    remedy = "is the mass in kg, and was it fixed? Else correct the full scale in the file"
+    return count_of(name, ratio, remedy)
 
 
 def _of_gains(gains: Mapping[str, Gain]) -> list[Value]:

@@ -30,10 +30,13 @@ from hapticd.rig.link import require_disabled, require_verified
 from hapticd.rig.motor import (
     MOST_RESIDUAL,
     REPEATS,
+    UNBOUNDED,
+    Most,
     believable,
     fitted,
     full_scale_changes,
     limit_n,
+    most_of,
     settled_n,
 )
 from hapticd.rig.push import ready, wall_of
@@ -92,7 +95,7 @@ def measure(bench: Client, ask: Ask, spring: Spring) -> StepResult:
     ask(Request("let go", "take the spring off and let go"))
     rests = np.array(loops).reshape(-1, 2, 2)
     device = servo["device"]
-    return concluded(rests, spring, device["force"], float(device["force_limit_n"]))
+    return concluded(rests, spring, device["force"], most_of(device))
 
 
 def _loop(bench: Client, most_n: float, start_m: float) -> list[list[Rest]]:
@@ -114,10 +117,10 @@ def _rest(bench: Client, force_n: float, start_m: float) -> Rest:
 
 
 def concluded(
-    rests: Floats, spring: Spring, force: dict[str, Any], limit_n: float = np.inf
+    rests: Floats, spring: Spring, force: dict[str, Any], most: Most = UNBOUNDED
 ) -> StepResult:
     """What `rests` (n, 2, 2), of levels, way up and down, [N] and [m], say with the file's scale
-    `force` and its `limit_n`.
+    `force` and what it allows at `most`.
     """
     forces, places = rests.mean(axis=1).T
     line = fitted(forces, places)
@@ -133,7 +136,7 @@ def concluded(
     seen = Value("friction seen", friction, "N", 0.0, 2.0 * friction)
     share = line.worst / float(np.ptp(places))
     findings = [_linear(share), believable(scale)]
-    changes = full_scale_changes(gain, full_n / scale, limit_n)
+    changes = full_scale_changes(gain, full_n / scale, most)
     arrays = {"rests": rests}
     return StepResult("motor", (gain, seen), findings, changes if settled(findings) else (), arrays)
 

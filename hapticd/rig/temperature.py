@@ -32,6 +32,7 @@ from hapticd.params import ScaleParams
 from hapticd.rig import back_emf
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled
+from hapticd.rig.plausible import FACTOR
 from hapticd.rig.records import collect, raw_counts
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
@@ -45,7 +46,6 @@ FAR_OFF_C = 25.0  # beyond which it is no offset
 LEAST_APART_C = 5.0  # of two temperatures
 LEAST_COUNTS = 5.0  # between two temperatures
 MOST_DRIFT_C_PER_MIN = 1.0
-FACTOR = 2.0  # between file and measurement
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ sensors in their intercepts. Moved by hand without force, a winding that carries
 K v: over windows of WINDOW_S the mean of the voltage and the way by the encoder belong together
 exactly, so no velocity is computed from noise. In SI both K are one number [N/A = V s/m]; where
 they differ, the scales of current, voltage, force and position contradict each other. The same
-windows give scale and sign of the channel `emf_velocity`.
+motion gives scale and sign of the channel `emf_velocity` (`rig.back_emf`).
 
 Commanded newtons have the interval of `rig motor`, metres that of `rig encoder`; both are taken
 from the sources in the device file.
@@ -17,6 +17,7 @@ temperature of the rests, which is written beside it).
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import hypot, isfinite, nan
 from typing import Any
 
@@ -26,12 +27,13 @@ from hapticd.analysis.arrays import Floats
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
+from hapticd.rig import back_emf
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled, require_verified
 from hapticd.rig.motor import allowed_n, fitted
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect, servo_rate_hz
-from hapticd.rig.result import Change, Finding, StepResult, Value, relative_half, rounded, settled
+from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, relative_half, settled
 from hapticd.units import COPPER_PER_K
 
 LEVELS = (0.25, 0.5, 0.75, 1.0)  # of a tenth of the force, to either side
@@ -69,9 +71,11 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
             "shake", f"move the handle to and fro by some mm for {SHAKE_S:g} s from now", SHAKE_S
         )
     )
-    moved = windows(collect(bench, SHAKE_S).records, servo_rate_hz(bench))
+    shaken = collect(bench, SHAKE_S).records
     ask(Request("let go", "let go of the handle"))
-    return concluded(rests, moved, servo["device"], lever_m)
+    moved = windows(shaken, servo_rate_hz(bench))
+    found = concluded(rests, moved, servo["device"], lever_m)
+    return _of_circuit(shaken, servo["device"], found)
 
 
 def _rest(bench: Client, force_n: float, start_m: float) -> list[float]:
@@ -90,20 +94,17 @@ def _rest(bench: Client, force_n: float, start_m: float) -> list[float]:
 
 
 def windows(records: Records, rate_hz: float) -> Floats:
-    """Means over consecutive windows (n, 3): velocity by the encoder [m/s], voltage [V] and
-    velocity of the circuit [m/s].
-    """
+    """Means over consecutive windows (n, 2): velocity by the encoder [m/s] and voltage [V]."""
     size = max(2, round(WINDOW_S * rate_hz))
     edges = np.arange(0, len(records), size)
     position = records["position_m"].astype(np.float64)
     speed = np.diff(position[edges]) * rate_hz / size
-    means = [_means(records[name].astype(np.float64), size) for name in _CHANNELS]
-    length = min(len(speed), *(len(one) for one in means))
-    return np.column_stack([speed[:length], *(one[:length] for one in means)])
+    voltage = _means(records["voltage_v"].astype(np.float64), size)
+    length = min(len(speed), len(voltage))
+    return np.column_stack([speed[:length], voltage[:length]])
 
 
 _RESTING = ("force_n", "current_a", "voltage_v", "winding_c")
-_CHANNELS = ("voltage_v", "emf_velocity_m_per_s")
 
 
 def _means(values: Floats, size: int) -> Floats:
@@ -120,7 +121,7 @@ def concluded(
     device: Mapping[str, Any],
     lever_m: float | None = None,
 ) -> StepResult:
-    """What `rests` (n, 4), force, current, voltage and temperature, and `moved` (m, 3), as
+    """What `rests` (n, 4), force, current, voltage and temperature, and `moved` (m, 2), as
     `windows` gives it, say with the scales of `device`.
     """
     arrays = {"rests": rests, "moved": moved}
@@ -137,20 +138,13 @@ def concluded(
     findings += [*_signs(per_ampere, ohm, induced), _agreement(per_ampere, induced)]
     changes: list[Change] = []
     if settled(findings):
-        changes = [_change(one, *one.name.split(".")) for one in (per_ampere, ohm)]
+        changes = [change_of(one) for one in (per_ampere, ohm)]
         celsius = float(rests[:, 3].mean())
         reference_c = round(celsius, 1) if isfinite(celsius) else ROOM_C
         changes.append(Change("motor", "reference_c", reference_c))
         if lever_m is not None:
             changes.append(Change("motor", "lever_m", lever_m))
-        emf = list(_emf(moved, device, metre))
-        values += emf
-        changes += [_change(one, *one.name.split(".")) for one in emf]
     return StepResult("motor", values, findings, changes, arrays)
-
-
-def _change(value: Value, table: str, key: str) -> Change:
-    return Change(table, key, rounded(value.value, value.low, value.high))
 
 
 def _slope(name: str, unit: str, x: Floats, y: Floats, relative: float) -> Value:
@@ -169,17 +163,18 @@ def _torque(per_ampere: Value, lever_m: float | None) -> list[Value]:
     return [Value("torque constant", value, "N m/A", low, high)]
 
 
-def _emf(moved: Floats, device: Mapping[str, Any], metre: float) -> list[Value]:
-    """Full scale of the circuit's velocity, if that moves with the handle."""
-    per_count = float(device["emf_velocity"]["per_count"])
-    if float(np.ptp(moved[:, 2])) < DEAD_COUNTS * per_count:
-        return []
-    gain = _slope("", "", moved[:, 2], moved[:, 0], metre)
-    if gain.value <= 0.0:
-        return []
-    full = 32767.0 * per_count
-    ends = (gain.value * full, gain.low * full, gain.high * full)
-    return [Value("emf_velocity.full_scale_m_per_s", ends[0], "m/s", ends[1], ends[2])]
+def _of_circuit(shaken: Records, device: Mapping[str, Any], found: StepResult) -> StepResult:
+    """`found` with scale and sign of the circuit's velocity, where that moves with the handle."""
+    circuit = back_emf.concluded(shaken, device)
+    if not (found.settled and circuit.settled):
+        left = [replace(one, verdict="warning") for one in circuit.findings if one.remedy]
+        return replace(found, findings=[*found.findings, *left])
+    return replace(
+        found,
+        values=[*found.values, *circuit.values],
+        findings=[*found.findings, *circuit.findings],
+        changes=[*found.changes, *circuit.changes],
+    )
 
 
 def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> list[Finding]:
