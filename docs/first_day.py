@@ -58,14 +58,10 @@ def hung(axis, result: StepResult) -> None:
 
 
 def found(axis, results: list[StepResult], rig: BlindRig) -> None:
-    """What was found over what is true, with its interval."""
-    known = [
-        (one, rig.true(one.name))
-        for result in results
-        for one in result.values
-        if one.high > one.low
-    ]
-    shown = [(one, true) for one, true in known if true and one.name not in LEFT_OUT]
+    """What was found over what is true, with its interval; the newest where two steps found it."""
+    known = {one.name: one for result in results for one in result.values if one.high > one.low}
+    truths = {name: rig.true(name) for name in known if name not in LEFT_OUT}
+    shown = [(known[name], true) for name, true in truths.items() if true]
     for row, (one, true) in enumerate(shown):
         ends = 100.0 * (np.array([one.low, one.value, one.high]) / true - 1.0)
         axis.plot(ends[[0, 2]], [row, row], color=BLUE)
@@ -76,7 +72,16 @@ def found(axis, results: list[StepResult], rig: BlindRig) -> None:
     axis.invert_yaxis()
 
 
-LEFT_OUT = ("delay", "clock drift", "friction seen", "force.offset_count", "watchdog")
+# those near 0, of which a share says nothing, and those that are the whole axis wide: how a lag is
+# parted into delay and smoothing
+LEFT_OUT = (
+    "delay",
+    "smoothing",
+    "clock drift",
+    "friction seen",
+    "force.offset_count",
+    "watchdog",
+)
 
 
 def main() -> None:
