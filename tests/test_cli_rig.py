@@ -40,9 +40,16 @@ def config(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def hand(monkeypatch: pytest.MonkeyPatch):
-    file = {"force": ScaleParams(COUNT_N, -1), "emf_velocity": EMF, "commissioning": True}
-    file["probe_limit_n"] = 2.0
-    with Hand(file, **FREE) as found:
+    yield from at_the_rig(monkeypatch, {"force": ScaleParams(COUNT_N, -1), "commissioning": True})
+
+
+@pytest.fixture
+def verified_hand(monkeypatch: pytest.MonkeyPatch):
+    yield from at_the_rig(monkeypatch, {})
+
+
+def at_the_rig(monkeypatch, file):
+    with Hand({**file, "emf_velocity": EMF, "probe_limit_n": 2.0}, **FREE) as found:
 
         @contextmanager
         def connected(instance):
@@ -192,8 +199,10 @@ def test_a_program_can_be_the_hand(tmp_path, monkeypatch):
         ask(Request("let go", "let go"))
 
 
-def test_probe_writes_both_channels_though_the_signs_are_not_verified(config, hand, monkeypatch):
-    monkeypatch.setattr(steps, "asking", lambda yes: hand.ask)
+def test_probe_writes_both_channels(config, verified_hand, monkeypatch):
+    file = config.parent / "devices" / "own.toml"
+    file.write_text((shipped("config") / "devices" / "simulated.toml").read_text())
+    monkeypatch.setattr(steps, "asking", lambda yes: verified_hand.ask)
     told = ["rig", "probe", "--mass", "0.02", "--no-one-signal", "--config", str(config)]
     assert main([*told, "--yes", "--json"]) == 0
     device = load(config).device

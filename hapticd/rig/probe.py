@@ -28,7 +28,7 @@ from hapticd.errors import AnalysisError
 from hapticd.rig import one_signal
 from hapticd.rig.added_mass import Added, added, channel
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled
+from hapticd.rig.link import require_disabled, require_verified
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.plausible import count_of
 from hapticd.rig.result import (
@@ -105,9 +105,12 @@ def measure(
 ) -> StepResult:
     """Record what is at rest, shaken without and with the mass, and under one signal; conclude.
 
-    CommandError unless disabled; AnalysisError where force ends or the handle wanders off.
+    CommandError unless disabled; AnalysisError where signs are not verified, force ends or the
+    handle wanders off.
     """
     require_disabled(bench)
+    # without the weak spring the smallest slope takes the handle along while it is shaken
+    require_verified(bench.hello()["servo"], "the probe is measured")
     if not attached.kilograms > 0.0:
         raise AnalysisError(f"mass {attached.kilograms:g} kg: name the one that is fixed, in kg")
     device = bench.hello()["servo"]["device"]

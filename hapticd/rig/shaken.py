@@ -2,9 +2,8 @@
 
 Played is one second of sines of whole Hz from 10 to 30 Hz, over and over, their force rising with
 the frequency so that a mass moves equally fast at each (Schroeder's phases, 1970, keep the peak
-low). Its strength grows until the handle moves far enough to be measured. K = B = M = 0 but for
-a spring so weak that it only keeps the handle from wandering off; while signs are not verified
-there is none.
+low). Its strength grows until the handle moves far enough to be measured. B = M = 0, and K is so
+weak that it only keeps the handle from wandering off, as the smallest slope would make it.
 
 Encoder and probe have clocks of one board: sample n of the probe ends at n * 250 us, to within a
 constant, which the ticks that brought the samples tell (`Recording.place`). Lines are fitted to
@@ -145,8 +144,7 @@ def amplitudes(at: Floats, values: Floats) -> Complexes:
 def shaking(bench: Client) -> Iterator[Watch]:
     """Enabled for a perturbation. However it is left, nothing plays and the device is disabled."""
     with measuring(bench) as lease, ready(bench):
-        if not bench.hello()["servo"]["device"]["commissioning"]:
-            bench.set(K=CENTRE_N_PER_M, ramp_s=CENTRE_S)
+        bench.set(K=CENTRE_N_PER_M, ramp_s=CENTRE_S)
         at_m = float(collect(bench, CENTRE_S).records["position_m"][-1])
         yield Watch(lease, (min(0.0, at_m) - MOST_TRAVEL_M, max(0.0, at_m) + MOST_TRAVEL_M))
         bench.perturb_stop()
