@@ -84,20 +84,21 @@ LEFT_OUT = (
 )
 
 
+def with_array(results: list[StepResult], name: str) -> StepResult:
+    """The result that was found from the array `name`."""
+    return next(result for result in results if name in result.arrays)
+
+
 def main() -> None:
     """Do the day and draw it."""
     with BlindRig(SEED) as rig, styled():
         day = first_day(rig)
         if day.error:
             raise SystemExit(day.error)
-        by_name = {}
-        for result in day.results:
-            name = "gain" if "weights_n" in result.arrays else result.step
-            by_name[name] = result
         figure, (first, second, third, fourth) = axes(2, 2, WIDTH_IN, 5.0)
-        moved(first, by_name["encoder"])
-        pushed(second, by_name["motor"])
-        hung(third, by_name["gain"])
+        moved(first, with_array(day.results, "moving"))
+        pushed(second, with_array(day.results, "force_n_0"))
+        hung(third, with_array(day.results, "weights_n"))
         found(fourth, day.results, rig)
         figure.savefig(FIGURE, metadata={"Date": None})
 

@@ -18,17 +18,9 @@ from hapticd.params import FilterParams, ScaleParams, TouchParams, to_plain
 from hapticd.recording.certificate import certificate_beside, certificate_of
 from hapticd.rig import vectors, verify
 from hapticd.rig.certificate import page
+from hapticd.rig.known_parts import KnownParts, parts_of
 from hapticd.rig.result import Value
-from hapticd.rig.verify import (
-    KnownParts,
-    Rendering,
-    changed,
-    expected,
-    judged,
-    measure,
-    parts_of,
-    seen,
-)
+from hapticd.rig.verify import Rendering, changed, expected, judged, measure, seen
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 

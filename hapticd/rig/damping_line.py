@@ -80,6 +80,12 @@ def concluded(
         _gain(found.gain),
         _loop(found, top),
     ]
+    changes = _changes(gain, physical, top)
+    return StepResult("damping", values, said, changes if settled(said) else (), arrays or {})
+
+
+def _changes(gain: Value, physical: Value, top: float) -> list[Change]:
+    """What is written, with the limit `top` [N s/m] of the device file."""
     written = rounded(gain.value, gain.low, gain.high)
     changes = [Change("damping", "full_scale_ns_per_m", written)]
     if written < top:  # no more than the converter makes
@@ -87,7 +93,7 @@ def concluded(
     if physical.low > 0.0:
         least = float(f"{LEAST_SHARE * physical.low:.2g}")
         changes.append(Change("limits", "physical_damping_ns_per_m", least))
-    return StepResult("damping", values, said, changes if settled(said) else (), arrays or {})
+    return changes
 
 
 def _value(name: str, value: float, unit: str, relative: float) -> Value:

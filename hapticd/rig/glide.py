@@ -168,7 +168,9 @@ def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
     loop_half = float(found.halves[-1]) if loops else 0.0
     took = (impulse - gain * damped) / (1.0 + loop * level)
     mechanics = least_squares(friction, took, weight * (1.0 + loop * level))
-    mistimed_n = float(mechanics.values[1]) * _mistimed(rows)
+    physical, coulomb_n, _ = mechanics.values.tolist()
+    physical_half, coulomb_half, _ = mechanics.halves.tolist()
+    mistimed_n = coulomb_n * _mistimed(rows)
     lost = loads @ np.array(coefficients)
     left = impulse - gain * damped - lost * (1.0 + loop * level)
     return Balance(
@@ -177,10 +179,10 @@ def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
         loop,
         loop_half,
         float(coefficients[0]) if by_current else 0.0,
-        float(mechanics.values[0]),
-        hypot(float(mechanics.halves[0]), mistimed_n * _slowness(rows)),
-        float(mechanics.values[1]),
-        hypot(float(mechanics.halves[1]), mistimed_n),
+        physical,
+        hypot(physical_half, mistimed_n * _slowness(rows)),
+        coulomb_n,
+        hypot(coulomb_half, mistimed_n),
         by_current,
         lost,
         np.asarray(left / impulse),

@@ -23,7 +23,7 @@ from hapticd.errors import AnalysisError
 from hapticd.params import ScaleParams
 from hapticd.rig.push import ready
 from hapticd.rig.records import collect
-from hapticd.rig.streams import Streams, inside, measuring, streams
+from hapticd.rig.streams import Streams, Travel, inside, measuring, streams
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 REST_S = 0.6
@@ -83,8 +83,8 @@ def play(bench: Client, waveform_n: Floats, environment: Environment) -> Played:
 
 def _received(bench: Client, lease: ClientLease, seconds: float) -> Streams:
     """Both streams for `seconds`, whole."""
-    travel_m = _travel_m(bench)
-    found = streams(bench, seconds, lambda ticks: inside(bench, ticks, travel_m), lease)
+    travel = _travel(bench)
+    found = streams(bench, seconds, lambda ticks: inside(bench, ticks, travel), lease)
     if found.lost:
         raise AnalysisError(
             f"{found.lost} records were lost; quiet the host (`hapticd doctor`), and repeat the"
@@ -93,9 +93,9 @@ def _received(bench: Client, lease: ClientLease, seconds: float) -> Streams:
     return found
 
 
-def _travel_m(bench: Client) -> tuple[float, float]:
+def _travel(bench: Client) -> Travel:
     ends = bench.hello()["servo"]["environment"]["workspace"]
-    return float(ends["lower_m"]), float(ends["upper_m"])
+    return Travel(float(ends["lower_m"]), float(ends["upper_m"]))
 
 
 def _signal(samples: Records, name: str, device: Mapping[str, Any]) -> Floats:

@@ -28,7 +28,7 @@ from hapticd.client.lease import ClientLease
 from hapticd.errors import AnalysisError
 from hapticd.rig.push import ready
 from hapticd.rig.records import collect
-from hapticd.rig.streams import inside, measuring, streams
+from hapticd.rig.streams import Travel, inside, measuring, streams
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 LINES_HZ = np.arange(10.0, 31.0)
@@ -71,7 +71,7 @@ class Watch(NamedTuple):
     """What a recording under force is kept by: the lease, and where the handle may go."""
 
     lease: ClientLease
-    travel_m: tuple[float, float]
+    travel: Travel
 
 
 def record(bench: Client, seconds: float, watch: Watch | None = None) -> Recording:
@@ -81,8 +81,8 @@ def record(bench: Client, seconds: float, watch: Watch | None = None) -> Recordi
     if watch is None:
         found = streams(bench, seconds, lambda ticks: None)
     else:
-        where_m = watch.travel_m
-        found = streams(bench, seconds, lambda ticks: inside(bench, ticks, where_m), watch.lease)
+        travel = watch.travel
+        found = streams(bench, seconds, lambda ticks: inside(bench, ticks, travel), watch.lease)
     return recording(found.samples, found.ticks)
 
 
@@ -146,7 +146,8 @@ def shaking(bench: Client) -> Iterator[Watch]:
     with measuring(bench) as lease, ready(bench):
         bench.set(K=CENTRE_N_PER_M, ramp_s=CENTRE_S)
         at_m = float(collect(bench, CENTRE_S).records["position_m"][-1])
-        yield Watch(lease, (min(0.0, at_m) - MOST_TRAVEL_M, max(0.0, at_m) + MOST_TRAVEL_M))
+        ends_m = Travel(min(0.0, at_m) - MOST_TRAVEL_M, max(0.0, at_m) + MOST_TRAVEL_M)
+        yield Watch(lease, ends_m)
         bench.perturb_stop()
 
 

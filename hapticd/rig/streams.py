@@ -26,6 +26,13 @@ RENEW_TICKS = 1000
 Seen = Callable[[Records], None]  # what looks at each block of ticks as it comes
 
 
+class Travel(NamedTuple):
+    """Where a handle may be while a step measures."""
+
+    low_m: float
+    high_m: float
+
+
 class Streams(NamedTuple):
     """What came."""
 
@@ -89,8 +96,8 @@ def _same_life(block: Block) -> None:
         raise DaemonDown("servo or board restarted meanwhile; see `hapticd status`, then repeat")
 
 
-def inside(bench: Client, ticks: Records, travel_m: tuple[float, float]) -> None:
-    """AnalysisError where force has ended, or the handle left `travel_m`."""
+def inside(bench: Client, ticks: Records, travel: Travel) -> None:
+    """AnalysisError where force has ended, or the handle left `travel`."""
     if (ticks["state"] != State.ENABLED).any():
         status = bench.status()
         raise AnalysisError(
@@ -99,9 +106,9 @@ def inside(bench: Client, ticks: Records, travel_m: tuple[float, float]) -> None
         )
     low_m = float(ticks["position_m"].min())
     high_m = float(ticks["position_m"].max())
-    if not travel_m[0] <= low_m <= high_m <= travel_m[1]:
+    if not travel.low_m <= low_m <= high_m <= travel.high_m:
         raise AnalysisError(
             f"the handle went to {1e3 * low_m:.3g} .. {1e3 * high_m:.3g} mm, beyond"
-            f" {1e3 * travel_m[0]:.3g} .. {1e3 * travel_m[1]:.3g} mm; let go of it in the middle"
+            f" {1e3 * travel.low_m:.3g} .. {1e3 * travel.high_m:.3g} mm; let go of it in the middle"
             " of its travel, and lay the axis level"
         )

@@ -45,15 +45,15 @@ from hapticd.client.client import Client
 from hapticd.params import FilterParams
 from hapticd.recording.calibrations import doubts
 from hapticd.rig import vectors
-from hapticd.rig.excitation import CENTRE, loudest_n, noise
+from hapticd.rig.excitation import loudest_n, noise
 from hapticd.rig.hand import Ask, Request
+from hapticd.rig.known_parts import BESIDE, USUAL, KnownParts, Part, parts_of
 from hapticd.rig.link import MOST_SPREAD, RARE, require_disabled, require_verified
 from hapticd.rig.mechanics import UNKNOWN_SHARE
-from hapticd.rig.played import Environment, Played, play
+from hapticd.rig.played import Played, play
 from hapticd.rig.result import Finding, StepResult, Value, Verdict, relative_half
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
-SECONDS = 20.0
 LOW_HZ = 8.0
 HIGH_HZ = 120.0
 ATTACHED_HZ = 25.0
@@ -65,41 +65,6 @@ NORMAL = 1.96
 FRICTION_SHARE = 0.25  # of the change of friction that is no constant
 MASS_SHARE = 1e-3  # half of the interval of an attached mass, and of a spring
 FLEXIBLE = 3.0  # times what the resonance does, as a doubt of what is attached
-UNIT_N_PER_M = "N/m"
-
-RENDERED = ("force.full_scale_n", "position.m_per_count")
-PROBED = ("probe_torque.full_scale_n", "probe_velocity.full_scale_m_per_s")
-
-
-@dataclass(frozen=True)
-class KnownParts:
-    """What is rendered beside the environment BESIDE, and what is attached by hand (0: nothing)."""
-
-    stiffness_n_per_m: float = 60.0
-    damping_ns_per_m: float = 1.0
-    mass_kg: float = 0.004
-    attached_kg: float = 0.0
-    spring_n_per_m: float = 0.0
-    seconds: float = SECONDS  # of each run
-
-
-BESIDE = CENTRE  # what is rendered beside
-
-
-@dataclass(frozen=True)
-class Part:
-    """One known part, in `unit`, and how it comes to the handle."""
-
-    name: str
-    size: float
-    unit: str
-    environment: Environment  # that is rendered meanwhile
-    request: Request | None = None  # what a person does; None: it is rendered
-
-    @property
-    def scales(self) -> tuple[str, ...]:
-        """The calibrations on which it rests."""
-        return PROBED if self.request else RENDERED + PROBED
 
 
 @dataclass(frozen=True)
@@ -112,28 +77,7 @@ class Rendering:
     filters: tuple[FilterParams, FilterParams]
 
 
-def parts_of(known: KnownParts) -> list[Part]:
-    """The parts that are asked for, in their order."""
-    stiffness, damping, mass = BESIDE
-    k = known.stiffness_n_per_m
-    b = known.damping_ns_per_m
-    m = known.mass_kg
-    found = [
-        Part("rendered spring", k, UNIT_N_PER_M, Environment(stiffness + k, damping, mass)),
-        Part("rendered damper", b, "N s/m", Environment(stiffness, damping + b, mass)),
-        Part("rendered mass", m, "kg", Environment(stiffness, damping, mass + m)),
-    ]
-    if kg := known.attached_kg:
-        words = f"fix {kg:g} kg firmly to the handle, and let go of it"
-        found.append(Part("attached mass", kg, "kg", BESIDE, Request("attach", words, kg)))
-    if spring := known.spring_n_per_m:
-        words = f"put a spring of {spring:g} N/m between handle and frame, and let go"
-        request = Request("spring", words, spring)
-        found.append(Part("attached spring", spring, UNIT_N_PER_M, BESIDE, request))
-    return found
-
-
-def measure(bench: Client, ask: Ask, known: KnownParts = KnownParts()) -> StepResult:
+def measure(bench: Client, ask: Ask, known: KnownParts = USUAL) -> StepResult:
     """Shake the handle with and without each part, and compare. CommandError unless disabled;
     AnalysisError where the signs are not verified, or as `play`.
     """
@@ -217,11 +161,11 @@ def expected(part: Part, frequency_hz: Floats, way: Rendering) -> Complexes:
         return np.asarray(added)
     turn = np.exp(s / way.rate_hz)
     velocity, acceleration = derivatives(turn, way.rate_hz, way.filters)
-    law = np.array(part.environment) - np.array(BESIDE)
+    stiffness, damping, mass = np.array(part.environment) - np.array(BESIDE)
     path = held(frequency_hz, way.rate_hz, way.delay_us * way.rate_hz / US_PER_S)
     if way.smoothing_hz:
         path = path / (1.0 + 1j * frequency_hz / way.smoothing_hz)
-    return np.asarray((law[0] + law[1] * velocity + law[2] * acceleration) * path / s)
+    return np.asarray((stiffness + damping * velocity + mass * acceleration) * path / s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,8 +197,9 @@ def changed(part: Part, without: Impedance, with_it: Impedance, way: Rendering) 
 
 def passed(frequency_hz: Floats, told: Floats) -> Complexes:
     """The way of a command (F,), of `told` = smoothing [ms] and encoder [1e-5 / Hz^2]."""
-    smoothing = 1.0 + 2e-3j * pi * frequency_hz * told[0]
-    return np.asarray(1.0 / smoothing / (1.0 - 1e-5 * told[1] * frequency_hz**2))
+    smoothing_ms, encoder = told.tolist()
+    smoothing = 1.0 + 2e-3j * pi * frequency_hz * smoothing_ms
+    return np.asarray(1.0 / smoothing / (1.0 - 1e-5 * encoder * frequency_hz**2))
 
 
 def seen(changes: Sequence[Change]) -> list[Value]:
@@ -263,7 +208,8 @@ def seen(changes: Sequence[Change]) -> list[Value]:
     """
     rendered = [one for one in changes if not one.part.request]
     told, values = _together(rendered)
-    return [*values, *(_attached(one, told[1]) for one in changes if one.part.request)]
+    _, encoder = told.tolist()
+    return [*values, *(_attached(one, encoder) for one in changes if one.part.request)]
 
 
 def _together(changes: Sequence[Change]) -> tuple[Floats, list[Value]]:
