@@ -1,11 +1,14 @@
 """The balance of forces: its closed forms, and made-up records of a handle whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shaken_handle import Truth, shaken
 
 from hapticd.analysis.verdict import student_quantile
 from hapticd.errors import AnalysisError
+from hapticd.rig import balance, identify
 from hapticd.rig.balance import RIGID, balanced
 from hapticd.rig.balance_terms import Handle, commanded, friction
 from hapticd.rig.excitation import noise
@@ -188,3 +191,44 @@ def test_the_pull_of_a_sound_device_is_within_its_interval():
     assert abs(pull.size) <= 2.0 * pull.half
     assert found.sd.shape == (RIGID,)
     assert pull.critical > student_quantile(0.995, found.blocks - 1)
+
+
+TWO = Truth(mass_kg=0.0067, slider_kg=0.0022, resonance_hz=730.0, smoothing_s=5.5e-4)
+
+
+@pytest.mark.parametrize("late_samples", [0.0, 0.2])
+def test_two_masses_are_told_however_the_velocity_channel_is_late(late_samples):
+    """A channel that interpolates is weak at high frequencies, and hides some of a resonance."""
+    truth = replace(TWO, late_samples=late_samples)
+    values = {one.name: one for one in concluded(runs_of(truth), FACTS).values}
+    true = {
+        "moving mass": truth.mass_kg,
+        "sliding mass": truth.slider_kg,
+        "first resonance": truth.resonance_hz,
+        "lag": truth.lag_us,
+        "Coulomb friction": truth.coulomb_n,
+    }
+    for name, value in true.items():
+        assert values[name].low <= value <= values[name].high, values[name]
+    assert values["moving mass"].high - values["moving mass"].low < 0.01 * truth.mass_kg
+    assert values["first resonance"].high - values["first resonance"].low < 0.2 * truth.resonance_hz
+
+
+def test_a_balance_that_has_not_settled_is_refused(monkeypatch):
+    monkeypatch.setattr(balance, "FIRST_ROUNDS", 1)
+    monkeypatch.setattr(balance, "ROUNDS", 1)
+    result = concluded(runs_of(Truth()), FACTS)
+    assert not result.settled
+    assert not result.values
+    assert not result.changes
+    assert "not settled" in result.findings[0].what
+
+
+def test_a_mass_that_no_force_could_move_is_refused(monkeypatch):
+    found = balanced(runs_of(Truth()))
+    assert found.handle.mass_kg <= found.most_kg <= 3.0 * found.handle.mass_kg
+    heavy = replace(found, handle=replace(found.handle, mass_kg=0.36), tests=())
+    monkeypatch.setattr(identify, "_solved", lambda _: heavy)
+    result = concluded(runs_of(Truth()), FACTS)
+    assert not result.changes
+    assert "moving mass 360 g" in result.findings[0].what

@@ -18,6 +18,11 @@ if a mass K q / 2 were missing, so a mass that is not known to MASS_SHARE leaves
 Clocks. `probe_clock` puts both streams into one time. The velocity may come later than the torque
 (a skew), and the torque channel may have a high-pass: two more unknowns of the balance.
 
+Two masses. A transmission that yields shows as a mass that grows with the frequency. A velocity
+channel that is late by interpolation droops, one with a plain delay does not, and a droop hides
+some of that growth; which it is nobody knows, so half of it is taken, and what the other half would
+change is in the deviations. Each mass by itself is known less well than both together.
+
 Assumptions. Each is a term that should not be there: a mass that changes with the frequency (fitted
 along, so that m is what moves slowly), friction that grows with the square of the speed, friction
 of speed that differs by direction, a delay that drifts, a steady pull. Added to the equation its
@@ -64,13 +69,14 @@ NAMES = (
     "lag_us",
     "spread_us2",
     "skew_us",
-    "bend_kg",
     "high_pass_rad_s",
     "slider_kg",
     "slider_rad_s",
     "slider_ratio",
 )
-RIGID = 9  # of them: the last three are those of a resonance
+COMMON = 8  # of them: the last three are those of a resonance, instead of which
+RIGID = 9  # one rigid mass has bend_kg
+DROOP = 0.5  # of that of a channel that interpolates; it lies anywhere between 0 and 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +100,8 @@ class Balance:
     """The solution. `sd` and `correlation` in the order of NAMES."""
 
     handle: Handle
+    settled: bool  # whether a further round would change nothing
+    most_kg: float  # as much as all forces together could move as it moved
     sd: Floats  # (RIGID,), or of all with a resonance
     correlation: Floats  # square
     blocks: int
@@ -108,21 +116,44 @@ class Balance:
 class _Rows(NamedTuple):
     """The equation by lines."""
 
-    columns: Floats  # (blocks, rows, RIGID or all) by NAMES
+    columns: Floats  # (blocks, rows, RIGID or all), by NAMES
     target: Floats  # (blocks, rows)
     extra: dict[str, Floats]  # of each test, (blocks, rows)
     run: Floats  # (blocks,) to which run a block belongs
     pull_n: Floats  # (blocks,)
 
 
-def balanced(runs: Sequence[Played], coupled: bool = False) -> Balance:
-    """Solve the balance of all `runs` together, of one rigid mass or of two that are `coupled`.
+def parted(runs: Sequence[Played], rigid: Balance) -> Balance:
+    """The balance of two masses, from that of one `rigid` mass on: lag and smoothing are known by
+    then. How much the velocity channel droops is not, and what it changes is in the deviations.
+    """
+    further = max(float(np.mean([clock.yield_s2 for clock in rigid.clocks])), 1e-8)
+    half_kg = 0.5 * rigid.handle.mass_kg
+    begin = replace(
+        rigid.handle,
+        mass_kg=half_kg,
+        slider_kg=half_kg,
+        slider_rad_s=1.0 / sqrt(further),
+        slider_ratio=RATIO,
+        droop=DROOP,
+    )
+    two = balanced(runs, begin)
+    pure = balanced(runs, replace(two.handle, droop=0.0))
+    away = [getattr(two.handle, name) - getattr(pure.handle, name) for name in NAMES]
+    covariance = two.correlation * np.outer(two.sd, two.sd) + np.outer(away, away) / 4.0
+    sd = np.sqrt(np.diag(covariance))
+    settled = two.settled and pure.settled
+    return replace(two, settled=settled, sd=sd, correlation=covariance / np.outer(sd, sd))
+
+
+def balanced(runs: Sequence[Played], begin: Handle | None = None) -> Balance:
+    """Solve the balance of all `runs` together, of one rigid mass or of what `begin` has.
     AnalysisError where they are too short or nothing moves.
     """
     if sum(run.torque_n.size // BLOCK for run in runs) < LEAST_BLOCKS:
         raise AnalysisError(f"less than {LEAST_BLOCKS} s of motion; play longer waveforms")
     clocks = tuple(clocked(run) for run in runs)
-    handle = _begin(runs, clocks, coupled)
+    handle = begin or _begin(runs, clocks)
     weight: Floats | None = None
     for _ in range(ROUNDS):
         rows = _rows(runs, clocks, handle)
@@ -131,20 +162,17 @@ def balanced(runs: Sequence[Played], coupled: bool = False) -> Balance:
         handle, stride = _moved(handle, fit.values)
         if stride < SETTLED_US:
             break
-    return _concluded(runs, clocks, handle, rows, fit, weight)
+    settled = stride < SETTLED_US and bool(fit.values[0] > 0.0)
+    return _concluded(runs, clocks, handle, settled, rows, fit, weight)
 
 
-def _begin(runs: Sequence[Played], clocks: Sequence[Clock], coupled: bool) -> Handle:
+def _begin(runs: Sequence[Played], clocks: Sequence[Clock]) -> Handle:
     """The best of some guesses of the smoothing, each after a few rounds."""
     known = np.concatenate([run.delay_us[run.delay_us >= 0.0] for run in runs])
     delay_us = float(np.median(known)) if known.size else 0.25 * runs[0].period_us
     best: tuple[float, Handle] | None = None
     for smooth_us in SPREADS_US:
         handle = Handle(1e-2, 0.0, 0.0, 1.0, delay_us + smooth_us, smooth_us**2, 0.0)
-        if coupled:
-            further = max(float(np.mean([clock.yield_s2 for clock in clocks])), 1e-8)
-            rate = 1.0 / sqrt(further)
-            handle = replace(handle, slider_kg=3e-3, slider_rad_s=rate, slider_ratio=RATIO)
         for _ in range(FIRST_ROUNDS):
             rows = _rows(runs, clocks, handle)
             fit = solved(rows.columns, rows.target)
@@ -158,23 +186,22 @@ def _begin(runs: Sequence[Played], clocks: Sequence[Clock], coupled: bool) -> Ha
 
 def _moved(handle: Handle, values: Floats) -> tuple[Handle, float]:
     """`handle` after a round, and how far the lag went [us]."""
-    mass, viscous, coulomb, gain, lag, spread, skew, bend, corner = values[:RIGID].tolist()
+    mass, viscous, coulomb, gain, lag, spread, skew, corner = values[:COMMON].tolist()
     stride = float(np.clip(lag, -STRIDE_US, STRIDE_US))
     widest = max(4e4, abs(handle.spread_us2))
     moved = replace(
         handle,
-        mass_kg=abs(mass) or handle.mass_kg,
+        mass_kg=max(mass, 0.1 * handle.mass_kg),
         viscous_ns_per_m=viscous,
         coulomb_n=max(coulomb, 0.0),
         gain=gain,
         lag_us=handle.lag_us + stride,
         spread_us2=handle.spread_us2 + float(np.clip(spread, -widest, widest)),
         skew_us=handle.skew_us + float(np.clip(skew, -STRIDE_US, STRIDE_US)),
-        bend_kg=bend,
         high_pass_rad_s=handle.high_pass_rad_s + corner,
     )
     if handle.slider_rad_s > 0.0:
-        slider, rate, ratio = values[RIGID:].tolist()
+        slider, rate, ratio = values[COMMON:].tolist()
         most = 0.1 * handle.slider_rad_s
         moved = replace(
             moved,
@@ -203,10 +230,12 @@ def _of_run(run: Played, clock: Clock, handle: Handle, number: int) -> _Rows:
     own = terms(run, clock, handle)
     slopes = _slopes(run, clock, handle, own)
     columns = [own.acceleration, own.velocity, own.friction, -own.command, *slopes]
-    high_hz = HIGH_HZ
     if handle.slider_rad_s > 0.0:
         columns += _of_slider(own, handle)
         high_hz = COUPLED_HZ
+    else:
+        columns.append(_bent(own))
+        high_hz = HIGH_HZ
     speed = float(own.velocity.std()) or 1.0
     extra = {
         "linear": own.velocity * np.abs(own.velocity) / speed,
@@ -229,7 +258,6 @@ class _Slopes(NamedTuple):
     lag: Floats
     spread: Floats
     skew: Floats
-    bend: Floats
     high_pass: Floats
 
 
@@ -238,15 +266,19 @@ def _slopes(run: Played, clock: Clock, handle: Handle, own: Terms) -> _Slopes:
     sooner = commanded(run, clock, handle.lag_us - 1.0, handle.spread_us2)
     wider = commanded(run, clock, handle.lag_us, handle.spread_us2 + SMALL_US2)
     slope = shifted(run.torque_n, -handle.skew_us, slopes=1)
-    bent = np.zeros(later.size)
-    bent[1:-1] = -np.diff(own.acceleration, 2) / (2.0 * np.pi * HIGH_HZ * H_S) ** 2
     return _Slopes(
         -handle.gain * 0.5 * (later - sooner),
         -handle.gain * (wider - own.command) / SMALL_US2,
         0.5 * (slope[1:] + slope[:-1]),
-        bent,
         -np.cumsum(own.torque - own.torque.mean()) * H_S,
     )
+
+
+def _bent(own: Terms) -> Floats:
+    """Column of a mass that grows with the square of the frequency."""
+    bent = np.zeros(own.acceleration.size)
+    bent[1:-1] = -np.diff(own.acceleration, 2) / (2.0 * np.pi * HIGH_HZ * H_S) ** 2
+    return bent
 
 
 def _of_slider(own: Terms, handle: Handle) -> tuple[Floats, Floats, Floats]:
@@ -288,6 +320,7 @@ def _concluded(
     runs: Sequence[Played],
     clocks: tuple[Clock, ...],
     handle: Handle,
+    settled: bool,
     rows: _Rows,
     fit: Solution,
     weight: Floats | None,
@@ -300,6 +333,8 @@ def _concluded(
     speeds = np.concatenate([run.velocity_m_per_s for run in runs])
     return Balance(
         handle,
+        settled,
+        _most_kg(rows, fit.values),
         sd,
         covariance / np.outer(sd, sd),
         blocks,
@@ -312,11 +347,19 @@ def _concluded(
     )
 
 
+def _most_kg(rows: _Rows, values: Floats) -> float:
+    """What moves as it did cannot be more than all forces together move (triangle inequality)."""
+    sizes = np.sqrt((rows.columns[..., :4] ** 2).sum(axis=(0, 1)))
+    torque = np.sqrt((rows.target**2).sum())
+    return float((torque + np.abs(values[1:4]) @ sizes[1:]) / sizes[0])
+
+
 def _tests(rows: _Rows, fit: Solution, weight: Floats | None) -> tuple[Test, ...]:
     """Each assumption by itself, beside what is fitted."""
     columns, target = _weighted(rows, weight)
-    bend = NAMES.index("bend_kg")
-    found = {"rigid": (float(fit.values[bend]), float(fit.sd[bend]))}
+    found = {}
+    if columns.shape[-1] == RIGID:
+        found["rigid"] = (float(fit.values[-1]), float(fit.sd[-1]))
     for name, one in rows.extra.items():
         term = one if weight is None else one * weight
         beside = solved(np.concatenate((columns, term[..., None]), axis=2), target)

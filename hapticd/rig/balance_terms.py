@@ -34,11 +34,16 @@ class Handle:
     lag_us: float  # D + s
     spread_us2: float  # s^2; below 0 where noise says so
     skew_us: float  # by which the velocity comes later than the torque
-    bend_kg: float = 0.0  # what the mass grows by up to HIGH_HZ, with the square of the frequency
     high_pass_rad_s: float = 0.0  # corner of the torque channel
     slider_kg: float = 0.0  # what hangs on a spring, beside mass_kg; 0: everything is rigid
     slider_rad_s: float = 0.0  # its own frequency while the rest is held
     slider_ratio: float = 0.0  # of its critical damping
+    droop: float = 0.0  # of the velocity channel, over that of one that interpolates for its skew
+
+    @property
+    def whole_kg(self) -> float:
+        """All that moves."""
+        return self.mass_kg + self.slider_kg
 
 
 class Terms(NamedTuple):
@@ -104,6 +109,14 @@ def shifted(values: Floats, later_us: float, slopes: int = 0) -> Floats:
     return np.asarray(np.fft.irfft(turned, values.size))
 
 
+def drooped(values: Floats, handle: Handle) -> Floats:
+    """`values` (n,) as weak at high frequencies as a channel that is late by interpolation."""
+    late = min(max(handle.skew_us / SAMPLE_US, 0.0), 1.0)
+    f = np.fft.rfftfreq(values.size)
+    lost = handle.droop * late * (1.0 - late) * (1.0 - np.cos(2.0 * np.pi * f))
+    return np.asarray(np.fft.irfft((1.0 - lost) * np.fft.rfft(values), values.size))
+
+
 def friction(push_n: Floats, velocity: Floats, handle: Handle) -> Floats:
     """phi (n,): the mean sign of friction in each interval, in which `push_n` acts and the mean
     velocity is `velocity`.
@@ -132,6 +145,7 @@ def terms(run: Played, clock: Clock, handle: Handle) -> Terms:
     velocity = passed(run.velocity_m_per_s, clock.high_pass_rad_s)
     velocity = velocity - velocity.mean() + drift * US_PER_S / clock.gain
     torque = shifted(passed(run.torque_n, handle.high_pass_rad_s), -handle.skew_us)
+    torque = drooped(torque, handle)
     command = commanded(run, clock, handle.lag_us, handle.spread_us2)
     acceleration = np.diff(velocity) / H_S
     slider = hung(acceleration, handle.slider_rad_s, handle.slider_ratio)

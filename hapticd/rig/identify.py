@@ -23,7 +23,7 @@ from hapticd.analysis.theorem import required_damping
 from hapticd.client.client import Client
 from hapticd.params import FilterParams
 from hapticd.rig.assumptions import MATTERS, assumptions, parting, scales_agree
-from hapticd.rig.balance import NAMES, Balance, balanced
+from hapticd.rig.balance import NAMES, Balance, balanced, parted
 from hapticd.rig.excitation import CENTRE, loudest_n, noise
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled, require_verified
@@ -50,6 +50,7 @@ STIFFNESSES = (1600.0, 800.0, 400.0, 200.0, 100.0, 50.0)  # N/m
 DAMPINGS = (0.4, 0.2, 0.1, 0.0)  # N s/m
 SPARE = 1.5
 CERTAIN = 20.0  # deviations of a resonance that is told
+ALIKE = 0.03  # share by which one mass and two may differ
 
 
 def measure(bench: Client, ask: Ask) -> StepResult:
@@ -128,24 +129,35 @@ def concluded(runs: Sequence[Played], facts: Facts) -> StepResult:
 
 
 def _solved(runs: Sequence[Played]) -> Balance:
-    """The balance of one rigid mass, or of two where that is contradicted and two are told."""
+    """The balance of one rigid mass, or of two where that is contradicted, and two are told that
+    together are as heavy.
+    """
     rigid = balanced(runs)
     test = next(one for one in rigid.tests if one.name == "rigid")
     if not test.significant or test.size < MATTERS["rigid"] * rigid.handle.mass_kg:
         return rigid
-    two = balanced(runs, coupled=True)
+    two = parted(runs, rigid)
     sd = float(two.sd[NAMES.index("slider_rad_s")])
-    told = two.handle.slider_rad_s > CERTAIN * sd
+    told = two.settled and two.handle.slider_rad_s > CERTAIN * sd
     share = two.handle.slider_kg / two.handle.mass_kg
-    return two if told and share > MATTERS["rigid"] else rigid
+    heavier = two.handle.whole_kg / rigid.handle.whole_kg - 1.0
+    return two if told and share > MATTERS["rigid"] and abs(heavier) < ALIKE else rigid
 
 
 def _moved(found: Balance) -> Finding:
     share = 100.0 * found.residual
     what = f"forces balance to {share:.2g} % of the torque, over {found.blocks} s"
+    remedy = "is the handle free, and are both probe channels and their signs right? `rig probe`"
     if found.handle.coulomb_n < 0.0 or not found.handle.mass_kg > 0.0 or share > 20.0:
-        remedy = (
-            "is the handle free, and are both probe channels and their signs right? `rig probe`"
+        return Finding(what, "refused", remedy)
+    if not found.settled:
+        lag = f"its lag of {found.handle.lag_us:.4g} us still moves"
+        return Finding(
+            f"the balance has not settled: {lag}", "refused", f"repeat the step; {remedy}"
         )
+    mass_g = 1e3 * found.handle.whole_kg
+    most_g = 1e3 * found.most_kg
+    if mass_g > most_g:
+        what = f"moving mass {mass_g:.3g} g: all forces together move {most_g:.3g} g at most"
         return Finding(what, "refused", remedy)
     return Finding(what, "ok")

@@ -12,7 +12,7 @@ counts as delay, since their sum is what decides stability.
 What would break it: two scales that are wrong alike (nothing here contradicts them).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot, isnan, pi, sqrt
 from typing import NamedTuple
@@ -28,7 +28,7 @@ from hapticd.units import US_PER_S
 
 MASS_SHARE = 1e-3  # what the balance itself may be wrong by
 FRICTION_SHARE = 5e-3
-SPLIT_SHARE = 0.04  # rotor against slider: friction of the slider is the rotor's here
+SPLIT_SHARE = 0.06  # rotor against slider: what friction does within a sample is not seen
 LAG_US = 2.0
 SKEW_SHARE = 0.05  # a channel that is late may smooth instead
 YIELDING_SKEW_US = 10.0  # friction of the slider looks like some of it
@@ -99,18 +99,16 @@ def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
     shared_n = FRICTION_SHARE * friction_n(found)
     shared = shared_n / found.speed_m_per_s
 
-    total_kg = handle.mass_kg + handle.slider_kg
-
     def value(name: str, unit: str, fitted: float, own: float, moves: bool) -> Value:
         size = fitted * scale / (motion if moves else 1.0)
         wide = hypot(own * scale, size * scale_half, size * motion_half if moves else 0.0)
         return Value(name, size, unit, size - wide, size + wide)
 
-    mass_half = hypot(_total_half(found), MASS_SHARE * total_kg)
+    mass_half = hypot(_total_half(found), MASS_SHARE * handle.whole_kg)
     viscous_half = hypot(half_of(found, "viscous_ns_per_m"), shared)
     coulomb_half = hypot(half_of(found, "coulomb_n"), shared_n)
     return Mechanics(
-        value("moving mass", "kg", total_kg, mass_half, True),
+        value("moving mass", "kg", handle.whole_kg, mass_half, True),
         value("viscous friction", "N s/m", handle.viscous_ns_per_m, viscous_half, True),
         value("Coulomb friction", "N", handle.coulomb_n, coulomb_half, False),
     )
@@ -118,12 +116,15 @@ def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
 
 def _total_half(found: Balance) -> float:
     """Half of the 95 % interval of all that moves, by its blocks."""
-    if not found.handle.slider_kg:
-        return half_of(found, "mass_kg")
-    own = NAMES.index("mass_kg")
-    slider = NAMES.index("slider_kg")
-    twice = 2.0 * found.correlation[own, slider] * found.sd[own] * found.sd[slider]
-    variance = float(found.sd[own] ** 2 + found.sd[slider] ** 2 + twice)
+    return _together(found, {"mass_kg": 1.0, "slider_kg": 1.0 if found.handle.slider_kg else 0.0})
+
+
+def _together(found: Balance, slopes: Mapping[str, float]) -> float:
+    """Half of the 95 % interval of what changes by `slopes` with quantities of the balance."""
+    used = [(NAMES.index(name), slope) for name, slope in slopes.items() if slope]
+    places = [place for place, _ in used]
+    steps = np.array([slope for _, slope in used]) * found.sd[places]
+    variance = float(steps @ found.correlation[np.ix_(places, places)] @ steps)
     return student_quantile(UPPER_END, found.blocks - 1) * sqrt(max(0.0, variance))
 
 
@@ -132,12 +133,17 @@ def resonance_of(found: Balance, mass: Value) -> list[Value]:
     handle = found.handle
     if not handle.slider_kg:
         return []
-    scale = mass.value / (handle.mass_kg + handle.slider_kg)
+    scale = mass.value / handle.whole_kg
     slider = scale * handle.slider_kg
     wide = hypot(SPLIT_SHARE * slider, scale * half_of(found, "slider_kg"))
     own_hz = handle.slider_rad_s / (2.0 * pi)
-    hz = own_hz * sqrt(1.0 + handle.slider_kg / handle.mass_kg)
-    hz_half = hz * hypot(0.5 * SPLIT_SHARE, half_of(found, "slider_rad_s") / handle.slider_rad_s)
+    hz = own_hz * sqrt(handle.whole_kg / handle.mass_kg)
+    relative = {  # derivatives of its logarithm
+        "mass_kg": 0.5 / handle.whole_kg - 0.5 / handle.mass_kg,
+        "slider_kg": 0.5 / handle.whole_kg,
+        "slider_rad_s": 1.0 / handle.slider_rad_s,
+    }
+    hz_half = hz * hypot(0.5 * SPLIT_SHARE, _together(found, relative))
     return [
         Value("sliding mass", slider, "kg", slider - wide, slider + wide),
         Value("first resonance", hz, "Hz", hz - hz_half, hz + hz_half),
