@@ -403,6 +403,7 @@ def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
         "status",
         "dump",
         "schema",
+        "withhold",
     }
 
 

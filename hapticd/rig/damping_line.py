@@ -40,6 +40,7 @@ LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit
 LEAST_LEVELS = 3
 UNKNOWN = 0.01  # half of the interval of a scale whose source names none
 FLOOR = 0.003  # of the gain, however many pushes there were
+BY_FRICTION = 0.1  # of the residual back-EMF, where friction has to be told from it without current
 BIAS = 0.02  # of the physical damping, which comes out 1 to 3 % high on simulated boards
 MOST_BESIDE = 0.1  # share of its impulse by which a push may lie beside the others
 BESIDE = 0.03  # share by which a level may lie beside the line
@@ -143,7 +144,9 @@ def _residual(found: Balance, known_n_per_a: float, scales: float) -> Iterator[V
     """What the compensation leaves of the winding, in ohm where the force of an ampere is known."""
     rho = found.loop_per_ns_per_m / found.gain
     half = found.loop_half / abs(found.gain)
-    if found.by_current:
+    if not found.by_current:
+        half = hypot(half, BY_FRICTION * rho)
+    else:
         yield _value("force per ampere", abs(found.n_per_a), "N/A", hypot(scales, FLOOR))
     n_per_a = found.n_per_a or known_n_per_a
     name = "residual resistance" if n_per_a else "residual back-EMF"
