@@ -103,6 +103,15 @@ def test_momentum_balances_whatever_the_mass(mass_kg, damping):
     assert damping * way + 0.03 * rest_s == pytest.approx(0.3 * 0.03, rel=1e-6)
 
 
+@pytest.mark.parametrize("damping", [0.3, 1.0, 2.0, 4.0])
+def test_the_time_of_motion_is_known_to_a_tenth_of_a_period_whatever_damps(damping):
+    away_s = []
+    for friction_n in np.linspace(0.03, 0.036, 9):
+        records, _, rest_s = recorded(0.007, damping, friction_n, 0.3, 0.03, damping)
+        away_s.append(row_of(records, FORCE, COUNT_M, RATE_HZ).seconds - rest_s)
+    assert abs(np.mean(away_s)) < 1e-4
+
+
 def test_a_push_to_the_other_side_is_the_same_row():
     there, _, _ = recorded(0.008, 2.0, 0.03, 0.3, 0.03, 2.0)
     back = there.copy()

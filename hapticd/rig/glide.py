@@ -46,6 +46,7 @@ STILL_COUNTS = 6.0  # peak to peak at rest, beside the noise
 REST_S = 0.05  # at either end of a record
 EDGE_COUNTS = 10.0  # from rest, where the motion is timed
 LEAST_COUNTS = 10.0 * EDGE_COUNTS  # of a way that says something
+GLIDE_EDGES = 20.0  # edges in a way whose last nine are those of its glide
 TIMING_S = 5e-4  # by which the time of motion may be wrong
 MODEL = 0.003  # share of the impulse that the equation may leave out
 ITERATIONS = 30
@@ -101,12 +102,14 @@ def quantised(force_n: Floats, scale: ScaleParams) -> Floats:
 
 
 def _moving(away: Floats, way: float, edge: float) -> float:
-    """Periods from the first motion to the last. Near its ends the speed is proportional to time,
-    so the root of the way from rest is a line: it takes as long to `edge` as from there to four
-    times that.
+    """Periods from the first motion to the last of (n,). Near its ends the speed is proportional to
+    time, so the root of the way from rest is a line: it takes as long to `edge` as from there to
+    four times that. Damping brakes a fast handle more than a slow one, so in a glide the root is
+    bent, and the next order is taken as well where the glide is long enough to show it.
     """
     begin = _rest(away, edge)
-    end = _rest((way - away)[::-1], edge)
+    left = (way - away)[::-1]
+    end = _glided(left, edge) if way > GLIDE_EDGES * edge else _rest(left, edge)
     return max(len(away) - 1 - end - begin, 1.0)
 
 
@@ -115,6 +118,16 @@ def _rest(rising: Floats, edge: float) -> float:
     root = np.sqrt(np.maximum(rising, 0.0))
     first = float(edge) ** 0.5
     return 2.0 * _crossing(root, first) - _crossing(root, 2.0 * first)
+
+
+def _glided(rising: Floats, edge: float) -> float:
+    """Where a motion (n,) from rest began whose root is a parabola in time, through the edge, four
+    and nine times that.
+    """
+    root = np.sqrt(np.maximum(rising, 0.0))
+    first = float(edge) ** 0.5
+    one, two, three = (_crossing(root, share * first) for share in (1.0, 2.0, 3.0))
+    return 3.0 * one - 3.0 * two + three
 
 
 def _crossing(rising: Floats, level: float) -> float:
