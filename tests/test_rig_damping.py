@@ -49,6 +49,7 @@ RECORD = np.dtype(
         ("force_n", "<f8"),
         ("damping_effect_ns_per_m", "<f4"),
         ("current_a", "<f4"),
+        ("delay_us", "<i4"),
     ]
 )
 
@@ -86,6 +87,7 @@ def recorded(mass_kg, damping, friction_n, force_n, push_s, level=0.0):
     records["position_m"] = COUNT_M * np.floor(x / COUNT_M + 0.5)
     records["force_n"] = np.where((t >= 0.0) & (t < push_s - 1e-9), force_n, 0.0)
     records["damping_effect_ns_per_m"] = level
+    records["delay_us"] = -1  # no clock tells it
     return records, x[-1], rest_s
 
 
@@ -110,6 +112,36 @@ def test_the_time_of_motion_is_known_to_a_tenth_of_a_period_whatever_damps(dampi
         records, _, rest_s = recorded(0.007, damping, friction_n, 0.3, 0.03, damping)
         away_s.append(row_of(records, FORCE, COUNT_M, RATE_HZ).seconds - rest_s)
     assert abs(np.mean(away_s)) < 1e-4
+
+
+def smoothed(delay_us, smoothing_s):
+    """The records of a push whose force is late and smoothed, in steps of 5 us."""
+    mass_kg, damping, friction_n, force_n, push_s, step_s = 0.007, 0.3, 0.04, 0.3, 0.02, 5e-6
+    x = v = force = 0.0
+    seen = []
+    for n in range(120_000):
+        if n % 200 == 0:
+            seen.append(x)
+        target = force_n if 0.1 <= n * step_s - delay_us * 1e-6 < 0.1 + push_s else 0.0
+        force += step_s / smoothing_s * (target - force)
+        free = v + step_s / mass_kg * (force - damping * v)
+        v = max(free - step_s / mass_kg * friction_n, 0.0)
+        x += step_s * v
+    records = np.zeros(len(seen), RECORD)
+    records["slot"] = np.arange(len(seen))
+    records["position_m"] = COUNT_M * np.floor(np.array(seen) / COUNT_M + 0.5)
+    records["force_n"][100:120] = force_n
+    records["delay_us"] = delay_us
+    return records, damping, friction_n
+
+
+@pytest.mark.parametrize("smoothing_s", [4e-4, 1e-3])
+def test_a_push_acts_from_its_command_on_however_smoothed_it_is(smoothing_s):
+    """What friction took lasts as long as the momentum says, to a tenth of a millisecond."""
+    records, damping, friction_n = smoothed(625, smoothing_s)
+    row = row_of(records, FORCE, COUNT_M, RATE_HZ)
+    lasts_s = (row.impulse_ns - damping * row.way_m) / friction_n
+    assert row.seconds == pytest.approx(lasts_s, abs=1e-4)
 
 
 def test_a_push_to_the_other_side_is_the_same_row():

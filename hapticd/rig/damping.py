@@ -135,7 +135,9 @@ class Rig:
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """The raw record: what was sent and seen of every push, and the rows made of it."""
-        names = ("slot", "position_m", "force_n", "damping_effect_ns_per_m", "current_a")
+        names = (
+            "slot", "position_m", "force_n", "damping_effect_ns_per_m", "current_a", "delay_us",
+        )  # fmt: skip
         raw = {name: np.concatenate([part[name] for part in self.parts]) for name in names}
         return raw | {f"row_{name}": np.array(found) for name, found in _columns(self.rows)}
 

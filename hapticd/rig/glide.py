@@ -8,8 +8,9 @@ the time T of motion. Whatever its mass, and however the force was delayed or sm
 with the active damping b, the physical damping b0, Coulomb friction Fc, a constant force G
 (gravity, what is left at a count of 0) and the direction s of the motion: nothing is kept from rest
 to rest. Nothing has to be known of the mass, and the lag of amplifier and circuit drops out as
-well. b is what the damping DAC was told, times a gain that is sought; J is known by the measured
-gain of the force, D by that of the encoder.
+well: T begins with the command and its delay, since what a smoothed force has before it overcomes
+friction goes into friction. b is what the damping DAC was told, times a gain that is sought; J is
+known by the measured gain of the force, D by that of the encoder.
 
 g b is the loop gain of the residual resistance: the circuit sees the velocity v + rho F_a, and what
 the motor does is F_a = (F - b v) / (1 + g b), with g = rho. It weakens force and damping alike, so
@@ -41,6 +42,7 @@ from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.params import ScaleParams
 from hapticd.rig.result import UPPER_END
+from hapticd.units import US_PER_S
 
 STILL_COUNTS = 6.0  # peak to peak at rest, beside the noise
 REST_S = 0.05  # at either end of a record
@@ -84,8 +86,10 @@ def row_of(records: Records, force: ScaleParams, m_per_count: float, rate_hz: fl
     direction = 1.0 if went > 0.0 else -1.0
     away = direction * (position - before.mean())
     period_s = 1.0 / rate_hz
-    seconds = _moving(away, abs(went), EDGE_COUNTS * m_per_count) * period_s
     commanded = quantised(records["force_n"].astype(np.float64), force)
+    edge = EDGE_COUNTS * m_per_count
+    begin = _begin(records, commanded, away, edge, rate_hz)
+    seconds = max(_end(away, abs(went), edge) - begin, 1.0) * period_s
     impulse = direction * float((commanded - commanded[0]).sum()) * period_s
     level = records["damping_effect_ns_per_m"].astype(np.float64)
     damped = float(level[1:] @ np.diff(away))
@@ -101,20 +105,34 @@ def quantised(force_n: Floats, scale: ScaleParams) -> Floats:
     return np.asarray(scale.sign * (counts - scale.offset_count) * scale.per_count)
 
 
-def _moving(away: Floats, way: float, edge: float) -> float:
-    """Periods from the first motion to the last of (n,). Near its ends the speed is proportional to
-    time, so the root of the way from rest is a line: it takes as long to `edge` as from there to
-    four times that. Damping brakes a fast handle more than a slow one, so in a glide the root is
-    bent, and the next order is taken as well where the glide is long enough to show it.
+def _begin(records: Records, commanded: Floats, away: Floats, edge: float, rate_hz: float) -> float:
+    """Period in which the push (n,) began to act: by the command and its delay, as the board's
+    clock tells it; by the motion where that is not told. A force that is smoothed moves the handle
+    later, but friction takes as much of the impulse before.
     """
-    begin = _rest(away, edge)
+    delay_us = records["delay_us"].astype(np.float64)
+    told = delay_us[delay_us >= 0.0]
+    if not told.size:
+        return _rest(away, edge)
+    pushed = int(np.argmax(commanded != commanded[0]))
+    return pushed + float(np.median(told)) * rate_hz / US_PER_S
+
+
+def _end(away: Floats, way: float, edge: float) -> float:
+    """Period in which the motion (n,) ended. Near its end the speed is proportional to time, so the
+    root of the way that is left is a line: it takes as long to `edge` as from there to four times
+    that. Damping brakes a fast handle more than a slow one, so in a glide the root is bent, and the
+    next order is taken as well where the glide is long enough to show it.
+    """
     left = (way - away)[::-1]
-    end = _glided(left, edge) if way > GLIDE_EDGES * edge else _rest(left, edge)
-    return max(len(away) - 1 - end - begin, 1.0)
+    back = _glided(left, edge) if way > GLIDE_EDGES * edge else _rest(left, edge)
+    return len(away) - 1 - back
 
 
 def _rest(rising: Floats, edge: float) -> float:
-    """Where a motion (n,) of constant acceleration from rest began, between samples."""
+    """Where a motion (n,) of constant acceleration from rest began, between samples: the root
+    of its way is a line, so it takes as long to `edge` as from there to four times that.
+    """
     root = np.sqrt(np.maximum(rising, 0.0))
     first = float(edge) ** 0.5
     return 2.0 * _crossing(root, first) - _crossing(root, 2.0 * first)
