@@ -65,9 +65,9 @@ def rests(force_n_per_a=1.65, ohm=1.6):
     return np.stack([force_n_per_a * current, current, ohm * current + 0.01, celsius], axis=1)
 
 
-def moved(volt=1.65, emf=1.0):
+def moved(volt=1.65):
     speed = 0.05 * np.sin(np.linspace(0.0, 60.0, 250))
-    return np.stack([speed, volt * speed - 0.02, emf * speed], axis=1)
+    return np.stack([speed, volt * speed - 0.02], axis=1)
 
 
 def test_offsets_of_the_sensors_do_not_matter():

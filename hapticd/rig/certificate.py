@@ -129,25 +129,10 @@ def page(said: Mapping[str, Any]) -> str:
     scales = [
         (one["table"], one["date"], one["serial"], one["source"]) for one in said["calibrations"]
     ]
-    software = said["software"]
-    libraries = ", ".join(f"{name} {one}" for name, one in software["libraries"].items())
-    machine = said["machine"]
-    life = "unknown" if device["life"] is None else device["life"]
-    about = [
-        ("device", device["name"]),
-        ("device file", f"{device['file']}, SHA-256 {device['file_sha256']}"),
-        ("board", f"{device['serial']}, firmware {device['firmware'] or 'unknown'}, life {life}"),
-        ("rate", f"{device['rate_hz']:g} Hz"),
-        ("verified at", said["time"]),
-        ("software", f"hapticd {software['hapticd']} {software['commit']}"),
-        ("libraries", f"Python {software['python']}, {libraries}"),
-        ("machine", f"{machine['cpu']}, {machine['kernel']}"),
-        ("real-time rights", json.dumps(machine["realtime"])),
-    ]
     parts = (
         f"<h1>Certificate of {_text(device['name'])}</h1>",
         f'<p class="verdict">{_text(badge)}{_text(said["verdict"])}, {_text(said["date"])}</p>',
-        _table((), about),
+        _table((), _about(said)),
         "<h2>Known parts, as the probe sees them</h2>",
         _table(("part", "value (95 %)"), values),
         "<h2>What was looked at</h2>",
@@ -163,6 +148,26 @@ def page(said: Mapping[str, Any]) -> str:
     return (
         f"<!doctype html><html lang='en'><head>{head}</head><body>{''.join(parts)}</body></html>\n"
     )
+
+
+def _about(said: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Of what it is, on what it was made, and by which software."""
+    device = said["device"]
+    software = said["software"]
+    libraries = ", ".join(f"{name} {one}" for name, one in software["libraries"].items())
+    machine = said["machine"]
+    life = "unknown" if device["life"] is None else device["life"]
+    return [
+        ("device", device["name"]),
+        ("device file", f"{device['file']}, SHA-256 {device['file_sha256']}"),
+        ("board", f"{device['serial']}, firmware {device['firmware'] or 'unknown'}, life {life}"),
+        ("rate", f"{device['rate_hz']:g} Hz"),
+        ("verified at", said["time"]),
+        ("software", f"hapticd {software['hapticd']} {software['commit']}"),
+        ("libraries", f"Python {software['python']}, {libraries}"),
+        ("machine", f"{machine['cpu']}, {machine['kernel']}"),
+        ("real-time rights", json.dumps(machine["realtime"])),
+    ]
 
 
 def _interval(value: Mapping[str, Any]) -> str:

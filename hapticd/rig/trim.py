@@ -8,11 +8,12 @@ weak spring, and
     v^ = e (v + rho F_a - tau v')        v by the encoder, F_a by the current
 
 gives e by the velocity and rho by the force, over the last SEEN pieces of a second; of the lag tau
-no more is known than that it is LAG_S +- LAG_S. rho times a
-level of damping is the loop gain there. Above 0 the winding is hotter than its compensation: force
-and damping are weaker by 1 / (1 + rho b), and nothing oscillates. Below 0 too much is compensated,
-and at -1 the circuit oscillates: -0.5 is warned about, -0.9 refused, and the greatest damping that
-keeps -0.9 is named.
+no more is known than that it is LAG_S +- LAG_S.
+
+rho times a level of damping b is the loop gain there. Above 0 the winding is hotter than its
+compensation: force and damping are weaker by 1 / (1 + rho b), and nothing oscillates. Below 0 too
+much is compensated, and at -1 the circuit oscillates. So -0.5 is warned about and -0.9 refused, and
+the greatest damping that keeps -0.9 is named.
 
 The interval holds the fit's and ALLOWED, for the lag of the amplifier.
 

@@ -130,16 +130,18 @@ def concluded(
         return StepResult("motor", (), findings, (), arrays)
     newton = relative_half(device["force"]["source"], "force.full_scale_n", nan)
     metre = relative_half(device["position"]["source"], "position.m_per_count", nan)
-    per_ampere = _slope("motor.force_n_per_a", "N/A", rests[:, 1], rests[:, 0], newton)
-    warmed = COPPER_PER_K * float(np.ptp(rests[:, 3])) / 2.0
-    ohm = _slope("motor.winding_ohm", "ohm", rests[:, 1], rests[:, 2], warmed)
-    induced = _slope("back-EMF", "V s/m", moved[:, 0], moved[:, 1], metre)
+    force_n, current_a, voltage_v, winding_c = rests.T
+    speed_m_per_s, induced_v = moved.T
+    per_ampere = _slope("motor.force_n_per_a", "N/A", current_a, force_n, newton)
+    warmed = COPPER_PER_K * float(np.ptp(winding_c)) / 2.0
+    ohm = _slope("motor.winding_ohm", "ohm", current_a, voltage_v, warmed)
+    induced = _slope("back-EMF", "V s/m", speed_m_per_s, induced_v, metre)
     values = [per_ampere, ohm, induced, *_torque(per_ampere, lever_m)]
     findings += [*_signs(per_ampere, ohm, induced), _agreement(per_ampere, induced)]
     changes: list[Change] = []
     if settled(findings):
         changes = [change_of(one) for one in (per_ampere, ohm)]
-        celsius = float(rests[:, 3].mean())
+        celsius = float(winding_c.mean())
         reference_c = round(celsius, 1) if isfinite(celsius) else ROOM_C
         changes.append(Change("motor", "reference_c", reference_c))
         if lever_m is not None:
@@ -180,8 +182,9 @@ def _of_circuit(shaken: Records, device: Mapping[str, Any], found: StepResult) -
 def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> list[Finding]:
     """Whether the channels say anything, and the handle was moved."""
     found = []
-    for place, name in ((1, "current"), (2, "voltage")):
-        span = float(np.ptp(rests[:, place])) / float(device[name]["per_count"])
+    _, current_a, voltage_v, _ = rests.T
+    for values, name in ((current_a, "current"), (voltage_v, "voltage")):
+        span = float(np.ptp(values)) / float(device[name]["per_count"])
         if span < DEAD_COUNTS:
             what = f"under force the {name} changes by {span:.2g} counts"
             remedy = f"the board does not report the motor's {name}, or its sensor is dead"

@@ -76,9 +76,7 @@ def motor(
     from hapticd.rig import winding as windings
     from hapticd.settings.load import load
 
-    chosen = [bool(mass), spring is not None, offset, winding]
-    if sum(chosen) > 1:
-        raise AnalysisError("--mass, --spring, --offset and --winding are measured one at a time")
+    _one_of(bool(mass), spring is not None, offset, winding)
     if lever_m is not None and not winding:
         raise AnalysisError("--lever-m is written with what --winding finds; add that")
     if pulls_to not in (-1, 1):
@@ -98,3 +96,9 @@ def motor(
         return motor.measure_sign(client, ask)
 
     steps.show(steps.perform(instance, load(config), step, yes), as_json)
+
+
+def _one_of(*chosen: bool) -> None:
+    """AnalysisError where more than one measurement was asked for."""
+    if sum(chosen) > 1:
+        raise AnalysisError("--mass, --spring, --offset and --winding are measured one at a time")
