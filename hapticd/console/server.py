@@ -206,8 +206,9 @@ class _Server(uvicorn.Server):
 
 def bound(port: int | None, before: int | None) -> socket.socket:
     """A socket that listens at `port`; at the one of `before`, DEFAULT_PORT or any where that is
-    None. ConfigError: `port` is taken.
+    None. ConfigError: `port` is taken, or not for this user.
     """
+    reason = ""
     wishes = [port] if port is not None else [before or DEFAULT_PORT, DEFAULT_PORT, 0]
     for wish in wishes:
         line = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -215,9 +216,10 @@ def bound(port: int | None, before: int | None) -> socket.socket:
         try:
             line.bind((ADDRESS, wish))
             return line
-        except OSError:
+        except OSError as error:
+            reason = str(error.strerror)
             line.close()
-    raise ConfigError(f"port {port} of {ADDRESS} is taken; name another, or none for any free one")
+    raise ConfigError(f"port {port} of {ADDRESS}: {reason}; name another, or none for any free one")
 
 
 def serve(
