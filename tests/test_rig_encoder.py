@@ -7,6 +7,7 @@ import pytest
 from models import COUNT_M
 from rig_hand import Hand
 
+from hapticd.errors import AnalysisError
 from hapticd.params import ScaleParams
 from hapticd.rig.encoder import Distance, concluded, measure, passages, scale_of
 from hapticd.wire import frames
@@ -130,3 +131,20 @@ def test_a_frame_tells_where_the_mark_was():
     records["status"][1] = frames.StatusBit.INDEX
     records["in_frame"][1] = np.void(bytes(frame))
     assert passages(records, np.array([0.0, 1000.0, 2000.0])).tolist() == [970.0]
+
+
+@pytest.mark.parametrize(("sign", "doubted"), [(1, False), (-1, True)])
+def test_another_sign_of_position_takes_the_verified_signs_back(sign, doubted):
+    """Which way the motor pushes was seen by the sign before."""
+    with Hand({"position": ScaleParams(COUNT_M, sign)}, **FREE) as hand:
+        result = measure(hand.bench, person(hand, np.random.default_rng(5)), DISTANCE)
+    changes = {(one.table, one.key): one.value for one in result.changes}
+    assert changes["position", "sign"] == 1
+    assert (changes.get(("commissioning", "signs_verified")) is False) == doubted
+
+
+def test_a_distance_in_millimetres_is_refused_before_anything_is_asked():
+    asked = []
+    with Hand(**FREE) as hand, pytest.raises(AnalysisError, match="is it in millimetres"):
+        measure(hand.bench, asked.append, Distance(10.0))
+    assert not asked

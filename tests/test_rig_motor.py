@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from models import COUNT_N
+from models import COUNT_M, COUNT_N
 from rig_hand import Hand
 
 from hapticd.errors import AnalysisError, CommandError, HapticdError
@@ -53,6 +53,13 @@ def test_the_sign_is_found_and_the_force_stays_below_a_tenth(sign):
         worst_n = max(np.abs(result.arrays[f"force_n_{one}"]).max() for one in (0, 1))
         assert 0.0 < worst_n <= LIMIT_N + COUNT_N
         assert hand.bench.status()["state"] == "disabled"
+
+
+def test_the_sign_waits_for_the_encoder():
+    """The position's sign is still that of the template: a push would be seen the wrong way."""
+    file = {"position": ScaleParams(COUNT_M, serial="CHANGE-ME"), "commissioning": True}
+    with Hand(file, **FREE) as hand, pytest.raises(AnalysisError, match="first `hapticd rig enc"):
+        measure_sign(hand.bench, nothing)
 
 
 def test_a_board_without_authority_is_refused_by_name():

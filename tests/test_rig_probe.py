@@ -258,6 +258,13 @@ def test_the_probe_of_another_truth_is_found_and_nothing_is_left_on():
     assert changes["probe_velocity", "sign"] == 1
 
 
+def test_a_mass_in_grams_is_refused_before_it_is_fixed():
+    asked = []
+    with Hand(touch=FRICTION, **FREE) as hand, pytest.raises(AnalysisError, match="is it in grams"):
+        measure(hand.bench, asked.append, Attached(20.0))
+    assert not asked
+
+
 def test_the_probe_waits_for_verified_signs():
     """The weak spring that keeps the handle would drive it off with a wrong sign."""
     with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:

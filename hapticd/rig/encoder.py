@@ -12,7 +12,8 @@ What would break it: a handle that is moved by somebody else than who is asked (
 repetitions then differ, which is refused).
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 
 import numpy as np
@@ -21,6 +22,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
+from hapticd.errors import AnalysisError
 from hapticd.params import MOST_CORRECTION
 from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
@@ -51,10 +53,13 @@ class Distance:
 def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS) -> StepResult:
     """Ask for the motions and measure them; ends with x = 0 where the handle is put last.
 
-    CommandError unless disabled.
+    CommandError unless disabled; AnalysisError for a distance beyond the travel.
     """
     require_disabled(bench)
-    position = bench.hello()["servo"]["device"]["position"]
+    servo = bench.hello()["servo"]
+    device = servo["device"]
+    position = device["position"]
+    _refuse(distance, servo["environment"]["workspace"])
 
     marks: list[float] = []
 
@@ -84,8 +89,27 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
     arrays = {"rest": rest, "moving": moving, "steps": np.array(steps)}
     if Capability.INDEX & int((bench.status().get("servo") or {}).get("capabilities", 0)):
         arrays["marks"] = np.array(marks) - float(np.median(here))
-    home = str(bench.hello()["servo"]["device"]["home"]["method"])
-    return concluded(arrays, distance, float(position["per_count"]), home)
+    found = concluded(arrays, distance, float(position["per_count"]), str(device["home"]["method"]))
+    return _doubting(found, int(position["sign"]))
+
+
+def _refuse(distance: Distance, travel: Mapping[str, float]) -> None:
+    room_m = travel["upper_m"] - travel["lower_m"]
+    if distance.metres >= room_m:
+        raise AnalysisError(
+            f"{distance.metres:g} m from A to B, and the handle travels {room_m:g} m by the device"
+            " file; is it in millimetres?"
+        )
+
+
+def _doubting(found: StepResult, sign: int) -> StepResult:
+    """With another sign of position than the `sign` before, which way the motor pushes is not
+    known any more: what was verified counts no longer.
+    """
+    if any(one.key == "sign" and one.value != sign for one in found.changes):
+        unverified = Change("commissioning", "signs_verified", False)
+        return replace(found, changes=[*found.changes, unverified])
+    return found
 
 
 def passages(records: Records, counts: Floats) -> Floats:

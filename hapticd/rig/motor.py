@@ -21,7 +21,7 @@ line by chance.
 What would break it: a friction that differs from one reading to the next (it shows as residuals).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import floor, hypot, inf, sqrt
 from typing import Any, NamedTuple
@@ -93,6 +93,7 @@ def measure_sign(bench: Client, ask: Ask) -> StepResult:
     """Push to both sides and see which way the handle goes. CommandError unless disabled."""
     require_disabled(bench)
     servo = bench.hello()["servo"]
+    _require_encoder(servo)
     where = "somewhere in the middle of its travel"
     ask(Request("let go", f"let go of the handle, {where}; it will be pushed gently"))
     pushes = [moving_push(bench, side * allowed_n(servo)) for side in (1.0, -1.0)]
@@ -119,6 +120,20 @@ def measure_sign(bench: Client, ask: Ask) -> StepResult:
         for name in ("tick", "position_m", "force_n", "fault")
     }
     return StepResult("motor", (), findings, changes, arrays)
+
+
+def _require_encoder(servo: Mapping[str, Any]) -> None:
+    """AnalysisError while nobody has measured the encoder of this board: which way a push goes is
+    seen by the sign of position.
+    """
+    position = servo["device"]["position"]
+    own = str(servo["device"]["serial"])
+    if position.get("serial", "") not in ("", own):
+        raise AnalysisError(
+            f"the encoder was measured at the board {position['serial']!r}, this one is {own!r};"
+            " its sign decides what a push shows: first `hapticd rig encoder`, and start the daemon"
+            " again"
+        )
 
 
 def allowed_n(servo: dict[str, Any]) -> float:

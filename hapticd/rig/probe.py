@@ -29,6 +29,7 @@ from hapticd.rig import one_signal
 from hapticd.rig.added_mass import Added, added, channel
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled, require_verified
+from hapticd.rig.motor import GRAVITY_M_PER_S2
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.plausible import count_of
 from hapticd.rig.result import (
@@ -58,6 +59,7 @@ REST_S = 12.0  # high-passes of 0.1 Hz forget what was before in some seconds
 QUARTERS = 4
 MOVED_M = 20e-6  # rms
 LEAST_COUNTS = 5.0  # rms of a channel that is not dead
+HEAVIEST = 2.0  # weight of the fixed mass, times the force limit
 LEAST_COHERENT = 0.9  # of a channel's lines, with what it should follow
 MOST_LEFT = 0.05  # of the torque's lines, that the fit leaves
 WORST_HALF = 0.1  # of the force gain, beyond which the mass made no difference
@@ -114,6 +116,11 @@ def measure(
     if not attached.kilograms > 0.0:
         raise AnalysisError(f"mass {attached.kilograms:g} kg: name the one that is fixed, in kg")
     device = bench.hello()["servo"]["device"]
+    if attached.kilograms * GRAVITY_M_PER_S2 > HEAVIEST * float(device["force_limit_n"]):
+        raise AnalysisError(
+            f"{attached.kilograms:g} kg weigh more than {HEAVIEST:g} times the force of the device,"
+            f" {device['force_limit_n']:g} N; fix less, or is it in grams?"
+        )
     ask(Request("let go", "let go of the handle near x = 0, and let it come to rest"))
     taken = Taken(record(bench, REST_S), shaken(bench))
     if settled(channels(lines(taken.bare))):

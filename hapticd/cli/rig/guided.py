@@ -10,6 +10,8 @@ What would break it: a step whose numbers cannot be asked for in one line.
 import datetime
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,7 +23,7 @@ from hapticd.cli.rig import damping, sensors, steps
 from hapticd.cli.rig.identify import identify
 from hapticd.cli.rig.motor import motor
 from hapticd.cli.rig.verify import verify
-from hapticd.errors import ConfigError, DaemonDown, HapticdError
+from hapticd.errors import DaemonDown, HapticdError
 
 if TYPE_CHECKING:
     from hapticd.settings.device import DeviceFile
@@ -150,10 +152,8 @@ def _offer(step: Step, where: Where) -> bool:
     """Whether `step` was wanted, and begun."""
     _await_restart(where)
     known = measured(step.table, _device(where))
-    usual = "no" if known else "yes"
     terminal.talk(f"\n{step.name}: {step.title}{f' ({known})' if known else ''}")
-    said = steps.answer(f"{'again' if known else 'now'}? yes or no [{usual}]") or usual
-    if said not in ("y", "yes"):
+    if not steps.agreed("again?" if known else "now?", usual=not known):
         return False
     given = [number(question) for question in step.questions]
     _kept_on(lambda: step.act(where, given))
@@ -212,12 +212,13 @@ def _commissioning(where: Where) -> bool:
 
 
 def number(question: str) -> float:
-    """A number from the person at the terminal. ConfigError for anything else."""
-    text = steps.answer(question)
-    try:
-        return float(text)
-    except ValueError as error:
-        raise ConfigError(f"{question}: {text!r} is no number; write it like 0.05") from error
+    """A finite number from the person at the terminal, who is asked until it is one."""
+    while True:
+        text = steps.answer(question)
+        with suppress(ValueError):
+            if isfinite(found := float(text)):
+                return found
+        terminal.talk(f"{text!r} is no number; write it like 0.05")
 
 
 def _kept_on(step: terminal.Verb) -> None:

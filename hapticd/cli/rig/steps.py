@@ -98,6 +98,15 @@ def answer(question: str) -> str:
         raise ConfigError("nobody answers here; ask nothing with --yes") from error
 
 
+def agreed(question: str, usual: bool = True) -> bool:
+    """Whether the person at the terminal says yes; Enter says what is `usual`."""
+    while True:
+        said = answer(f"{question} yes or no [{'yes' if usual else 'no'}]").lower()
+        if said in ("", "y", "yes", "n", "no"):
+            return said[0] == "y" if said else usual
+        terminal.talk(f"{said!r}: answer yes or no")
+
+
 def perform(
     instance: str, settings: "Settings", step: "Callable[[Client], StepResult]", yes: bool
 ) -> "StepResult":
@@ -112,7 +121,11 @@ def perform(
         stack.enter_context(signals_end_with_force_off())
         client = stack.enter_context(connect(instance))
         _refuse_another(client.hello()["servo"]["device"], settings)
-        result = step(client)
+        try:
+            result = step(client)
+        except KeyboardInterrupt:
+            terminal.talk(f"interrupted: force is off, {settings.device_file} is as it was")
+            raise
     return _written(result, settings, yes)
 
 
@@ -160,7 +173,8 @@ def _written(result: "StepResult", settings: "Settings", yes: bool) -> "StepResu
     if not yes:
         for line in lines(result):
             terminal.talk(line)
-        if answer(f"write this into {path}? yes or no") not in ("y", "yes"):
+        if not agreed(f"write this into {path}?"):
+            terminal.talk(f"not written: {path} is as it was")
             return replace(result, changes=())
     words = "; ".join(str(value) for value in result.values)
     found = f"{MEASURED_BY}{result.step}: {words or 'signs seen'}"
