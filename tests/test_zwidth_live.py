@@ -218,3 +218,17 @@ def test_trial_leaves_a_device_that_was_taken_over(rigid):
         found = daemon_source(bench)(Trial(seconds=4.0), lambda *_: None)
         assert found.ended.startswith("changed: someone changed")
         assert bench.status()["state"] == "enabled"
+
+
+def test_noise_that_is_too_strong_for_the_probe_names_one_that_is_not(rigid):
+    """The device file allows 0.3 N; the density that the message names stays below that."""
+    servo, board = scene_params(rigid)
+    servo = replace(servo, device=replace(servo.device, probe_limit_n=0.3))
+    trial = Trial((100.0, 1.0, 0.0), seconds=2.0)
+    with LockStepBench(servo, board) as bench:
+        with pytest.raises(AnalysisError, match=r"limits\.probe_n.*: --psd") as caught:
+            daemon_source(bench)(trial)
+        assert bench.status()["state"] == "disabled"
+        less = float(str(caught.value).split("--psd ")[1].split()[0])
+        noise = replace(trial.excitation, psd_n2_per_hz=less)
+        assert daemon_source(bench)(replace(trial, excitation=noise)).ended == ""

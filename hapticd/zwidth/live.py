@@ -46,6 +46,7 @@ LEASE_S = 5.0  # a trial that hangs for so long has ended
 RENEW_S = 1.0
 WAVEFORM_S = 120.0  # a longer trial repeats it
 SPARE_S = 10.0  # of waveform beyond the trial: settling, and samples that arrive late
+ROOM = 0.97  # of the allowed peak, for a noise of another density
 SETTLE_S = 1.0  # of perturbed motion before the record begins
 PROBE = "probe"
 TICKS = "servo.raw"
@@ -79,6 +80,7 @@ def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = Fa
             )
         stiffness, damping, mass = trial.environment
         waveform = _waveform(trial)
+        _refuse_stronger(bench, trial, waveform)
         lease = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
         lease.take()
         try:
@@ -115,6 +117,22 @@ def _waveform(trial: Trial) -> Floats:
         trial.excitation.seed,
     )
     return marked(force_n) if trial.mark else force_n
+
+
+def _refuse_stronger(bench: Client, trial: Trial, waveform: Floats) -> None:
+    """AnalysisError where the probe of the device may not push as hard as `waveform` (n,) [N]."""
+    limit_n = float(bench.hello()["servo"]["device"]["probe_limit_n"])
+    peak_n = float(np.abs(waveform).max())
+    if peak_n <= limit_n:
+        return
+    remedy = f"let it reach {limit_n:g} N at most"
+    if trial.waveform_n is None:
+        less = trial.excitation.psd_n2_per_hz * (ROOM * limit_n / peak_n) ** 2
+        remedy = f"--psd {less:.2g} stays below; a weaker noise needs a longer trial"
+    raise AnalysisError(
+        f"the perturbation reaches {peak_n:.3g} N, and the device file allows {limit_n:g} N"
+        f" (limits.probe_n): {remedy}"
+    )
 
 
 def _leave(bench: Client, lease: ClientLease) -> None:
