@@ -54,7 +54,7 @@ def test_a_command_is_delayed_and_smoothed_exactly(lag_us, smooth_us):
     """Against sums over steps of 1 us."""
     force = np.random.default_rng(1).standard_normal(40)
     run = staircase(force, np.zeros(40))
-    found = commanded(run, Clock(0.0, 0.0, 1.0, 0.0, 0.0, 0.0), lag_us, smooth_us**2)
+    found = commanded(run, Clock(0.0, 1.0, 0.0, 0.0), lag_us, smooth_us**2)
     time = np.arange(40_000) + 0.5 - (lag_us - smooth_us)
     held = force[np.clip(np.floor(time / 1000.0), 0, 39).astype(int)]
     smooth = np.empty(held.size)

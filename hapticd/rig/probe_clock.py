@@ -29,9 +29,7 @@ class Clock:
     """How the probe's samples stand in the board's time."""
 
     phase_us: float  # board's time at which the interval of index 0 began
-    phase_sd_us: float
     gain: float  # encoder's way by the integral of the velocity
-    gain_sd: float
     high_pass_rad_s: float  # corner of the velocity channel
     yield_s2: float  # by which the encoder goes further, by the square of the frequency [rad/s]
 
@@ -72,9 +70,7 @@ def _phase(run: Played, phase_us: float, corner_rad_s: float) -> Clock:
     gain, shift, corner, further = fit.values.tolist()
     return Clock(
         phase_us - US_PER_S * shift / gain,
-        US_PER_S * float(fit.sd[1]) / gain,
         gain,
-        float(fit.sd[0]),
         corner_rad_s + corner / gain,
         further / gain,
     )
