@@ -214,6 +214,19 @@ def test_two_masses_are_told_however_the_velocity_channel_is_late(late_samples):
     assert values["first resonance"].high - values["first resonance"].low < 0.2 * truth.resonance_hz
 
 
+def test_a_small_mass_on_a_stiff_transmission_is_told():
+    truth = Truth(mass_kg=0.0045, slider_kg=0.00144, resonance_hz=885.0, late_samples=0.07)
+    values = {one.name: one for one in concluded(runs_of(truth), FACTS).values}
+    for name, true in (("sliding mass", truth.slider_kg), ("first resonance", 885.0)):
+        assert values[name].low <= true <= values[name].high
+
+
+def test_a_late_channel_is_not_taken_for_a_transmission_that_yields():
+    result = concluded(runs_of(Truth(late_samples=0.5)), FACTS)
+    assert "sliding mass" not in {one.name for one in result.values}
+    assert not [one.what for one in result.findings if one.what.startswith("contradicted")]
+
+
 def test_a_balance_that_has_not_settled_is_refused(monkeypatch):
     monkeypatch.setattr(balance, "FIRST_ROUNDS", 1)
     monkeypatch.setattr(balance, "ROUNDS", 1)
