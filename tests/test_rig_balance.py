@@ -198,7 +198,7 @@ TWO = Truth(mass_kg=0.0067, slider_kg=0.0022, resonance_hz=730.0, smoothing_s=5.
 
 @pytest.mark.parametrize("late_samples", [0.0, 0.2])
 def test_two_masses_are_told_however_the_velocity_channel_is_late(late_samples):
-    """A channel that interpolates is weak at high frequencies, and hides some of a resonance."""
+    """A channel that interpolates is weak at high frequencies, and feigns some of a resonance."""
     truth = replace(TWO, late_samples=late_samples)
     values = {one.name: one for one in concluded(runs_of(truth), FACTS).values}
     true = {
@@ -223,6 +223,7 @@ def test_a_small_mass_on_a_stiff_transmission_is_told():
 
 def test_a_late_channel_is_not_taken_for_a_transmission_that_yields():
     result = concluded(runs_of(Truth(late_samples=0.5)), FACTS)
+    assert result.settled
     assert "sliding mass" not in {one.name for one in result.values}
     assert not [one.what for one in result.findings if one.what.startswith("contradicted")]
 

@@ -19,7 +19,7 @@ Clocks. `probe_clock` puts both streams into one time. The velocity may come lat
 (a skew), and the torque channel may have a high-pass: two more unknowns of the balance.
 
 Two masses. A transmission that yields shows as a mass that grows with the frequency. A velocity
-channel that is late by interpolation droops, one with a plain delay does not, and a droop hides
+channel that is late by interpolation droops, one with a plain delay does not, and a droop feigns
 some of that growth; which it is nobody knows, so half of it is taken, and what the other half would
 change is in the deviations. Each mass by itself is known less well than both together.
 

@@ -50,7 +50,7 @@ STIFFNESSES = (1600.0, 800.0, 400.0, 200.0, 100.0, 50.0)  # N/m
 DAMPINGS = (0.4, 0.2, 0.1, 0.0)  # N s/m
 SPARE = 1.5
 CERTAIN = 20.0  # deviations of a resonance that is told
-SHOWS = 0.015  # of the mass, that it grows by up to HIGH_HZ: a late channel feigns 1.2 % at most
+SHOWS = 0.015  # of the mass, that it grows by up to HIGH_HZ: a late channel feigns 1.3 % at most
 ALIKE = 0.03  # share by which one mass and two may differ
 
 
