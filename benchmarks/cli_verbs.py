@@ -32,7 +32,7 @@ def measure() -> Iterator[Figure]:
         here = [sys.executable, "-m", "hapticd"]
         commands = {
             "bare": [sys.executable, "-c", BARE, endpoint],
-            "set": [*here, "set", "K=100", "B=1", "--instance", instance],
+            "set": [*here, "set", "K=100", "--instance", instance],
             "stop": [*here, "stop", "--instance", instance],
         }
         for command in commands.values():

@@ -15,8 +15,6 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect, number
-from hapticd.cli.guard import guard_lines
-from hapticd.cli.lease import lease_lines
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.words import parameters, receipt_text
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
@@ -182,6 +180,9 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
 
 
 def _status_lines(found: dict[str, Any]) -> list[str]:
+    from hapticd.cli.guard import guard_lines
+    from hapticd.cli.lease import lease_lines
+
     state = terminal.coloured(found["state"], STATE_COLOURS.get(found["state"], terminal.RED))
     waits = _waiting(found.get("servo", {}))
     if found["state"] in NOT_READY:

@@ -39,13 +39,13 @@ from hapticd.errors import CommandError, DaemonDown, MailboxError
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.params import AtEnd, Leased
 from hapticd.units import NS_PER_S
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from hapticd.client.blocks import Block, Records
+    from hapticd.params import AtEnd, Leased
 
 MESSAGES_QUEUED = 10_000  # per subscription, before ZeroMQ drops the newest
 
@@ -225,10 +225,10 @@ class Client(Verbs[Receipt, dict[str, Any]]):
 
     def lease(
         self,
-        what: Leased,
+        what: "Leased",
         *,
         ttl_s: float | None = None,
-        at_end: AtEnd | None = None,
+        at_end: "AtEnd | None" = None,
         take_over: bool = False,
     ) -> ClientLease:
         """Be the only one who changes `what`, as a context: see ClientLease.

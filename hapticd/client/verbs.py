@@ -6,9 +6,11 @@ dict]` or `Verbs[Awaitable[Receipt], Awaitable[dict]]`.
 What would break it: a verb that needs two replies; it belongs into the clients.
 """
 
-from typing import Any, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
-from hapticd.params import BasisName, DampingMode, Policy
+if TYPE_CHECKING:
+    from hapticd.params import BasisName, DampingMode, Policy
+
 
 R = TypeVar("R")  # what a change gives: a Receipt, now or later
 D = TypeVar("D")  # what a question gives: a map, now or later
@@ -93,11 +95,11 @@ class Verbs(Generic[R, D]):
 
     def guard(
         self,
-        policy: Policy | None = None,
+        policy: "Policy | None" = None,
         *,
-        basis: BasisName | None = None,
+        basis: "BasisName | None" = None,
         margin_ns_per_m: float | None = None,
-        mode: DampingMode | None = None,
+        mode: "DampingMode | None" = None,
     ) -> D:
         """Change what is done with environments that are not known to be passive, or only ask.
 

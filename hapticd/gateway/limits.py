@@ -4,10 +4,12 @@ It is the mailbox's table under the names that clients use.
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, value_limits
-from hapticd.params import ServoParams
+
+if TYPE_CHECKING:
+    from hapticd.params import ServoParams
 
 PLACES: dict[str, Value] = {
     "K": Value.STIFFNESS,
@@ -66,7 +68,7 @@ class CommandLimits:
     `value` of the damping command is the same quantity as `damping` of set.
     """
 
-    def __init__(self, params: ServoParams) -> None:
+    def __init__(self, params: "ServoParams") -> None:
         device = params.device
         table = value_limits(
             params.realtime.rate_hz, device.damping_limit_ns_per_m, device.commissioning
