@@ -16,7 +16,7 @@ from test_cli_process import Daemon, until
 from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
 from hapticd.client import Client, Receipt
-from hapticd.client.words import receipt_text
+from hapticd.client.words import guard_line, receipt_text
 from hapticd.errors import CommandError
 
 VERDICT = {
@@ -176,7 +176,7 @@ def test_delays_are_named_and_which_one_is_counted_on(
 
 
 def test_measuring_is_shown() -> None:
-    line = guard_verb.guard_line({**GUARD, "measuring": True, "worker": "down", "trouble": "gone"})
+    line = guard_line({**GUARD, "measuring": True, "worker": "down", "trouble": "gone"})
     assert line.startswith("off: somebody measures")
     assert line.endswith("; gone")
 

@@ -23,10 +23,12 @@ from console_page import (
     picture,
     wait_text,
 )
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_playwright
 from test_cli_process import QUIET, Daemon, last_record, until
 
 from hapticd.client import Client, CommandError
+from hapticd.faults import FAULTS
+from hapticd.gateway.publisher import described
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import State
 
@@ -47,6 +49,21 @@ OVERFLOWING = """() => [...document.querySelectorAll("body *")].filter((one) => 
     return box.width && !one.closest("#log") && (box.right > part.right + 1
         || box.bottom > part.bottom + 1 || part.right > innerWidth || part.bottom > innerHeight);
 }).map((one) => one.outerHTML.slice(0, 80))"""
+
+READ_IN_FULL = """(place) => [document.querySelector(place)].flatMap((one) =>
+    [one, ...one.querySelectorAll("*")]).every((one) => {
+        const text = document.createRange();
+        text.selectNodeContents(one);
+        return [...text.getClientRects()].every((line) => {
+            for (let part = one; part !== document.body; part = part.parentElement) {
+                const box = part.getBoundingClientRect();
+                const cuts = getComputedStyle(part).overflow !== "visible";
+                if (cuts && (line.right > box.right + 1 || line.bottom > box.bottom + 1
+                    || line.left < box.left - 1 || line.top < box.top - 1)) return false;
+            }
+            return line.right <= innerWidth && line.bottom <= innerHeight;
+        });
+    })"""
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +219,7 @@ def reported(client: Client) -> float:
 
 def test_values_are_set_together_with_a_receipt_in_words(page: Page, client: Client) -> None:
     page.fill("#K", "80")
-    page.fill("#B", "0,5")
+    page.fill("#B", "0.5")
     page.keyboard.press("Enter")
     wait_text(page, "#log", "disabled: applied at tick")
     parameters = client.get()["parameters"]
@@ -215,6 +232,98 @@ def test_a_refusal_is_told_in_words(page: Page, client: Client) -> None:
     page.click("#set")
     wait_text(page, "#log", "refused: K = 1e+09 N/m: beyond the limit")
     assert client.get()["parameters"]["K"] == 0.0
+
+
+@pytest.mark.parametrize("text", ["1,5", "1.000,5", "0x10", "abc", "1e999"])
+def test_what_the_command_line_takes_for_no_number_the_page_does_not_set(
+    page: Page, client: Client, text: str
+) -> None:
+    page.fill("#K", "80")
+    page.fill("#B", text)
+    page.keyboard.press("Enter")
+    wait_text(page, "#log", f"refused: B: '{text}' is not a number")
+    assert client.get()["parameters"]["K"] == 0.0
+
+
+def test_a_trigger_at_no_number_says_so(page: Page) -> None:
+    page.fill("#threshold", "1,5")
+    page.select_option("#trigger", "normal")
+    wait_text(page, "#scope-note", "'1,5' is not a number")
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (1920, 1080), (1024, 768)])
+def test_a_refusal_of_the_guard_is_read_in_full_a_thought_a_line(
+    page: Page, client: Client, size: tuple[int, int]
+) -> None:
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    client.guard("refuse")
+    try:
+        page.fill("#K", "30000")
+        page.click("#set")
+        wait_text(page, "#log", "ask for less, or for more damping")
+        page.locator("#log li").nth(1).wait_for()  # the hand that would shake it, told after it
+        wrong, allowed, damping, remedy = page.inner_text("#log .refused span").splitlines()
+        assert "K = 30000 N/m" in wrong
+        assert allowed.startswith(("allowed, each", "no K, B or M alone"))
+        assert "active damping" in damping
+        assert remedy.startswith("ask for less")
+        assert read_in_full(page, "#log .refused")
+    finally:
+        client.guard("warn")
+
+
+def read_in_full(page: Page, place: str) -> bool:
+    """Whether nothing of the element `place` and of what is in it is cut or scrolled away."""
+    return bool(page.evaluate(READ_IN_FULL, place))
+
+
+def test_a_receipt_of_the_guard_says_policy_basis_and_verdict(page: Page, client: Client) -> None:
+    client.set(K=100.0, B=1.0, damping=1.74)
+    wait_text(page, "#verdict", "K = 100 N/m, B = 1 N s/m, M = 0 kg")
+    page.select_option("#policy", "refuse")
+    wait_text(page, "#log", "guard: refuse, by theorem")
+    wait_text(page, "#log", "K = 100 N/m, B = 1 N s/m, M = 0 kg")
+    page.select_option("#policy", "warn")
+    wait_text(page, "#log", "guard: warn, by theorem")
+
+
+def test_a_stop_is_left_by_the_button_and_its_remedy_is_read_in_full(
+    page: Page, client: Client
+) -> None:
+    client.stop()
+    wait_text(page, "#fault", "make sure it is safe, then press Reset")
+    assert read_in_full(page, "#fault")
+    page.click("#enable")
+    wait_text(page, "#log", "refused: enable in state stopped")
+    assert "hapticd reset" not in page.inner_text("body")
+
+
+def is_state(message: str | bytes) -> bool:
+    """Whether it is a message of the state, and no frame."""
+    return isinstance(message, str) and json.loads(message)["kind"] == "state"
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (1920, 1080), (1024, 768)])
+def test_every_fault_and_its_remedy_are_read_in_full(
+    served: Served, client: Client, chromium: Browser, size: tuple[int, int]
+) -> None:
+    page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
+    sockets: list[WebSocketRoute] = []
+
+    def between(socket: WebSocketRoute) -> None:
+        daemon = socket.connect_to_server()
+        sockets.append(socket)
+        daemon.on_message(lambda data: is_state(data) or socket.send(data))
+
+    page.route_web_socket("**/live", between)
+    page.goto(served.url)
+    wait_text(page, "#lamp", "disabled")
+    for fault in FAULTS[1:]:
+        told = {"fault": fault.code, **described(fault)}
+        sockets[0].send(json.dumps({"kind": "state", "told": told}))
+        wait_text(page, "#fault", fault.cause)
+        assert read_in_full(page, "#fault"), fault.code
+    page.close()
 
 
 def test_margin_and_allowed_range_come_from_the_guard(page: Page, client: Client) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.client.words import receipt_text, verdict_lines
+from hapticd.client.words import receipt_text, thoughts, verdict_lines
 from hapticd.errors import CommandError
 from hapticd.gateway.limits import PLACES
 
@@ -72,7 +72,7 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
             receipt = ask(client)
         except CommandError as error:
             found = _found_out(client, error.guard)
-            text = "\n".join(_thoughts(str(error), found)) if error.guard else str(error)
+            text = "\n".join(thoughts(str(error), found)) if error.guard else str(error)
             raise CommandError(error.code, text, error.detail, error.guard) from None
         if not as_json:
             terminal.data(receipt_text(receipt))
@@ -80,14 +80,8 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
     if as_json:
         terminal.data_json({"ok": True, **dataclasses.asdict(receipt)})
     elif receipt.guard and receipt.guard["policy"] != "off" and not receipt.guard["safe"]:
-        for line in _thoughts(receipt.guard["text"], lines):
+        for line in thoughts(receipt.guard["text"], lines):
             terminal.talk(terminal.wrapped(f"hapticd: {line}"))
-
-
-def _thoughts(text: str, allowed: list[str]) -> list[str]:
-    """`text` with one thought a line, and what is allowed as soon as it is said what is wrong."""
-    wrong, *rest = text.split("; ")
-    return [wrong, *allowed, *rest]
 
 
 def _found_out(client: "Client", verdict: dict[str, Any] | None) -> list[str]:

@@ -8,7 +8,7 @@ import typer
 from hapticd import params
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.client.words import verdict_lines
+from hapticd.client.words import guard_line, margin_words, verdict_lines
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -71,23 +71,6 @@ def _judged(client: "Client", found: dict[str, Any]) -> dict[str, Any]:
 def guard_lines(found: dict[str, Any]) -> list[str]:
     """What the guard goes by and what it says of what is in force, as `status` shows it too."""
     return [guard_line(found), *delay_lines(found), margin_words(found)]
-
-
-def guard_line(found: dict[str, Any]) -> str:
-    """Policy, basis, mode and worker in one line, as `status` shows them too."""
-    margin = found["margin_ns_per_m"]
-    wanted = f", at least {margin:g} N s/m to spare" if margin else ""
-    policy = "off: somebody measures" if found["measuring"] else found["policy"]
-    worker = "" if found["worker"] == "up" else f"; {found['trouble']}"
-    delay = found["delay_periods"]
-    known = "the delay is not known yet" if delay is None else f"delay {delay:g} periods"
-    return f"{policy}, by {found['basis']}{wanted}; damping {found['mode']}; {known}{worker}"
-
-
-def margin_words(found: dict[str, Any]) -> str:
-    """The verdict on what is in force, in one line."""
-    verdict = found.get("verdict") or {}
-    return str(verdict.get("text") or found.get("unjudged") or "not judged yet")
 
 
 def delay_lines(found: dict[str, Any]) -> list[str]:

@@ -35,6 +35,29 @@ def verdict_lines(verdict: dict[str, Any]) -> list[str]:
     return lines
 
 
+def thoughts(text: str, allowed: list[str]) -> list[str]:
+    """`text` with one thought a line, and what is allowed as soon as it is said what is wrong."""
+    wrong, *rest = text.split("; ")
+    return [wrong, *allowed, *rest]
+
+
+def guard_line(found: dict[str, Any]) -> str:
+    """Policy, basis, mode and worker in one line, as `status` shows them too."""
+    margin = found["margin_ns_per_m"]
+    wanted = f", at least {margin:g} N s/m to spare" if margin else ""
+    policy = "off: somebody measures" if found["measuring"] else found["policy"]
+    worker = "" if found["worker"] == "up" else f"; {found['trouble']}"
+    delay = found["delay_periods"]
+    known = "the delay is not known yet" if delay is None else f"delay {delay:g} periods"
+    return f"{policy}, by {found['basis']}{wanted}; damping {found['mode']}; {known}{worker}"
+
+
+def margin_words(found: dict[str, Any]) -> str:
+    """The verdict on what is in force, in one line."""
+    verdict = found.get("verdict") or {}
+    return str(verdict.get("text") or found.get("unjudged") or "not judged yet")
+
+
 def receipt_text(receipt: "Receipt") -> str:
     """What became of it, and what will then be in force."""
     if receipt.result == "pressed":

@@ -19,7 +19,13 @@ from typing import Any
 
 from hapticd.client.client import Client
 from hapticd.client.conversation import receipt_of
-from hapticd.client.words import receipt_text, verdict_lines
+from hapticd.client.words import (
+    guard_line,
+    margin_words,
+    receipt_text,
+    thoughts,
+    verdict_lines,
+)
 from hapticd.errors import CommandError, HapticdError
 from hapticd.plant.excitation import Stream, band_noise, generator
 from hapticd.plant.scene import Excitation
@@ -71,25 +77,26 @@ class Asker:
         try:
             if cmd == EXCITE:
                 return self._excited(number, bool(fields.get("on")))
-            return _accepted(number, self._client.call(cmd, **fields))
+            return _accepted(number, cmd, self._client.call(cmd, **fields))
         except CommandError as error:
-            lines = verdict_lines(error.guard) if error.guard else []
-            return _refused(number, error.code, "\n".join((str(error), *lines)))
+            return _refused(number, error.code, _objection(str(error), error.guard))
         except (HapticdError, TypeError) as error:
             return _refused(number, type(error).__name__, str(error))
 
     def _excited(self, number: Any, on: bool) -> str:
         if not on:
-            return _accepted(number, self._client.call("perturb", action="stop"))
+            return _accepted(number, EXCITE, self._client.call("perturb", action="stop"))
         paper = Excitation("noise")
         random = generator(paper.seed, Stream.SHARED)
         noise = band_noise(NOISE_SAMPLES, paper.psd_n2_per_hz, paper.band_hz, random)
         self._client.perturb_load(noise)
-        return _accepted(number, self._client.call("perturb", action="start", loop=True))
+        return _accepted(number, EXCITE, self._client.call("perturb", action="start", loop=True))
 
 
-def _accepted(number: Any, found: dict[str, Any]) -> str:
+def _accepted(number: Any, cmd: str, found: dict[str, Any]) -> str:
     told = {"kind": "reply", "ask": number, "ok": True, "result": found.get("result")}
+    if cmd == "guard":
+        told["text"] = f"guard: {guard_line(told['result'])}\n{margin_words(told['result'])}"
     if "receipt" in found:
         verdict = found.get("guard") or {}
         told["text"] = receipt_text(receipt_of(found))
@@ -101,7 +108,12 @@ def _warning(verdict: dict[str, Any]) -> str:
     """The guard's objection to what was done all the same; empty without one."""
     if not verdict or verdict["policy"] == "off" or verdict["safe"]:
         return ""
-    return "\n".join((verdict["text"], *verdict_lines(verdict)))
+    return _objection(verdict["text"], verdict)
+
+
+def _objection(text: str, verdict: dict[str, Any] | None) -> str:
+    """`text` of a refusal or warning, one thought a line if it rests on a `verdict`."""
+    return "\n".join(thoughts(text, verdict_lines(verdict))) if verdict else text
 
 
 def _refused(number: Any, code: str, text: str) -> str:

@@ -1,6 +1,8 @@
 // State lamp, buttons, damping switch and the values of what is rendered. Every lamp and number
 // shows what the daemon says; a button only asks.
 
+import { noNumber, number, ofPage } from "./words.js";
+
 const get = (id) => document.getElementById(id);
 const NAMES = { K: "stiffness_n_per_m", B: "damping_ns_per_m", M: "mass_kg", level: "added_damping_asked_ns_per_m" };
 const UNITS = { K: "N/m", B: "N s/m", M: "kg", level: "N s/m" };
@@ -43,10 +45,11 @@ export class Controls {
   async set() {
     const fields = {};
     for (const name in NAMES) {
-      const text = get(name).value.trim().replace(",", ".");
+      const text = get(name).value.trim();
+      const asked = name === "level" ? "damping" : name;
       if (text === "") continue;
-      if (!Number.isFinite(Number(text))) return this.tell("refused", `${name}: ${text} is not a number; give ${UNITS[name]}`);
-      fields[name === "level" ? "damping" : name] = Number(text);
+      fields[asked] = number(text);
+      if (!Number.isFinite(fields[asked])) return this.tell("refused", noNumber(asked, text, UNITS[name]));
     }
     if (!Object.keys(fields).length) return this.tell("refused", "nothing to set: type a value beside K, B, M or D first");
     if (await this.ask("set", fields)) {
@@ -75,7 +78,7 @@ export class Controls {
   fault(told) {
     const [name, words] = get("fault").children;
     name.textContent = told.fault === "none" ? "" : `${told.fault}: ${told.cause}`;
-    words.textContent = told.fault === "none" ? "" : `To leave: ${told.remedy}. (${told.action})`;
+    words.textContent = told.fault === "none" ? "" : `To leave: ${ofPage(told.remedy)}. (${told.action})`;
     words.title = words.textContent;
   }
 

@@ -9,6 +9,7 @@ import { Leases, Recorder, Timing } from "./panels.js";
 import { Plane } from "./plane.js";
 import { Scope } from "./scope.js";
 import { stopButton } from "./stop.js";
+import { ofPage } from "./words.js";
 
 const NO_DATA_MS = 500;
 const LOOK_MS = 100;
@@ -21,10 +22,11 @@ let came_ms = -Infinity;
 function tell(kind, text) {
   const line = document.createElement("li");
   line.className = kind;
-  line.title = text;
   const time = document.createElement("time");
   time.textContent = new Date().toTimeString().slice(0, 8);
-  line.append(time, kind === "refused" && !text.includes("refused") ? `refused: ${text}` : text);
+  const words = document.createElement("span");
+  words.textContent = ofPage(kind === "refused" && !text.includes("refused") ? `refused: ${text}` : text);
+  line.append(time, words);
   get("log").prepend(line);
   while (get("log").children.length > MOST_LINES) get("log").lastChild.remove();
 }

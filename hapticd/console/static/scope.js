@@ -5,6 +5,7 @@
 // lost. What is saved are the samples themselves, of exactly the time that is shown.
 
 import { looks } from "./plane.js";
+import { noNumber, number } from "./words.js";
 
 const KEPT = 1 << 17; // samples of each signal
 const DRAW_MS = 40;
@@ -62,7 +63,7 @@ export class Scope {
     this.span_s = Number(get("span").value);
     this.pre = Number(get("pre").value);
     this.edge = Number(get("edge").value);
-    this.threshold = Number(get("threshold").value.replace(",", ".")) / this.signal.scale;
+    this.threshold = number(get("threshold").value.trim()) / this.signal.scale; // nothing crosses NaN
     get("threshold-unit").textContent = this.signal.unit;
     this.triggered = null;
     this.looked = this.count;
@@ -139,6 +140,7 @@ export class Scope {
   }
 
   note(view) {
+    if (this.mode && Number.isNaN(this.threshold)) return noNumber("at", get("threshold").value, this.signal.unit);
     if (this.mode && this.triggered === null) return `waiting for the trigger: ${this.signal.title} ${this.edge > 0 ? "rising" : "falling"} through ${get("threshold").value} ${this.signal.unit}`;
     if (!view) return "";
     const zero = this.mode ? "0 s is the trigger" : "0 s is now";
