@@ -113,7 +113,9 @@ def test_a_copied_template_is_of_another_board(tmp_path):
 # --- a trial --------------------------------------------------------------------------------------
 
 OLD = {"date": "2001-01-01"}
-TRIAL = Trial((50.0, 0.5, 0.0), seconds=5.0)
+# the probe of the device may push with 1 N
+WEAK = dataclasses.replace(Trial().excitation, psd_n2_per_hz=1e-5)
+TRIAL = Trial((50.0, 0.5, 0.0), seconds=5.0, excitation=WEAK)
 
 
 def test_live_trial_refuses_what_cannot_be_relied_on_before_it_moves():
@@ -149,7 +151,7 @@ def test_trial_live_takes_uncalibrated_devices_when_asked(monkeypatch, tmp_path,
             yield bench
 
     monkeypatch.setattr(change, "connect", connected)
-    words = ["zwidth", "trial", "live", "-K", "50", "-B", "0.5", "--seconds", "5"]
+    words = ["zwidth", "trial", "live", "-K", "50", "-B", "0.5", "--seconds", "5", "--psd", "1e-5"]
     assert main([*words, "--out", str(tmp_path / "a")]) == 65
     assert "--uncalibrated" in capsys.readouterr().err
     assert main([*words, "--uncalibrated", "--out", str(tmp_path / "b")]) == 0
