@@ -17,7 +17,8 @@ HapticdError               (exit 1; `exit_code` of a class is what a process end
 ├── AnalysisError          a record cannot be analysed, or a question has no answer: the message
                            says what would (exit 65)
 ├── CommandError           the daemon refused a command: `code` says why (exit 4; 5 when stopped or
-                           faulted)
+│   │                      faulted)
+│   └── SequenceError      a sequence ended before its last step: which acted, and what was left
 └── DaemonDown             nobody answers (exit 3)
 """
 
@@ -105,6 +106,20 @@ class CommandError(HapticdError):
     def __reduce__(self) -> tuple[type["CommandError"], tuple[Any, ...]]:
         # an exception of several arguments does not pickle by itself
         return type(self), (self.code, str(self), self.detail, self.guard)
+
+
+class SequenceError(CommandError):
+    """A sequence of changes ended before its last step; `receipts` are those of all steps, `state`
+    is that of the servo as the display was left, "unknown" if nobody answers.
+    """
+
+    def __init__(self, code: str, message: str, receipts: tuple[Any, ...], state: str) -> None:
+        super().__init__(code, message)
+        self.receipts = receipts
+        self.state = state
+
+    def __reduce__(self) -> tuple[type["SequenceError"], tuple[Any, ...]]:
+        return type(self), (self.code, str(self), self.receipts, self.state)
 
 
 class DaemonDown(HapticdError):

@@ -35,7 +35,7 @@ FAULTS: tuple[Fault, ...] = (
         "gateway_lost",
         "the gateway's heartbeat stayed away",
         _TO_SAFE,
-        "restart the gateway, then reset",
+        "reset; if it comes again the computer is too busy, see `hapticd doctor`",
     ),
     Fault(
         3,
@@ -84,7 +84,7 @@ FAULTS: tuple[Fault, ...] = (
         "sensor_range",
         "an encoder step that no hand can make",
         _TO_SAFE,
-        "check encoder and cable, reset, home or zero",
+        "if it rang, ask for less; else check encoder and cable; then reset, and home or zero",
     ),
     Fault(
         10,

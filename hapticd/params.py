@@ -202,6 +202,8 @@ class DeviceParams:
     # its signs are not verified: little force, a box for K, B and M (servo.commissioning)
     commissioning: bool = False
     signs_firmware: str = ""  # of the board when its signs were seen, like 1.0; "": any
+    damping_with_force_n: float = 0.0  # full scale of force when damping was measured; 0: unknown
+    probe_skew_us: float = 0.0  # by which the probe's velocity is later than its force
     calibration_days: int = CALIBRATION_DAYS  # after which a calibration is too old to rely on
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:

@@ -18,6 +18,12 @@ def round_half_up(value: float) -> int:
     return int((value + 0.5) // 1.0)
 
 
+def percent(share: float) -> str:
+    """A share, or a relative change, in words with two digits: 100 %, and never 1e+02 %."""
+    value = 100.0 * share
+    return f"{value:.2g} %" if abs(value) < 99.5 else f"{value:.0f} %"
+
+
 UNITS = {
     "_ohm_per_s": "ohm/s",
     "_m_per_s2": "m/s^2",

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.daemons import read_report
+from hapticd.mailbox.daemons import Report
 from hapticd.mailbox.files import word_access
 
 SAFE_DISTANCE = 64  # records that a reader keeps clear of the writer
@@ -70,6 +70,8 @@ class GatewayMailbox:
 
     def __init__(self, folder: Path, claimed: bool = False) -> None:
         self.folder = folder
+        self._report = Report(folder)
+        self._path = os.fspath(folder / files.MAILBOX)  # looked at in every pass
         if not folder.is_dir():
             raise MailboxError(
                 f"{folder}: no such folder; no servo runs there, start one with `hapticd run`"
@@ -132,7 +134,7 @@ class GatewayMailbox:
 
     def _inode_now(self) -> int | None:
         try:
-            return os.stat(self.folder / files.MAILBOX).st_ino
+            return os.stat(self._path).st_ino
         except OSError:
             return None
 
@@ -158,10 +160,10 @@ class GatewayMailbox:
         }
 
     def report(self) -> dict[str, Any]:
-        """What the servo wrote at start: rights granted, board, device. Empty while it is being
-        replaced.
+        """What the servo wrote at start or re-plug: rights granted, board, device; not to be
+        changed. It is parsed once, and empty while it is being replaced.
         """
-        return read_report(self.folder)
+        return self._report.content()
 
     def post(self, kind: int, actor: int, apply_tick: int, values: tuple[float, ...]) -> int | None:
         """Post a command of doubles (layout.Value); its sequence number, or None when the

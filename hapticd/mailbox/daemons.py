@@ -137,6 +137,26 @@ def read_report(folder: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
+class Report:
+    """servo.report in `folder`, read again when it was replaced; it is only ever replaced whole."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._read: tuple[int, int] = (0, 0)  # inode and time [ns] of what was read
+        self._content: dict[str, Any] = {}
+
+    def content(self) -> dict[str, Any]:
+        """What stands there now, not to be changed; empty if it cannot be read."""
+        try:
+            there = (self._folder / files.REPORT).stat()
+        except OSError:
+            return {}
+        if (there.st_ino, there.st_mtime_ns) != self._read:
+            self._content = read_report(self._folder)
+            self._read = (there.st_ino, there.st_mtime_ns)
+        return self._content
+
+
 def living_report(folder: Path) -> dict[str, Any]:
     """What a living servo of `folder` reports, also one that still waits for its board."""
     return read_report(folder) if servo_lives(folder) else {}

@@ -1,10 +1,15 @@
 """The stop word: a file of eight bytes by which whoever may write it stops the servo, and no more.
 
 Zero bytes mean that nobody has pressed it. Everything else is a stop: another content, a file that
-is shorter or longer, one that was removed or replaced. The servo reads it in every tick with
-`pread`, from a descriptor that it opened itself: 0.4 us, and no page of a file that others may cut
-short is mapped (a load beyond its end kills with SIGBUS). A read of a regular file in memory does
-not wait, whoever writes it or holds locks on it, and no name is opened in a tick.
+is shorter or longer, one that was removed or replaced. Eight bytes that are the number of a
+client (little-endian, from FIRST_CLIENT on) make it that client's stop, so that it may reset it at
+once as if it had asked the gateway; every other press is ACTOR_STOP_WORD's. Who lies about it gives
+a stop of its own away, and takes nobody's.
+
+The servo reads it in every tick with `pread`, from a descriptor that it opened itself: 0.4 us, and
+no page of a file that others may cut short is mapped (a load beyond its end kills with SIGBUS). A
+read of a regular file in memory does not wait, whoever writes it or holds locks on it, and no name
+is opened in a tick.
 
 A write would wait: who writes 100 MB into the file or reserves them holds its inode all the while.
 So the servo never writes the word that others have, nor cuts it short. A press stands, and stops in
@@ -35,7 +40,10 @@ from hapticd.errors import MailboxError
 from hapticd.mailbox import files
 
 NOT_PRESSED = bytes(8)
-PRESSED = (1).to_bytes(8, "little")
+ACTOR_STOP_WORD = 2  # of a press that names no client
+FIRST_CLIENT = 16  # below are the daemon's own parts
+LAST_CLIENT = (1 << 32) - 1  # that a tick's record can name
+UNNAMED = 1  # a press that names no client
 READ_BYTES = len(NOT_PRESSED) + 1  # one more shows that the file has grown
 MODE = 0o660  # its owner, and under systemd every member of group hapticd
 
@@ -53,6 +61,14 @@ class StopWord:
     def pressed(self) -> bool:
         """Whether a stop is asked for; the loop asks the same question in place."""
         return os.pread(self.descriptor, READ_BYTES, 0) != NOT_PRESSED
+
+    @property
+    def presser(self) -> int:
+        """The actor whose press it is."""
+        found = os.pread(self.descriptor, READ_BYTES, 0)
+        number = int.from_bytes(found, "little")
+        whole = len(found) == len(NOT_PRESSED)
+        return number if whole and _is_client(number) else ACTOR_STOP_WORD
 
     def take_back(self) -> bool:
         """Zero again, in a new file; a press from here on is another one. Not while force acts:
@@ -100,12 +116,13 @@ class StopWord:
         return untouched and _is_there(self._path, self._word)
 
 
-def press_stop(folder: Path) -> None:
-    """Latch STOP in the servo of `folder` without the gateway. MailboxError: no servo is there
-    (any more), or what stands there is no stop word.
+def press_stop(folder: Path, actor: int = ACTOR_STOP_WORD) -> None:
+    """Latch STOP in the servo of `folder` without the gateway, in the name of client `actor`.
+    MailboxError: no servo is there (any more), or what stands there is no stop word.
     """
     path = folder / files.STOP
-    while not (pressed := _pressed(path)).current:
+    number = actor if _is_client(actor) else UNNAMED
+    while not (pressed := _pressed(path, number)).current:
         pass  # the servo took another press back in between, which it does once a tick at most
     if not pressed.held:
         raise MailboxError(
@@ -121,10 +138,17 @@ class _Pressed(NamedTuple):
     held: bool  # by a living servo
 
 
-def _pressed(path: Path) -> _Pressed:
+def _is_client(actor: int) -> bool:
+    return FIRST_CLIENT <= actor <= LAST_CLIENT
+
+
+def _pressed(path: Path, number: int) -> _Pressed:
     descriptor = _opened(path, os.O_RDWR)
     try:
-        os.pwrite(descriptor, PRESSED, 0)
+        word = number.to_bytes(8, "little")
+        # the servo may not have read another's press yet: then it is of both, and so of neither
+        alone = os.pread(descriptor, READ_BYTES, 0) in (NOT_PRESSED, word)
+        os.pwrite(descriptor, word if alone else UNNAMED.to_bytes(8, "little"), 0)
         held = files.is_locked(descriptor)
         return _Pressed(_is_there(path, descriptor), held)
     except OSError as error:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from hapticd.clock import Clock
 from hapticd.errors import LinkError
-from hapticd.link.agreement import differences
+from hapticd.link.agreement import differences, probe_shortage
 from hapticd.link.device import Device
 from hapticd.link.transport import Transport, settle_transport
 from hapticd.params import ServoParams
@@ -37,6 +37,7 @@ class BoardCheck(NamedTuple):
         ""  # why the winding's resistance is not, where the device file asks for it
     )
     hello: HelloFrame | None = None  # None: there is no board
+    unsampled: str = ""  # why samples of probe and perturbation are lost at this rate
 
     def barred(self, reason: str) -> "BoardCheck":
         """The same board once it has said something that no board of this device says."""
@@ -56,6 +57,7 @@ class BoardCheck(NamedTuple):
             "differences": list(self.differences),
             "transport": transport,
             "uncompensated": self.uncompensated,
+            "unsampled": self.unsampled,
         }
 
 
@@ -85,7 +87,9 @@ def compared(hello: HelloFrame, params: ServoParams, transport: Transport | None
     if not reason:
         host |= COMPENSATES
     uncompensated_for = reason if params.device.resistance else ""
-    return BoardCheck(found, transport, host, uncompensated_for, hello)
+    probes = hello.capabilities & Capability.PROBE
+    unsampled = probe_shortage(params.realtime.rate_hz) if probes else ""
+    return BoardCheck(found, transport, host, uncompensated_for, hello, unsampled)
 
 
 def uncompensated(capabilities: int) -> str:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.faults import BY_CODE, FROM_GATEWAY
-from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
+from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value, following
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety, silence
@@ -50,6 +50,7 @@ class Now(NamedTuple):
     """What a command may depend on beside the plan."""
 
     tick: int
+    last_tick: int  # whose parameters the force that acts was made with
     encoder: int
     force_n: float  # as last sent, 0 where the board has taken it
     gateway: bool
@@ -104,7 +105,7 @@ def enter(
         gain=gain,
         fade=fade,
         glitches=(),
-        revision=plan.revision + 1,
+        revision=following(plan.revision),
     )
     if state is not State.ENABLED:
         # a trial that switched the faults off does not leave them so
@@ -131,7 +132,8 @@ def _ramps_into(plan: Plan, state: State, now: Now, params: ServoParams) -> Ramp
         gain = Ramp(0.0, 1.0, now.tick, round_half_up(limits.enable_ramp_s * rate_hz))
     if state in LATCHED and force_acts(plan, now.tick):
         ticks = round_half_up(limits.stop_ramp_s * rate_hz)
-        gain = plan.gain.towards(0.0, now.tick, ticks)
+        # from what was in force, not from where its ramp would be by now: easing may hold it back
+        gain = Ramp(plan.gain.value(now.last_tick), 0.0, now.tick, ticks)
         fade = Ramp(now.force_n, 0.0, now.tick, ticks)
     if state in LATCHED and plan.state in LATCHED:  # what fades already is not renewed
         gain = plan.gain
@@ -246,14 +248,14 @@ def _action(plan: Plan, request: Request, now: Now, params: ServoParams) -> Plan
     if kind == Command.RESET:
         return plan._replace(stop_tick=-1, stop_owner=0)
     if kind == Command.ZERO:
-        return with_origin(plan, now.encoder)._replace(revision=plan.revision + 1)
+        return with_origin(plan, now.encoder)._replace(revision=following(plan.revision))
     if kind == Command.PERTURB_START:
         return plan._replace(
             wave=(seq, int(values[Value.SAMPLES]), bool(values[Value.LOOP])),
-            revision=plan.revision + 1,
+            revision=following(plan.revision),
         )
     if kind in (Command.PERTURB_STOP, safety.PERTURB_DONE_EVENT):
-        return plan._replace(wave=NO_WAVE, revision=plan.revision + 1)
+        return plan._replace(wave=NO_WAVE, revision=following(plan.revision))
     return plan
 
 

@@ -34,8 +34,9 @@ credit above the device's true damping.
 from math import ceil, exp, inf, tau
 from typing import Final, NamedTuple
 
-from hapticd.mailbox.layout import Value
+from hapticd.mailbox.layout import Value, following
 from hapticd.params import ServoParams
+from hapticd.render.ramp import Ramp
 from hapticd.servo.monitors import Bounds
 from hapticd.servo.plan import Control, Plan
 from hapticd.servo.safety import State
@@ -81,8 +82,13 @@ def lag(params: ServoParams) -> Lag | None:
     return Lag(kept, 1.0 - mean, mean - kept)
 
 
-def controlled(plan: Plan, excess_j: float, tick: int, params: ServoParams, bound: Bounds) -> Plan:
-    """`plan` after what `excess_j` [J] says; itself where there is nothing to do."""
+def controlled(
+    plan: Plan, excess_j: float, ticks: tuple[int, int], params: ServoParams, bound: Bounds
+) -> Plan:
+    """`plan` after what `excess_j` [J] says; itself where there is nothing to do. `ticks`: the last
+    one and this one.
+    """
+    last_tick, tick = ticks
     if not excess_j > budget_j(params) or not plan.limit_cycle_faults:
         return plan
     if plan.state is not State.ENABLED or plan.unauthorised:
@@ -97,7 +103,7 @@ def controlled(plan: Plan, excess_j: float, tick: int, params: ServoParams, boun
     waiting = not untried and tick - plan.control.tick < shows_ticks(params)
     if waiting or leaked <= (2.0 if untried else 1.0) * STEP:
         return plan
-    return halved(plan, now, tick)
+    return halved(plan, now, last_tick)
 
 
 def leaked_since(last: Control, now: Control, bound: Bounds) -> float:
@@ -112,15 +118,15 @@ def shows_ticks(params: ServoParams) -> int:
     return SHOWS_TICKS + ceil(settling)
 
 
-def halved(plan: Plan, now: Control, tick: int) -> Plan:
-    """`plan` with half of what leaks, at once as far as the force step allows."""
-    felt = [place for place in HALVED if plan.values[place].value(tick)]
-    ramps = {
-        place: plan.values[place].towards(0.5 * plan.values[place].value(tick), tick, 0)
-        for place in felt
-    }
+def halved(plan: Plan, now: Control, last_tick: int) -> Plan:
+    """`plan` with half of what leaks, which was in force at `last_tick` (easing may have held it
+    back); at once as far as the force step allows.
+    """
+    in_force = {place: plan.values[place].value(last_tick) for place in HALVED}
+    felt = {place: value for place, value in in_force.items() if value}
     if not felt:
         return plan
+    ramps = {place: Ramp(value, 0.5 * value, now.tick, 0) for place, value in felt.items()}
     return changed(plan, now, tuple(felt))._replace(values=plan.values | ramps)
 
 
@@ -130,6 +136,6 @@ def changed(plan: Plan, now: Control, places: tuple[int, ...]) -> Plan:
     return plan._replace(
         control=now._replace(places=held),
         actor=0,
-        revision=plan.revision + 1,
-        environment_revision=plan.environment_revision + 1,
+        revision=following(plan.revision),
+        environment_revision=following(plan.environment_revision),
     )

@@ -6,8 +6,8 @@ streamer sends a waveform into the board's perturbation FIFO.
 At most two commands are taken a tick. A reset while the board reports a fault first asks the board
 to forget it and waits for the frame that tells whether it did. A stop word that is pressed stops in
 every tick, so no reset can clear a press that it has not outlived, until it is taken back to 0.
-That is file work, which waits until no force can act: one stop ramp after the press, at once where
-nothing was granted. Lost slots become a fault when too many fall into one second; pauses of a host
+That is file work, which waits until no force can act: the last frame did not ask for authority.
+Lost slots become a fault when too many fall into one second; pauses of a host
 with a simulated board harm no one and only count.
 
 The board plays one sample per 250 us of its own clock, which is not the host's. The host therefore
@@ -29,14 +29,15 @@ from hapticd.link.device import Device, Head
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ServoParams
-from hapticd.servo.plan import CLEARABLE, KIND, NEVER, Plan, Request, fault_request
-from hapticd.servo.safety import GRANTED, LATCHED, PERTURB_DONE_EVENT, State
-from hapticd.units import NS_PER_S, PROBE_RATE_HZ, round_half_up
+from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request, Settled, fault_request
+from hapticd.servo.safety import GRANTED, PERTURB_DONE_EVENT
+from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.wire.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, I16_HIGHEST, I16_LOWEST, NO_SAMPLES
 from hapticd.wire.frames import FIFO_TARGET, PROBE_MAX, OutFlag
 
 Burst = tuple[int, int, tuple[int, ...]]  # OUT flags, samples that count, always PROBE_MAX values
 _FIFO_CLEAR = int(OutFlag.FIFO_CLEAR)
+_ENABLE = int(OutFlag.ENABLE)
 
 
 class Streamer:
@@ -98,7 +99,6 @@ class Streamer:
         return len(taken), (*taken, *NO_SAMPLES[len(taken) :])
 
 
-ACTOR_STOP_WORD = 2
 MOST_COMMANDS = 2
 CLEAR_TICKS = 3  # until a frame shows what CLEAR_FAULT did
 _NO_VALUES = (0.0,) * COMMAND_VALUES
@@ -134,12 +134,10 @@ class Inbox:
         self._deferred: list[DeferredReset] = []
         self.waiting = False  # something of our own is due or near: `requests` must be asked
         self._leaving = False
-        safety = params.safety
-        self._fade_ticks = round_half_up(safety.stop_ramp_s * params.realtime.rate_hz) + 1
-        self._pressed_tick = NEVER  # at which the stop word was seen pressed, NEVER: it is not
 
-    def requests(self, tick: int, head: Head, plan: Plan) -> tuple[Request, ...]:
-        """What this tick has to obey."""
+    def requests(self, tick: int, head: Head, settled: Settled) -> tuple[Request, ...]:
+        """What this tick has to obey, after one that came to be `settled`."""
+        plan = settled.plan
         found: list[Request] = []
         # first: a waveform that starts in the tick in which another one ended is not that one
         if self._streamer.ended(head[HEAD_FIFO_LEVEL]):
@@ -154,8 +152,10 @@ class Inbox:
         if resets and head[HEAD_STATUS] & CLEARABLE:
             found = self._ask_board(found, tick)
         if self._mailbox.stop_word.pressed:
-            self._take_back(tick, plan)  # before it is obeyed: a press from here on is another one
-            found.append((0, Command.STOP, ACTOR_STOP_WORD, 0, _NO_VALUES))
+            presser = self._mailbox.stop_word.presser
+            if not settled.out_flags & _ENABLE:
+                self._mailbox.stop_word.take_back()  # a press from here on is another one
+            found.append((0, Command.STOP, presser, 0, _NO_VALUES))
         found += self._due(tick, any(request[KIND] == Command.STOP for request in found))
         if self._too_many_lost(plan):
             found.append(fault_request(BY_CODE["lost_slots"].number))
@@ -174,14 +174,6 @@ class Inbox:
         if not self._params.simulated:
             self._lost.append(LostSlots(now_ns, slots))
             self.waiting = True
-
-    def _take_back(self, tick: int, plan: Plan) -> None:
-        """Release the stop word, if no force can act: that may keep this tick waiting."""
-        self._pressed_tick = min(self._pressed_tick, tick)
-        faded = tick - self._pressed_tick >= self._fade_ticks
-        idle = plan.state is State.DISABLED or (plan.state in LATCHED and faded)
-        if idle and self._mailbox.stop_word.take_back():
-            self._pressed_tick = NEVER
 
     def _ask_board(self, found: list[Request], tick: int) -> list[Request]:
         try:

@@ -3,11 +3,11 @@
     wait -> receive -> commands -> step -> send -> record -> next deadline
 
 Everything a tick needs is a local name that no closure shares, and what can be made ready before
-the wake is; what is rare (a lost link, commands, answers, late ticks) is a call. Two habits of
-CPython 3.11 show: the loop is a `while True`, because the instructions of a function that is
+the wake is; what is rare (a lost link, commands, answers, late ticks) is a call. Three habits
+of CPython 3.11 show: the loop is a `while True`, because the instructions of a function that is
 entered once are specialised only after it has gone round a loop that ends in an unconditional jump
 (a seventh of a tick); a float stands before the integer it is multiplied by, because otherwise the
-integer is asked first.
+integer is asked first; and no call has more than 30 arguments, which would go by way of a list.
 
 Waiting live: sleep to `spin` before the deadline, then spin on the clock. The kernel wakes a
 sleeper 10-60 us late; the spin makes the tick start within 0.1 us for 10 % of a core at 1 kHz and
@@ -130,7 +130,7 @@ _LONGEST_NS = (1 << 31) - 1  # that a stage of a record can hold: 2.1 s
 _NOTHING_US = 1 << 30  # above every delay: none was seen yet
 _HEALTHY = LINK_UP | GATEWAY_ALIVE
 _U32 = (1 << 32) - 1
-_BLANK = layout.RECORD.unpack(bytes(layout.RECORD.size))
+_BLANK = [one.unpack(bytes(one.size)) for one in (layout.STEPPED, layout.MEASURED)]
 LISTEN_S = 8e-3
 _LATE = int(Flag.LATE)
 _WRITE_FAILED = int(Flag.WRITE_FAILED)
@@ -195,7 +195,8 @@ class ServoLoop:
         stop_word = mailbox.stop_word.descriptor
         ring = mailbox.ring
         publish = mailbox.publish_head
-        pack = layout.RECORD.pack_into
+        pack_stepped = layout.STEPPED.pack_into
+        pack_measured = layout.MEASURED.pack_into
         plain = plain_store()
         ring_words = mailbox.ring_words
         beat_word = layout.GATEWAY_BEAT_WORD
@@ -203,6 +204,7 @@ class ServoLoop:
         ring_head = layout.TELEMETRY_HEAD_WORD
         servo_beat = layout.SERVO_BEAT_WORD
         first_place = layout.TELEMETRY_OFFSET
+        behind = layout.STEPPED.size
         size = layout.RECORD.size
         places = layout.RING_RECORDS
         rehearse = self._rehearsal()
@@ -243,11 +245,14 @@ class ServoLoop:
             next_deadline = deadline + period_ns
             slot = tick + self.dropped
             place = first_place + tick % places * size
+            delay_us = UNKNOWN_US
+            frame_age_us = UNKNOWN_US
+            commands: tuple[Request, ...] = ()
+            count = 0
+            samples = NO_SAMPLES
             # read, not mapped: others may cut this file short (`mailbox.stop_word`)
             pressed = pread(stop_word, READ_BYTES, 0) != NOT_PRESSED
             start = wait(deadline, rehearse)
-            delay_us = UNKNOWN_US
-            frame_age_us = UNKNOWN_US
             if pausing:
                 arrival = MISSED
             elif self.linked:
@@ -284,10 +289,9 @@ class ServoLoop:
                 _,
             ) = head
 
-            commands: tuple[Request, ...] = ()
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
             if pressed or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
-                commands = inbox.requests(tick, head, self.state[SETTLED].plan)
+                commands = inbox.requests(tick, head, self.state[SETTLED])
                 mailbox.note(tick, commands)
                 commands = in_slots(commands, self.dropped)
             # the beat last seen says nothing any more: look for the next one
@@ -309,7 +313,7 @@ class ServoLoop:
                     arrival,
                     host,
                     index,
-                    delay_us * periods_per_us,
+                    periods_per_us * delay_us,
                     amperes,
                     damping_effect,
                 ),
@@ -319,8 +323,6 @@ class ServoLoop:
             settled, _, (work, excess, _, _, _, _, _), _, _ = state
             torque, x, v, a, spring, damper, inertia, field, force, flags, answers = output
             out_flags = settled.out_flags
-            count = 0
-            samples = NO_SAMPLES
             if settled.wave[WAVE_COMMAND] or streamer.playing:
                 out_flags, count, samples = streamer.follow(settled.wave, out_flags, level)
             if delay_us < 0:
@@ -361,7 +363,7 @@ class ServoLoop:
                 stages = (wake_ns, read_ns, step_ns, write_ns)
                 wake_ns, read_ns, step_ns, write_ns = (min(stage, _LONGEST_NS) for stage in stages)
                 frame_age_us = min(frame_age_us, _NOTHING_US)
-            pack(
+            pack_stepped(
                 ring,
                 place,
                 tick,
@@ -383,6 +385,10 @@ class ServoLoop:
                 force,
                 work,
                 excess,
+            )
+            pack_measured(
+                ring,
+                place + behind,
                 temperature * heat + t0,
                 current * amperes + c0,
                 voltage * volts + v0,
@@ -430,7 +436,10 @@ class ServoLoop:
         step = self.step
         words = self.mailbox.words
         stop_word = self.mailbox.stop_word.descriptor
-        pack = layout.RECORD.pack_into
+        pack_stepped = layout.STEPPED.pack_into
+        pack_measured = layout.MEASURED.pack_into
+        behind = layout.STEPPED.size
+        stepped, measured = _BLANK
         ring = self.mailbox.ring
         in_bytes = device.in_buffer.tobytes
         size = layout.RECORD.size
@@ -450,7 +459,9 @@ class ServoLoop:
                 in_bytes(),
             )
             # the oldest record, which the tick replaces anyway
-            pack(ring, layout.TELEMETRY_OFFSET + self.tick % places * size, *_BLANK)
+            place = layout.TELEMETRY_OFFSET + self.tick % places * size
+            pack_stepped(ring, place, *stepped)
+            pack_measured(ring, place + behind, *measured)
 
         return rehearse
 

@@ -32,6 +32,7 @@ from hapticd.mailbox.layout import (
     Flag,
     Value,
     ValueLimit,
+    following,
     value_limits,
 )
 from hapticd.params import FilterParams, ServoParams, WorkspaceParams
@@ -251,11 +252,11 @@ def with_values(
     changed = plan._replace(
         values=plan.values | ramps,
         filters=_filters(plan.filters, places, values),
-        revision=plan.revision + 1,
+        revision=following(plan.revision),
         control=asked_again(plan.control, places),
     )
     if not JUDGED.isdisjoint(places):
-        changed = changed._replace(environment_revision=plan.environment_revision + 1)
+        changed = changed._replace(environment_revision=following(plan.environment_revision))
     if Value.ADDED_DAMPING in places:
         changed = changed._replace(added_asked=values[Value.ADDED_DAMPING])
     if Value.LIMIT_CYCLE_FAULTS in places:
@@ -428,7 +429,7 @@ def flat_plan(
     count = damping_count(plan.added, params)
     added = params.device.damping.to_value(count)
     blob = layout.PLAN.pack(
-        plan.revision & 0xFFFFFFFF,
+        plan.revision,
         plan.state,
         plan.fault,
         plan.wave[WAVE_COMMAND] != 0,
@@ -445,7 +446,7 @@ def flat_plan(
         at[Value.WALL_POSITION],
         round(at[Value.WALL_SIDE]),
         watches(params, plan.limit_cycle_faults) | COMMISSIONING * params.device.commissioning,
-        plan.environment_revision & 0xFFFFFFFF,
+        plan.environment_revision,
         plan.winding.dac_count,
     )
     environment = environment_of(plan, tick, workspace, limit_n)

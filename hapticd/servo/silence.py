@@ -14,7 +14,7 @@ What would break it: a force in the state disabled, or a board that holds dampin
 a silence may take.
 """
 
-from hapticd.mailbox.layout import Result, Value
+from hapticd.mailbox.layout import Result, Value, following
 from hapticd.params import ServoParams
 from hapticd.servo.plan import Plan, masked_places, out_of_range
 from hapticd.servo.safety import State
@@ -39,7 +39,7 @@ def begun(
     if Value.SILENCE_S not in masked_places(values) or out_of_range(values, params):
         return plan, Result.REFUSED_RANGE
     ticks = max(1, round_half_up(values[Value.SILENCE_S] * params.realtime.rate_hz))
-    silent = plan._replace(silent_until=tick + ticks, revision=plan.revision + 1)
+    silent = plan._replace(silent_until=tick + ticks, revision=following(plan.revision))
     return silent, Result.APPLIED
 
 

@@ -221,8 +221,9 @@ def make_step(params: ServoParams) -> Step:
                 return doubtful(state, sample, tick, flags, answers)
             settled, law, ledger, held, signs = state
         x = m_per_count * (encoder - settled.origin)
+        environment = settled.environment
         newtons, total, v, a, spring, damper, inertia, field, after = render(
-            x, law, settled.environment, settled.coefficients
+            x, law, environment, settled.coefficients
         )
         moved_m = after[1]
         bend_m = moved_m - law[1]
@@ -267,7 +268,7 @@ def make_step(params: ServoParams) -> Step:
             in_effect,
             delay if delay > 0.0 else 0.0,
             elastic,
-            settled.environment[MASS],
+            environment[MASS],
             v,
             resistance_at_0 + resistance_per_count * damping,
             kept,
@@ -276,7 +277,7 @@ def make_step(params: ServoParams) -> Step:
             settled = replace(settled, wake_tick=tick + 1)
             if most_j < inf and not booked[EXCESS] <= most_j:
                 signs = signs.raised(ENERGY)
-        if signs.alarm:
+        if signs is not CALM and signs.alarm:  # a named tuple's field is slow to reach
             settled = replace(settled, wake_tick=tick + 1)
         state = (settled, after, booked, (torque, applied, (law, ledger)), signs)
         return state, (torque, x, v, a, spring, damper, inertia, field, applied, flags, answers)

@@ -347,7 +347,9 @@ def make_attend(params: ServoParams) -> Attend:
             ledger = unknown_before(ledger)  # what was booked is not what is sent now
         acting_n = 0.0 if plan.unauthorised else held_n
         gateway = bool(host & GATEWAY_ALIVE)
-        now = Now(tick, encoder, acting_n, gateway, cause_against_force(sample), bar(host))
+        last_tick = min(settled.wake_tick, tick) - 1
+        cause_now = cause_against_force(sample)
+        now = Now(tick, last_tick, encoder, acting_n, gateway, cause_now, bar(host))
         plan = watched(plan, law[0], acting_n, tick)
         plan, answers = commanded(plan, commands, sample, now, signs.alarm)
         usable = usable and encoder_counts(plan, tick)
@@ -358,7 +360,7 @@ def make_attend(params: ServoParams) -> Attend:
             law = at_rest((encoder - plan.origin) * m_per_count)
             ledger = unknown_before(ledger)
             plan, flags = begun_anew(before, plan, tick)
-        plan = controlled(plan, ledger[EXCESS], tick, params, own)
+        plan = controlled(plan, ledger[EXCESS], (last_tick, tick), params, own)
         plan = advance_added(plan, tick, elapsed, params)
         plan = compensated(plan, sample, acting_n, tick, params)
         if plan.filters != before.filters:

@@ -286,6 +286,8 @@ def device_params(device: DeviceFile) -> DeviceParams:
         probe_velocity=device.probe_velocity.params(
             device.probe_velocity.full_scale_m_per_s / I16_HIGHEST
         ),
+        damping_with_force_n=device.damping.with_force_full_scale_n or 0.0,
+        probe_skew_us=device.probe_velocity.skew_us,
         current=device.current.params(device.current.full_scale_a / I16_HIGHEST),
         voltage=device.voltage.params(device.voltage.full_scale_v / I16_HIGHEST),
         emf_velocity=device.emf_velocity.params(

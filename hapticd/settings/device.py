@@ -151,11 +151,20 @@ class Force(Scale):
 class AddedDamping(Scale):
     full_scale_ns_per_m: float = Field(gt=0)
     """At 65535 counts."""
+    with_force_full_scale_n: float | None = Field(None, gt=0)
+    """`force.full_scale_n` when it was measured, for it is weighed in newtons; with another one it
+    has to be measured again."""
 
 
 class Velocity(Scale):
     full_scale_m_per_s: float = Field(gt=0)
     """At 32767 counts."""
+
+
+class ProbeVelocity(Velocity):
+    skew_us: float = Field(0.0, ge=-1000, le=1000)
+    """By which the velocity of a sample is later than its force, as `rig probe` finds it; taken
+    out of every live trial. 0 where both are sampled together, as a simulated board does."""
 
 
 class Current(Scale):
@@ -335,7 +344,7 @@ class DeviceFile(TomlTable):
     force: Force
     damping: AddedDamping
     probe_torque: Force
-    probe_velocity: Velocity
+    probe_velocity: ProbeVelocity
     current: Current
     voltage: Voltage
     emf_velocity: Velocity

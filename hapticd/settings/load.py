@@ -128,9 +128,8 @@ def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Set
     origins = {dotted(path): config_origin(path) for path, _ in leaves(config.model_dump())}
     for path, _ in leaves(device.model_dump()):
         origins[dotted(("device", *path))] = device_origin(path)
-    file_hash = hashlib.sha256(device_document.path.read_bytes()).hexdigest()
     files = config_document.path, device_document.path
-    return Settings(config, device, *files, origins, file_hash)
+    return Settings(config, device, *files, origins, device_document.sha256)
 
 
 def load_device(path: Path) -> DeviceFile:
@@ -269,6 +268,10 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
         if limit > full:
             reason = f"must be at most {full} {unit_of(name)}, the full scale of its converter"
             yield Mistake(("limits", name), limit, reason)
+    skew_us = device.probe_velocity.skew_us
+    if device.simulated and skew_us:
+        reason = "must be 0: a simulated board samples both channels of the probe together"
+        yield Mistake(("probe_velocity", "skew_us"), skew_us, reason)
     yield from _order_rule(("travel",), "lower_m", "upper_m", device.travel)
     if device.simulated and plant is None and device.model is None:
         yield Mistake(("plant",), None, "is missing; a simulated board needs to know what it moves")

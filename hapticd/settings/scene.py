@@ -36,13 +36,18 @@ class DampingStepTable(TomlTable):
     """Active damping that the servo asks for from `at_s` on."""
 
     at_s: float = Field(0.0, ge=0)
+    """Since the beginning; before the first step there is none."""
     level_ns_per_m: float = Field(ge=0)
+    """The board rounds it to a count."""
 
 
 class ExcitationTable(TomlTable):
     """What the probe does, as endpoint force."""
 
     kind: Literal["none", "noise", "multisine", "push"] = "none"
+    """noise: Gaussian, a new value every 250 us; multisine: all harmonics of 1 / `period_s`, random
+    phases; push: a constant force.
+    """
     psd_n2_per_hz: float = Field(_excitation.psd_n2_per_hz, ge=0)
     """One-sided density of the noise."""
     band_hz: float = Field(_excitation.band_hz, gt=0, le=2000)
@@ -50,27 +55,35 @@ class ExcitationTable(TomlTable):
     force_n: float = Field(_excitation.force_n, ge=-100, le=100)
     """Of a push; rms of a multisine."""
     start_s: float = Field(_excitation.start_s, ge=0)
+    """When a push begins."""
     period_s: float = Field(_excitation.period_s, gt=0)
+    """After which a multisine repeats."""
     seed: int = Field(_excitation.seed, ge=0)
+    """Of noise and of a multisine's phases."""
 
 
 class Start(TomlTable):
     """The endpoint at time 0."""
 
     position_m: float = 0.0
+    """0 is where the springs of the environment rest."""
     velocity_m_per_s: float = 0.0
+    """Of all bodies together."""
 
 
 class SceneFile(TomlTable):
     """A scene file."""
 
     title: str = Field(min_length=1)
+    """One line, for figures and listings."""
     device: str = Field(min_length=1)
     """Name of a simulated device (devices/NAME.toml), or a path to one."""
     effects: tuple[str, ...] = Field(strict=False)
     """Effects of the device that are built; nothing else is."""
     seconds: float = Field(10.0, gt=0, le=1e6)
+    """How long it is simulated, unless a command says otherwise."""
     rate_hz: float = Field(RealtimeParams().rate_hz, ge=50, le=20_000)
+    """Of the servo."""
     allow_unstable: bool = False
     """Simulate a device whose damping circuit oscillates by itself."""
     environment: Environment = Environment()

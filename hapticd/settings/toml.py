@@ -9,6 +9,8 @@ name the table around it).
 """
 
 import difflib
+import hashlib
+import io
 import re
 import tomllib
 from collections.abc import Sequence
@@ -49,6 +51,7 @@ class Document:
     path: Path
     data: dict[str, Any]
     lines: dict[KeyPath, int]  # line of a table or key, counted from 1
+    sha256: str  # of the bytes that were parsed, hex
 
     def where(self, path: KeyPath) -> str:
         """`file:line` of the key, or of the nearest table around it."""
@@ -71,8 +74,10 @@ class Document:
 def read(path: Path) -> Document:
     """Parse `path`. ConfigError with file and line when it cannot be read or is not TOML."""
     try:
-        text = regular(path, SETTINGS_BYTES).read_text(encoding="utf-8")
-        return Document(path, tomllib.loads(text), _lines(text))
+        content = regular(path, SETTINGS_BYTES).read_bytes()
+        text = io.StringIO(content.decode("utf-8"), newline=None).read()
+        hashed = hashlib.sha256(content).hexdigest()
+        return Document(path, tomllib.loads(text), _lines(text), hashed)
     except OSError as error:
         raise ConfigError(
             f"{path}: {error.strerror}; check the path and its permissions"

@@ -35,6 +35,7 @@ CRC_INITIAL = 0xFFFF
 
 OUT = struct.Struct("<HBBhHhBB6h6sH")
 OUT_HEAD = struct.Struct("<HBBhHhBB")  # the first 12 bytes of OUT: all before the samples
+OUT_BARE = struct.Struct("<HxBhHhxx")  # the same bytes where axis and count are 0
 OUT_SAMPLES = struct.Struct("<6h")
 IN = struct.Struct("<HHBBHIihhhhBBhI12hHHBBH")
 IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all before the pairs
