@@ -145,8 +145,9 @@ class Servo:
             found = self.loop.board.report()
             for one in self.loop.board.differences:
                 said(f"not the board of the device file: {one}")
-            if reason := self.loop.board.uncompensated:
-                said(reason)
+            for reason in (self.loop.board.uncompensated, self.loop.board.unsampled):
+                if reason:
+                    said(reason)
             rights = host.prepare(params.realtime)
             mailbox.report({"realtime": rights, **self._about(), **found})
             mailbox.publish()

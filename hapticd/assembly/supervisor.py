@@ -64,17 +64,20 @@ Spawn = Callable[[Sequence[str], int], Process]  # module and arguments, descrip
 
 
 def spawn(command: Sequence[str], ready: int) -> Process:
-    """`python -m command` in a fresh interpreter, which inherits the descriptor `ready`.
+    """A child that inherits the descriptor `ready`."""
+    return launch(*command, "--parent", str(os.getpid()), "--ready", str(ready), keep=(ready,))
+
+
+def launch(*words: str, keep: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+    """`python -m words` in a fresh interpreter, which inherits the descriptors `keep`.
 
     Its messages go to our stderr.
     """
-    python = [sys.executable, "-X", "utf8", "-P", "-m"]
-    family = ["--parent", str(os.getpid()), "--ready", str(ready)]
     return subprocess.Popen(
-        [*python, *command, *family],
+        [sys.executable, "-X", "utf8", "-P", "-m", *words],
         stdin=subprocess.DEVNULL,
         stdout=2,
-        pass_fds=(ready,),
+        pass_fds=keep,
         env={**os.environ, **_import_path(), "OPENBLAS_NUM_THREADS": "1"},
         process_group=0,
     )

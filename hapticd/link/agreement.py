@@ -16,17 +16,19 @@ computes for it is wrong. So
     firmware                      that with which somebody saw the signs: another one may have
                                   others, and has to be looked at again
 
-NaN never agrees.
+NaN never agrees. And the rate has to carry what the board samples (`probe_shortage`).
 
 What would break it: a scale of the wire that the hello reply does not carry (back-EMF velocity,
 temperature); a nominal scale that is wrong by the very factor by which a step's mass is mistyped.
 """
 
+from math import ceil
 from typing import NamedTuple
 
 from hapticd.params import MOST_CORRECTION, DeviceParams, ScaleParams
+from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
-from hapticd.wire.frames import Capability, HelloFrame
+from hapticd.wire.frames import PROBE_MAX, Capability, HelloFrame
 
 TOLERANCE = 0.1  # of the device file's number, where nobody measured it
 
@@ -66,6 +68,20 @@ def differences(hello: HelloFrame, device: DeviceParams) -> tuple[str, ...]:
         if not hello.capabilities & Capability[name.upper()]
     )
     return _serials(hello, device) + _firmware(hello, device) + numbers + missing
+
+
+def probe_shortage(rate_hz: float) -> str:
+    """Why one frame each tick carries less than what the board samples in that time, of probe and
+    perturbation alike; empty if it carries all.
+    """
+    samples = PROBE_RATE_HZ / rate_hz
+    if samples <= PROBE_MAX:
+        return ""
+    least_hz = ceil(PROBE_RATE_HZ / PROBE_MAX)
+    return (
+        f"at {rate_hz:g} Hz a frame carries {PROBE_MAX} of {samples:.3g} samples of probe"
+        f" and perturbation, the others are lost; set realtime.rate_hz to at least {least_hz} Hz"
+    )
 
 
 def _serials(hello: HelloFrame, device: DeviceParams) -> tuple[str, ...]:

@@ -175,7 +175,7 @@ def _exchange(
     parse = codec.in_parser(in_buffer)
     pack = codec.out_packer(out_buffer)
     unpack = frames.IN_SEALED.unpack_from
-    fill = frames.OUT_HEAD.pack_into
+    fill = frames.OUT_BARE.pack_into
     check = crc_hqx
     initial = frames.CRC_INITIAL
     in_body, out_body = (memoryview(one)[: -frames.CRC.size] for one in (in_buffer, out_buffer))
@@ -347,7 +347,7 @@ def _exchange(
             pack(sent, flags, torque, damping, resistance, count, samples)
             left = count
         else:
-            fill(out_buffer, 0, sent, 0, flags, torque, damping, resistance, 0, 0)
+            fill(out_buffer, 0, sent, flags, torque, damping, resistance)
             out_seal[seal_place] = check(out_body, initial)
         try:
             write(out_buffer)
@@ -361,7 +361,7 @@ def _exchange(
         caches. The head that lies there.
         """
         check(in_body, initial)
-        fill(scratch, 0, sent, 0, 0, 0, 0, 0, 0, 0)
+        fill(scratch, 0, sent, 0, 0, 0, 0)
         check(out_body, initial)
         return unpack(in_buffer)
 

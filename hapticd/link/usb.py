@@ -7,13 +7,18 @@ time-out is finite, since a blocked read cannot be cancelled.
 
 Every way in which pyusb can fail becomes a LinkError by the table FAILURES. Its numbers are those
 that pyusb reports on Linux; 5 (the bus failed) is what an unplug often looks like before the hub
-has noticed, so it is treated as 19 (no such device). libusb's "not supported" has no number and
-counts as lost. A halted endpoint is cleared once; if its next transfer stalls again the board
-counts as lost. After LinkLost the caller closes, waits `backoff_s(attempt)` and opens again: for a
-moment after an unplug the dead board is still listed, and its opening fails with LinkLost too.
+has noticed, so it is treated as 19 (no such device); 2 is what a device says that the kernel has
+put aside. libusb's "not supported" has no number and counts as lost. A halted endpoint is cleared
+once; if its next transfer stalls again the board counts as lost. After LinkLost the caller closes,
+waits `backoff_s(attempt)` and opens again: for a moment after an unplug the dead board is still
+listed, and its opening fails with LinkLost too.
 
-What would break it: sharing a device between threads, and a time-out used as a clock, since libusb
-fires late.
+Each look for the board has a libusb context of its own. A context lists the devices that were there
+when it was made, and after that learns of others from udev's messages alone, which reach no
+container without udevd and no network namespace (PrivateNetwork=).
+
+What would break it: sharing a device between threads, a time-out used as a clock, since libusb
+fires late, and a device that outlives its context by more than one look.
 """
 
 import errno
@@ -39,7 +44,12 @@ class Failure(NamedTuple):
 
 _AGAIN = "it is opened again when it comes back; check plug, cable and hub"
 _RIGHTS = (
-    "install 70-hapticd.rules in /etc/udev/rules.d, join group hapticd and plug the board in again"
+    "as root run `hapticd install-system --root /` and what it says next, join group hapticd"
+    " (`usermod --append --groups hapticd NAME`, then log in anew), plug the board in again"
+)
+_PUT_ASIDE = (
+    "the kernel lists the board and gives it to nobody: it was de-authorized, by USBGuard or by"
+    " hand; allow it there, or write 1 into its `authorized` in /sys/bus/usb/devices"
 )
 _OWNER = "another program has claimed the board: stop it and try again"
 
@@ -51,6 +61,7 @@ FAILURES: dict[int | None, Failure] = {
     ),
     errno.EIO: Failure(LinkLost, _AGAIN),
     errno.ENODEV: Failure(LinkLost, _AGAIN),
+    errno.ENOENT: Failure(LinkAccess, _PUT_ASIDE),
     errno.EACCES: Failure(LinkAccess, _RIGHTS),
     errno.EBUSY: Failure(LinkAccess, _OWNER),
 }
@@ -110,6 +121,14 @@ def system_backend() -> Any:
     return backend
 
 
+def with_own_context(backend: Any) -> Any:
+    """A backend over the library of `backend` that lists the devices which are there now.
+
+    USBError if libusb cannot make another context.
+    """
+    return type(backend)(backend.lib)
+
+
 class UsbLink(Link):
     """The board that `params` describe at the bus of `backend`; None: the system's libusb."""
 
@@ -120,7 +139,8 @@ class UsbLink(Link):
                 " ever"
             )
         self._params = params
-        self._backend = system_backend() if backend is None else backend
+        self._system = system_backend() if backend is None else None
+        self._backend = backend
         self._timeout_ms = params.timeout_ms
         self._device: Any = None
         self._forget()
@@ -192,6 +212,8 @@ class UsbLink(Link):
         unreadable = None
         ids = {"idVendor": params.vendor_id, "idProduct": params.product_id}
         try:
+            if self._system is not None:
+                self._backend = with_own_context(self._system)
             # a list, since pyusb's generator raises only where it is walked
             found = list(usb.core.find(find_all=True, backend=self._backend, **ids))
         except DEVICE_ERRORS as error:

@@ -6,4 +6,6 @@ axis       one axis of it: outputs, plant, fail-safe, perturbation FIFO and 4 kH
 backend    SimulatedBackend: the board as a pyusb backend, with the errors of libusb 1.0
 injection  with_injections: seeded faults between the two
 transport  make_backend: all of it together, and a bus whose transfers take time
+descriptors, usb_device, usbip
+           UsbDevice and UsbipServer: the same board at the true USB bus of any Linux
 """

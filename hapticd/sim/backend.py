@@ -6,8 +6,7 @@ configured by the kernel, a claimed interface refuses others and any change of c
 halted endpoint stays so until clear_halt, a handle of an unplugged device is dead for ever, a
 device that is plugged again has a new address, and for one more enumeration after an unplug the
 dead device is still listed. A read waits until the IN is latched, in wall time and in virtual time
-alike, and always comes to an end. At enumeration it shows one configuration, one vendor interface,
-one OUT and one IN endpoint.
+alike, and always comes to an end.
 
 What would break it: a second thread (there is no lock in the tick's way).
 """
@@ -16,16 +15,22 @@ import errno
 from array import array
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Literal, NamedTuple, NoReturn, Protocol
+from typing import NamedTuple, NoReturn
 
 import usb.backend
 from usb.core import USBError, USBTimeoutError
 
 from hapticd.clock import Clock, MonotonicClock
-from hapticd.sim.board import MANUFACTURER, PRODUCT, SERIAL, VENDOR_OUT
-from hapticd.sim.injection import TransferFault
+from hapticd.sim.board import VENDOR_OUT
+from hapticd.sim.descriptors import (
+    Transfer,
+    configuration_descriptor,
+    device_descriptor,
+    endpoint_descriptor,
+    interface_descriptor,
+)
+from hapticd.sim.injection import Port, TransferFault
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
-from hapticd.wire.frames import PACKET_BYTES, USB_PRODUCT_ID, USB_VENDOR_ID
 
 LIBUSB_ERRORS = {  # errno: (libusb code, libusb_strerror)
     errno.EIO: (-1, "Input/Output Error"),
@@ -56,110 +61,8 @@ def usb_error(number: int) -> Exception:
     return error
 
 
-Transfer = Literal["bulk", "interrupt"]
-
-OUT_ADDRESS = 0x01
-IN_ADDRESS = 0x81
-FULL_SPEED = 2
-VENDOR_CLASS = 0xFF
-# bmAttributes, bInterval
-_ATTRIBUTES: dict[Transfer, tuple[int, int]] = {"bulk": (2, 0), "interrupt": (3, 1)}
-
-
-def device_descriptor(address: int) -> SimpleNamespace:
-    """The 18 standard fields and where the device is plugged in."""
-    return SimpleNamespace(
-        bLength=18,
-        bDescriptorType=1,
-        bcdUSB=0x0200,
-        bDeviceClass=VENDOR_CLASS,
-        bDeviceSubClass=0,
-        bDeviceProtocol=0,
-        bMaxPacketSize0=64,
-        idVendor=USB_VENDOR_ID,
-        idProduct=USB_PRODUCT_ID,
-        bcdDevice=0x0100,
-        iManufacturer=MANUFACTURER,
-        iProduct=PRODUCT,
-        iSerialNumber=SERIAL,
-        bNumConfigurations=1,
-        address=address,
-        bus=1,
-        port_number=1,
-        port_numbers=(1,),
-        speed=FULL_SPEED,
-    )
-
-
-def configuration_descriptor(index: int) -> SimpleNamespace:
-    """IndexError past the only one: pyusb's iteration relies on it."""
-    _only("configuration", index)
-    return SimpleNamespace(
-        bLength=9,
-        bDescriptorType=2,
-        wTotalLength=32,
-        bNumInterfaces=1,
-        bConfigurationValue=1,
-        iConfiguration=0,
-        bmAttributes=0x80,
-        bMaxPower=250,
-        extra_descriptors=[],
-    )
-
-
-def interface_descriptor(index: int, alternate: int) -> SimpleNamespace:
-    """IndexError past the only one."""
-    _only("interface", index)
-    _only("alternate setting", alternate)
-    return SimpleNamespace(
-        bLength=9,
-        bDescriptorType=4,
-        bInterfaceNumber=0,
-        bAlternateSetting=0,
-        bNumEndpoints=2,
-        bInterfaceClass=VENDOR_CLASS,
-        bInterfaceSubClass=0,
-        bInterfaceProtocol=0,
-        iInterface=0,
-        extra_descriptors=[],
-    )
-
-
-def endpoint_descriptor(index: int, transfer: Transfer) -> SimpleNamespace:
-    """OUT is 0, IN is 1; IndexError past them."""
-    if index > 1:
-        raise IndexError(f"Invalid endpoint index {index}")
-    attributes, interval = _ATTRIBUTES[transfer]
-    return SimpleNamespace(
-        bLength=7,
-        bDescriptorType=5,
-        bEndpointAddress=(OUT_ADDRESS, IN_ADDRESS)[index],
-        bmAttributes=attributes,
-        wMaxPacketSize=PACKET_BYTES,
-        bInterval=interval,
-        bRefresh=0,
-        bSynchAddress=0,
-        extra_descriptors=[],
-    )
-
-
-def _only(what: str, index: int) -> None:
-    if index > 0:
-        raise IndexError(f"Invalid {what} index {index}")
-
-
 SPIN_NS = 60 * NS_PER_US  # a sleep of the machine is coarser than this
 ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the simulated board gives up
-
-
-class Port(Protocol):
-    """What is at the other end of the cable: a BoardModel, or an Injector around it."""
-
-    def power_up(self) -> None: ...
-    def on_out(self, data: memoryview, t_ns: int) -> None: ...
-    def poll_in(self, t_ns: int) -> bytes | None: ...
-    def next_in_ns(self) -> int | None: ...
-    def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None: ...
 
 
 class PluggedDevice:

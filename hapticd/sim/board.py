@@ -198,6 +198,10 @@ class BoardModel:
             return self._ready_ns
         return self._to_ns(self._latch_at) if self._latches else None
 
+    def advance(self, t_ns: int) -> None:
+        """Play the plant up to `t_ns` although the host sends nothing: its watchdog runs."""
+        self._advance(t_ns)
+
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
         """A control transfer: the bytes of an IN, b"" after an OUT, None for a stall."""
         if (request_type, request, value) == (VENDOR_OUT, Request.CLEAR_FAULT.value, 0):
@@ -477,6 +481,9 @@ class QueueingBoard(BoardModel):
 
     def next_in_ns(self) -> int | None:
         return self._queue[0][0] if self._queue else super().next_in_ns()
+
+    def advance(self, t_ns: int) -> None:
+        self._fill(t_ns)
 
     def _fill(self, t_ns: int) -> None:
         """Hand packets to the endpoint, each when it is latched, as long as there is room."""

@@ -14,7 +14,7 @@ import errno
 from collections import deque
 from collections.abc import Callable
 from random import Random
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from hapticd.errors import ConfigError
 from hapticd.params import BoardParams
@@ -33,6 +33,17 @@ class TransferFault(Exception):
         super().__init__(number)
         self.number = number
         self.away_s = away_s
+
+
+class Port(Protocol):
+    """What is at the other end of the cable: a BoardModel, or an Injector around it."""
+
+    def power_up(self) -> None: ...
+    def on_out(self, data: memoryview, t_ns: int) -> None: ...
+    def poll_in(self, t_ns: int) -> bytes | None: ...
+    def next_in_ns(self) -> int | None: ...
+    def advance(self, t_ns: int) -> None: ...
+    def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None: ...
 
 
 BOUNCE_NS = (50 * NS_PER_US, 500 * NS_PER_US)  # between two edges of a contact that bounces
@@ -120,6 +131,15 @@ class Injector:
 
     def next_in_ns(self) -> int | None:
         return self._waiting[0][0] if self._waiting else self.board.next_in_ns()
+
+    def advance(self, t_ns: int) -> None:
+        """Play the board up to `t_ns` without a transfer."""
+        self._heal(t_ns)
+        if self._piling_until_ns:
+            self._pile_up(t_ns)
+        if self._contacts:
+            self._switch(t_ns)
+        self.board.advance(t_ns)
 
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
         return self.board.control(request_type, request, value, length)

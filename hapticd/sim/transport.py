@@ -16,9 +16,9 @@ from collections.abc import Callable
 
 from hapticd.clock import Clock
 from hapticd.params import BoardParams
-from hapticd.sim.backend import Handle, Port, SimulatedBackend, Unready
+from hapticd.sim.backend import Handle, SimulatedBackend, Unready
 from hapticd.sim.board import make_board
-from hapticd.sim.injection import with_injections
+from hapticd.sim.injection import Port, with_injections
 from hapticd.units import NS_PER_US
 
 

@@ -1,0 +1,67 @@
+"""One board for all cases, plugged in for each; its faults end with the case."""
+
+import os
+from collections.abc import Iterator
+
+import pytest
+from machine import Board, have_udev
+
+from hapticd.link.device import Device
+from hapticd.link.usb import UsbLink
+from hapticd.params import UsbParams
+
+# far longer than may be configured, for the machine of the tests is shared
+OURS = UsbParams(serial="SIM0001", timeout_ms=2000)
+
+
+@pytest.fixture(scope="session")
+def udev() -> None:
+    """udevd with the shipped rule, unless this run is one without."""
+    have_udev("NO_UDEV" not in os.environ)
+
+
+@pytest.fixture(scope="session")
+def any_board() -> Iterator[Board]:
+    board = Board()
+    yield board
+    board.end()
+
+
+@pytest.fixture
+def board(udev: None, any_board: Board) -> Iterator[Board]:
+    """Plugged in."""
+    any_board.plug()
+    yield any_board
+    any_board("heal")
+    any_board.unplug()
+
+
+@pytest.fixture
+def link(board: Board) -> Iterator[UsbLink]:
+    """Open."""
+    link = UsbLink(OURS)
+    link.open()
+    yield link
+    link.close()
+
+
+@pytest.fixture
+def device(board: Board) -> Iterator[Device]:
+    """Connected."""
+    device = Device(UsbLink(OURS), 1000.0)
+    device.connect()
+    yield device
+    device.close()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """One line for each case, and for each thing that was measured, as tests/test_usb_stack.py
+    reads them.
+    """
+    for outcome in ("passed", "failed", "error", "skipped"):
+        for report in terminalreporter.getreports(outcome):
+            name = report.nodeid.rpartition("::")[2]
+            terminalreporter.write_line(f"GUEST-CASE {outcome} {name}")
+            for kind, text in report.user_properties:
+                if report.when == "call":
+                    terminalreporter.write_line(f"GUEST-TOLD {kind}: {text}")

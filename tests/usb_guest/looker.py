@@ -1,0 +1,19 @@
+"""Looks for the board with one link, as a daemon does: once per line of stdin. Says what it found
+in one line, the serial number or why not.
+"""
+
+import sys
+
+from hapticd.errors import HapticdError
+from hapticd.link.usb import UsbLink
+from hapticd.params import UsbParams
+from hapticd.wire import codec
+from hapticd.wire.frames import HELLO_BYTES, Request
+
+link = UsbLink(UsbParams(serial="SIM0001"))
+for _ in sys.stdin:
+    try:
+        link.open()
+        print(codec.decode_hello(link.request(Request.HELLO, HELLO_BYTES)).serial, flush=True)
+    except HapticdError as error:
+        print(f"{type(error).__name__}: {error}", flush=True)

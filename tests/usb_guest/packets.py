@@ -1,0 +1,35 @@
+"""Single frames over a link."""
+
+from array import array
+
+from hapticd.errors import LinkError
+from hapticd.link.usb import UsbLink
+from hapticd.wire import codec, frames
+
+
+def frame(seq: int = 0) -> "array[int]":
+    return array("B", codec.encode_out(frames.OutFrame(seq)))
+
+
+def write(link: UsbLink, seq: int = 0) -> None:
+    link.write(frame(seq))
+
+
+def read(link: UsbLink) -> bytes:
+    buffer = array("B", bytes(frames.PACKET_BYTES))
+    count = link.read(buffer)
+    return buffer.tobytes()[:count]
+
+
+def answers(link: UsbLink) -> bool:
+    """A whole frame for a frame."""
+    write(link)
+    return len(read(link)) == frames.IN_BYTES
+
+
+def opens(link: UsbLink) -> bool:
+    try:
+        link.open()
+    except LinkError:
+        return False
+    return True
