@@ -10,7 +10,10 @@ It renders nothing and may be killed at any time.
     zmtp         the protocol of ZeroMQ, as one side of a connection
     peers        connections, and what each may cost
     addresses    where the gateway listens; the endpoints file
-    auth         who may connect from where; CURVE keys and the relay for those who have one
+    auth         who may connect from where
+    keys         files of CURVE keys
+    outside      the line to the relay, a process that serves listeners with a key (`relay`)
+    monitored    what libzmq tells of the connections of a line with keys
     desk         requests in, replies out; the perturbation waveform
     commands     interlocks; requests as commands of the mailbox, answers as receipts
     schemas      what may be asked, as models and as JSON schema

@@ -5,8 +5,8 @@
             tcp://127.0.0.1:9872               the same, where PlotJuggler looks for it
 
 The socket files are for user and group only; the folder decides further. Only the default instance
-claims port 9872; where it is taken, any free one serves. With keys the port is the relay's, which
-alone speaks CURVE.
+claims port 9872; where it is taken, any free one serves. With keys the port is the relay's
+(`outside`), which alone speaks CURVE.
 """
 
 import errno
@@ -14,8 +14,9 @@ import json
 import os
 import selectors
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from hapticd.errors import ConfigError, MailboxError
 from hapticd.gateway import auth
@@ -30,6 +31,9 @@ from hapticd.mailbox.files import (
     write_whole,
 )
 from hapticd.params import GatewayParams, GatewaySetup
+
+if TYPE_CHECKING:
+    from hapticd.gateway.outside import Outside
 
 # Linux has 108 bytes for it, the last of which is 0
 LONGEST_PATH = 107  # of a socket file
@@ -56,11 +60,12 @@ class Sockets:
         gone: Callable[[bytes], None],
     ) -> None:
         self._folder = folder
+        self._selector = selector
         params = setup.gateway
         self.warning = auth.warning(params)
         self.command = Port(b"ROUTER", MAX_MESSAGE_BYTES, REPLIES_QUEUED, selector, left)
         self.telemetry = Port(b"XPUB", MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, selector, gone)
-        self._relay: auth.Relay | None = None
+        self.outside: Outside | None = None
         try:
             self.endpoints = self._bound(params, setup.servo.instance)
         except BaseException:
@@ -74,21 +79,39 @@ class Sockets:
             telemetry = listen_at(self.telemetry, self._folder / TELEMETRY_SOCKET)
         finally:
             os.umask(before)
-        listener = bound_tcp(params.tcp_host, port_for(params, instance))
+        port = port_for(params, instance)
+        listener = bound_tcp(params.tcp_host, port)
         tcp = endpoint_of(listener)
+        taken = bool(port) and listener.getsockname()[1] != port
+        self.elsewhere = f"port {port} is taken, telemetry is at {tcp} instead" if taken else ""
         if auth.needs_keys(params):
-            self._relay = auth.Relay(telemetry, listener, tcp, params)
+            self.outside = self._guarded(telemetry, listener, tcp, params)
         else:
             self.telemetry.listen(listener)
         endpoints = {"command": command, "telemetry": [telemetry, tcp], "pid": os.getpid()}
+        endpoints |= {"elsewhere": self.elsewhere} if taken else {}
         # last: whoever finds this file may connect
         write_whole(self._folder / ENDPOINTS, json.dumps(endpoints))
         return endpoints
 
+    def _guarded(
+        self, inside: str, listener: socket.socket, endpoint: str, params: GatewayParams
+    ) -> "Outside":
+        from hapticd.gateway.outside import Outside  # libzmq, which nobody else needs here
+
+        return Outside(inside, listener, endpoint, Path(params.curve_keys or ""), self._selector)
+
+    def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:
+        """End what is due to; warnings of whom the relay refused."""
+        self.command.tend(now_ns)
+        self.telemetry.tend(now_ns)
+        if self.outside:
+            yield from self.outside.tend(now_ns)
+
     def close(self) -> None:
         """Close all sockets and remove what says where they were."""
-        if self._relay:
-            self._relay.close()
+        if self.outside:
+            self.outside.close()
         self.command.close()
         self.telemetry.close()
         remove(self._folder, ENDPOINTS, COMMAND_SOCKET, TELEMETRY_SOCKET)

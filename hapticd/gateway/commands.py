@@ -222,7 +222,7 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
     if answer.result in (Result.REFUSED_DEVICE, Result.REFUSED_RATE):
         return CommandError("refused", f"{cmd}: {_barred(answer.result, view)}")
     if answer.result not in texts:
-        return wrong_state(cmd, view)
+        return wrong_state(cmd, view, actors)
     code, reason = texts[answer.result]
     return CommandError(code, f"{cmd}: {reason}")
 
@@ -244,11 +244,13 @@ def _barred(result: Result, view: ServoView) -> str:
     )
 
 
-def wrong_state(cmd: str, view: ServoView) -> CommandError:
+def wrong_state(cmd: str, view: ServoView, actors: Actors) -> CommandError:
     """The error for a command that the present state does not allow."""
     if view.state in LATCHED:
+        by = actors.name(view.led_by) if view.state is State.STOPPED else ""
+        cause = f"by {by}" if by else view.fault.cause
         return CommandError(
-            "stopped", f"{cmd} in state {view.state_name} ({view.fault.cause}): {view.fault.remedy}"
+            "stopped", f"{cmd} in state {view.state_name} ({cause}): {view.fault.remedy}"
         )
     if cmd == "home" and view.params.device.home.method == "none":
         return CommandError(
@@ -281,6 +283,7 @@ class Situation(NamedTuple):
     settled: bool
     samples: int  # of the waveform that is loaded
     leases: Leases
+    actors: Actors
 
 
 Interlock = Callable[[AskedRequest, Situation], AskedRequest]
@@ -303,8 +306,10 @@ def state(asked: AskedRequest, situation: Situation) -> AskedRequest:
         raise CommandError(
             "refused", "perturb start: no waveform is loaded; send it with action load first"
         )
+    if isinstance(request, Perturb) and (why := view.report().get("unsampled")):
+        raise CommandError("refused", f"perturb start: {why}")
     if request and situation.settled and view.state not in (None, *ALLOWED.get(request.cmd, State)):
-        raise wrong_state(request.cmd, view)
+        raise wrong_state(request.cmd, view, situation.actors)
     return asked
 
 

@@ -34,34 +34,38 @@ class DelayHistogram:
 
     def clear(self) -> None:
         """Begin anew, for another servo life."""
-        self._counts = np.zeros((KEPT_S, BINS), np.int64)
-        self._seconds = np.full(KEPT_S, -KEPT_S, np.int64)
-        self._newest = -KEPT_S
+        self._counts = np.zeros((KEPT_S, BINS), np.int64)  # by second, modulo KEPT_S
+        self._total = np.zeros(BINS, np.int64)  # of them all
+        self._newest = -KEPT_S  # s
         self.periods: float | None = None  # a multiple of 1/16; None: not known yet
         self._shorter_since: int | None = None  # s
 
     def add(self, records: Records) -> None:
         """Count the records whose delay is known."""
-        known = records[records["delay_us"] >= 0]
-        seconds = known["time_ns"] // NS_PER_S
-        for second in np.unique(seconds).tolist():
-            self._count(second, known["delay_us"][seconds == second])
-        if known.size:
-            self._follow(self._percentile())
-
-    def _count(self, second: int, delay_us: NDArray[np.int32]) -> None:
-        row = second % KEPT_S
-        if self._seconds[row] != second:
-            self._seconds[row] = second
-            self._counts[row] = 0
+        delay_us = records["delay_us"]
+        known = delay_us >= 0
+        seconds = records["time_ns"][known] // NS_PER_S
+        if not seconds.size:
+            return
         # what is a step to within rounding of floating point is not one more
-        steps = np.ceil(delay_us * self._steps_per_us - 1e-6).astype(np.int64)
-        self._counts[row] += np.bincount(np.minimum(steps, BINS - 1), minlength=BINS)
+        steps = np.ceil(delay_us[known] * self._steps_per_us - 1e-6).astype(np.int64)
+        for second in sorted(set(seconds.tolist())):
+            self._count(second, np.minimum(steps[seconds == second], BINS - 1))
+        self._follow(self._percentile())
+
+    def _count(self, second: int, steps: NDArray[np.int64]) -> None:
+        if second <= self._newest - KEPT_S:
+            return  # too old: a clock went back
+        for begun in range(max(self._newest, second - KEPT_S) + 1, second + 1):
+            self._total -= self._counts[begun % KEPT_S]
+            self._counts[begun % KEPT_S] = 0
+        counts = np.bincount(steps, minlength=BINS)
+        self._counts[second % KEPT_S] += counts
+        self._total += counts
         self._newest = max(self._newest, second)
 
     def _percentile(self) -> float | None:
-        fresh = self._seconds > self._newest - KEPT_S
-        below = np.cumsum(self._counts[fresh].sum(axis=0))
+        below = np.cumsum(self._total)
         if below[-1] < LEAST_RECORDS:
             return None
         return float(np.searchsorted(below, SHARE * below[-1]) / STEPS)

@@ -38,7 +38,7 @@ from hapticd.analysis.delivered import (
 )
 from hapticd.analysis.ledger import Table, smoothed
 from hapticd.gateway.ledger import CONTEXT, samples
-from hapticd.gateway.view import Records
+from hapticd.gateway.view import Records, joined
 from hapticd.mailbox.layout import Flag
 from hapticd.params import DeviceParams, ScaleParams, ServoParams
 from hapticd.wire.codec import I16_HIGHEST
@@ -113,7 +113,7 @@ class Delivered:
         self._count += len(records)
         if self._count < self._length:
             return []
-        new = np.concatenate(self._pending)
+        new = joined(self._pending)
         whole = len(new) - len(new) % self._length
         self._pending = [new[whole:]]
         self._count = len(new) - whole
@@ -129,7 +129,7 @@ class Delivered:
         if self._servo.device.motor_n_per_a <= 0.0:
             self.estimate = NOTHING._replace(basis=NO_DEVICE, commanded=commanded)
             return []
-        seen = records if self._seen is None else np.concatenate((self._seen, records))
+        seen = records if self._seen is None else joined((self._seen, records))
         self._seen = seen[-CONTEXT:].copy()
         block = self._sums(seen, len(seen) - len(records)) if self._steady(records) else None
         if block is None:

@@ -52,6 +52,7 @@ from hapticd.gateway.schemas import (
     GuardRequest,
     Hello,
     LeaseRequest,
+    Mark,
     Perturb,
     Request,
     json_schema,
@@ -308,16 +309,22 @@ class Desk:
             for answer in self._view.answers():
                 self._leasing.heard(answer)
                 if scheduled := self._outstanding.take(answer, self._view.life):
+                    # its first answer may have come just before, and is the reply
+                    replies += self._due(now_ns)
                     self._report(scheduled, answer, now_ns)
         except MailboxError as error:
             self._journal.note("warning", text=str(error))
         self._leasing.tend(now_ns)
-        due = self._outstanding.due(self._view.tick, now_ns)
-        replies += [self._closed(one, now_ns) for one in due]
+        replies += self._due(now_ns)
         self._guard.tend(now_ns)
         told = self._guarded.advance(now_ns, not len(self._outstanding))
         replies += [self._tell(one) for one in told]
         return [one for one in replies if one is not None]
+
+    def _due(self, now_ns: int) -> list[Reply | None]:
+        """Close what is to be replied to."""
+        due = self._outstanding.due(self._view.tick, now_ns)
+        return [self._closed(one, now_ns) for one in due]
 
     def leave(self, client: bytes) -> None:
         """The connection of `client` is gone, and with it its leases."""
@@ -338,7 +345,7 @@ class Desk:
                 raise CommandError("timeout", f"{message.cmd}: {OUTDATED}")
             situation = Situation(
                 self.limits, self._view, not self.waiting, self._waveform.samples(self._view),
-                self.leases,
+                self.leases, self.actors,
             )  # fmt: skip
             request = admit(message.plain, actor, situation)
             result = self._answered_here(request, message)
@@ -372,6 +379,8 @@ class Desk:
         if isinstance(request, GuardRequest):
             self._guard.change(request)
             return None if request.mode else self.guard_summary()
+        if isinstance(request, Mark):
+            return self._mark(request.text, self.actors.number(message.client))
         if request.cmd == "status":
             return self._inquire("status") | {"requests": dict(self.counts)}
         if request.cmd == "dump":
@@ -383,6 +392,12 @@ class Desk:
             now = {name: self._view.record[name] for name in IN_FORCE if name in self._view.record}
             return {"parameters": parameters(self._view.targets), "in_force": now}
         return None
+
+    def _mark(self, text: str, actor: int) -> dict[str, Any]:
+        self._require_servo("mark")
+        tick = self._view.tick
+        self._journal.note("mark", tick=tick, text=text, actor=actor, name=self.actors.name(actor))
+        return {"tick": tick}
 
     def _load(self, request: Perturb, actor: int) -> dict[str, Any]:
         if self.waiting or self._view.record.get("perturbing"):
@@ -447,7 +462,7 @@ class Desk:
         mailbox = self._view.mailbox
         behind = mailbox is None or not self._view.alive or mailbox.backlog >= TAKEN_PER_TICK
         # before the ring is tried: the page acts even when the ring is full
-        pressed = behind and self._pressed()
+        pressed = behind and self._pressed(actor)
         try:
             self._post(message, actor, (Command.STOP, 0, values_of({})), now_ns)
         except CommandError as error:
@@ -456,10 +471,10 @@ class Desk:
             return self._accepted(message, {"receipt": {"result": "pressed"}})
         return None
 
-    def _pressed(self) -> bool:
+    def _pressed(self, actor: int) -> bool:
         """Whether the stop word could be pressed and a living servo will look at it."""
         try:
-            press_stop(self._view.folder)
+            press_stop(self._view.folder, actor)
         except MailboxError:
             return False
         return True

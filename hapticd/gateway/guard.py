@@ -369,7 +369,7 @@ class Guard:
 
     def _tell_hand(self, unsafe: Unsafe, hand: Any) -> None:
         found = hand if isinstance(hand, dict) else {}
-        text = f"a hand that would shake it: {found['text']}" if found.get("text") else ""
+        text = f"a hand that would shake the device: {found['text']}" if found.get("text") else ""
         text += f"; {found['growth']}" if found.get("growth") else ""
         self._journal.note(
             "guard",
@@ -378,7 +378,7 @@ class Guard:
             id=unsafe.id,
             actor=unsafe.actor,
             hand=found or None,
-            text=text or "no single mass or spring was found that would shake it",
+            text=text or "no single mass or spring was found that would shake the device",
         )
 
     # --- the topic --------------------------------------------------------------------------------

@@ -272,7 +272,8 @@ class Guarded:
 
     def _late(self) -> str:
         """Why there is no verdict from a worker that was asked, or could not be."""
-        late = f"the guard's worker gave no verdict within {VERDICT_NS / NS_PER_S:g} s"
+        late = f"the guard's worker gave no verdict within {VERDICT_NS / NS_PER_S:g} s:"
+        late += " the computer is busy; ask again"
         return late if self._guard.worker == "up" else ""
 
     def _choose_level(self, now_ns: int) -> None:

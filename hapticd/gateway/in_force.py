@@ -16,7 +16,7 @@ import numpy as np
 from hapticd.gateway.case import JUDGED
 from hapticd.gateway.commands import parameters
 from hapticd.gateway.view import ServoView
-from hapticd.mailbox.layout import Flag, Value
+from hapticd.mailbox.layout import Flag, Value, newer
 
 IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
 Display = dict[str, Any]
@@ -88,7 +88,7 @@ class InForce:
     @property
     def untold(self) -> bool:
         """Whether the servo has gone on to an environment that no answer has told of yet."""
-        return self._view.alive and self._told < self.revision
+        return self._view.alive and newer(self.revision, self._told)
 
     @property
     def _told(self) -> int:

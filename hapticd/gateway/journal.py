@@ -16,6 +16,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from typing import Any
 
+from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, FIRST_CLIENT
 from hapticd.units import NS_PER_S
 
 KEPT = 32
@@ -45,17 +46,18 @@ class Journal:
 
 MOST = 64  # that have left
 GATEWAY_ACTOR = 1
-RESERVED = {GATEWAY_ACTOR: "gateway", 2: "stop page"}  # 0 is the servo itself
-FIRST = 16
+RESERVED = {GATEWAY_ACTOR: "gateway", ACTOR_STOP_WORD: "stop word"}  # 0 is the servo itself
 
 
 class Actors:
-    """Numbers from FIRST on by client identity; who has left is forgotten after MOST others."""
+    """Numbers from FIRST_CLIENT on by client identity; who has left is forgotten after MOST
+    others.
+    """
 
     def __init__(self) -> None:
         self._present: dict[bytes, tuple[int, str]] = {}
         self._left: OrderedDict[bytes, tuple[int, str]] = OrderedDict()
-        self._last = FIRST - 1
+        self._last = FIRST_CLIENT - 1
 
     def number(self, identity: bytes) -> int:
         """The number of the client; a new one for a client that is not known."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.analysis.ledger import BOOKED, LONGEST, SAMPLE, Table, book
-from hapticd.gateway.view import Records
+from hapticd.gateway.view import Records, joined
 from hapticd.mailbox.layout import UNTOLD_DELAY, Flag
 from hapticd.params import ServoParams
 from hapticd.units import US_PER_S
@@ -65,12 +65,12 @@ class Ledger:
 
     def take(self, records: Records) -> NDArray[np.float64]:
         """Sums [J] after each of the next `records` (n,), by NAMES (n, causes)."""
-        new = np.concatenate((*self._pending, records)) if self._pending else records
+        new = joined((*self._pending, records)) if self._pending else records
         self._pending = []
         return self._booked(new)[len(new) - len(records) :]
 
     def _booked(self, records: Records) -> NDArray[np.float64]:
-        seen = records if self._seen is None else np.concatenate((self._seen, records))
+        seen = records if self._seen is None else joined((self._seen, records))
         usable = (seen["flags"] & Flag.MISSING_IN) == 0
         rows = np.flatnonzero(usable)
         found = np.zeros((len(seen), len(NAMES)))

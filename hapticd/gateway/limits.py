@@ -70,22 +70,31 @@ class CommandLimits:
 
     def __init__(self, params: "ServoParams") -> None:
         device = params.device
-        table = value_limits(
-            params.realtime.rate_hz, device.damping_limit_ns_per_m, device.commissioning
-        )
-        boxed = dict.fromkeys(COMMISSIONING_LIMITS if device.commissioning else (), UNVERIFIED)
+        damping = device.damping_limit_ns_per_m
+        self._fill(params.realtime.rate_hz, damping, device.commissioning, device.probe_limit_n)
+
+    @classmethod
+    def announced(cls, servo: dict[str, Any]) -> "CommandLimits":
+        """Those of the daemon whose reply to `hello` holds `servo`."""
+        found = cls.__new__(cls)
+        device = servo["device"]
+        damping = device["damping_limit_ns_per_m"]
+        rate_hz = servo["realtime"]["rate_hz"]
+        found._fill(rate_hz, damping, device["commissioning"], device["probe_limit_n"])
+        return found
+
+    def _fill(
+        self, rate_hz: float, damping_ns_per_m: float, commissioning: bool, probe_n: float
+    ) -> None:
+        table = value_limits(rate_hz, damping_ns_per_m, commissioning)
+        boxed = dict.fromkeys(COMMISSIONING_LIMITS if commissioning else (), UNVERIFIED)
         sources = SOURCES | boxed
         self.of = {
             name: CommandLimit(*table[place], sources.get(place, "it is fixed in this version"))
             for name, place in PLACES.items()
         }
         self.of["value"] = self.of["damping"]
-        self.of["samples_n"] = CommandLimit(
-            -params.device.probe_limit_n,
-            params.device.probe_limit_n,
-            "N",
-            "the device file sets it",
-        )
+        self.of["samples_n"] = CommandLimit(-probe_n, probe_n, "N", "the device file sets it")
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, str]]:
         """One {loc, msg} for each number in `given`, nested as the request, beyond its limit."""

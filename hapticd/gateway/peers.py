@@ -2,7 +2,7 @@
 
 Nothing here waits, and whatever a peer does is bounded:
 
-    peers        MOST_PEERS on a port; who comes then is closed
+    peers        MOST_PEERS at an address; who comes there then is closed
     handshake    HANDSHAKE_NS, then the connection ends
     input        one read of READ_BYTES, then none until that is taken apart; `receive` gives a
                  counted number of pieces, from each peer in turn, so the kernel's buffers fill and
@@ -45,10 +45,16 @@ class Peer:
     """One connection: what came and is not taken apart yet, what waits to be sent."""
 
     def __init__(
-        self, identity: bytes, connection: socket.socket, session: Session, deadline_ns: int
+        self,
+        identity: bytes,
+        connection: socket.socket,
+        session: Session,
+        deadline_ns: int,
+        came_to: socket.socket,
     ) -> None:
         self.identity = identity
         self.connection = connection
+        self.came_to = came_to  # the listening socket
         self.session = session
         self.deadline_ns = deadline_ns  # of its handshake
         self.queue: deque[bytes] = deque()
@@ -174,18 +180,23 @@ class Port:
                 connection, _ = listener.accept()
             except OSError:  # none is there, or it is gone already, or we have no descriptor left
                 return
-            if len(self._peers) < MOST_PEERS:
-                self._welcome(connection)
+            if self._guests(listener) < MOST_PEERS:
+                self._welcome(connection, listener)
             else:
                 connection.close()
 
-    def _welcome(self, connection: socket.socket) -> None:
+    def _guests(self, listener: socket.socket) -> int:
+        """How many peers came to `listener`: a crowd at one address leaves the others free."""
+        return sum(peer.came_to is listener for peer in self._peers.values())
+
+    def _welcome(self, connection: socket.socket, listener: socket.socket) -> None:
         connection.setblocking(False)
         if connection.family != socket.AF_UNIX:
             _notice_death(connection)
         identity = next(self._numbers).to_bytes(8, "big")
         session = Session(self._kind, self._longest)
-        peer = Peer(identity, connection, session, self._now_ns + HANDSHAKE_NS)
+        deadline_ns = self._now_ns + HANDSHAKE_NS
+        peer = Peer(identity, connection, session, deadline_ns, listener)
         self._peers[identity] = peer
         self._strangers[identity] = peer
         self._answer(peer)

@@ -35,10 +35,11 @@ from hapticd.gateway.view import STATES, Records, ServoView
 from hapticd.gateway.winding import compensation
 from hapticd.mailbox.layout import Command, Flag, Value, Watched, values_of
 from hapticd.params import GatewaySetup
-from hapticd.units import NS_PER_S
+from hapticd.units import NS_PER_MS, NS_PER_S
 
 RECORD_FIELDS_SHOWN = (
     "tick",
+    "slot",
     "homed",
     "perturbing",
     "gain",
@@ -65,6 +66,10 @@ NEWS = (
 )  # a change of one of these is published at once
 
 
+LAMPS = ("state", "fault", "damping_effect_ns_per_m")  # somebody waits for a change of these
+EARLY_NS = 20 * NS_PER_MS  # between two blocks that leave before they are whole
+
+
 def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> dict[str, Any]:
     """Everything a lamp, a title bar or a late joiner needs to know."""
     mailbox = view.mailbox
@@ -80,6 +85,7 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
         "revision": view.revision,
         "fault": fault.code,
         **described(fault),
+        "waiting_for": view.report().get("waiting_for", ""),  # its board, if it has none
         "instance": view.params.instance,
         "epoch": header.start_ns if header else 0,
         "config_hash": header.config_hash if header else view.params.config_hash,
@@ -247,6 +253,8 @@ class Publisher:
         self._life = 0
         self._alive = False
         self._news: tuple[Any, ...] = ()
+        self._lamps: tuple[Any, ...] = ()
+        self._early_ns = -EARLY_NS
         # so that the first look is due at once
         self._state_ns = -STATE_PERIOD_NS
 
@@ -273,15 +281,27 @@ class Publisher:
     def _count_audience(self) -> None:
         self._wanted = frozenset().union(*(asked.wanted for asked in self._audience.values()))
 
-    def messages(self, now_ns: int, unix_ns: int) -> list[Message]:
-        """Everything that is due."""
+    def urgent(self, now_ns: int) -> bool:
+        """Whether a lamp changes, so that `messages` should not wait for a whole batch."""
+        may = bool(self._lamps) and now_ns - self._early_ns >= EARLY_NS
+        return may and self._view.alive and self._shown() != self._lamps
+
+    def _shown(self) -> tuple[Any, ...]:
+        values = (self._view.record.get(name) for name in LAMPS)
+        return tuple(value if value == value else None for value in values)  # unknown stays so
+
+    def messages(self, now_ns: int, unix_ns: int, ended: bool = False) -> list[Message]:
+        """Everything that is due; of a servo that has `ended` all that it left."""
         self._notice_servo()
+        early = ended or self.urgent(now_ns)
+        self._early_ns = now_ns if early else self._early_ns
+        self._lamps = self._shown()
         wanted = self._wanted
         found: list[Message] = []
         noted = self.flight.follow(now_ns)
         if noted and "flight" in wanted:
             found.append(("flight", bytes(msgpack.packb(noted))))  # every number as it is
-        for block in self.feed.take(now_ns):
+        for block in self.feed.take(now_ns, early):
             # whether or not anyone subscribes: statistics and events miss no record
             self.stages.add(block.records, self._origin.epoch)
             self._guard.count(block.records, block.life)
@@ -306,6 +326,7 @@ class Publisher:
             self._origin = Origin(
                 view.mailbox.epoch, view.unix_offset_ns, view.mailbox.header.simulated
             )
+            self._lamps = ()
             self.stages.clear()
             self.flight.begin(self._origin)
             self._probe.forget()

@@ -291,6 +291,13 @@ class Dump(CommandMessage):
     cmd: Literal["dump"]
 
 
+class Mark(CommandMessage):
+    """Note words with the newest tick as an event `mark`, which recordings keep."""
+
+    cmd: Literal["mark"]
+    text: str = Field(min_length=1, max_length=96, description="what happens at this tick")
+
+
 class Schema(CommandMessage):
     """This protocol as JSON schema."""
 
@@ -314,6 +321,7 @@ Request = (
     | GuardRequest
     | Status
     | Dump
+    | Mark
     | Schema
 )
 ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="cmd")])
@@ -336,6 +344,7 @@ MODELS: dict[str, type[CommandMessage]] = {
         GuardRequest,
         Status,
         Dump,
+        Mark,
         Schema,
     )
 }

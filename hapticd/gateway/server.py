@@ -8,7 +8,9 @@ requests (stops first), give the replies that are due, note subscriptions, and e
 what the ring holds. Requests and subscriptions share a budget of PASS_NS: what there is no time
 for waits for the next pass, and the servo is told between any two of them that the gateway lives.
 A pass waits for a socket at most 10 ms; while answers of the servo are outstanding it looks again
-after 0.25 ms. Sends never wait.
+after 0.25 ms. When a lamp of somebody's page changes, which is state, fault or the damping that the
+board reports, it publishes at once, and for 5 ms after a receipt it looks for that every
+millisecond. Sends never wait.
 
 What would break it: a single request or publication that takes longer than the servo's patience
 with the heartbeat (1 s), or a second gateway in the folder (the claim is taken before anything is
@@ -38,13 +40,14 @@ from hapticd.gateway.telemetry import TOPICS
 from hapticd.gateway.view import ServoView
 from hapticd.gateway.worker import Start, Worker
 from hapticd.mailbox import files
-from hapticd.mailbox.daemons import living_report
 from hapticd.mailbox.layout import LAYOUT_HASH
 from hapticd.params import GatewaySetup, to_plain
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 DRAIN_MS = 10
 PEEK_NS = 250 * NS_PER_US  # between looks for an outstanding answer
+WATCHFUL_MS = 1  # instead of 10, for so long after a receipt: the board reports a tick or two later
+WATCHFUL_NS = 5 * NS_PER_MS
 REQUESTS_PER_PASS = 20
 SUBSCRIPTIONS_PER_PASS = 100
 PASS_NS = 20 * NS_PER_MS  # for requests and subscriptions; the one that is under way ends
@@ -94,8 +97,10 @@ class GatewayServer:
         )
         self._passed_ns = self._settled_ns = self._drained_ns = clock.now_ns()
         self._deadline_ns = 0
-        if self._sockets.warning:
-            self._journal.note("warning", text=self._sockets.warning)
+        self._watchful_ns = clock.now_ns()
+        for warning in (self._sockets.warning, self._sockets.elsewhere):
+            if warning:
+                self._journal.note("warning", text=warning)
 
     @property
     def foreign(self) -> str:
@@ -107,18 +112,22 @@ class GatewayServer:
         self._await(wait_ms)
         now_ns = self._clock.now_ns()
         self._deadline_ns = now_ns + PASS_NS
+        if self._view.ended:  # what it left tells whether it ended without force
+            self._view.look()
+            self._publish(self._publisher.messages(now_ns, self._unix_ns(), ended=True))
         self._view.refresh(now_ns)
         if now_ns - self._passed_ns > STANDSTILL_NS:
             self._settled_ns = now_ns + SETTLING_NS
         self._passed_ns = now_ns
         # before the requests: whatever they cost, the servo has its heartbeat
         self._in_time()
-        self._sockets.command.tend(now_ns)
-        self._sockets.telemetry.tend(now_ns)
+        for refused in self._sockets.tend(now_ns):
+            self._journal.note("warning", **refused)
         self._serve(now_ns)
         self._note_subscriptions()
         # 1 ms of slack: a pass just short of 10 ms must not put it off for another 10
-        if now_ns - self._drained_ns >= (DRAIN_MS - 1) * NS_PER_MS:
+        due = now_ns - self._drained_ns >= (DRAIN_MS - 1) * NS_PER_MS
+        if due or self._publisher.urgent(now_ns):
             self._drained_ns = now_ns
             self._publish(self._publisher.messages(now_ns, self._unix_ns()))
             self._in_time()
@@ -126,15 +135,14 @@ class GatewayServer:
     def _await(self, wait_ms: int) -> None:
         """Wait until something has come or is due, and read what has come."""
         sockets = self._sockets
-        events = self._selector.select(0)
-        if sockets.command.busy or sockets.telemetry.busy or self._desk.queued or events:
+        if sockets.command.busy or sockets.telemetry.busy or self._desk.queued:
             wait_ms = 0
-        elif self._desk.waiting and wait_ms:
+        elif self._desk.waiting and wait_ms and not self._selector.select(0):
             self._clock.sleep_until_ns(self._clock.now_ns() + PEEK_NS)
             wait_ms = 0
-        if wait_ms or not events:
-            events = self._selector.select(wait_ms / 1000)
-        for key, mask in events:
+        if self._clock.now_ns() < self._watchful_ns:
+            wait_ms = min(wait_ms, WATCHFUL_MS)
+        for key, mask in self._selector.select(wait_ms / 1000):
             key.data(mask)
 
     def _in_time(self) -> bool:
@@ -149,7 +157,9 @@ class GatewayServer:
         came = [[identity, *parts] for identity, parts in requests]
         outdated = now_ns < self._settled_ns
         replies = self._desk.serve(came, now_ns, outdated, self._in_time)
-        for identity, *parts in replies + self._desk.collect(now_ns):
+        if receipts := self._desk.collect(now_ns):
+            self._watchful_ns = now_ns + WATCHFUL_NS
+        for identity, *parts in replies + receipts:
             self._sockets.command.send(identity, zmtp.message(parts))
 
     def _note_subscriptions(self) -> None:
@@ -198,16 +208,17 @@ class GatewayServer:
         }
 
     def _status(self) -> dict[str, Any]:
-        mailbox = self._view.mailbox
+        outside = self._sockets.outside
         return {
             **self._publisher.without_guard(self._unix_ns()),
             "stages": self._publisher.stages.summary(),
             "endpoints": self.endpoints,
-            "servo": mailbox.report() if mailbox else living_report(self._view.folder),
+            "servo": self._view.report(),
             "gateway": {
                 "pid": os.getpid(),
                 "cpu_s": time.process_time(),
                 "telemetry_lost": self._publisher.feed.lost,
+                "outside": outside.summary() if outside else None,
             },
             "guard": self._desk.guard_summary(),
             "events": list(self._journal.recent),

@@ -20,7 +20,7 @@ from hapticd.gateway.in_force import IN_MOTION
 from hapticd.gateway.schemas import Enable, Request, Set
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Flag, State, Value, values_of
+from hapticd.mailbox.layout import REVISION_MASK, Command, Flag, State, Value, values_of
 from hapticd.params import STRICT_POLICIES
 from hapticd.units import NS_PER_S
 
@@ -179,7 +179,8 @@ class Stages:
         last = case.place == len(case.stages) - 1
         values: dict[Value, float] = {}
         if case.policy in STRICT_POLICIES and case.revision is not None:
-            values[Value.ENVIRONMENT_REVISION] = case.revision + case.ahead + case.place
+            ahead = case.revision + case.ahead + case.place
+            values[Value.ENVIRONMENT_REVISION] = ahead & REVISION_MASK
         if isinstance(case.request, Enable) and last:
             return Command.ENABLE, 0, values_of(values)
         extras = {name: case.request.given[name] for name in self._extras(case)}

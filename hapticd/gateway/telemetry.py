@@ -61,13 +61,13 @@ TOPICS: tuple[Topic, ...] = (
     Topic(
         "servo",
         "array of maps of numbers, `timestamp` in Unix seconds, `seq` +1 per tick",
-        "`batch` ticks a message",
+        "`batch` ticks a message, fewer at a change of state, fault or reported damping",
         1,
     ),
     Topic(
         "servo.raw",
         "map: header and `d`, little-endian records of dtype `descr`, lossless",
-        "`batch` ticks or more",
+        "`batch` ticks or more, or fewer at such a change",
         1,
     ),
     Topic(
@@ -84,7 +84,7 @@ TOPICS: tuple[Topic, ...] = (
     ),
     Topic(
         "event",
-        "map with `kind`: state, answer, guard, gap, servo_up, servo_down, flight, warning",
+        "map with `kind`: state, answer, guard, gap, mark, servo_up, servo_down, flight, warning",
         "when it happens",
         0,
     ),
@@ -167,15 +167,17 @@ class Feed:
         self._taken_ns = 0
         self.lost = 0
 
-    def take(self, now_ns: int) -> list[RingBlock]:
-        """The blocks that are due; whole numbers of batches unless the ring stood still."""
+    def take(self, now_ns: int, early: bool = False) -> list[RingBlock]:
+        """The blocks that are due; whole numbers of batches unless the ring stood still, or `early`
+        asks for what there is.
+        """
         view = self._view
         if view.mailbox is None:
             return []
         if self._life != view.life:
             self._begin(now_ns)
         blocks: list[RingBlock] = []
-        while len(blocks) < MOST_BLOCKS and (ready := self._ready(now_ns)):
+        while len(blocks) < MOST_BLOCKS and (ready := self._ready(now_ns, early)):
             data, tail, lost = view.mailbox.records(self._tail, ready)
             records = as_records(data)
             # the servo may write over the oldest records while they are copied
@@ -196,12 +198,14 @@ class Feed:
         self._taken_ns = now_ns
         self._tail = 0 if head < RING_RECORDS // 2 else head
 
-    def _ready(self, now_ns: int) -> int:
+    def _ready(self, now_ns: int, early: bool) -> int:
         self._tail = min(self._tail, self._view.head)  # a head that fell back had been written over
         waiting = min(self._view.head - self._tail, MOST_RECORDS)
         # a batch longer than a block never fills: it leaves after LINGER_NS as it is
         whole = waiting - waiting % self._batch if self._batch <= MOST_RECORDS else 0
-        return whole or (waiting if now_ns - self._taken_ns >= LINGER_NS else 0)
+        if early or (not whole and now_ns - self._taken_ns >= LINGER_NS):
+            return waiting
+        return whole
 
 
 BLOCK_VERSION = 1

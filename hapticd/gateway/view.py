@@ -7,7 +7,7 @@ A servo with another configuration is not served: what a newton is in counts is 
 is made from the one table in mailbox.layout.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,8 @@ from hapticd.errors import MailboxError
 from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
-from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, State, Value
+from hapticd.mailbox.daemons import living_report
+from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, State, Value, newer
 from hapticd.params import ServoParams
 from hapticd.units import NS_PER_MS, NS_PER_S
 
@@ -32,6 +33,15 @@ assert RECORD_DTYPE.itemsize == layout.RECORD.size
 def as_records(data: bytes) -> Records:
     """Whole records in `data` as a structured array (n,) of DTYPE that shares its memory."""
     return np.frombuffer(data, RECORD_DTYPE)
+
+
+def joined(parts: Sequence[Records]) -> Records:
+    """`parts` one after the other, all of one dtype, in memory of its own.
+
+    numpy would work the common dtype out field by field, pair by pair, which takes longer than the
+    copy.
+    """
+    return np.frombuffer(b"".join(part.tobytes() for part in parts), parts[0].dtype)
 
 
 def rows(data: bytes) -> list[dict[str, Any]]:
@@ -81,6 +91,11 @@ def configured(params: ServoParams) -> tuple[float, ...]:
     )
 
 
+def _latest(one: int, other: int) -> int:
+    """The revision that was counted last."""
+    return one if newer(one, other) else other
+
+
 class ServoView:
     """What is known of the servo. `refresh` is cheap and is called before anything is asked."""
 
@@ -103,10 +118,16 @@ class ServoView:
         self._came_late = False
         self._head = 0
         self._promised = 0
+        self.led_by = 0  # actor whose request led to the present state; 0: none's, or not seen
+
+    @property
+    def ended(self) -> bool:
+        """Whether the servo whose mailbox is open has ended; its last records are still there."""
+        return self.mailbox is not None and not self.mailbox.current
 
     def refresh(self, now_ns: int) -> None:
         """Open, let go or reopen the mailbox as needed; read the newest record."""
-        if self.mailbox is not None and not self.mailbox.current:
+        if self.ended:
             self.drop()
         if self.mailbox is None and now_ns - self._retry_ns >= RETRY_NS:
             self._retry_ns = now_ns
@@ -122,7 +143,10 @@ class ServoView:
             self._head = head
             newest = rows(self.mailbox.records(head - 1, 1)[0])
             if newest and not self.record:
-                self._came_late = newest[-1]["revision"] > 0
+                self._promised = newest[-1]["revision"]
+                self._came_late = self._promised > 0
+            if newest and self.record and newest[-1]["state"] != self.record["state"]:
+                self.led_by = newest[-1]["actor"]
             self.record = newest[-1] if newest else self.record
 
     def drop(self) -> None:
@@ -164,7 +188,8 @@ class ServoView:
         found = self.mailbox.answers() if self.mailbox else []
         if found:
             self._effective = found[-1].effective
-            self._promised = max(self._promised, *(answer.revision for answer in found))
+        for answer in found:
+            self._promised = _latest(self._promised, answer.revision)
         return found
 
     @property
@@ -195,7 +220,7 @@ class ServoView:
     @property
     def revision(self) -> int:
         """Changes accepted in this life."""
-        return max(self._promised, int(self.record.get("revision", 0)))
+        return _latest(self._promised, int(self.record.get("revision", 0)))
 
     @property
     def state(self) -> State | None:
@@ -208,6 +233,10 @@ class ServoView:
         if self.state is not None:
             return self.state.name.lower()
         return STARTING if self.mailbox and not self.record else DOWN
+
+    def report(self) -> dict[str, Any]:
+        """What the servo says of itself and its board; nothing while none lives."""
+        return self.mailbox.report() if self.mailbox else living_report(self.folder)
 
     @property
     def fault(self) -> Fault:

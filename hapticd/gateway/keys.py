@@ -1,0 +1,189 @@
+"""The files of CURVE keys: how they are made, and what a gateway reads of them.
+
+    server.key, server.key_secret   the gateway's pair; the public half is handed out
+    clients/NAME.key                public keys of those who may listen
+    NAME.key_secret                 at the listener alone
+
+What would break it: a secret that another account may read (refused), or keys that are made again
+over keys that somebody has the other half of (refused).
+"""
+
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import zmq.auth
+
+from hapticd.errors import ConfigError
+
+SERVER = "server"
+SERVER_PUBLIC = "server.key"
+SERVER_KEY = "server.key_secret"
+CLIENTS = "clients"
+KEY_NAME = re.compile(r"[^.].*\.key")  # one that is being written begins with a dot
+
+
+def server_pair(folder: Path) -> tuple[bytes, bytes]:
+    """The gateway's own pair; (public, secret), 40 characters of Z85 each.
+
+    ConfigError: the folder is incomplete, a key is none, or the secret is readable by others.
+    """
+    clients = folder / CLIENTS
+    if not clients.is_dir():
+        raise ConfigError(
+            f"gateway.curve_keys: {clients} is missing; make it and put the public keys of allowed"
+            " clients there"
+        )
+    path = folder / SERVER_KEY
+    if not path.is_file():
+        raise ConfigError(
+            f"gateway.curve_keys: {path} is missing; make it with `hapticd keys server {folder}`"
+        )
+    return secret_pair(path)
+
+
+def secret_pair(path: Path) -> tuple[bytes, bytes]:
+    """The pair in a file of a secret; (public, secret).
+
+    ConfigError: it is readable by others, or no such file.
+    """
+    try:
+        if path.stat().st_mode & 0o077:
+            raise ConfigError(f"{path} is readable by others; chmod 600 it")
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; name a file NAME.key_secret") from error
+    public, secret = _loaded(path)
+    if secret is None:
+        raise ConfigError(f"{path} holds no secret key; it is made by `hapticd keys`")
+    return public, secret
+
+
+def public_key(path: Path) -> bytes:
+    """The public key in a file. ConfigError: it holds none."""
+    return _loaded(path)[0]
+
+
+def _loaded(path: Path) -> tuple[bytes, bytes | None]:
+    try:
+        return zmq.auth.load_certificate(path)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: no key ({error}); keys are made by `hapticd keys`") from error
+
+
+class Clients:
+    """Who may listen: names by public key, read again when what stands in a file has changed."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / CLIENTS
+        self._content: dict[Path, bytes | str] = {}
+        self._names: dict[bytes, str] = {}
+        self.unreadable: dict[str, str] = {}  # why, by name: files that let nobody in
+
+    def name(self, key: bytes) -> str:
+        """The name that `key` (Z85) is known by; empty for one that is not."""
+        self.look()
+        return self._names.get(key, "")
+
+    def look(self) -> None:
+        """Read again what has changed."""
+        content = _contents(self._folder)
+        if content == self._content:
+            return
+        self._content = content
+        self._names = {}
+        self.unreadable = {}
+        for path, data in content.items():
+            try:
+                if isinstance(data, str):
+                    raise ConfigError(f"{path}: {data}; let the gateway's account read it")
+                self._names[public_key(path)] = path.stem
+            except ConfigError as error:
+                self.unreadable[path.name] = str(error)
+
+
+def _contents(folder: Path) -> dict[Path, bytes | str]:
+    """What stands in each file of a key in `folder`, or why it cannot be read; the same of the
+    folder itself.
+    """
+    found: dict[Path, bytes | str] = {}
+    try:
+        paths = [folder / name for name in sorted(os.listdir(folder)) if KEY_NAME.fullmatch(name)]
+    except OSError as error:
+        return {folder: error.strerror or str(error)}
+    for path in paths:
+        try:
+            found[path] = path.read_bytes()
+        except OSError as error:
+            found[path] = error.strerror or str(error)
+    return found
+
+
+def make_keys(folder: Path) -> tuple[Path, Path]:
+    """A server key pair and an empty folder for clients in `folder`; (public, secret).
+
+    The secret is readable by its owner alone. ConfigError where there is a pair already, or nothing
+    can be written.
+    """
+    public = folder / SERVER_PUBLIC
+    secret = folder / SERVER_KEY
+    _free(public, secret)
+    with _private(folder):
+        (folder / CLIENTS).mkdir(parents=True, exist_ok=True)
+        zmq.auth.create_certificates(folder, SERVER)
+    return public, secret
+
+
+def make_client(folder: Path, name: str, out: Path) -> tuple[Path, Path]:
+    """A listener's pair: the public key in the clients of `folder`, the secret in `out`; (public,
+    secret). ConfigError as `make_keys`, for a folder without a server's pair, and for a name that
+    is no name of a file.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
+        raise ConfigError(
+            f"{name!r}: a client is named by letters, digits, dots, dashes and underscores"
+        )
+    if not (folder / SERVER_KEY).is_file():
+        raise ConfigError(
+            f"{folder}: no {SERVER_KEY} in it; make it with `hapticd keys server {folder}`"
+        )
+    public = folder / CLIENTS / f"{name}.key"
+    secret = out / f"{name}.key_secret"
+    _free(public, secret)
+    with _private(out), TemporaryDirectory() as made:
+        out.mkdir(parents=True, exist_ok=True)
+        (folder / CLIENTS).mkdir(exist_ok=True)
+        files = zmq.auth.create_certificates(made, name)
+        for file, target in zip(files, (public, secret), strict=True):
+            # whole from the first moment on: the gateway reads a key that appears
+            unfinished = target.with_name(f".{target.name}.new")
+            shutil.move(file, unfinished)
+            os.replace(unfinished, target)
+    return public, secret
+
+
+def _free(*files: Path) -> None:
+    """ConfigError if one of `files` is there: whoever has its other half would be locked out."""
+    for file in files:
+        if file.exists():
+            raise ConfigError(
+                f"{file} exists; a key is not made again: remove both halves yourself, or choose"
+                " another name"
+            )
+
+
+@contextmanager
+def _private(folder: Path) -> Iterator[None]:
+    """What is written meanwhile is its owner's alone: pyzmq writes a key as the umask allows."""
+    before = os.umask(0o077)
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(
+            f"{folder}: {error.strerror}; name a folder that you may write to"
+        ) from error
+    finally:
+        os.umask(before)
