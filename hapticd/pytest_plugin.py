@@ -11,8 +11,8 @@
         assert hapticd_board.newest["stiffness_n_per_m"] == 100
 
 `hapticd_board` is a Client too, so most scripts run on either; it is deterministic and faster than
-real time. Both take the configuration that the fixture `hapticd_config` names: overwrite it to have
-your own.
+real time: its virtual time goes on only while it is run, streamed or recorded. Both take the
+configuration that the fixture `hapticd_config` names: overwrite it to have your own.
 
 What would break it: a script that reads a clock, on virtual time.
 """
@@ -98,14 +98,7 @@ def hapticd_daemon(hapticd_config: Path | None) -> Iterator[DaemonProcess]:
 @pytest.fixture
 def hapticd_board(hapticd_config: Path | None) -> Iterator["LockStepBench"]:
     """Servo, wire and simulated board on one virtual clock, ready and disabled."""
-    from hapticd.errors import ConfigError
-    from hapticd.settings.build import board_params, servo_params
-    from hapticd.settings.load import load
-    from hapticd.zwidth.lockstep import LockStepBench
+    from hapticd.zwidth.lockstep import virtual_board
 
-    settings = load(hapticd_config)
-    board = board_params(settings)
-    if board is None:
-        raise ConfigError(f"{settings.device_file} is a real board's; virtual time needs another")
-    with LockStepBench(servo_params(settings, "default"), board) as bench:
+    with virtual_board(hapticd_config) as bench:
         yield bench

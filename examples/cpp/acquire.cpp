@@ -63,7 +63,8 @@ int main(int count, char **words) {
                 continue;
             const auto unpacked = msgpack::unpack(payload.data<char>(), payload.size());
             const auto records = unpacked.get().via.array;  // a map for each tick
-            for (const auto *one = records.ptr; one != records.ptr + records.size; ++one, ++ticks) {
+            const auto *end = records.ptr + records.size;
+            for (const auto *one = records.ptr; one != end && ticks < 1000; ++one, ++ticks) {
                 const double x_m = number(one->via.map, "position_m");
                 lowest = std::min(lowest, x_m);
                 highest = std::max(highest, x_m);

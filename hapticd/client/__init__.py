@@ -8,8 +8,11 @@
 
     Client         one connection: a method for every command, and the telemetry
     AsyncClient    the same for asyncio: every command is awaited
+    Listener       the telemetry of a daemon on another computer, with a key
     ClientLease    to be the only one who changes something: `with device.lease("environment"):`
     Receipt        what became of an accepted change
+    step           one change of a sequence: `device.sequence([step("set", K=100), ...])`
+    StepReceipt    what became of it
     Block          consecutive records of a telemetry topic, and what was lost before them
     CommandError   the daemon refused: its `code` and text say why and what to do
     DaemonDown     nobody answers, or the gateway has no servo
@@ -26,9 +29,24 @@ if TYPE_CHECKING:
     from hapticd.client.client import Client
     from hapticd.client.conversation import Receipt
     from hapticd.client.lease import ClientLease
-    from hapticd.errors import CommandError, DaemonDown
+    from hapticd.client.listener import Listener
+    from hapticd.client.sequence import Step, StepReceipt, step
+    from hapticd.errors import CommandError, DaemonDown, SequenceError
 
-__all__ = ["AsyncClient", "Block", "Client", "ClientLease", "CommandError", "DaemonDown", "Receipt"]
+__all__ = [
+    "AsyncClient",
+    "Block",
+    "Client",
+    "ClientLease",
+    "CommandError",
+    "DaemonDown",
+    "Listener",
+    "Receipt",
+    "SequenceError",
+    "Step",
+    "StepReceipt",
+    "step",
+]
 _HOMES = {
     "AsyncClient": "hapticd.client.aio",
     "Block": "hapticd.client.blocks",
@@ -36,7 +54,12 @@ _HOMES = {
     "ClientLease": "hapticd.client.lease",
     "CommandError": "hapticd.errors",
     "DaemonDown": "hapticd.errors",
+    "Listener": "hapticd.client.listener",
     "Receipt": "hapticd.client.conversation",
+    "SequenceError": "hapticd.errors",
+    "Step": "hapticd.client.sequence",
+    "StepReceipt": "hapticd.client.sequence",
+    "step": "hapticd.client.sequence",
 }
 
 

@@ -15,7 +15,7 @@ not yield for longer than a lease lives.
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Awaitable
+from collections.abc import AsyncGenerator, Awaitable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -25,28 +25,29 @@ import zmq
 import zmq.asyncio
 from numpy.typing import ArrayLike
 
-from hapticd.client.blocks import Block, Excerpt, Records, chunks, joined
+from hapticd.client.blocks import Block, Excerpt, Records, chunks, concatenated
 from hapticd.client.conversation import (
-    INTRODUCTION_MS,
     STOP_TIMEOUT_S,
     Conversation,
     Receipt,
     TimedOut,
     accepted,
+    heard_with,
+    not_reached,
+    pressed,
+    quiet,
     receipt_of,
     silence,
     socket_file,
 )
 from hapticd.client.lease import RENEWALS, lost_error
+from hapticd.client.sequence import Ask, AtRefusal, Step, StepReceipt, course
 from hapticd.client.verbs import POLL_S, Verbs, hand_of
-from hapticd.errors import CommandError, DaemonDown, MailboxError
+from hapticd.errors import CommandError, DaemonDown, HapticdError
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
-from hapticd.mailbox.stop_word import press_stop
 from hapticd.params import AtEnd, Leased
 from hapticd.units import NS_PER_S
-
-INTRODUCTION_S = 1e-3 * INTRODUCTION_MS
 
 Answer = dict[str, Any]
 
@@ -61,7 +62,6 @@ class AsyncLine:
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
         self._reading: asyncio.Task[None] | None = None
-        self._connecting = asyncio.Lock()
         self._came = asyncio.Condition()
 
     async def close(self) -> None:
@@ -78,7 +78,7 @@ class AsyncLine:
 
         DaemonDown: none in time; CommandError: too long.
         """
-        socket = await self._connected()
+        socket = self._connected()
         deadline = time.monotonic() + timeout_s
         timeout_ns = round(timeout_s * NS_PER_S)
         number, payload = self._conversation.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
@@ -97,22 +97,19 @@ class AsyncLine:
             raise silence(outcome, self._folder)
         return outcome
 
-    async def _connected(self) -> zmq.asyncio.Socket:
+    def _connected(self) -> zmq.asyncio.Socket:
         """The command socket; made, and the client introduced, when it is first needed."""
         path = socket_file(self._folder, COMMAND_SOCKET)
-        async with self._connecting:
-            if self._socket is None:
-                socket = self._context.socket(zmq.DEALER)
-                socket.setsockopt(zmq.LINGER, 0)
-                # requests are given only to a gateway that is connected: one that starts later
-                # finds no old commands
-                socket.setsockopt(zmq.IMMEDIATE, 1)
-                socket.connect(f"ipc://{path}")
-                number, payload = self._conversation.ask("hello", {"name": self._name}, 0, 0)
-                self._conversation.forget(number)  # nobody waits for this reply
-                await _until(time.monotonic() + INTRODUCTION_S, socket.send(payload))
-                self._socket = socket
-                self._reading = asyncio.create_task(self._read(socket))
+        if self._socket is None:
+            self._socket = self._context.socket(zmq.DEALER)
+            self._socket.setsockopt(zmq.LINGER, 0)
+            # requests are given only to a gateway that is connected: one that starts later finds
+            # no old commands
+            self._socket.setsockopt(zmq.IMMEDIATE, 1)
+            self._socket.connect(f"ipc://{path}")
+            # not awaited: it goes out, before all else, as soon as the gateway is connected
+            self._socket.send(self._conversation.introduction(self._name))
+            self._reading = asyncio.create_task(self._read(self._socket))
         return self._socket
 
     async def _read(self, socket: zmq.asyncio.Socket) -> None:
@@ -126,18 +123,14 @@ class AsyncLine:
         path = socket_file(self._folder, TELEMETRY_SOCKET)
         with self._context.socket(zmq.SUB) as socket:
             socket.setsockopt(zmq.LINGER, 0)
-            # events may be rare: there the state, which comes every second, shows that the gateway
-            # lives
-            for one in {topic, "state"} if topic == "event" else {topic}:
+            for one in heard_with(topic):
                 socket.setsockopt_string(zmq.SUBSCRIBE, one)
             socket.connect(f"ipc://{path}")
             while await socket.poll(round(1000 * timeout_s)):
                 name, payload = await socket.recv_multipart()
                 if name == topic.encode():  # ZeroMQ matches prefixes
                     yield payload
-        raise DaemonDown(
-            f"{topic}: nothing from {self._folder} for {timeout_s} s; see `hapticd status`"
-        )
+        raise quiet(topic, self._folder, timeout_s)
 
 
 async def _until(deadline: float, done: Awaitable[Any]) -> None:
@@ -196,11 +189,7 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
         try:
             return receipt_of(accepted(await self._line.exchange("stop", {}, STOP_TIMEOUT_S)))
         except (DaemonDown, CommandError):
-            try:
-                press_stop(self._folder)
-            except MailboxError as error:
-                raise DaemonDown(str(error)) from error
-            return Receipt("pressed")
+            return pressed(self._folder)
 
     def lease(
         self,
@@ -220,6 +209,36 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
             loaded = (await self._result("perturb", **chunk))["samples"]
         return loaded
 
+    async def sequence(
+        self,
+        steps: Sequence[Step],
+        at_refusal: AtRefusal = "disable",
+        lead_s: float | None = None,
+    ) -> tuple[StepReceipt, ...]:
+        """Do `steps` in their order and at their ticks, as `Client.sequence`; a receipt for each.
+
+        CommandError: nothing was sent; SequenceError: it ended before the last step.
+        """
+        under_way = course(steps, at_refusal, self._name, lead_s)
+        answer = None
+        while True:
+            try:
+                due = under_way.send(answer)
+            except StopIteration as end:
+                receipts: tuple[StepReceipt, ...] = end.value
+                return receipts
+            if isinstance(due, Ask):
+                answer = await self._tried(due)
+            else:
+                await asyncio.sleep(due.seconds)
+                answer = None
+
+    async def _tried(self, due: Ask) -> Answer | Receipt | HapticdError:
+        try:
+            return await (self.stop() if due.cmd == "stop" else self.call(due.cmd, **due.fields))
+        except (CommandError, DaemonDown) as error:
+            return error
+
     async def hand(self, verdict: Answer, timeout_s: float = 1.0) -> Answer | None:
         """The hand that would shake what `verdict` is about; None if `timeout_s` passes first."""
         deadline = time.monotonic() + timeout_s
@@ -234,8 +253,7 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
         deadline = time.monotonic() + timeout_s
         while (found := (await self.call("get"))["state"]) != state:
             if time.monotonic() >= deadline:
-                reason = f"state is {found!r}, not {state!r}, after {timeout_s} s"
-                raise CommandError("timeout", f"{reason}; see `hapticd status`")
+                raise not_reached(state, found, timeout_s)
             await asyncio.sleep(POLL_S)
 
     async def stream(
@@ -252,7 +270,7 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
 
     async def record(self, seconds: float, topic: str = "servo.raw") -> tuple[Records, int]:
         """All records of the next `seconds` in one structured array (n,), and how many it lacks."""
-        return joined([block async for block in self.stream(topic, seconds=seconds)])
+        return concatenated([block async for block in self.stream(topic, seconds=seconds)])
 
     async def listen(self, topic: str) -> AsyncGenerator[Any, None]:
         """Decoded messages of `state`, `event` or `servo` as they come.

@@ -89,7 +89,7 @@ class Excerpt:
         return Block(records, block.gap, block.restarted, block.header)
 
 
-def joined(blocks: Sequence[Block]) -> tuple[Records, int]:
+def concatenated(blocks: Sequence[Block]) -> tuple[Records, int]:
     """All records of `blocks` in one structured array (n,), and how many it lacks."""
     records = np.concatenate([block.records for block in blocks])
     return records, sum(block.gap for block in blocks)

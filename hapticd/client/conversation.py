@@ -1,4 +1,4 @@
-"""Requests and replies without any I/O: both are bytes, time is passed in, a time-out is a value.
+"""Requests and replies: both are bytes, time is passed in, a time-out is a value.
 
 Each request has a number that comes back in its reply, so a reply that arrives after its time-out
 is recognised and dropped, and never taken for the answer to a later request. The client that waits
@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from hapticd.errors import CommandError, DaemonDown
+from hapticd.errors import CommandError, DaemonDown, MailboxError
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
+from hapticd.mailbox.stop_word import press_stop
 from hapticd.units import NS_PER_S
 
 PROTOCOL_VERSION = 1
-INTRODUCTION_MS = 40  # how long a new socket may take to connect before its hello is given up
 STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off may not wait for a gateway
 
 
@@ -87,6 +87,12 @@ class Conversation:
         self._asked[self._last] = _Asked(cmd, now_ns, now_ns + timeout_ns)
         return self._last, payload
 
+    def introduction(self, name: str) -> bytes:
+        """The bytes of a hello; nobody waits for its reply, so `receive` drops it."""
+        number, payload = self.ask("hello", {"name": name}, 0, 0)
+        self.forget(number)
+        return payload
+
     def receive(self, payload: bytes) -> None:
         """Take a reply; what nobody waits for, and what is no reply, is dropped."""
         try:
@@ -154,6 +160,33 @@ def silence(outcome: TimedOut, folder: Path) -> DaemonDown:
     """The error for a request to the daemon in `folder` that nobody answered."""
     waited = f"no reply from {folder} within {outcome.waited_s:.2g} s"
     return DaemonDown(f"{outcome.cmd}: {waited}; is `hapticd run` running there?")
+
+
+def quiet(topic: str, folder: Path, timeout_s: float) -> DaemonDown:
+    """The error for `topic` of the daemon in `folder`, which was silent for `timeout_s`."""
+    return DaemonDown(f"{topic}: nothing from {folder} for {timeout_s} s; see `hapticd status`")
+
+
+def not_reached(wanted: str, found: str, timeout_s: float) -> CommandError:
+    """The error for a servo that is `found`, and not `wanted`, after `timeout_s`."""
+    reason = f"state is {found!r}, not {wanted!r}, after {timeout_s} s"
+    return CommandError("timeout", f"{reason}; see `hapticd status`")
+
+
+def heard_with(topic: str) -> set[str]:
+    """The topics to subscribe to for `topic`: events may be rare, and the state, which comes every
+    second, shows that the gateway lives.
+    """
+    return {topic, "state"} if topic == "event" else {topic}
+
+
+def pressed(folder: Path) -> Receipt:
+    """Press the stop word of the daemon in `folder`. DaemonDown if there is no servo either."""
+    try:
+        press_stop(folder)
+    except MailboxError as error:
+        raise DaemonDown(str(error)) from error
+    return Receipt("pressed")
 
 
 def socket_file(folder: Path, name: str) -> Path:

@@ -33,6 +33,10 @@ def _flight(event: Event) -> str:
     return f"flight recording of {event['reason']}: {event['path']}"
 
 
+def _mark(event: Event) -> str:
+    return f"mark: {event['text']} (by {event['name']}, tick {event['tick']})"
+
+
 def _text(event: Event) -> str:
     return f"{event['kind']}: {event['text']}"
 
@@ -48,6 +52,7 @@ def _lost(event: Event) -> str:
 _WORDS: dict[str, Callable[[Event], str]] = {
     "state": _state,
     "flight": _flight,
+    "mark": _mark,
     "warning": _text,
     "guard": _text,
     "lease": _text,

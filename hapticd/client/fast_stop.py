@@ -2,29 +2,30 @@
 
 Every live daemon of this user and the service is pressed, or with `--instance` the one of that
 name: whoever says stop need not know which of them moves. All stop words are pressed before anybody
-is asked anything, so that nothing that hangs delays a stop; then the gateways are asked at once for
-the state that their servos are in, and given 40 ms together. It takes less than 100 ms, the
-interpreter included.
+is waited for, so that nothing that hangs delays a stop. Then the servos are given 50 ms together to
+take their words back, which each does once no force acts (`mailbox.stop_word`). Nobody else is
+asked: no gateway, which may be flooded, and no socket, whose library takes longer to load than all
+of this. It takes less than 100 ms, the interpreter included.
 
 What a daemon that was killed has left behind counts for nothing, and a folder that is not believed
-(`mailbox.daemons`) is named and left alone. Standard library and pyzmq only, the latter loaded
-last. What would break it: an import at the top that costs milliseconds, an open that waits.
+(`mailbox.daemons`) is named and left alone. Standard library only. What would break it: an import
+at the top that costs milliseconds, an open that waits.
 """
 
 import sys
 import time
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hapticd.errors import DaemonDown, HapticdError, MailboxError
 from hapticd.mailbox import daemons, files
 from hapticd.mailbox.daemons import Place
-from hapticd.mailbox.files import COMMAND_SOCKET
-from hapticd.mailbox.stop_word import press_stop, servo_lives, stop_taken
+from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, press_stop, servo_lives, stop_taken
 from hapticd.units import NS_PER_MS
 
-REPLY_TIMEOUT_MS = 40  # of all gateways together
-CONFIRMED = ("stopped", "fault")  # states without force
+TAKEN_MS = 50  # for all servos together: the stop ramp of 20 ms, way, and some waiting
+LOOK_S = 0.001
+STOPPED = "stopped"  # its servo took the stop, and no force acts
+PRESSED = "pressed"  # not yet
 
 
 class Stopped(NamedTuple):
@@ -34,7 +35,7 @@ class Stopped(NamedTuple):
     instance: str
     device: str  # as its servo reports; empty if that cannot be read
     simulated: bool | None  # None: unknown
-    state: str  # as its gateway says, else "taken" by the servo, else "pressed"
+    state: str  # STOPPED or PRESSED
 
 
 class Outcome(NamedTuple):
@@ -65,8 +66,9 @@ def main(instance: str | None, as_json: bool) -> int:
     return HapticdError.exit_code if found.failed else 0
 
 
-def stop(instance: str | None) -> Outcome:
-    """Stop the daemons of that name, None: all of this user and the service.
+def stop(instance: str | None, actor: int = ACTOR_STOP_WORD) -> Outcome:
+    """Stop the daemons of that name, None: all of this user and the service. It counts as pressed
+    by client `actor` of the gateway, who may then reset it at once.
 
     DaemonDown: there is none.
     """
@@ -80,7 +82,7 @@ def stop(instance: str | None) -> Outcome:
             left_alone.append(str(error))
             continue
         try:
-            press_stop(place.folder)
+            press_stop(place.folder, actor)
             pressed.append(place)
         except MailboxError as error:
             if servo_lives(place.folder):
@@ -88,57 +90,29 @@ def stop(instance: str | None) -> Outcome:
     if not pressed and not failed:
         reasons = "".join(f"; left alone: {reason}" for reason in left_alone)
         raise DaemonDown(f"no daemon runs there; start it with `hapticd run`{reasons}")
-    states = _states([place.folder for place in pressed])
-    stopped = [_stopped(place, states.get(place.folder)) for place in pressed]
-    return Outcome(stopped, left_alone, failed)
+    taken = _taken(pressed)
+    return Outcome([_stopped(place, place in taken) for place in pressed], left_alone, failed)
 
 
-def _states(folders: list[Path]) -> dict[Path, str]:
-    """What the gateways of `folders` say that their servos are in now; those that answer in
-    time.
-    """
-    listening = [folder for folder in folders if daemons.gateway_lives(folder)]
-    if not listening:
-        return {}
-    import json
-
-    import zmq
-
-    states: dict[Path, str] = {}
-    with zmq.Context() as context:
-        lines = {_asked(context, folder): folder for folder in listening}
-        poller = zmq.Poller()
-        for line in lines:
-            poller.register(line, zmq.POLLIN)
-        deadline_ns = time.monotonic_ns() + REPLY_TIMEOUT_MS * NS_PER_MS
-        while len(states) < len(lines) and (left_ns := deadline_ns - time.monotonic_ns()) > 0:
-            for line, _ in poller.poll(left_ns // NS_PER_MS + 1):
-                reply = json.loads(line.recv())
-                if reply.get("id") == 1 and reply.get("ok"):
-                    states[lines[line]] = reply["state"]
-        for line in lines:
-            line.close()
-    return states
+def _taken(pressed: list[Place]) -> list[Place]:
+    """Those of `pressed` whose servos take the stop in time."""
+    deadline_ns = time.monotonic_ns() + TAKEN_MS * NS_PER_MS
+    while True:
+        taken = [place for place in pressed if stop_taken(place.folder)]
+        if len(taken) == len(pressed) or time.monotonic_ns() >= deadline_ns:
+            return taken
+        time.sleep(LOOK_S)
 
 
-def _asked(context: Any, folder: Path) -> Any:
-    """A socket on which the gateway of `folder` was asked to stop as well."""
-    import zmq
-
-    line = context.socket(zmq.DEALER)
-    line.setsockopt(zmq.LINGER, 0)
-    line.connect(f"ipc://{folder / COMMAND_SOCKET}")
-    line.send(b'{"cmd":"hello","name":"hapticd stop"}')
-    line.send(b'{"cmd":"stop","id":1}')
-    return line
-
-
-def _stopped(place: Place, state: str | None) -> Stopped:
+def _stopped(place: Place, taken: bool) -> Stopped:
     report = daemons.read_report(place.folder)
-    word = "taken" if stop_taken(place.folder) else "pressed"
-    device = report.get("device", "")
-    simulated = report.get("simulated")
-    return Stopped(str(place.folder), place.instance, device, simulated, state or word)
+    return Stopped(
+        str(place.folder),
+        place.instance,
+        report.get("device", ""),
+        report.get("simulated"),
+        STOPPED if taken else PRESSED,
+    )
 
 
 def _json(found: Outcome) -> str:
@@ -159,10 +133,6 @@ def _line(one: Stopped) -> str:
     real = {True: ", SIMULATED", False: ", REAL BOARD", None: ""}[one.simulated]
     name = "service" if one.folder == str(files.SERVICE_FOLDER) else one.instance
     who = f"{name} ({one.device or 'device unknown'}{real})"
-    if one.state in CONFIRMED:
-        return f"{who}: {one.state}: force off; `hapticd reset` when it is safe\n"
-    if one.state == "taken":
-        return f"{who}: the servo took the stop; the gateway did not answer, see `hapticd status`\n"
-    if one.state == "pressed":
-        return f"{who}: pressed; the servo has not taken it yet, see `hapticd status`\n"
-    return f"{who}: pressed, state {one.state}; see `hapticd status`\n"
+    if one.state == STOPPED:
+        return f"{who}: stopped: force off; `hapticd reset` when it is safe\n"
+    return f"{who}: pressed; the servo has not taken it yet, see `hapticd status`\n"

@@ -151,6 +151,12 @@ class Verbs(Generic[R, D]):
         """
         return self._result("dump")
 
+    def mark(self, text: str) -> D:
+        """Note `text`, at most 96 characters, with the newest tick: an event `mark`, which
+        recordings keep; {tick}.
+        """
+        return self._result("mark", text=text)
+
 
 def hand_of(status: dict[str, Any], verdict: dict[str, Any]) -> dict[str, Any] | None:
     """The event `guard` of `status` that names the hand which would shake what `verdict` is about;

@@ -58,6 +58,12 @@ def margin_words(found: dict[str, Any]) -> str:
     return str(verdict.get("text") or found.get("unjudged") or "not judged yet")
 
 
+def board_words(report: dict[str, Any]) -> str:
+    """That the servo waits for its board, and what for; empty when the board answers."""
+    reason = report.get("waiting_for", "")
+    return f"the servo waits for the board: {reason}" if reason else ""
+
+
 def receipt_text(receipt: "Receipt") -> str:
     """What became of it, and what will then be in force."""
     if receipt.result == "pressed":

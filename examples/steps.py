@@ -1,0 +1,35 @@
+"""A whole protocol of an experiment as one call: a spring, force on, active damping on and off at
+exact times, a stiffer spring, force off; and what became of each step. Needs a running daemon.
+"""
+
+import sys
+
+from hapticd.client import Client, SequenceError, step
+
+
+def main(pause_s: float = 0.5) -> None:
+    """Each step with its tick and revision, by which recordings are joined to it."""
+    steps = [
+        step("set", K=100, B=1),
+        step("damping", value="off"),
+        step("enable"),
+        step("damping", value="on", after_s=pause_s),
+        step("set", K=300, ramp_s=0.1, after_s=pause_s),
+        step("damping", value="off", after_s=pause_s),
+        step("disable", after_s=pause_s),
+    ]
+    with (
+        Client(name="steps") as device,
+        device.lease("environment", ttl_s=10, at_end="disable"),
+    ):
+        try:
+            done = device.sequence(steps, lead_s=pause_s)
+        except SequenceError as error:
+            sys.exit(f"{error}")
+    for one in done:
+        guard = f"; {one.guard['text']}" if one.guard else ""
+        print(f"tick {one.tick}, revision {one.revision}: {one.step}{guard}")
+
+
+if __name__ == "__main__":
+    main(*map(float, sys.argv[1:]))

@@ -1,0 +1,418 @@
+"""Several changes as one call: looked through as a whole, done in order, a receipt for each.
+
+    with Client() as device:
+        done = device.sequence([
+            step("set", K=200, B=1),
+            step("enable"),
+            step("damping", value="on", after_s=1.0),
+            step("set", K=400, ramp_s=0.2, after_s=0.5),
+            step("disable", after_s=1.0),
+        ])
+        print([(one.tick, one.revision) for one in done])
+
+A step acts at its tick, or so long after the tick at which the step before it acted, or, without
+either, as soon as that one has acted. `set` and `damping` are scheduled with the servo (`at_tick`
+of the protocol), so they act exactly then, whatever this program and its computer do meanwhile;
+each is sent when `lead_s` is left, so a script that dies leaves little behind, and refused, not
+done late, if the guard takes longer than that to judge it. The protocol times nothing else:
+`enable`, `perturb` and the others are sent once their tick has come, some 10 ms late.
+Time is what the servo goes by, its slots: where it lost some, a step comes on time and its tick is
+as much lower, which its receipt says.
+
+Nothing is sent before every step was looked through: fields, limits of this device, ticks that have
+passed, and states of the servo that bar a step. What the servo refuses or cancels nevertheless, a
+state that somebody else changed, or a daemon that falls silent ends the sequence: SequenceError
+says which steps acted, which did not and why, and in which state the display was left.
+
+The course of it (`course`) is a generator without clock or socket: it gives what is to be asked and
+how long to wait, and takes replies. Both clients carry it out.
+
+What would break it: two sequences at the same time by clients of one name, since scheduled changes
+are told apart by name and number of their request; take the lease of the environment.
+"""
+
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, Literal, NamedTuple
+
+from hapticd.client.conversation import Receipt, receipt_of
+from hapticd.client.verbs import POLL_S
+from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
+
+AtRefusal = Literal["disable", "stop", "hold"]
+
+STEPS = ("set", "damping", "enable", "disable", "stop", "reset", "zero", "perturb")
+TIMED = ("set", "damping")  # what the protocol schedules by itself
+LEAD_S = 0.5  # before its tick a step is sent; the guard judges it meanwhile
+LONGEST_LEAD_S = 10.0
+LOOK_S = 0.1  # between two looks at the servo while nothing is due
+OPEN = ("scheduled", "staged")  # results of a step that is not at its end
+MOST_AHEAD = 8  # scheduled at once: half of what a servo holds
+OVERDUE_S = 10.0  # after its tick, until what became of a step is called unknown
+UNTOLD = "sent, and what became of it is not known; see `hapticd status`"
+WHY = {  # a scheduled step did not act
+    "cancelled": "a stop, a fault or somebody else's lease came first",
+    "superseded": "a later change for the same tick took its place",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A command of the protocol with its fields, at a servo tick or so long after the step
+    before.
+    """
+
+    cmd: str
+    fields: Mapping[str, Any]
+    at_tick: int | None = None
+    after_s: float | None = None
+
+    def __str__(self) -> str:
+        return " ".join((self.cmd, *(f"{name}={value}" for name, value in self.fields.items())))
+
+
+def step(
+    cmd: str, *, at_tick: int | None = None, after_s: float | None = None, **fields: Any
+) -> Step:
+    """A step of a sequence: `cmd` is one of STEPS, `fields` are those of the protocol, as `K`,
+    `ramp_s`, `value` (damping) or `action` (perturb).
+
+    It acts at `at_tick` of the servo, or `after_s` [s] after the step before acted.
+    """
+    return Step(cmd, fields, at_tick, after_s)
+
+
+@dataclass(frozen=True, slots=True)
+class StepReceipt:
+    """What became of a step."""
+
+    step: Step
+    # "applied"; "pressed": a stop without a receipt; "refused", "cancelled", "superseded";
+    # "scheduled" or "staged" while that is open; "unknown": nobody answered; "not sent"
+    result: str = "not sent"
+    tick: int = 0  # of the servo, from which it acts; 0 if it did not
+    revision: int = 0  # that it made, by which telemetry is joined
+    text: str = ""  # why it did not act
+    guard: Mapping[str, Any] | None = None  # the guard's verdict on it
+
+    @property
+    def acted(self) -> bool:
+        """Whether the servo did it."""
+        return self.result in ("applied", "pressed")
+
+
+class Ask(NamedTuple):
+    """A request to carry out; the course takes its reply, or the error that it ended with."""
+
+    cmd: str
+    fields: Mapping[str, Any]
+
+
+class Pause(NamedTuple):
+    """Time to let pass."""
+
+    seconds: float
+
+
+Course = Generator[Ask | Pause, Any, tuple[StepReceipt, ...]]
+Part = Generator[Ask | Pause, Any, Any]
+
+
+class _EndedError(Exception):
+    """The sequence cannot go on: `cause` says why, `number` is the step at which."""
+
+    def __init__(self, cause: HapticdError, number: int) -> None:
+        super().__init__(str(cause))
+        self.cause = cause
+        self.number = number
+
+
+def course(
+    steps: Sequence[Step], at_refusal: AtRefusal, name: str, lead_s: float | None = None
+) -> Course:
+    """The requests and pauses of a sequence, for the client called `name`; at last a receipt for
+    each step.
+
+    CommandError: a step cannot be done, and nothing was sent; SequenceError: it ended early.
+    """
+    if lead_s is None:
+        lead_s = LEAD_S
+    if not 0.0 < lead_s <= LONGEST_LEAD_S:  # neither is nan
+        limit = f"outside 0..{LONGEST_LEAD_S:g} s; leave it out for {LEAD_S:g} s"
+        raise CommandError("invalid", f"lead_s = {lead_s}: {limit}")
+    hello = _reply((yield Ask("hello", {"name": name})))["result"]
+    status = _reply((yield Ask("status", {})))["result"]
+    if not status["servo_alive"]:
+        raise DaemonDown("no servo answers; start it with `hapticd run`, see `hapticd status`")
+    _check(steps, hello, status)
+    return (yield from _Run(steps, at_refusal, name, status, lead_s).whole())
+
+
+class _Run:
+    """A sequence under way."""
+
+    def __init__(
+        self,
+        steps: Sequence[Step],
+        at_refusal: AtRefusal,
+        name: str,
+        status: dict[str, Any],
+        lead_s: float,
+    ) -> None:
+        self._steps = steps
+        self._at_refusal = at_refusal
+        self._name = name
+        self._lead_s = lead_s
+        self._status = status
+        self._rate_hz = float(status["rate_hz"])
+        self._state = str(status["state"])  # in which the steps so far have left the servo
+        self._receipts = [StepReceipt(one) for one in steps]
+        self._open: dict[int, int] = {}  # steps that were scheduled, by number of their request
+        self._left = ""  # what was done to the display at the end, in words
+
+    def whole(self) -> Course:
+        """All steps; SequenceError as soon as one cannot be done."""
+        try:
+            last_slot = int(self._status["slot"])
+            for number, one in enumerate(self._steps):
+                last_slot = yield from self._step(number, one, last_slot)
+            yield from self._told(len(self._steps) - 1)
+        except _EndedError as ended:
+            yield from self._leave(ended)
+            raise self._error(ended) from ended.cause
+        return tuple(self._receipts)
+
+    def _step(self, number: int, one: Step, last_slot: int) -> Part:
+        """Do one step; the slot from which it acts or will act."""
+        due = one.at_tick + self._lost if one.at_tick else 0
+        if one.after_s:
+            due = last_slot + _ticks(one, self._rate_hz)
+        fields = dict(one.fields)
+        if due and one.cmd in TIMED:
+            yield from self._until(due - round(self._lead_s * self._rate_hz), number)
+            fields["at_tick"] = due - self._lost
+        else:
+            yield from self._told(number)
+            yield from self._until(due, number)
+        answer = yield Ask(one.cmd, fields)
+        self._take(number, answer)
+        if self._receipts[number].result == "staged":
+            yield from self._told(number)
+        if number in self._open.values():
+            return due
+        return (self._receipts[number].tick or int(self._status["tick"])) + self._lost
+
+    def _take(self, number: int, answer: Any) -> None:
+        """The reply to step `number`, or how asking for it ended."""
+        if isinstance(answer, HapticdError):
+            known = isinstance(answer, CommandError) and answer.code != "timeout"
+            guard = answer.guard if isinstance(answer, CommandError) else None
+            result, text = ("refused", str(answer)) if known else ("unknown", UNTOLD)
+            self._receipts[number] = StepReceipt(self._steps[number], result, 0, 0, text, guard)
+            raise _EndedError(answer, number)
+        receipt = answer if isinstance(answer, Receipt) else receipt_of(answer)
+        self._note(number, receipt.result, receipt.first_tick, receipt.revision, receipt.guard)
+        if receipt.result in OPEN:
+            self._open[answer["id"]] = number
+        elif receipt.state:
+            self._state = receipt.state
+
+    def _note(
+        self, number: int, result: str, tick: int, revision: int, guard: Mapping[str, Any] | None
+    ) -> None:
+        self._receipts[number] = StepReceipt(
+            self._steps[number], result, tick, revision, guard=guard
+        )
+
+    @property
+    def _lost(self) -> int:
+        """Slots that the servo lost so far: slot - tick."""
+        return int(self._status["slot"]) - int(self._status["tick"])
+
+    def _until(self, slot: int, number: int) -> Part:
+        """Until the servo is at `slot` and takes another scheduled change."""
+        while True:
+            yield from self._look(number)
+            full = len(self._open) >= MOST_AHEAD
+            free = min(self._receipts[one].tick for one in self._open.values()) if full else 0
+            left = max(slot, free + self._lost) - int(self._status["slot"])
+            if left <= 0 and not full:
+                return
+            yield Pause(min(LOOK_S, max(POLL_S, left / self._rate_hz)))
+
+    def _told(self, number: int) -> Part:
+        """Until what became of every step so far is known."""
+        began = int(self._status["tick"])
+        while self._open:
+            yield from self._look(number)
+            last = max([began, *(self._receipts[one].tick for one in self._open.values())])
+            left_s = (last - int(self._status["tick"])) / self._rate_hz
+            if self._open and left_s < -OVERDUE_S:
+                raise _EndedError(CommandError("timeout", UNTOLD), min(self._open.values()))
+            if self._open:
+                yield Pause(min(LOOK_S, max(POLL_S, left_s)))
+
+    def _look(self, number: int) -> Part:
+        """What the servo does by now, and what became of scheduled steps."""
+        answer = yield Ask("status", {})
+        if isinstance(answer, HapticdError):
+            raise _EndedError(answer, number)
+        before = self._status
+        self._status = answer["result"]
+        led_to = {_after(self._steps[one], self._state) for one in self._open.values()}
+        self._hear()
+        found = str(self._status["state"])
+        if not self._status["servo_alive"] or self._status["epoch"] != before["epoch"]:
+            raise _EndedError(DaemonDown("the servo ended, or was started anew"), number)
+        if found not in {self._state, *led_to}:
+            why = self._status.get("cause") or "see `hapticd status`"
+            reason = f"the servo is {found!r} and not {self._state!r}: {why}"
+            raise _EndedError(CommandError("stopped", reason), number)
+        self._state = found
+        if bad := [at for at in self._asked() if self._receipts[at].text]:
+            reason = self._receipts[bad[0]].text
+            raise _EndedError(CommandError("refused", reason), bad[0])
+
+    def _asked(self) -> list[int]:
+        """Steps that were sent."""
+        return [at for at, one in enumerate(self._receipts) if one.result != "not sent"]
+
+    def _hear(self) -> None:
+        """Later answers to steps that are open, from the events that the gateway keeps."""
+        for event in self._status["events"]:
+            mine = event["kind"] == "answer" and event["name"] == self._name
+            number = self._open.get(event.get("id")) if mine else None
+            if number is None or event["cmd"] != self._steps[number].cmd:
+                continue
+            result = str(event["result"])
+            goes_on = result in OPEN  # it waited for the guard, and is now scheduled
+            if not goes_on:
+                del self._open[event["id"]]
+            if goes_on or result == "applied":
+                place = event["first_tick"], event["revision"]
+                self._note(number, result, *place, event.get("guard"))
+                continue
+            text = event.get("text") or WHY.get(result, result)
+            self._receipts[number] = StepReceipt(self._steps[number], result, text=text)
+
+    def _leave(self, ended: _EndedError) -> Part:
+        """Leave the display as was asked for, and learn what became of scheduled steps."""
+        way = "stop" if isinstance(ended.cause, DaemonDown) else self._at_refusal
+        self._left = "nothing was done to the display"
+        if self._at_refusal != "hold":
+            answer = yield Ask(way, {})
+            failed = isinstance(answer, HapticdError)
+            self._left = f"{way} failed ({answer})" if failed else f"{way} was asked for"
+        for _ in range(round((self._lead_s + LOOK_S) / LOOK_S) + 1):
+            answer = yield Ask("status", {})
+            if isinstance(answer, HapticdError):
+                self._state = "unknown"
+                return
+            self._status = answer["result"]
+            self._state = str(self._status["state"])
+            self._hear()
+            if not self._open:
+                return
+            yield Pause(LOOK_S)
+
+    def _error(self, ended: _EndedError) -> SequenceError:
+        for number in self._open.values():
+            one = self._receipts[number]
+            self._receipts[number] = StepReceipt(one.step, "unknown", text=UNTOLD)
+        acted = [at + 1 for at, one in enumerate(self._receipts) if one.acted]
+        unknown = [at + 1 for at, one in enumerate(self._receipts) if one.result == "unknown"]
+        others = sorted({*range(1, len(self._steps) + 1)} - {*acted} - {*unknown})
+        parts = (("acted", acted), ("did not act", others), ("open", unknown))
+        told = ", ".join(f"{words}: {_numbers(some)}" for words, some in parts if some)
+        where = f"step {ended.number + 1} of {len(self._steps)} ({self._steps[ended.number]})"
+        code = ended.cause.code if isinstance(ended.cause, CommandError) else "servo_down"
+        return SequenceError(
+            code,
+            f"{where}: {ended.cause}; steps that {told}; {self._left}, the servo is"
+            f" {self._state!r}",
+            tuple(self._receipts),
+            self._state,
+        )
+
+
+def _numbers(some: Sequence[int]) -> str:
+    return ", ".join(map(str, some))
+
+
+def _reply(answer: Any) -> Any:
+    """An answer before anything was changed: errors are those of any request."""
+    if isinstance(answer, HapticdError):
+        raise answer
+    return answer
+
+
+def _check(steps: Sequence[Step], hello: dict[str, Any], status: dict[str, Any]) -> None:
+    """CommandError `invalid` with a line for each step that cannot be done; nothing was sent."""
+    from hapticd.gateway.limits import CommandLimits
+
+    limits = CommandLimits.announced(hello["servo"])
+    state = str(status["state"])
+    tick = int(status["tick"])
+    rate_hz = float(status["rate_hz"])
+    detail = []
+    for number, one in enumerate(steps, start=1):
+        faults = [_unlike(one, limits), _mistimed(one, tick), _barred(one, state)]
+        detail += [{"loc": f"step {number}", "msg": text} for text in faults if text]
+        state = _after(one, state)
+        tick = max(tick, one.at_tick or 0) + (0 if any(faults) else _ticks(one, rate_hz))
+    if detail:
+        lines = "; ".join(f"{item['loc']}: {item['msg']}" for item in detail)
+        raise CommandError("invalid", f"nothing was sent: {lines}", detail)
+
+
+def _ticks(one: Step, rate_hz: float) -> int:
+    """How long after the step before it acts."""
+    return round((one.after_s or 0.0) * rate_hz)
+
+
+def _unlike(one: Step, limits: Any) -> str:
+    """What is wrong with its command and fields."""
+    from hapticd.gateway.schemas import parse
+
+    if one.cmd not in STEPS:
+        return f"{one.cmd!r} is no step of a sequence; these are: {', '.join(STEPS)}"
+    if one.cmd == "perturb" and one.fields.get("action") == "load":
+        return "a waveform is loaded before the sequence, with `perturb_load`"
+    try:
+        parse({"cmd": one.cmd, **one.fields}, limits)
+    except CommandError as error:
+        return str(error)
+    return ""
+
+
+def _mistimed(one: Step, tick: int) -> str:
+    """What is wrong with its time, the steps before it being done by `tick`."""
+    if one.at_tick is not None and one.after_s is not None:
+        return "at_tick and after_s: a step has one time; leave one of them out"
+    if one.at_tick is not None and one.at_tick <= tick:
+        return (
+            f"at_tick = {one.at_tick}: that tick, or the step before it, comes at {tick} or later"
+        )
+    if one.after_s is not None and not (isfinite(one.after_s) and one.after_s >= 0.0):
+        return f"after_s = {one.after_s}: a time in seconds, 0 or more"
+    return ""
+
+
+def _barred(one: Step, state: str) -> str:
+    """Why a servo in that state would refuse it."""
+    from hapticd.gateway.commands import ALLOWED
+
+    allowed = [each.name.lower() for each in ALLOWED.get(one.cmd, ())]
+    if not allowed or state in allowed or one.fields.get("action") == "stop":
+        return ""
+    return f"{one} needs {' or '.join(allowed)}, and by then the servo is {state}"
+
+
+def _after(one: Step, state: str) -> str:
+    """The state that a servo in `state` has after it."""
+    latched = state in ("stopped", "fault")
+    after = {"enable": "enabled", "reset": "disabled"}
+    if one.cmd == "stop":
+        return "fault" if state == "fault" else "stopped"
+    return "disabled" if one.cmd == "disable" and not latched else after.get(one.cmd, state)

@@ -1,0 +1,163 @@
+"""Telemetry as a client follows it: where it comes from (`Line`), and what is made of it
+(`Watching`).
+
+A line is a place that a SUB socket connects to: the socket file of a daemon of this computer
+(`client`), or the port of one on another (`listener`). What is read of it is the same.
+
+What would break it: use from several threads, since a ZeroMQ socket belongs to one.
+"""
+
+import time
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, Self
+
+import msgpack
+import zmq
+
+from hapticd.client.conversation import heard_with
+from hapticd.errors import HapticdError
+
+if TYPE_CHECKING:
+    from hapticd.client.blocks import Block, Records
+
+MESSAGES_QUEUED = 10_000  # per subscription, before ZeroMQ drops the newest
+IDLE_MS = 100
+
+
+class Line:
+    """Subscriptions at one place; each kind of place says where it is and what silence means."""
+
+    def __init__(self) -> None:
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+
+    def close(self) -> None:
+        """Close all sockets; may be called twice."""
+        self._context.destroy(linger=0)
+
+    def listen(self, topic: str, timeout_s: float) -> Generator[bytes, None, None]:
+        """Payloads of exactly `topic`. After silence for `timeout_s` the error that explains it."""
+        with self._subscribed(heard_with(topic)) as socket:
+            while socket.poll(round(1000 * timeout_s)):
+                name, payload = socket.recv_multipart()
+                if name == topic.encode():  # ZeroMQ matches prefixes: `servo` brings `servo.raw`
+                    yield payload
+            raise self._quiet(topic, timeout_s)
+
+    def listen_all(
+        self, topics: Sequence[str], look_s: float
+    ) -> Generator[tuple[str, bytes] | None, None, None]:
+        """(topic, payload) of several topics as they come, None after each look; it never ends.
+
+        It looks every `look_s` and sleeps in between: being woken by every message costs more than
+        taking them. With 0 it is woken, and a look ends when nothing comes for IDLE_MS.
+        """
+        wanted = {topic.encode(): topic for topic in topics}
+        with self._subscribed(set(topics)) as socket:
+            socket.setsockopt(zmq.RCVTIMEO, IDLE_MS)
+            while True:
+                if look_s:
+                    time.sleep(look_s)
+                with suppress(zmq.Again):
+                    while True:
+                        name = socket.recv(zmq.NOBLOCK if look_s else 0)
+                        payload = socket.recv()  # a message is there as a whole
+                        if name in wanted:
+                            yield wanted[name], payload
+                yield None
+
+    @contextmanager
+    def _subscribed(self, topics: set[str]) -> "Iterator[zmq.Socket[bytes]]":
+        endpoint = self._endpoint()
+        socket = self._context.socket(zmq.SUB)
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.RCVHWM, MESSAGES_QUEUED)
+        for topic in topics:
+            socket.setsockopt_string(zmq.SUBSCRIBE, topic)
+        try:
+            self._prepare(socket)
+            socket.connect(endpoint)
+            yield socket
+        finally:
+            self._release(socket)
+            socket.close()
+
+    def _endpoint(self) -> str:
+        """Where to connect. DaemonDown: nobody is there."""
+        raise NotImplementedError
+
+    def _prepare(self, socket: "zmq.Socket[bytes]") -> None:
+        """What a socket needs before it connects: nothing, on this computer."""
+
+    def _release(self, socket: "zmq.Socket[bytes]") -> None:
+        """Close what `_prepare` has opened."""
+
+    def _quiet(self, topic: str, timeout_s: float) -> HapticdError:
+        """The error for a topic of which nothing came."""
+        raise NotImplementedError
+
+
+class Watching:
+    """Streams and messages of a line, for whoever has one; a context that closes it."""
+
+    _line: Line
+    _timeout_s: float  # of silence
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give up the connection; may be called twice."""
+        self._line.close()
+
+    def stream(
+        self, topic: str = "servo.raw", seconds: float | None = None, count: int | None = None
+    ) -> "Generator[Block, None, None]":
+        """Blocks of `servo.raw` (one record a tick) or `probe` (4 kHz) as they come: see Block.
+
+        `seconds` of recorded time or `count` records, the last block cut to fit; without either,
+        until you stop. DaemonDown when nothing comes for the client's time-out; ConfigError for a
+        topic without blocks (see `listen`).
+        """
+        from hapticd.client.blocks import Excerpt
+
+        excerpt = Excerpt(topic, seconds, count)
+        for payload in self._payloads(topic):
+            block = excerpt.next(payload)
+            if len(block.records):
+                yield block
+            if excerpt.complete:
+                return
+
+    def record(self, seconds: float, topic: str = "servo.raw") -> "tuple[Records, int]":
+        """All records of the next `seconds` in one structured array (n,), and how many were lost
+        on the way. Of a slot that the servo lost (its counter `lost_slots`) there is no record.
+        """
+        from hapticd.client.blocks import concatenated
+
+        return concatenated(list(self.stream(topic, seconds=seconds)))
+
+    def listen(self, topic: str) -> Generator[Any, None, None]:
+        """Decoded messages of `state`, `event` or `servo` as they come.
+
+        DaemonDown when the daemon is silent for the client's time-out.
+        """
+        for payload in self._payloads(topic):
+            yield msgpack.unpackb(payload)
+
+    def _payloads(self, topic: str) -> Generator[bytes, None, None]:
+        """What is published under `topic`, as it comes; after silence the error that says why."""
+        return self._line.listen(topic, self._timeout_s)
+
+    def messages(
+        self, topics: Sequence[str], look_s: float = 0.05
+    ) -> Generator[tuple[str, bytes] | None, None, None]:
+        """Raw (topic, payload) of several topics, endlessly; None after each look.
+
+        A look every `look_s` takes all that came meanwhile; with 0 each comes at once, and None
+        after a silence.
+        """
+        yield from self._line.listen_all(topics, look_s)
