@@ -68,6 +68,7 @@ from hapticd.analysis.covariances import detrended, same_length
 from hapticd.analysis.impedance import Estimator, impedance
 from hapticd.analysis.spectra import Spectra
 from hapticd.errors import AnalysisError
+from hapticd.units import percent
 
 FLAT_SHARE = 1e-4  # of all samples, at the end value
 FLAT_BELOW = 0.02  # of the end value: so far below it others are counted
@@ -169,11 +170,11 @@ def _saturation(
     at = np.flatnonzero(size >= top * (1.0 - 1e-9))
     if top <= 0.0 or not at.size or (limit is None and not _is_flat(size, top, at)):
         return ()
-    share = 100.0 * at.size / size.size
+    share = at.size / size.size
     return (
         Finding(
             "saturation",
-            f"{name} saturated at {top:.4g} {unit} in {share:.2g} % of the samples; {remedy}",
+            f"{name} saturated at {top:.4g} {unit} in {percent(share)} of the samples; {remedy}",
             voids=True,
         ),
     )
@@ -217,9 +218,11 @@ def _dropout(what: str, where: Flags) -> tuple[Finding, ...]:
     if not where.any():
         return ()
     message = (
-        f"{what} in {100.0 * where.mean():.2g} % of the record, from {where.argmax()} s on; cut"
-        " that out, or repeat the trial"
+        f"{what} in {percent(where.mean())} of the record, from {where.argmax()} s on; cut that"
+        " out, or repeat the trial"
     )
+    if where.all():
+        message = f"{what} in the whole record; perturb the device while it records"
     return (Finding("dropout", message, voids=True),)
 
 
@@ -301,7 +304,7 @@ def _incoherent(
     if not low.any():
         return ()
     message = (
-        f"low coherence: below {LOW_COHERENCE:g} at {100 * low.mean():.2g} % of the frequencies,"
+        f"low coherence: below {LOW_COHERENCE:g} at {percent(low.mean())} of the frequencies,"
         f" from {frequency_hz[low][0]:.3g} to {frequency_hz[low][-1]:.3g} Hz; perturb more strongly"
         " there or record longer"
     )
@@ -424,7 +427,7 @@ def leakage_findings(
     f = trial.frequency_hz[inside]
     worst = int(np.argmax(np.where(named, low, 0.0)))
     message = (
-        f"leakage: |Z| reads about {100 * low[worst]:.2g} % low at {f[worst]:.3g} Hz and the phase"
+        f"leakage: |Z| reads about {percent(low[worst])} low at {f[worst]:.3g} Hz and the phase"
         f" is pulled {abs(np.degrees(np.angle(factor[worst]))):.2g} deg towards 0, from"
         f" {f[named][0]:.3g} to {f[named][-1]:.3g} Hz more than {100 * LOW_SHARE:g} %: a window of"
         f" {trial.lag} samples does not resolve so lightly damped a motion; take a longer window"

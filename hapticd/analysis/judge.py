@@ -21,11 +21,9 @@ from hapticd.analysis.displays import Display, Point, display_of
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.plane import plane
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
-from hapticd.analysis.theorem import lift, lifted_worst
 from hapticd.analysis.words import Verdicts, doubling, in_words, sentence
 from hapticd.errors import AnalysisError
 from hapticd.params import GuardSetup
-from hapticd.plant.model import Model
 
 
 class Judge:
@@ -126,9 +124,9 @@ class Judge:
         if self.theorem is None:
             return {"hand": None}
         display = display_of(request["display"], self.setup.environment)
-        model = self.theorem.late(self._delay(request.get("delay_periods")))
+        delay = self._delay(request.get("delay_periods"))
         found = [
-            self._shakers(model, point, display, in_wall=place == 1)
+            self._shakers(self.theorem, delay, point, display, in_wall=place == 1)
             for place, point in enumerate(display.points())
             if point[0] >= 0.0
         ]
@@ -137,22 +135,22 @@ class Judge:
 
     @staticmethod
     def _shakers(
-        model: Model, point: Point, display: Display, in_wall: bool
+        theorem: Theorem, delay: float, point: Point, display: Display, in_wall: bool
     ) -> list[dict[str, Any]]:
         """Hands that shake it: where the motion should grow fastest, and where the most damping is
         missing, for neither is always the one that shakes it hardest.
         """
         level = display.added_ns_per_m
         filters = display.filters
-        at = np.array([point])
-        worst = lifted_worst(lift(model, level, filters), at[0], model.rate_hz)
+        model = theorem.late(delay)
+        worst = theorem.reading(point, Conditions(level, filters, delay, 0.0))
         found: list[dict[str, Any]] = []
         for at_hz in (None, worst.worst_hz):
             shaker = shaking_hand(model, point, level, filters, at_hz=at_hz)
             if shaker is None:
                 continue
             hand, hz = shaker
-            radius = float(coupled_radius(model, at, [hand], level, filters)[0, 0])
+            radius = float(coupled_radius(model, np.array([point]), [hand], level, filters)[0, 0])
             if radius > GROWS:
                 grows = doubling(radius, model.rate_hz)
                 how = {"hz": hz, "radius": radius, "growth": f"its motion {grows}"}

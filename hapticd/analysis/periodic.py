@@ -31,6 +31,7 @@ from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.findings import Finding
 from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.errors import AnalysisError
+from hapticd.units import percent
 
 LEAST_POWER = 1e-9  # of a harmonic's force over the strongest one: below, it is not excited
 CHANGING = (
@@ -126,7 +127,7 @@ def periodic(
     f, v = (_harmonics(signal) for signal in (force, velocity))
     if (share := _changing(f)) > CHANGING:
         raise AnalysisError(
-            f"the force does not repeat from period to period ({100 * share:.2g} % of it changes):"
+            f"the force does not repeat from period to period ({percent(share)} of it changes):"
             " samples were lost, or it is no multisine of that period; record it again"
         )
     return _spectra(f, v, rate_hz, force.shape[2])
@@ -187,13 +188,13 @@ def periodic_findings(trial: PeriodicSpectra, band_hz: tuple[float, float]) -> t
         return ()
     if trial.periods == 1:
         message = (
-            f"noise or nonlinear distortion: realisations scatter by {100 * total:.2g} %; more of"
+            f"noise or nonlinear distortion: realisations scatter by {percent(total)}; more of"
             " them make the interval shorter, and two periods of each would tell which it is"
         )
         return (Finding("scatter", message),)
     message = (
-        f"nonlinear distortion: realisations scatter by {100 * total:.2g} %, periods of one by"
-        f" {100 * noise:.2g} %; more realisations make the interval shorter, more periods do not"
+        f"nonlinear distortion: realisations scatter by {percent(total)}, periods of one by"
+        f" {percent(noise)}; more realisations make the interval shorter, more periods do not"
     )
     return (Finding("distortion", message),)
 

@@ -4,7 +4,8 @@ Each scale of a device file says when and at which board it was measured (`Scale
 measured with the device rests on those of position and force, of active damping where it has any,
 of the probe and the winding's temperature where it relies on them, and of the compensated
 resistance where it has that. A calibration is in doubt when its table has no date, when it is older
-than the device file's `calibration_days`, dated after today, or of another board than the device's.
+than the device file's `calibration_days`, dated after today, of another board than the device's, or
+found with a scale of force that has changed since: active damping is weighed in newtons.
 A simulated device is what its file says: nothing is asked for.
 
 What would break it: a scale that is used and not listed here.
@@ -17,6 +18,9 @@ from typing import Any
 
 from hapticd.errors import AnalysisError
 from hapticd.params import CALIBRATION_DAYS
+from hapticd.wire.codec import I16_HIGHEST
+
+SAME_SCALE = 0.01  # relative: what a gain that is measured again may differ by
 
 STEPS = {
     "position": "encoder",
@@ -76,8 +80,22 @@ def doubts(
     return tuple(
         CalibrationDoubt(table, reason)
         for table, scale in used_scales(device, probed).items()
-        for reason in _reasons(scale, str(device["serial"]), most, day)
+        for reason in (
+            *_reasons(scale, str(device["serial"]), most, day),
+            *_outlived(table, device),
+        )
     )
+
+
+def _outlived(table: str, device: Mapping[str, Any]) -> Iterator[str]:
+    """Why the active damping of `device` does not go with its scale of force."""
+    then_n = float(device.get("damping_with_force_n", 0.0))
+    now_n = float(device["force"]["per_count"]) * I16_HIGHEST
+    if table == "damping" and then_n and abs(now_n - then_n) > SAME_SCALE * then_n:
+        yield (
+            f"it was found with a scale of force of {then_n:g} N at full count, which is"
+            f" {now_n:.6g} N now"
+        )
 
 
 def _reasons(scale: Mapping[str, Any], serial: str, most: int, day: datetime.date) -> Iterator[str]:

@@ -54,7 +54,10 @@ from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 TEXT = "checkpoint_text"
 STANDING = 4096  # rows that a small group may have beyond its longest column
 # what h5py and numpy say where a file is damaged
-_UNREADABLE = (OSError, RuntimeError, LookupError, ValueError, TypeError, MemoryError)
+_UNREADABLE = (
+    *(OSError, RuntimeError, LookupError, ValueError, TypeError, MemoryError),
+    OverflowError,  # an address beyond what a file has, where `Unattended` seeks it
+)
 # fields of a record since 0.2: an older recording lacks them, and `records` leaves them out
 ADDED = frozenset(
     {

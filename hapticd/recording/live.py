@@ -31,7 +31,8 @@ from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.errors import HapticdError
 from hapticd.gateway.telemetry import PROBE_DESCR as PROBE
 from hapticd.gateway.telemetry import TICK_DESCR as TICKS
-from hapticd.mailbox.layout import COMMAND_VALUES
+from hapticd.mailbox.client_side import Noted
+from hapticd.mailbox.layout import COMMAND_VALUES, VALUE_LIMITS, Command, Value
 from hapticd.recording.provenance import needed
 from hapticd.units import NS_PER_S, unit_of
 
@@ -46,6 +47,7 @@ SUFFIX = ".part.h5"
 TOPICS = ("servo.raw", "probe", "event", "flight")
 STREAMS = {"servo.raw": "servo", "probe": "probe"}  # topic: group
 TEXT_BYTES = 128  # of an event
+LONGEST_TEXT = 60_000  # bytes of an attribute; 65,535 is what HDF5 puts into a header
 
 
 class Channel(NamedTuple):
@@ -107,11 +109,12 @@ def udunits(name: str) -> str:
 
 def of_fixed_length(value: Any) -> Any:
     """`value` of an attribute, text as UTF-8 of a fixed length: what may have any length lies in a
-    heap without a checksum, and HDF5 reads a damaged heap for ever.
+    heap without a checksum, and HDF5 reads a damaged heap for ever, or dies of it. Only text that
+    is too long for a header stays as it is.
     """
-    if not isinstance(value, str):
+    data = value.encode() if isinstance(value, str) else b""
+    if not isinstance(value, str) or len(data) > LONGEST_TEXT:
         return value
-    data = value.encode()
     return np.array(data, f"S{max(1, len(data))}")
 
 
@@ -251,6 +254,13 @@ def _integers(*names: str) -> list[Channel]:
 
 
 REQUEST = ("tick", "seq", "kind", "actor", "apply_tick")
+# by place and name, so that they sort by place: value_02_stiffness
+VALUES = tuple(f"value_{int(place):02}_{place.name.lower()}" for place in Value)
+assert len(VALUES) == COMMAND_VALUES
+# requests that are rows of `event` too: of the others the change of state is one
+CHANGES = frozenset(
+    (Command.SET, Command.DAMPING, Command.ZERO, Command.PERTURB_START, Command.PERTURB_STOP)
+)
 GROUPS: dict[str, list[Channel]] = {
     "servo": channels(TICKS),
     "probe": channels(PROBE),
@@ -267,10 +277,22 @@ GROUPS: dict[str, list[Channel]] = {
     "checkpoint_text": [Channel("bytes", "u1", 0, "")],
     "request": [
         *_integers("epoch", *REQUEST),
-        *(Channel(f"value_{place:02}", "<f8", 0, "") for place in range(COMMAND_VALUES)),
+        *(Channel(name, "<f8", 0, "") for name in VALUES),
     ],
     "break": _integers("epoch", "tick"),
 }
+
+
+class Newest(NamedTuple):
+    """The newest record of a block."""
+
+    tick: int
+    unix_ns: int
+    period_ns: float  # from tick to tick, the mean of the block
+
+    def unix_s(self, tick: int) -> float:
+        """The time of another tick, counted from this one."""
+        return (self.unix_ns + (tick - self.tick) * self.period_ns) / NS_PER_S
 
 
 class Writer:
@@ -290,6 +312,7 @@ class Writer:
             name: [] for name in GROUPS if name not in STREAMS.values()
         }
         self._epoch: int | None = None
+        self._newest = Newest(0, 0, 0.0)
         self.missing = dict.fromkeys(STREAMS, 0)
         self.first_ns = 0  # time of the first record that was taken
         self.last_ns = 0  # and of the newest
@@ -317,9 +340,27 @@ class Writer:
             lost, checkpoint = (
                 [] if content[one] is None else [content[one]] for one in ("break", "checkpoint")
             )
-            found = replay_rows(content["epoch"], content["requests"], lost, checkpoint)
+            requests = [Noted(*one) for one in content["requests"]]
+            found = replay_rows(content["epoch"], requests, lost, checkpoint)
+            found["event"] = self._changes(requests)
         for name, rows in found.items():
             self._small[name] += rows
+
+    def _changes(self, requests: Iterable[Noted]) -> list[dict[str, Any]]:
+        """Rows of `event` for the requests that changed what is rendered, damped or played; their
+        time is that of their tick, counted from the newest record.
+        """
+        return [
+            {
+                "timestamp": self._newest.unix_s(noted.tick),
+                "tick": noted.tick,
+                "kind": Command(noted.kind).name.lower(),
+                "fault": "",
+                "text": change_words(noted.values).encode()[:TEXT_BYTES],
+            }
+            for noted in requests
+            if noted.kind in CHANGES
+        ]
 
     def _stream(self, topic: str, block: Block) -> None:
         if self._seconds is not None and self.first_ns:
@@ -342,6 +383,7 @@ class Writer:
         if topic == "servo.raw":
             self.first_ns = self.first_ns or int(block.records["time_ns"][0])
             self.last_ns = int(block.records["time_ns"][-1])
+            self._newest = _newest(block)
         self._rows[topic] += len(block.records)
         self._blocks[topic].append(block)
 
@@ -361,6 +403,13 @@ class Writer:
                 if name == "checkpoint":
                     self.file.append("checkpoint_text", {"bytes": texts(rows)})
         self.file.flush()
+
+
+def _newest(block: Block) -> Newest:
+    first_tick, last_tick = block.records["tick"][[0, -1]].tolist()
+    first_ns, last_ns = block.records["time_ns"][[0, -1]].tolist()
+    period_ns = (last_ns - first_ns) / max(1, last_tick - first_tick)
+    return Newest(last_tick, last_ns + block.header["mono_unix_offset_ns"], period_ns)
 
 
 def table(group: str, rows: list[dict[str, Any]]) -> Columns:
@@ -391,7 +440,7 @@ def replay_rows(
             {
                 "epoch": epoch,
                 **dict(zip(REQUEST, numbers, strict=True)),
-                **{f"value_{n:02}": one for n, one in enumerate(values)},
+                **dict(zip(VALUES, values, strict=True)),
             }
             for *numbers, values in requests
         ],
@@ -401,6 +450,15 @@ def replay_rows(
             for tick, text in packed
         ],
     }
+
+
+def change_words(values: Sequence[float]) -> str:
+    """What a command with these values asks for: `stiffness=100 N/m, ramp_s=0.05 s`."""
+    mask = int(values[Value.MASK])
+    asked = [place for place in Value if place != Value.MASK and mask >> place & 1]
+    limits = {place: VALUE_LIMITS.get(place) for place in asked}
+    units = {place: f" {limit.unit}" if limit else "" for place, limit in limits.items()}
+    return ", ".join(f"{place.name.lower()}={values[place]:.6g}{units[place]}" for place in asked)
 
 
 def event_row(event: dict[str, Any]) -> dict[str, Any]:

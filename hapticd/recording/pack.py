@@ -27,7 +27,7 @@ import numpy as np
 from hapticd.errors import AnalysisError, ConfigError, HapticdError
 from hapticd.recording.energy import DATASETS, GROUP, energies
 from hapticd.recording.file import Recording, open_recording
-from hapticd.recording.live import SUFFIX
+from hapticd.recording.live import SUFFIX, of_fixed_length
 from hapticd.recording.provenance import needed
 from hapticd.recording.stretch import remark, stretch
 from hapticd.units import NS_PER_S
@@ -36,6 +36,7 @@ CHUNK_ROWS = 4096
 ROWS_AT_ONCE = 1 << 18  # copied from the source
 STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 FINAL = ".h5"
+JOULE = of_fixed_length("J")
 LINES_AT_ONCE = 10_000  # of a text file
 GROUPS = ("servo", "probe", GROUP, "event", "gap", "life")  # of a MATLAB file
 FRAMES = ("in_frame", "out_frame")  # not in a text file
@@ -81,17 +82,28 @@ def summary(recording: Recording) -> dict[str, Any]:
         "probe_samples": recording.rows["probe"],
         "seconds": (ends[1] - ends[0]) / NS_PER_S,
         "missing": recording.missing,
+        "lost_slots": _lost_slots(recording),
         "lives": recording.rows["life"],
         "simulated": bool(recording.attributes["simulated"]),
     }
 
 
+def _lost_slots(recording: Recording) -> int:
+    """Periods without a tick, since the host came late; the counter of each life begins at 0."""
+    counts = recording.column("servo", "lost_slots").astype(np.int64)
+    more = np.diff(counts)
+    return int(np.where(more < 0, counts[1:], more).sum())
+
+
 def _write(file: Any, recording: Recording, found: dict[str, Any], recovered: bool) -> None:
-    for name, value in recording.attributes.items():
-        file.attrs[name] = value
-    file.attrs["recovered"] = int(recovered)
-    file.attrs["packed_utc"] = datetime.now(UTC).isoformat()
-    file.attrs["summary"] = json.dumps(found)
+    about = {
+        **recording.attributes,
+        "recovered": int(recovered),
+        "packed_utc": datetime.now(UTC).isoformat(),
+        "summary": json.dumps(found),
+    }
+    for name, value in about.items():
+        file.attrs[name] = of_fixed_length(value)
     for group, rows in recording.rows.items():
         target = file.create_group(group)
         for name in recording.names(group):
@@ -108,7 +120,7 @@ def _write_energy(file: Any, recording: Recording) -> None:
     target = file.create_group(GROUP)
     for name, column in zip(DATASETS, sums.T, strict=True):
         storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, len(column)),)} if len(column) else {}
-        target.create_dataset(name, data=column, **storage).attrs["units"] = "J"
+        target.create_dataset(name, data=column, **storage).attrs["units"] = JOULE
 
 
 def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -> None:
@@ -117,7 +129,7 @@ def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -
     # HDF5 makes no chunks of nothing
     storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, rows), *shape[1:])} if rows else {}
     dataset = target.create_dataset(name, shape, first.dtype, **storage)
-    dataset.attrs["units"] = recording.unit(group, name)
+    dataset.attrs["units"] = of_fixed_length(recording.unit(group, name))
     for begin in range(0, rows, ROWS_AT_ONCE):
         end = min(begin + ROWS_AT_ONCE, rows)
         dataset[begin:end] = recording.column(group, name, begin, end)

@@ -34,12 +34,19 @@ class ReplayResult:
     replayed: NDArray[np.void]  # (n,), the same fields
     segments: Sequence[tuple[int, int]]  # (first row, row after the last) of each
     first_difference: Difference | None  # None: bit-exact
+    left_out: int = 0  # recorded ticks before a checkpoint, from which a replay begins
 
     @property
     def time_s(self) -> NDArray[np.float64]:
         """Seconds from the first record that was replayed (n,)."""
         time_ns = self.recorded["time_ns"]
         return np.asarray((time_ns - time_ns[0]) / NS_PER_S)
+
+    @property
+    def first_force_tick(self) -> int | None:
+        """The tick from which on the force is another one; None: it never is."""
+        changed = np.flatnonzero(self.recorded["force_n"] != self.replayed["force_n"])
+        return int(self.recorded["tick"][changed[0]]) if changed.size else None
 
     def to_json(self) -> dict[str, Any]:
         """Counts, the first difference, and rms and peak of both forces [N]."""
@@ -49,6 +56,8 @@ class ReplayResult:
         return {
             "ticks": len(self.replayed),
             "legs": len(self.segments),
+            "left_out": self.left_out,
+            "first_force_tick": self.first_force_tick,
             "bit_exact": first is None,
             "first_difference": None if first is None else _named(first),
             "force_rms_n": {
@@ -79,7 +88,9 @@ def replay_recording(
     params = recording.params
     replayed = np.concatenate([replay(params, segment, instead) for segment in segments])
     edges = np.cumsum([0, *(len(segment.records) for segment in segments)]).tolist()
-    return ReplayResult(recorded, replayed, list(pairwise(edges)), difference(recorded, replayed))
+    left_out = recording.rows["servo"] - len(recorded)
+    first = difference(recorded, replayed)
+    return ReplayResult(recorded, replayed, list(pairwise(edges)), first, left_out)
 
 
 def _named(first: Difference) -> dict[str, Any]:

@@ -70,8 +70,10 @@ def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = Fa
     """
 
     def record(trial: Trial, tell: Progress = silent) -> TrialRecord:
+        servo = bench.hello()["servo"]
+        doubtful = doubts(servo, datetime.date.today(), probed=True)
         if not uncalibrated:
-            refuse_doubts(_doubts(bench))
+            refuse_doubts(doubtful)
         state = bench.status()["state"]
         if state != "disabled":
             raise AnalysisError(
@@ -80,7 +82,7 @@ def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = Fa
             )
         stiffness, damping, mass = trial.environment
         waveform = _waveform(trial)
-        _refuse_stronger(bench, trial, waveform)
+        _refuse_stronger(servo, trial, waveform)
         lease = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
         lease.take()
         try:
@@ -92,15 +94,11 @@ def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = Fa
             bench.perturb_start(
                 loop=waveform.size < PROBE_RATE_HZ * (trial.seconds + SPARE_S)
             )  # if we are killed, it ends
-            return LiveRecording(bench, trial, lease).recorded(origin, tell)
+            return LiveRecording(bench, servo, doubtful, trial, lease).recorded(origin, tell)
         finally:
             _leave(bench, lease)
 
     return record
-
-
-def _doubts(bench: Client) -> tuple[CalibrationDoubt, ...]:
-    return doubts(bench.hello()["servo"], datetime.date.today(), probed=True)
 
 
 def _waveform(trial: Trial) -> Floats:
@@ -119,9 +117,9 @@ def _waveform(trial: Trial) -> Floats:
     return marked(force_n) if trial.mark else force_n
 
 
-def _refuse_stronger(bench: Client, trial: Trial, waveform: Floats) -> None:
+def _refuse_stronger(servo: Mapping[str, Any], trial: Trial, waveform: Floats) -> None:
     """AnalysisError where the probe of the device may not push as hard as `waveform` (n,) [N]."""
-    limit_n = float(bench.hello()["servo"]["device"]["probe_limit_n"])
+    limit_n = float(servo["device"]["probe_limit_n"])
     peak_n = float(np.abs(waveform).max())
     if peak_n <= limit_n:
         return
@@ -156,13 +154,22 @@ class LiveRecording:
     say.
     """
 
-    def __init__(self, daemon: Client, trial: Trial, lease: ClientLease) -> None:
+    def __init__(
+        self,
+        daemon: Client,
+        servo: Mapping[str, Any],
+        doubtful: tuple[CalibrationDoubt, ...],
+        trial: Trial,
+        lease: ClientLease,
+    ) -> None:
+        """`servo` is what its hello says, `doubtful` the calibrations not to be relied on."""
         self._lease = lease
         self._renewed = 0  # samples
-        servo = daemon.hello()["servo"]
         ends = servo["environment"]["workspace"]
         self._limit_n = min(servo["safety"]["force_limit_n"], servo["device"]["force_limit_n"])
         self._daemon = daemon
+        self._doubtful = doubtful
+        self._certificate = certificate_of(servo)
         self._seconds = trial.seconds
         self._marked = trial.mark
         watch = replace(
@@ -273,8 +280,8 @@ class LiveRecording:
             else None,
             "guard_policy": "off" if "measuring" in status["leases"] else None,
             "config_hash": status.get("config_hash", ""),
-            "calibration_doubts": [str(one) for one in _doubts(self._daemon)],
-            "certificate": certificate_of(self._daemon.hello()["servo"]),
+            "calibration_doubts": [str(one) for one in self._doubtful],
+            "certificate": self._certificate,
         }
 
     def _mark(self, settle: int) -> dict[str, int]:

@@ -2,7 +2,8 @@
 
 `LockStepBench` is a `hapticd.client.Client` whose calls go straight to the servo. Telemetry goes
 the whole way: frames of the board, the gateway's decoder, its messages, the client's decoder. What
-is left out are sockets and processes.
+is left out are sockets and processes, and so the guard. Time goes on only while records are asked
+for. `virtual_board` makes one of a configuration.
 
 `run_lockstep` is one trial of a scene. The stack comes up as after `hapticd run`: enabled at rest
 and the gain ramped to 1. Then, at one tick, the perturbation starts and the scene's damping steps
@@ -26,16 +27,19 @@ from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client
 from hapticd.client.conversation import Receipt
-from hapticd.errors import AnalysisError, CommandError, LinkError
+from hapticd.errors import AnalysisError, CommandError, ConfigError, LinkError
 from hapticd.faults import BY_NUMBER
 from hapticd.gateway.commands import ACCEPTED, posting, receipt
 from hapticd.gateway.leases import MEASURING
 from hapticd.gateway.schemas import ADAPTER, LeaseRequest
 from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
 from hapticd.gateway.view import Records, as_records
+from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
 from hapticd.params import BoardParams, ServoParams, to_plain
 from hapticd.servo.plan import masked_places
+from hapticd.settings.build import board_params, servo_params
+from hapticd.settings.load import load
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.zwidth.live import signals
@@ -43,6 +47,8 @@ from hapticd.zwidth.live import signals
 READY_TICKS = 5
 MOST_S = PERTURBATION_SAMPLES / PROBE_RATE_HZ
 BLOCK_TICKS = 500
+LISTENED_TICKS = 20  # a block, as the gateway publishes them
+RECORDED = ("servo.raw", "probe")
 ALONE = 16  # the actor that a gateway's first client is
 
 
@@ -138,10 +144,16 @@ class LockStepBench(Client):
         self, topics: Sequence[str], look_s: float = 0.05
     ) -> Generator[tuple[str, bytes] | None, None, None]:
         """Payloads of "servo.raw" and "probe", as far as asked, while time goes on; for ever."""
+        yield from self._published(topics, BLOCK_TICKS)
+
+    def _published(
+        self, topics: Sequence[str], ticks: int
+    ) -> Generator[tuple[str, bytes] | None, None, None]:
+        """The same, in blocks of so many ticks."""
         probe = ProbeDecoder(self._servo.device)
         origin = Origin(0, 0, self._servo.simulated)
         while True:
-            data = self.run(BLOCK_TICKS)
+            data = self.run(ticks)
             block = RingBlock(1, self._seen, 0, data, as_records(data))
             self._seen += len(block.records)
             if "servo.raw" in topics:
@@ -150,11 +162,32 @@ class LockStepBench(Client):
                 yield from (("probe", payload) for payload in probe.messages(block, origin))
             yield None
 
+    def _payloads(self, topic: str) -> Generator[bytes, None, None]:
+        """Blocks of "servo.raw" or "probe", while time goes on. ConfigError for what only a gateway
+        publishes.
+        """
+        if topic not in RECORDED:
+            raise ConfigError(f"{topic}: on virtual time there are {' and '.join(RECORDED)} alone")
+        for found in self._published((topic,), LISTENED_TICKS):
+            if found is not None:
+                yield found[1]
+
     def run(self, ticks: int) -> bytes:
         """Run as `LockStep.run` does, and keep the newest record."""
         data = self.stack.run(ticks)
         self.newest = as_records(data[-RECORD.size :])[-1]
         return data
+
+
+def virtual_board(config: Path | None = None) -> LockStepBench:
+    """The simulated board of the configuration `config` (None: the shipped one) with its servo, on
+    virtual time; a Client, ready and disabled. ConfigError for the configuration of a real board.
+    """
+    settings = load(config)
+    board = board_params(settings)
+    if board is None:
+        raise ConfigError(f"{settings.device_file} is a real board's; virtual time needs another")
+    return LockStepBench(servo_params(settings, DEFAULT_INSTANCE), board)
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,12 +32,14 @@ import numpy as np
 from pydantic_core import to_jsonable_python
 
 from hapticd.analysis.arrays import Floats
-from hapticd.errors import ConfigError
+from hapticd.errors import AnalysisError, ConfigError
+from hapticd.faults import BY_CODE
 
 SUMMARY = "run.json"
 RECORD_H5 = "record.h5"
 RECORD_NPZ = "record.npz"
 IMPEDANCE = "impedance.csv"
+FIGURE_KINDS = ("png", "svg", "pdf")  # the files of each figure
 FIGURES = (
     "trial",
     "trial_admittance",
@@ -54,7 +56,14 @@ OF_A_RUN = (
     RECORD_H5,
     RECORD_NPZ,
     IMPEDANCE,
-    *(f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")),
+    *(f"{name}.{kind}" for name in FIGURES for kind in FIGURE_KINDS),
+)
+# how a trial ends that grew by itself: seen by the sentinel, or by the servo, which tells the cause
+RAN_AWAY = (
+    "escape",
+    f"fault: {BY_CODE['overspeed'].cause}",
+    f"fault: {BY_CODE['energy'].cause}",
+    f"fault: {BY_CODE['force_at_limit'].cause}",
 )
 Progress = Callable[[str, int, int], None]  # of what is done, how many are done, and of how many
 MARK_SAMPLE = "mark_sample"  # of the record, at which the mark of the perturbation begins
@@ -151,11 +160,17 @@ class TrialRecord:
         return self.force_n.size / self.rate_hz
 
 
-def end_remedy(ended: str) -> str:
-    """Remedy after a trial that was too short because it ended so; "" where the reason brings
-    its own.
-    """
-    return "; go nearer to 0" if ended.startswith(("escape", "saturation", "fault")) else ""
+def too_short(seconds: float, ended: str) -> AnalysisError:
+    """The error for a trial that `ended` so after `seconds` and has no spectrum to judge."""
+    what = f"ended after {seconds:.3g} s ({ended}): too short for a verdict"
+    if ended.startswith(RAN_AWAY):
+        return AnalysisError(
+            f"{what}; an environment that runs away by itself is unstable: its limit is found from"
+            " below, with a smaller K, B or M or more damping"
+        )
+    if ended.startswith("saturation"):
+        return AnalysisError(f"{what}; take a weaker perturbation, or a smaller K, B or M")
+    return AnalysisError(what)
 
 
 def fingerprint(value: Any) -> str:

@@ -25,6 +25,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats, Integers
 from hapticd.errors import AnalysisError
+from hapticd.units import percent
 
 GAP = 10.0  # periods between two rounded times; fewer are those of rounding
 ROUNDED = 0.005  # share of steps of 0 from which on times count as rounded
@@ -154,7 +155,7 @@ def _placed(rate_hz: float, place: Integers, steps: Floats) -> Sampling:
     lost = total - place.size
     if lost > MOST_MISSING * total:
         raise AnalysisError(
-            f"{lost} of {total} samples are missing, {100.0 * lost / total:.2g} %: {_uneven(steps)}"
+            f"{lost} of {total} samples are missing, {percent(lost / total)}: {_uneven(steps)}"
         )
     return Sampling(rate_hz, place if lost else None)
 

@@ -74,10 +74,10 @@ from hapticd.zwidth.store import (
     Progress,
     Steps,
     TrialRecord,
-    end_remedy,
     fingerprint,
     record_path,
     silent,
+    too_short,
     write_run,
 )
 from hapticd.zwidth.watch import AT_LIMIT, COUNTS, loss_findings, summed
@@ -146,10 +146,7 @@ def record_multisines(
             break
     steps.end()
     if not whole:
-        raise AnalysisError(
-            f"ended after {found.seconds:.3g} s ({found.ended}): too short for a"
-            f" verdict{end_remedy(found.ended)}"
-        )
+        raise too_short(found.seconds, found.ended)
     return _joined(whole, layout, found.ended, again)
 
 
@@ -393,10 +390,7 @@ def _verdict(plan: TrialPlan, recorded: TrialRecord, spectra: Spectra, record: R
 def _windowed(params: TrialParams, recorded: TrialRecord) -> Spectra:
     least_s = SHORTEST_WINDOWS * params.lag / recorded.rate_hz
     if recorded.ended and recorded.seconds < least_s:
-        raise AnalysisError(
-            f"ended after {recorded.seconds:.3g} s ({recorded.ended}): too short for a"
-            f" verdict{end_remedy(recorded.ended)}"
-        )
+        raise too_short(recorded.seconds, recorded.ended)
     if recorded.seconds < least_s:
         raise AnalysisError(
             f"{recorded.origin}: {recorded.seconds:.3g} s are too short for a verdict with a window"

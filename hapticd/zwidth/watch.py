@@ -57,6 +57,7 @@ from hapticd.analysis.findings import ESCAPE_RATIO, Finding
 from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
+from hapticd.units import percent
 from hapticd.zwidth.store import TrialRecord
 
 BRIDGED = 40  # samples at most: 10 ms
@@ -143,7 +144,7 @@ def loss_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
 def _lost(code: str, what: str, lost: int, total: int, so: str, remedy: str) -> Finding:
     share = lost / total
     void = f"; above {100 * MOST_LOST:g} % nothing is decided" if share > MOST_LOST else ""
-    words = f"{what} lost: {lost} of {total}, {100.0 * share:.2g} %; {so}{void}: {remedy}"
+    words = f"{what} lost: {lost} of {total}, {percent(share)}; {so}{void}: {remedy}"
     return Finding(code, words, voids=share > MOST_LOST)
 
 
@@ -256,8 +257,8 @@ class Sentinel:
             share = float(np.mean(np.abs(signal) >= limit))
             if share > SATURATED_SHARE:
                 self.reason = (
-                    f"saturation: {name} at its end of {limit:.4g} in {100 * share:.2g} % of a"
-                    " second's samples"
+                    f"saturation: {name} at its end of {limit:.4g} in {percent(share)} of the"
+                    " samples of a second"
                 )
         if self._at_limit:
             self.reason = self._at_its_limit(pushed)
