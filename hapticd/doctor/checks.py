@@ -513,6 +513,22 @@ def swap(machine: Machine, asked: Requirements) -> CheckResult:
     )
 
 
+def load(machine: Machine, asked: Requirements) -> CheckResult:
+    """Without real-time rights a second without a processor is the fault gateway_lost."""
+    name = "load"
+    text = (machine.text("proc/loadavg") or "").split()
+    if not text:
+        return ok(name, "not told")
+    wanted = float(text[0])
+    count = len(machine.cores)
+    found = f"{wanted:g} programs at once in the last minute, for {count} cores"
+    if wanted <= count:
+        return ok(name, found)
+    why = "gateway, guard and page have no real-time rights: they wait, and after a second without"
+    why += " the gateway the servo takes the force away (fault gateway_lost)"
+    return warn(name, found, why, "close other programs while the device is enabled")
+
+
 # --- usb: is the board there, may we open it, does it stay awake ----------------------------------
 
 RULES = ("etc/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d", "run/udev/rules.d")
@@ -721,7 +737,7 @@ Check = Callable[[Machine, Requirements], CheckResult]
 CHECKS: tuple[Check, ...] = (  # in the order in which a person reads them
     *(group, rtprio, memlock, rttime, c_states),
     *(governor, smt, cores, isolation, clock_source, mitigations),
-    *(timers, tickless, preemption, irq_priority, irq_sharing, throttling, rt_group, swap),
+    *(timers, tickless, preemption, irq_priority, irq_sharing, throttling, rt_group, swap, load),
     *(board, permission, autosuspend, udev_rule),
     *(transport, disk, runtime_folder, keys),
 )

@@ -33,7 +33,7 @@ from hapticd.params import ScaleParams
 from hapticd.rig.damping_line import FACTOR, LEVELS, REFUSE, concluded
 from hapticd.rig.glide import Balance, Row, balance, row_of
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_verified
+from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.motor import allowed_n, await_rest
 from hapticd.rig.push import push, ready
 from hapticd.rig.records import collect, servo_rate_hz
@@ -114,12 +114,7 @@ class Rig:
         return scheduled
 
     def _check(self) -> None:
-        status = self.bench.status()
-        if status["state"] != "enabled":
-            raise AnalysisError(
-                f"force ended meanwhile (the servo is {status['state']}: {status['cause']});"
-                " repeat the step"
-            )
+        require_force(self.bench.status())
 
     def _turn(self, at_m: float) -> None:
         """The next push goes to the other side, or back when the handle strayed."""

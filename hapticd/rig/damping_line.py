@@ -34,7 +34,7 @@ from hapticd.rig.result import (
     rounded,
     settled,
 )
-from hapticd.wire.codec import U16_HIGHEST
+from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 
 LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit
 LEAST_LEVELS = 3
@@ -81,7 +81,9 @@ def concluded(
         _gain(found.gain),
         _loop(found, top),
     ]
-    changes = _changes(gain, physical, top)
+    with_n = float(device["force"]["per_count"]) * I16_HIGHEST
+    resting = Change("damping", "with_force_full_scale_n", float(f"{with_n:.6g}"))
+    changes = [*_changes(gain, physical, top), resting]
     return StepResult("damping", values, said, changes if settled(said) else (), arrays or {})
 
 

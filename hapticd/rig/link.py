@@ -110,6 +110,22 @@ def require_disabled(bench: Client) -> None:
         )
 
 
+def require_force(status: Mapping[str, Any]) -> None:
+    """AnalysisError with the cause if the servo of `status` is not enabled any more."""
+    if status["state"] != "enabled":
+        raise force_ended(status)
+
+
+def force_ended(status: Mapping[str, Any]) -> AnalysisError:
+    """The error for a step whose force has ended, with the cause that `status` names."""
+    cause = f": {status['cause']}" if status.get("cause") else ""
+    remedy = f"; {status['remedy']}" if status.get("remedy") else ""
+    return AnalysisError(
+        f"force ended meanwhile (the servo is {status['state']}{cause}){remedy}; then repeat the"
+        " step"
+    )
+
+
 def require_verified(servo: Mapping[str, Any], what: str) -> None:
     """AnalysisError that says `what` while the signs of the device of the hello's `servo` are not
     verified.

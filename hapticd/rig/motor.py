@@ -34,7 +34,7 @@ from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.params import COMMISSIONING_SHARE, MOST_CORRECTION
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_verified
+from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import LOOK_S, Pushed, push, ready, wall_of
 from hapticd.rig.records import collect, identity_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
@@ -215,10 +215,9 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
             ask(Request("hang", f"hang {mass_kg:g} kg and let go of the handle", mass_kg))
             drawn_n = DRAWN_SHARE * limit_n(servo)
             readings.append([settled_n(bench, side * drawn_n) for side in (1.0, -1.0)])
-        state = bench.status()["state"]
+        status = bench.status()
     ask(Request("let go", "take the masses off and let go of the handle"))
-    if state != "enabled":
-        raise AnalysisError(f"force ended meanwhile (the servo is {state}); repeat the step")
+    require_force(status)
     device = servo["device"]
     return concluded(weights, np.array(readings), masses, device["force"], most_of(device))
 
@@ -250,8 +249,9 @@ def _refuse(servo: dict[str, Any], masses: Masses) -> None:
     heaviest_n = float(masses.weights_n.max())
     if heaviest_n > MOST_SHARE * limit_n(servo):
         raise AnalysisError(
-            f"{max(masses.kilograms):g} kg pulls with {heaviest_n:.3g} N, and of"
-            f" {limit_n(servo):g} N only {MOST_SHARE:g} may be used; hang less, or is it in grams?"
+            f"{max(masses.kilograms):g} kg pulls with {heaviest_n:.3g} N, more than"
+            f" {MOST_SHARE:g} of the {limit_n(servo):g} N that may be commanded; hang less, or is"
+            " it in grams?"
         )
 
 

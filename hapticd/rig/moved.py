@@ -22,9 +22,8 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.delivered import SIMPSON, WINDOW
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_verified
+from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import ready
 from hapticd.rig.records import collect
 
@@ -104,12 +103,7 @@ def moved(
         ask(Request("shake", f"from now on: {words}", seconds))
         for _ in range(round(seconds / PIECE_S)):
             pieces.append(collect(bench, PIECE_S).records)
-            status = bench.status()
-            if status["state"] != "enabled":
-                raise AnalysisError(
-                    f"force ended meanwhile (the servo is {status['state']}: {status['cause']});"
-                    " repeat the step"
-                )
+            require_force(bench.status())
             if not seen(pieces[-1]):
                 break
     return pieces

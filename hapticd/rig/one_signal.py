@@ -7,7 +7,7 @@ H_v / H_t, whatever the signal is. Its phase is
 
 and next orders, f^3 of interpolation and anti-aliasing, 1/f^3 of corners that are not far below,
 are fitted besides. d > 0: the velocity is that of d later than the force of the same sample
-(`zwidth trial --skew` takes it out). A mismatch turns a spring into a damper: Z = K/jw is turned by
+(`zwidth trial live` takes it out). A mismatch turns a spring into a damper: Z = K/jw is turned by
 -phi, so that at f_min, the lowest frequency that is judged, it seems to have the damping
 
     -K sin(phi - 2 pi f d) / (2 pi f_min)
@@ -27,7 +27,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
-from hapticd.rig.result import UPPER_END, Finding, Value
+from hapticd.rig.result import UPPER_END, Change, Finding, Value, rounded
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 SECONDS = 30.0
@@ -39,6 +39,7 @@ LEAST_COUNTS = 20.0  # rms in the band, of a signal that says something
 LEAST_COHERENT = 0.5  # share of the velocity channel's power that is the torque channel's
 MOST_SKEW = 0.1  # of a sample: 9 degrees at 1 kHz
 MOST_DAMPING_NS_PER_M = 0.05
+SKEW = "probe skew"
 
 
 @dataclass(frozen=True)
@@ -120,9 +121,14 @@ def values(found: Phase, judged: Judged) -> list[Value]:
     half = per_radian * cos(angle) * found.half(of)
     # the zero crossing of a line is where it is: what its interpolation adds to a delay is in f^3
     return [
-        Value("probe skew", skew, "us", skew - skew_half, skew + skew_half),
+        Value(SKEW, skew, "us", skew - skew_half, skew + skew_half),
         Value("high-pass mismatch", damping, "N s/m", damping - half, damping + half),
     ]
+
+
+def change(skew: Value) -> Change:
+    """`skew` into the device file."""
+    return Change("probe_velocity", "skew_us", rounded(skew.value, skew.low, skew.high))
 
 
 def findings(skew: Value, mismatch: Value, judged: Judged) -> list[Finding]:
@@ -131,7 +137,7 @@ def findings(skew: Value, mismatch: Value, judged: Judged) -> list[Finding]:
     what = f"the velocity is sampled {skew.value:.3g} us after the force, {share:.2g} of a sample"
     said = [Finding(what, "ok")]
     if abs(share) > MOST_SKEW:
-        remedy = f"sample both together, or take it out: --skew {skew.value / US_PER_S:.3g}"
+        remedy = "sample both together; until then live trials take it out, as the device file says"
         said = [Finding(what, "warning", remedy)]
     what = (
         f"unequal high-passes look like {mismatch.value:.3g} N s/m on a spring of"

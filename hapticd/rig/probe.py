@@ -160,7 +160,11 @@ def concluded(
         findings += [_believable(name, one, device[name]) for name, one in gains.items()]
         values += [*_of_gains(gains), *_of_rest(taken.rest, gains)]
         if settled(findings):
-            changes = [*_changes(gains, values), *_within_reach(values, device["probe_limit_n"])]
+            changes = [
+                *_changes(gains, values),
+                *_skews(values),
+                *_within_reach(values, device["probe_limit_n"]),
+            ]
     return StepResult("probe", values, findings, changes, _arrays(taken))
 
 
@@ -306,6 +310,10 @@ def _changes(gains: Mapping[str, Gain], values: list[Value]) -> list[Change]:
     signs = [Change(name, "sign", 1 if one.per_count > 0.0 else -1) for name, one in gains.items()]
     written = [one for one in values if one.name.split(".")[0] in gains and "." in one.name]
     return signs + [change_of(one) for one in written]
+
+
+def _skews(values: list[Value]) -> list[Change]:
+    return [one_signal.change(one) for one in values if one.name == one_signal.SKEW]
 
 
 def _within_reach(values: list[Value], limit_n: float) -> list[Change]:

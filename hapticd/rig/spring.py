@@ -24,9 +24,8 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_verified
+from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.motor import (
     MOST_RESIDUAL,
     REPEATS,
@@ -89,9 +88,8 @@ def measure(bench: Client, ask: Ask, spring: Spring) -> StepResult:
     with ready(bench):
         start_m = float(collect(bench, READ_S).records["position_m"].mean())
         loops = [_loop(bench, side * most_n, start_m) for side in (1.0, -1.0)]
-        state = bench.status()["state"]
-    if state != "enabled":
-        raise AnalysisError(f"force ended meanwhile (the servo is {state}); repeat the step")
+        status = bench.status()
+    require_force(status)
     ask(Request("let go", "take the spring off and let go"))
     rests = np.array(loops).reshape(-1, 2, 2)
     device = servo["device"]
@@ -163,9 +161,8 @@ def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> St
         readings = [
             [settled_n(bench, side * drawn_n) for side in (1.0, -1.0)] for _ in range(repeats)
         ]
-        state = bench.status()["state"]
-    if state != "enabled":
-        raise AnalysisError(f"force ended meanwhile (the servo is {state}); repeat the step")
+        status = bench.status()
+    require_force(status)
     return offset_concluded(np.array(readings), servo["device"]["force"])
 
 

@@ -17,6 +17,7 @@ from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
 from hapticd.errors import AnalysisError, DaemonDown
 from hapticd.mailbox.layout import State
+from hapticd.rig.link import force_ended
 from hapticd.rig.records import SILENT_LOOKS, TICKS
 from hapticd.units import PROBE_RATE_HZ
 
@@ -99,11 +100,7 @@ def _same_life(block: Block) -> None:
 def inside(bench: Client, ticks: Records, travel: Travel) -> None:
     """AnalysisError where force has ended, or the handle left `travel`."""
     if (ticks["state"] != State.ENABLED).any():
-        status = bench.status()
-        raise AnalysisError(
-            f"force ended meanwhile: the servo is {status['state']} ({status.get('cause', '')});"
-            " repeat the step"
-        )
+        raise force_ended(bench.status())
     low_m = float(ticks["position_m"].min())
     high_m = float(ticks["position_m"].max())
     if not travel.low_m <= low_m <= high_m <= travel.high_m:

@@ -72,11 +72,12 @@ def measure(bench: Client, ask: Ask, stated: Stated, with_shake: bool = True) ->
         text = f"warm the winding to {_named(stated, place)} and hold it there"
         ask(Request("warm", text, stated.celsius[place]))
         readings.append(_read(bench, device))
-    shaken = None
-    if with_shake:
-        text = f"from now on, for {SHAKE_S:g} s: shake the handle to and fro by some mm"
-        ask(Request("shake", text, SHAKE_S))
-        shaken = collect(bench, SHAKE_S).records
+    at_rest = concluded(np.array(readings), stated, device)
+    if not with_shake or not at_rest.settled:  # what is refused is not worth a shaken handle
+        return at_rest
+    text = f"from now on, for {SHAKE_S:g} s: shake the handle to and fro by some mm"
+    ask(Request("shake", text, SHAKE_S))
+    shaken = collect(bench, SHAKE_S).records
     return concluded(np.array(readings), stated, device, shaken)
 
 

@@ -29,7 +29,7 @@ from hapticd.client.client import Client
 from hapticd.errors import AnalysisError
 from hapticd.rig import back_emf
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_verified
+from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.motor import allowed_n, fitted
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect, servo_rate_hz
@@ -63,9 +63,8 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
         start_m = float(collect(bench, READ_S).records["position_m"].mean())
         forces = [side * level * most_n for side in (1.0, -1.0) for level in LEVELS]
         rests = np.array([_rest(bench, force, start_m) for force in forces])
-        state = bench.status()["state"]
-    if state != "enabled":
-        raise AnalysisError(f"force ended meanwhile (the servo is {state}); repeat the step")
+        status = bench.status()
+    require_force(status)
     ask(
         Request(
             "shake", f"move the handle to and fro by some mm for {SHAKE_S:g} s from now", SHAKE_S
