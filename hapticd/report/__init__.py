@@ -1,7 +1,8 @@
 """Figures and tables from results. They draw what they are given; nothing here drives a device,
 prints or opens a window.
 
-style        colours, lines and axes that all figures share; `save` writes PNG and SVG
+style        colours, lines and axes that all figures share; `save` writes PNG, SVG and PDF
+paper        a finished figure at the width of a column: type, panels, legend, words
 trial        one trial: impedance with its interval, escape, replayed recordings
 envelope     the Z-width envelope and which environments own its edges
 passive_set  maps, limits, directed search, walls

@@ -46,7 +46,7 @@ from hapticd.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
-from hapticd.report.table import Cell, Table, duration, percent, shown, table
+from hapticd.report.table import Cell, Table, changed, duration, shown, table
 from hapticd.report.trial import Curve, Trace, draw, draw_traces, dress
 from hapticd.study.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
 from hapticd.study.effects import EffectsResult, LeftOut
@@ -388,7 +388,7 @@ def effects_table(result: EffectsResult) -> Table:
         [
             name,
             *(row.numbers.get(each, nan) for each in names),
-            row.note or percent(row.change),
+            row.note or changed(row.change),
             row.method,
             duration(row.cost_s),
         ]
@@ -409,15 +409,15 @@ def effects_words(result: EffectsResult) -> str:
     left_out = [key for key in candidates(params.scene) if key not in kept]
     if not left_out:
         return (
-            f"Every effect changes {params.question} by more than {percent(params.tolerance)}: keep"
+            f"Every effect changes {params.question} by more than {changed(params.tolerance)}: keep"
             " them all."
         )
     before = result.whole[1].cost_s
     after = result.proposal.cost_s
     return (
-        f"For {params.question} within {percent(params.tolerance)} keep"
+        f"For {params.question} within {changed(params.tolerance)} keep"
         f" {', '.join(kept) or 'none'}. Without {', '.join(left_out)} the answer changes by"
-        f" {percent(result.proposal.change)} together, and a simulated second costs"
+        f" {changed(result.proposal.change)} together, and a simulated second costs"
         f" {duration(after)} instead of {duration(before)}."
     )
 
@@ -441,7 +441,7 @@ def effects_figure(result: EffectsResult) -> Figure:
         hatch=hatches,
     )
     axis.axvline(params.tolerance, color=RED)
-    words = f"tolerance {percent(params.tolerance)}"
+    words = f"tolerance {changed(params.tolerance)}"
     axis.text(
         1.05 * params.tolerance, len(rows) - 0.45, words, color=RED, va="bottom", fontsize=SMALL_PT
     )
@@ -450,7 +450,7 @@ def effects_figure(result: EffectsResult) -> Figure:
         ylim=(-0.6, len(rows) + 0.2),
         xlabel=f"change of {params.question} when left out",
     )
-    axis.set_xticks(TICKS, [percent(tick) for tick in TICKS])
+    axis.set_xticks(TICKS, [changed(tick) for tick in TICKS])
     kinds = (
         ("kept", BLUE, ""),
         ("left out", DROPPED, ""),
@@ -486,7 +486,7 @@ def _bars(
 def _changed(row: LeftOut) -> str:
     if row.note:
         return "cannot be left out"
-    return "the answer is gone" if row.change == inf else percent(row.change)
+    return "the answer is gone" if row.change == inf else changed(row.change)
 
 
 # --- what accuracy costs in time ------------------------------------------------------------------

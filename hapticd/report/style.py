@@ -13,8 +13,8 @@ marks mean.
 
 A tinted band about a line is its interval of 95 %. Colours are Okabe and Ito's (2008), distinct to
 every eye; whatever a colour means, a line style or a marker means as well. Figures are drawn
-without a window and kept as PNG to look at and SVG to print; the same data give the same bytes, for
-SVG carries no date and no random names.
+without a window and kept as PNG of 300 dpi, SVG and PDF; the same data give the same bytes, for
+none of them carries a date or random names. A width in print is `paper.fit`.
 
 What would break it: a figure that chooses colours of its own, or one that is drawn outside
 `styled`.
@@ -32,6 +32,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.errors import ConfigError
 from hapticd.params import ADDED_DAMPING_NS_PER_M
+from hapticd.zwidth.store import FIGURE_KINDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -75,12 +76,13 @@ NOT_JUDGED = "#e9e9e9"
 LOWEST_HZ = 1e-3
 HIGHEST_HZ = 1e6
 
+PNG_DPI = 300  # of a journal, for figures with type
 WIDTH_IN = 6.69  # 17 cm, two columns: type keeps its size in print
 SMALL_PT = 8.0  # nothing is smaller
 BELOW: Look = {"loc": "outside lower center", "frameon": False}  # a legend
 STYLE: Any = {
     "figure.dpi": 110,
-    "savefig.dpi": 110,
+    "savefig.dpi": PNG_DPI,
     "font.size": 9.5,
     "axes.titlesize": 9.5,
     "axes.labelsize": 9.5,
@@ -102,6 +104,12 @@ STYLE: Any = {
     "errorbar.capsize": 3,
     "svg.hashsalt": "hapticd",
     "svg.fonttype": "none",
+    "pdf.fonttype": 42,  # TrueType: journals refuse Type 3
+}
+UNDATED: dict[str, dict[str, Any]] = {
+    ".png": {"Software": None},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
 }
 FINE = ((1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
 ROUND = ((1.0,), *FINE)
@@ -157,19 +165,35 @@ def mosaic(
     return figure, figure.subplot_mosaic(panels, **more)
 
 
-def save(figure: Figure, folder: Path, name: str) -> tuple[Path, Path]:
-    """NAME.png and NAME.svg in `folder`, which is made. ConfigError if it cannot be written to."""
-    paths = folder / f"{name}.png", folder / f"{name}.svg"
+def save(
+    figure: Figure, folder: Path, name: str, width_mm: float | None = None
+) -> tuple[Path, ...]:
+    """NAME.png, NAME.svg and NAME.pdf in `folder`, which is made; as wide as `width_mm` [mm], or as
+    it was drawn. The same figure gives the same bytes. ConfigError if it cannot be written to.
+    """
+    paths = tuple(folder / f"{name}.{kind}" for kind in FIGURE_KINDS)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with styled():
-            figure.savefig(paths[0], metadata={"Software": None})
-            figure.savefig(paths[1], metadata={"Date": None})
+            _settle(figure, width_mm)
+            for path in paths:
+                figure.savefig(path, metadata=UNDATED[path.suffix])
     except OSError as error:
         raise ConfigError(
             f"{folder}: {error.strerror}; name a folder that you may write to with --out"
         ) from error
     return paths
+
+
+def _settle(figure: Figure, width_mm: float | None) -> None:
+    """Arrange the figure, once for all files."""
+    from hapticd.report.paper import fit  # which takes looks from here
+
+    if width_mm is None:
+        figure.draw_without_rendering()
+    else:
+        fit(figure, width_mm)
+    figure.set_layout_engine("none")
 
 
 def simulated(device: str, seconds: float, more: str = "") -> str:

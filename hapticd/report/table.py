@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from math import inf, isnan
 from textwrap import wrap
 
+from hapticd.units import percent
+
 DIGITS = 3
 WIDEST_LAST = 70  # characters of the last column
 GAP = "  "
@@ -64,13 +66,13 @@ def shown(cell: Cell) -> str:
     return f"{cell:.{DIGITS}g}" if abs(cell) < 1000.0 else f"{cell:,.0f}"
 
 
-def percent(share: float) -> str:
+def changed(share: float) -> str:
     """A relative change in words."""
     if share == inf:
         return "all"
     if share < NONE:
         return "0 %"
-    return f"{100.0 * share:.2g} %" if share < 1.0 else f"{100.0 * share:.0f} %"
+    return percent(share)
 
 
 def duration(seconds: float) -> str:

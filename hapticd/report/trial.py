@@ -26,6 +26,7 @@ from hapticd.report.style import (
     BLACK,
     FINE,
     GREEN,
+    GREY,
     INTERVAL,
     MARKS,
     PREDICTED,
@@ -137,13 +138,17 @@ def trial_figure(
     view = ADMITTANCE if admittance else IMPEDANCE
     look = level_styles([result.plan.params.trial.damping_ns_per_m])[0]
     if result.recorded.ended.startswith("escape"):
-        return _escape(result, _title(result, view).rsplit("\n", 1)[0], look)
+        reason = result.recorded.ended.removeprefix("escape: ")
+        return _undrawn(result, view, f"ESCAPED, so there is no impedance to draw: {reason}")
+    z = result.measured
+    seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1]) & (z.coherence > 0.0)
+    if not seen.any():
+        why = "no impedance to draw: force and velocity have nothing in common at any frequency"
+        return _undrawn(result, view, why)
     figure, (size, phase, known) = axes(
         3, 1, 7.2, 8.4, _title(result, view), sharex=True, height_ratios=(2.2, 2.2, 1.0)
     )  # fmt: skip
-    z = result.measured
     worst = result.verdict.margin_deg
-    seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1]) & (z.coherence > 0.0)
     f = z.frequency_hz[seen]
     draw(
         size,
@@ -232,14 +237,13 @@ def draw_traces(places: Sequence[Axes], panels: Sequence[tuple[str, Sequence[Tra
     places[-1].figure.align_ylabels(places)
 
 
-def _escape(result: TrialResult, title: str, look: Look) -> Figure:
+def _undrawn(result: TrialResult, view: View, why: str) -> Figure:
+    """Force and velocity over time, for `why` there is no spectrum of them."""
     recorded = result.recorded
+    title = _title(result, view).rsplit("\n", 1)[0]
+    look = level_styles([result.plan.params.trial.damping_ns_per_m])[0]
     line = {"color": look["color"], "linewidth": 0.6, "rasterized": True}
-    why = fill(
-        f"ESCAPED, so there is no impedance to draw: {recorded.ended.removeprefix('escape: ')}",
-        REASON_WIDTH,
-    )
-    figure, places = axes(2, 1, 7.2, 5.4, f"{title}\n{why}", sharex=True)
+    figure, places = axes(2, 1, 7.2, 5.4, f"{title}\n{fill(why, REASON_WIDTH)}", sharex=True)
     time_s = np.arange(recorded.force_n.size) / recorded.rate_hz
     channels = (
         ("force of the probe (N)", recorded.force_n),
@@ -256,7 +260,7 @@ def replay_figure(result: ReplayResult, title: str, changed: str = "replayed") -
     `changed`: what was held otherwise. ConfigError without matplotlib.
     """
     figure, places = axes(3, 1, 10.0, 8.0, title, sharex=True)
-    was = {"color": BLACK, "label": "recorded"}
+    was = {"color": GREY, "linewidth": 3.0, "label": "recorded"}  # seen below the other one
     would = {"color": GREEN, "linewidth": 0.9, "label": changed}
     time_s = result.time_s
     recorded = result.recorded["force_n"]

@@ -38,7 +38,7 @@ from hapticd.weir2008.figures import (  # fmt: skip
 from hapticd.weir2008.rows import PaperRow, rows
 from hapticd.weir2008.run import ReproduceResult
 from hapticd.weir2008.table import as_json, markdown, notes, paper_table, readings_table
-from hapticd.zwidth.store import Progress, Steps, silent
+from hapticd.zwidth.store import FIGURE_KINDS, Progress, Steps, silent
 
 WORDED = {
     "limits": (
@@ -230,16 +230,20 @@ def terminal(sections: Sequence[Section]) -> str:
 
 
 def keep(
-    sections: Sequence[Section], folder: Path, content: Mapping[str, Any], tell: Progress = silent
+    sections: Sequence[Section],
+    folder: Path,
+    content: Mapping[str, Any],
+    tell: Progress = silent,
+    width_mm: float | None = None,
 ) -> list[Path]:
     """Write it all into `folder`, which is made; `content` (quick, seeds, table, provenance)
-    becomes table.json. ConfigError.
+    becomes table.json, figures are `width_mm` [mm] wide or as drawn. ConfigError.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".unfinished-", dir=folder) as name:
             unfinished = Path(name)
-            _draw(sections, unfinished, tell)
+            _draw(sections, unfinished, width_mm, tell)
             _write(sections, unfinished, content)
             made = sorted(unfinished.iterdir())
             for name in _of_the_run_before(folder) - {file.name for file in made}:
@@ -256,16 +260,18 @@ def _of_the_run_before(folder: Path) -> set[str]:
     if not (folder / REPORT).is_file():
         return set()
     named = re.findall(r"\]\((\w+)\.png\)", (folder / REPORT).read_text(errors="replace"))
-    return {f"{name}.{kind}" for name in named for kind in ("png", "svg")}
+    return {f"{name}.{kind}" for name in named for kind in FIGURE_KINDS}
 
 
-def _draw(sections: Sequence[Section], folder: Path, tell: Progress) -> None:
+def _draw(
+    sections: Sequence[Section], folder: Path, width_mm: float | None, tell: Progress
+) -> None:
     drawings = [drawing for section in sections for drawing in section.drawings]
     steps = Steps(tell, len(drawings))
     for drawing in drawings:
         steps.next(f"drawing {drawing.name}")
         with style.styled():
-            style.save(drawing.draw(), folder, drawing.name)
+            style.save(drawing.draw(), folder, drawing.name, width_mm)
     steps.end()
 
 
