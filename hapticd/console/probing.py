@@ -2,8 +2,9 @@
 
 Force and velocity of the last WINDOW_S seconds go through the same estimator as those of a trial
 (`analysis.spectra`, `analysis.impedance`), with a wider window, twice a second, in a thread of its
-own. It says what is seen now; it is no verdict: the time is short, parameters may change within it,
-and nobody has judged the record.
+own with a client of its own. While nothing excites the device nobody asks for the probe. It says
+what is seen now; it is no verdict: the time is short, parameters may change within it, and nobody
+has judged the record.
 
 Samples that were lost are told, not mended: each gap spoils at most LAG of the products that are
 averaged. What would break it: a device that is excited by something that the probe does not see.
@@ -12,33 +13,37 @@ averaged. What would break it: a device that is excited by something that the pr
 import json
 import threading
 from collections.abc import Callable
+from contextlib import closing, suppress
 from typing import Any
 
 import numpy as np
 
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.spectra import spa
-from hapticd.client.blocks import Block
-from hapticd.errors import AnalysisError
+from hapticd.client.blocks import Block, BlockDecoder
+from hapticd.client.client import Client
+from hapticd.errors import AnalysisError, HapticdError
 from hapticd.units import PROBE_RATE_HZ
 
+PROBE = "probe"
 WINDOW_S = 5.0
 LEAST_S = 1.0
 EVERY_S = 0.5
 LAG = 512  # samples: a resolution of about 12 Hz
 FREQUENCIES_HZ = np.geomspace(8.0, 500.0, 60)
 COHERENT = 0.3  # lines of less coherence are not shown
-NOTHING = "nothing excites it: Noise, or play a waveform"
+NOTHING = "nothing excites it; try Noise"
 
 
 class Probing:
-    """Takes blocks of the topic `probe`; gives `publish` an estimate as text, twice a second."""
+    """Follows the topic `probe` of the daemon `instance` while something excites the device; gives
+    `publish` an estimate as text, twice a second.
+    """
 
-    def __init__(self, publish: Callable[[str], None]) -> None:
+    def __init__(self, instance: str, publish: Callable[[str], None]) -> None:
+        self._instance = instance
         self._publish = publish
-        self._lock = threading.Lock()
-        self._blocks: list[Block] = []
-        self._samples = 0
+        self._told: dict[str, Any] = {}
         self.excited = False  # whether a perturbation is played: set by who knows
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="probing", daemon=True)
@@ -49,29 +54,48 @@ class Probing:
         self._ending.set()
         self._thread.join()
 
-    def take(self, block: Block) -> None:
-        """Append a block; what is older than WINDOW_S falls."""
-        with self._lock:
-            if block.restarted or not self.excited:
-                self._blocks = []
-                self._samples = 0
-            self._blocks.append(block)
-            self._samples += len(block.records)
-            while self._samples - len(self._blocks[0].records) >= WINDOW_S * PROBE_RATE_HZ:
-                self._samples -= len(self._blocks.pop(0).records)
-
     def _run(self) -> None:
         while not self._ending.wait(EVERY_S):
-            with self._lock:
-                blocks = list(self._blocks)
-                samples = self._samples
-            if not self.excited:
-                told: dict[str, Any] = {"note": NOTHING}
-            elif samples < LEAST_S * PROBE_RATE_HZ:
-                told = {"note": "gathering samples"}
+            if self.excited:
+                with suppress(HapticdError):
+                    self._follow()
             else:
-                told = estimate(blocks)
+                self._tell({"note": NOTHING})
+
+    def _follow(self) -> None:
+        """While something excites the device. DaemonDown: there is no daemon."""
+        decoder = BlockDecoder()
+        blocks: list[Block] = []
+        with (
+            Client(self._instance, name="page") as client,
+            closing(client.messages((PROBE,), EVERY_S)) as messages,
+        ):
+            for message in messages:
+                if self._ending.is_set() or not self.excited:
+                    return
+                if message is None:
+                    self._tell(_told(blocks))
+                    continue
+                block = decoder.decode(message[1])
+                blocks = [] if block.restarted else blocks
+                blocks.append(block)
+                while _seconds(blocks[1:]) >= WINDOW_S:
+                    blocks.pop(0)
+
+    def _tell(self, told: dict[str, Any]) -> None:
+        if told != self._told:
+            self._told = told
             self._publish(json.dumps({"kind": "impedance", "told": told}))
+
+
+def _seconds(blocks: list[Block]) -> float:
+    return sum(len(block.records) for block in blocks) / PROBE_RATE_HZ
+
+
+def _told(blocks: list[Block]) -> dict[str, Any]:
+    if _seconds(blocks) < LEAST_S:
+        return {"note": "gathering samples"}
+    return estimate(blocks)
 
 
 def estimate(blocks: list[Block]) -> dict[str, Any]:

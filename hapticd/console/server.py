@@ -32,22 +32,27 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hapticd.client import fast_stop
+from hapticd.client.words import board_words
 from hapticd.console.asker import Asker
 from hapticd.console.outbox import Outbox
 from hapticd.console.place import Place
 from hapticd.console.plane import Planes
 from hapticd.console.probing import Probing
 from hapticd.console.recorder import Recorder
-from hapticd.console.visitors import Visitors
+from hapticd.console.visitors import STOP_PATH, Visitors
 from hapticd.console.watch import Watch
 from hapticd.errors import ConfigError, HapticdError
 from hapticd.mailbox.daemons import looked_for, read_report
+from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, servo_lives
 
 ADDRESS = "127.0.0.1"
 DEFAULT_PORT = 9873  # beside telemetry's; an ephemeral one when taken
 STATIC = Path(__file__).with_name("static")
 BOARDS = {True: "SIMULATED", False: "REAL BOARD", None: "NO BOARD YET"}
+NO_SERVO = "no servo runs; start it with `hapticd run`"
+LOOK_S = 0.5  # between looks for the board
 MOST_BYTES = 1 << 16  # of a message from a browser
+MOST_DIGITS = 10  # of an actor
 
 
 class Browser:
@@ -94,12 +99,13 @@ class Console:
         self._pages = 0
         self.recorder = Recorder(instance, Path.cwd(), lambda text: self.publish("recorder", text))
         self.stops = 0  # asked of this page
+        self.missing: str | None = None  # why there is no board; None: nobody has looked yet
 
     def app(self) -> Starlette:
         """The application that a web server runs."""
         routes = [
             Route("/", self.page),
-            Route("/stop", self.stop, methods=["POST"]),
+            Route(STOP_PATH, self.stop, methods=["POST"]),
             WebSocketRoute("/live", self.live),
             Mount("/static", StaticFiles(directory=STATIC)),
         ]
@@ -130,11 +136,14 @@ class Console:
         return HTMLResponse(text)
 
     async def stop(self, request: Request) -> Response:
-        """Press the stop word and ask the gateway, as `hapticd stop` does."""
+        """Press the stop word, as `hapticd stop` does, in the name of the page that asks: a stop is
+        its presser's to reset.
+        """
         self.stops += 1
         loop = asyncio.get_running_loop()
+        actor = _number(request.query_params.get("actor", ""))
         try:
-            found = await loop.run_in_executor(self._stopping, fast_stop.stop, self.instance)
+            found = await loop.run_in_executor(self._stopping, fast_stop.stop, self.instance, actor)
         except HapticdError as error:
             return JSONResponse({"ok": False, "text": str(error)}, 503)
         ok = not found.failed
@@ -188,6 +197,12 @@ class Console:
         browser.put("reply", json.dumps(told))
 
 
+def _number(text: str) -> int:
+    """The actor in the request of a page; of one that does not know its own, the stop word's."""
+    known = text.isdecimal() and len(text) <= MOST_DIGITS
+    return int(text) if known else ACTOR_STOP_WORD
+
+
 def _read(text: str) -> dict[str, Any]:
     """What a browser sent; one that sends anything else is disconnected."""
     try:
@@ -211,7 +226,8 @@ def bound(port: int | None, before: int | None) -> socket.socket:
     reason = ""
     wishes = [port] if port is not None else [before or DEFAULT_PORT, DEFAULT_PORT, 0]
     for wish in wishes:
-        line = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        # said to be TCP, or asyncio leaves Nagle's algorithm on, which holds answers back for 40 ms
+        line = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             line.bind((ADDRESS, wish))
@@ -240,6 +256,7 @@ def serve(
         log_config=None,
         access_log=False,
         lifespan="off",
+        proxy_headers=False,  # whose connection it is the kernel says, and no header
         ws_max_size=MOST_BYTES,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=1,
@@ -257,6 +274,20 @@ def serve(
         place.forget()
 
 
+async def _tell_board(console: Console) -> None:
+    """Say why there is no board, or no servo, as `hapticd status` does; for ever."""
+    while True:
+        try:
+            folder = console.folder()
+            told = board_words(read_report(folder)) if servo_lives(folder) else NO_SERVO
+        except (HapticdError, OSError) as error:
+            told = f"cannot look whether a servo runs: {error}"
+        if told != console.missing:
+            console.missing = told
+            console.publish("board", json.dumps({"kind": "board", "told": {"text": told}}))
+        await asyncio.sleep(LOOK_S)
+
+
 async def _serve(
     server: uvicorn.Server, console: Console, line: socket.socket, ready: Callable[[], None]
 ) -> None:
@@ -267,12 +298,14 @@ async def _serve(
 
     line.listen()
     planes = Planes(console.folder, lambda text: publish("plane", text))
-    probing = Probing(lambda text: publish("impedance", text))
+    probing = Probing(console.instance, lambda text: publish("impedance", text))
     watch = Watch(console.instance, publish, probing, planes)
+    board = asyncio.create_task(_tell_board(console))
     ready()
     try:
         await server.serve(sockets=[line])
     finally:
+        board.cancel()
         watch.close()
         probing.close()
         planes.close()

@@ -4,9 +4,9 @@ A frame is one binary message: the length of its header (u32, little-endian), th
 spaces up to a multiple of 8 bytes, then one column of float64 after another, one value a tick. A
 browser reads the columns as they lie. COLUMNS names them with their units; `now` in the header is
 the newest record's own values, as lamps and numbers show them. Everything else is JSON text:
-`state`, `event` and `guard` as published.
+`state`, `event` (with its `words`) and `guard` as published.
 
-Looked at every LOOK_S, so that what came together becomes one frame: 50 a second.
+Each block of the gateway becomes a frame when it comes: 50 a second.
 
 What would break it: anything that takes longer than a few milliseconds in `publish`, which runs in
 this thread; the gateway drops what is not taken within 100 messages.
@@ -21,30 +21,31 @@ from typing import Any
 
 import msgpack
 import numpy as np
+from numpy.typing import NDArray
 
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
+from hapticd.client.events import event_words
 from hapticd.console.plane import Planes
 from hapticd.console.probing import Probing
 from hapticd.errors import HapticdError
 from hapticd.faults import BY_NUMBER
-from hapticd.mailbox.layout import Flag, State
+from hapticd.mailbox.layout import State
 from hapticd.units import NS_PER_S
 from hapticd.wire.frames import IN_EFFECT, IN_OFFSETS
 
-LOOK_S = 0.02
 RETRY_S = 0.25  # between looks for a daemon that is not there
 TICKS = "servo.raw"
-PROBE = "probe"
-TOPICS = (TICKS, PROBE, "state", "event", "guard")
-COLUMNS = (  # name, fields of the record that are summed, factor
-    ("position_m", ("position_m",), 1.0),
-    ("velocity_m_per_s", ("velocity_m_per_s",), 1.0),
-    ("force_n", ("force_n",), 1.0),
-    ("damping_ns_per_m", ("damping_effect_ns_per_m",), 1.0),
-    ("wake_us", ("wake_ns",), 1e-3),
-    ("work_us", ("read_ns", "step_ns", "write_ns", "publish_ns"), 1e-3),
-)
+TOPICS = (TICKS, "state", "event", "guard")
+COLUMNS = {  # the fields of the record that are summed
+    "position_m": ("position_m",),
+    "velocity_m_per_s": ("velocity_m_per_s",),
+    "force_n": ("force_n",),
+    "damping_ns_per_m": ("damping_effect_ns_per_m",),
+    "wake_ns": ("wake_ns",),
+    "work_ns": ("read_ns", "step_ns", "write_ns", "publish_ns"),
+}
+NAMES = ("time_s", *COLUMNS)
 NOW = (
     "tick",
     "revision",
@@ -63,6 +64,7 @@ NOW = (
     "lost_slots",
     "perturbing",
 )
+STATES = {int(state): state.name.lower() for state in State}
 _LENGTH = struct.Struct("<I")
 Publish = Callable[[str, bytes | str], None]  # kind, and the message for browsers
 
@@ -70,30 +72,40 @@ Publish = Callable[[str, bytes | str], None]  # kind, and the message for browse
 def frame(block: Block) -> bytes:
     """The frame of a block with at least one record."""
     records = block.records
-    times_s = (records["time_ns"] + block.header["mono_unix_offset_ns"]) / NS_PER_S
     header = {
         "n": len(records),
-        "columns": ["time_s", *(name for name, *_ in COLUMNS)],
+        "columns": NAMES,
         "gap": block.gap,
         "restarted": block.restarted,
         "simulated": bool(block.header["simulated"]),
-        "late": int(np.count_nonzero(records["flags"] & Flag.LATE)),
         "now": _now(records[-1]),
     }
-    columns = [sum(records[field] for field in fields) * scale for _, fields, scale in COLUMNS]
     text = json.dumps(header).encode()
     text += b" " * (-(len(text) + _LENGTH.size) % 8)
-    data = np.array([times_s, *columns], "<f8")
-    return _LENGTH.pack(len(text)) + text + data.tobytes()
+    return _LENGTH.pack(len(text)) + text + _columns(block).tobytes()
 
 
-def _now(record: Any) -> dict[str, Any]:
-    numbers = {name: record[name].item() for name in NOW}
-    known = {name: value if value == value else None for name, value in numbers.items()}
-    _, count, _ = IN_EFFECT.unpack_from(record["in_frame"].tobytes(), IN_OFFSETS["torque_age_us"])
+def _columns(block: Block) -> NDArray[np.float64]:
+    """Rows are the columns of NAMES, one value a record."""
+    records = block.records
+    rows = np.empty((len(NAMES), len(records)), "<f8")
+    rows[0] = records["time_ns"]
+    rows[0] += block.header["mono_unix_offset_ns"]
+    rows[0] /= NS_PER_S
+    for row, (first, *more) in zip(rows[1:], COLUMNS.values(), strict=True):
+        row[:] = records[first]
+        for name in more:
+            row += records[name]
+    return rows
+
+
+def _now(record: np.void) -> dict[str, Any]:
+    found = dict(zip(record.dtype.names or (), record.item(), strict=True))
+    known = {name: found[name] if found[name] == found[name] else None for name in NOW}
+    _, count, _ = IN_EFFECT.unpack_from(found["in_frame"], IN_OFFSETS["torque_age_us"])
     return {
-        "state": State(int(record["state"])).name.lower(),
-        "fault": BY_NUMBER[int(record["fault"])].code,
+        "state": STATES[found["state"]],
+        "fault": BY_NUMBER[found["fault"]].code,
         "damping_count": None if known["damping_effect_ns_per_m"] is None else count,
         **known,
     }
@@ -101,7 +113,7 @@ def _now(record: Any) -> dict[str, Any]:
 
 class Watch:
     """Follows the daemon `instance` until `close`, whether or not it is there. Messages go to
-    `publish`, samples of the probe to `probing`, what the guard tells to `planes`.
+    `publish`, whether something excites the device to `probing`, what the guard tells to `planes`.
     """
 
     def __init__(self, instance: str, publish: Publish, probing: Probing, planes: Planes) -> None:
@@ -127,24 +139,22 @@ class Watch:
 
     def _follow(self) -> None:
         """Until the end. DaemonDown or MailboxError: there is no daemon to follow yet."""
-        decoders = {TICKS: BlockDecoder(), PROBE: BlockDecoder()}
+        ticks = BlockDecoder()
         with Client(self._instance, name="page") as client:
             self._level_on = float(client.get()["parameters"]["damping_level"])
-            for message in client.messages(TOPICS, LOOK_S):
+            for message in client.messages(TOPICS, look_s=0.0):
                 if self._ending.is_set():
                     return
                 if message is None:
                     continue
                 topic, payload = message
-                if topic in decoders:
-                    self._take_block(topic, decoders[topic].decode(payload))
+                if topic == TICKS:
+                    self._take_ticks(ticks.decode(payload))
                 else:
                     self._take(topic, msgpack.unpackb(payload))
 
-    def _take_block(self, topic: str, block: Block) -> None:
-        if topic == PROBE:
-            self._probing.take(block)
-        elif len(block.records):
+    def _take_ticks(self, block: Block) -> None:
+        if len(block.records):
             self._probing.excited = bool(block.records["perturbing"][-1])
             self._publish("frame", frame(block))
 
@@ -153,4 +163,6 @@ class Watch:
             self._level_on = float(told["added_damping_asked_ns_per_m"])
         elif topic == "guard":
             self._planes.follow(told, self._level_on)
+        elif topic == "event":
+            told["words"] = event_words(told)
         self._publish(topic, json.dumps({"kind": topic, "told": told}))

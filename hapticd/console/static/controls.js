@@ -16,7 +16,10 @@ export class Controls {
     this.tell = tell;
     this.limits = {};
     this.damped = null;
-    for (const cmd of ["enable", "disable", "reset"]) get(cmd).addEventListener("click", () => this.ask(cmd));
+    this.missing = ""; // why there is no board, as `hapticd status` says it
+    this.told = { fault: "none" };
+    for (const cmd of ["enable", "disable", "reset", "home", "zero"]) get(cmd).addEventListener("click", () => this.ask(cmd));
+    get("dump").addEventListener("click", () => this.ask("dump", {}, "the flight recording is being written"));
     get("damping-switch").addEventListener("click", () => this.toggle());
     get("damping-auto").addEventListener("click", () => this.ask("damping", { value: "auto" }));
     get("policy").addEventListener("change", () => this.ask("guard", { policy: get("policy").value }));
@@ -76,10 +79,20 @@ export class Controls {
   }
 
   fault(told) {
+    this.told = told;
     const [name, words] = get("fault").children;
-    name.textContent = told.fault === "none" ? "" : `${told.fault}: ${told.cause}`;
-    words.textContent = told.fault === "none" ? "" : `To leave: ${ofPage(told.remedy)}. (${told.action})`;
+    const well = told.fault === "none";
+    name.textContent = well ? this.missing : `${told.fault}: ${told.cause}`;
+    const leave = well ? "" : `To leave: ${ofPage(told.remedy)}.`;
+    words.textContent = this.missing && !well ? `${leave} Now ${this.missing}` : leave && `${leave} (${told.action})`;
     words.title = words.textContent;
+  }
+
+  board(told) {
+    if (told.text === this.missing) return;
+    this.missing = told.text;
+    this.tell(told.text ? "error" : "event", told.text || "the board answers");
+    this.fault(this.told);
   }
 
   guard(told) {

@@ -31,9 +31,6 @@ function tell(kind, text) {
   while (get("log").children.length > MOST_LINES) get("log").lastChild.remove();
 }
 
-const transition = (told) =>
-  `${told.before} → ${told.state}${told.fault === "none" ? "" : `, ${told.fault}: ${told.cause}`}${told.name ? `; ${told.name}` : ""}`;
-
 function lamp(state) {
   const words = state === "nodata" ? "NO DATA" : state;
   if (root.dataset.state !== state) root.dataset.state = state;
@@ -47,6 +44,7 @@ function board(simulated) {
 
 const handlers = {
   frame(header, columns) {
+    if (performance.now() - came_ms > NO_DATA_MS) introduce(); // perhaps to another gateway
     came_ms = performance.now();
     lamp(header.now.state);
     board(header.simulated);
@@ -57,6 +55,7 @@ const handlers = {
     controls.fault(told);
     for (const part of [timing, leases]) part.state(told);
   },
+  board: (told) => controls.board(told),
   plane: (told) => plane.take(told),
   impedance: (told) => impedance.take(told),
   recorder: (told) => recorder.take(told),
@@ -64,8 +63,7 @@ const handlers = {
     for (const part of [controls, plane]) part.guard(told);
   },
   event(told) {
-    if (told.kind === "state") tell(["stopped", "fault"].includes(told.state) ? "error" : "event", transition(told));
-    else if (told.text && told.kind !== "answer") tell(told.kind === "warning" ? "warning" : "event", told.text);
+    if (told.kind !== "answer") tell(["stopped", "fault"].includes(told.state) ? "error" : told.kind === "warning" ? "warning" : "event", told.words);
   },
 };
 
@@ -86,14 +84,15 @@ const impedance = new Impedance(ask);
 const timing = new Timing();
 const leases = new Leases(link, ask);
 const recorder = new Recorder(ask, tell);
-stopButton(get("stop"), tell);
+stopButton(get("stop"), tell, () => leases.actor);
 get("theme").addEventListener("click", () => {
   theme(root.dataset.theme === "dark" ? "light" : "dark");
   for (const part of [...scope.strips, plane, impedance]) part.build();
 });
 setInterval(() => performance.now() - came_ms > NO_DATA_MS && lamp("nodata"), LOOK_MS);
 
-// Each connection is another client of the daemon: with its own number, and what it may ask.
+// Each connection is another client of the daemon, and of each of its gateways: with its own number,
+// and what it may ask.
 async function introduce() {
   const hello = await link.ask("hello", { name: "page" });
   if (!hello.ok) return;

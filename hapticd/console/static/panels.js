@@ -9,7 +9,7 @@ const RENEW_MS = 1000; // a lease ends after 5 s without a request
 // How late the servo wakes and how long a tick's work takes, over the last ticks.
 export class Timing {
   constructor() {
-    this.rows = { wake_us: new Float64Array(KEPT), work_us: new Float64Array(KEPT) };
+    this.rows = { wake_ns: new Float64Array(KEPT), work_ns: new Float64Array(KEPT) };
     this.count = 0;
     setInterval(() => this.draw(), 500);
   }
@@ -33,7 +33,7 @@ export class Timing {
       const sorted = ring.slice(0, kept).sort();
       const cells = get("timing").rows[place + 1].cells;
       [0.5, 0.99, 1].forEach((share, column) => {
-        cells[column + 1].textContent = sorted[Math.min(kept - 1, Math.floor(share * kept))].toFixed(0);
+        cells[column + 1].textContent = (sorted[Math.min(kept - 1, Math.floor(share * kept))] / 1e3).toFixed(0);
       });
     });
     const { delay_us, delay_spread_us, lost_slots } = this.now;
@@ -91,15 +91,24 @@ export class Recorder {
   constructor(ask, tell) {
     this.tell = tell;
     this.recording = false;
-    get("recorder").addEventListener("submit", (event) => {
+    get("recorder").addEventListener("submit", async (event) => {
       event.preventDefault();
-      ask("record", { start: !this.recording, note: get("note").value });
+      const ends = this.recording;
+      if (await ask("record", { start: !ends, note: get("note").value }) && ends) this.pack();
     });
+  }
+
+  // It has ended, and its file is packed: nothing to press until that is told.
+  pack() {
+    if (!this.recording) return;
+    get("record").textContent = "packing…";
+    get("record").disabled = true;
   }
 
   take(told) {
     const ended = this.recording && !told.recording;
     this.recording = told.recording;
+    get("record").disabled = false;
     get("record").ariaPressed = String(told.recording);
     get("record").textContent = told.recording ? "End recording" : "Record";
     if (told.recording) this.tell("event", `recording into ${told.file}`);

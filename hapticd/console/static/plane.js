@@ -20,10 +20,10 @@ export class Plane {
     const { colour, rem, axis } = looks();
     const options = {
       width: Math.max(50, this.place.clientWidth), height: Math.max(50, this.place.clientHeight),
-      padding: [0.4 * rem, 0.8 * rem, 0, 0], legend: { show: false }, cursor: { show: false },
+      padding: [0.4 * rem, 1.3 * rem, 0, 0], legend: { show: false }, cursor: { show: false },
       scales: { x: { time: false, range: () => this.limits("K") }, y: { range: () => this.limits("B") } },
       axes: [
-        { ...axis, size: 1.2 * rem, label: "K, N/m", labelSize: 1.1 * rem, labelFont: axis.font, labelGap: 0 },
+        { ...axis, space: 3.4 * rem, size: 1.2 * rem, label: "K, N/m", labelSize: 1.1 * rem, labelFont: axis.font, labelGap: 0 },
         { ...axis, space: 1.3 * rem, size: 2 * rem, label: "B, N s/m", labelSize: 1.1 * rem, labelFont: axis.font, labelGap: 0 },
       ],
       series: [{}, { show: false }],

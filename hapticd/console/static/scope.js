@@ -25,7 +25,7 @@ export class Scope {
     this.paused = false;
     this.strips = SIGNALS.map((signal) => new Strip(signal, get("strips"), (range) => this.select(range)));
     for (const signal of SIGNALS) get("source").add(new Option(signal.title, signal.name));
-    for (const id of ["trigger", "source", "edge", "threshold", "pre", "span"]) {
+    for (const id of ["trigger", "source", "edge", "threshold", "pre", "span", "holdoff"]) {
       get(id).addEventListener("input", () => this.arm());
     }
     get("pause").addEventListener("click", () => this.pause(!this.paused));
@@ -59,10 +59,12 @@ export class Scope {
 
   arm() {
     this.mode = get("trigger").value;
+    get("trigger-bar").dataset.mode = this.mode;
     this.signal = SIGNALS.find((one) => one.name === get("source").value);
     this.span_s = Number(get("span").value);
     this.pre = Number(get("pre").value);
     this.edge = Number(get("edge").value);
+    this.holdoff_s = Number(get("holdoff").value);
     this.threshold = number(get("threshold").value.trim()) / this.signal.scale; // nothing crosses NaN
     get("threshold-unit").textContent = this.signal.unit;
     this.triggered = null;
@@ -70,7 +72,8 @@ export class Scope {
     this.pause(false);
   }
 
-  // A trigger counts once all that is to be shown after it is there.
+  // A trigger counts once all that is to be shown after it is there, and not within the hold-off
+  // of the one before.
   look() {
     const ring = this.rings[this.signal.name];
     const time = this.rings.time_s;
@@ -81,7 +84,7 @@ export class Scope {
       this.looked = place + 1;
       const before = this.edge * (ring[(place - 1) % KEPT] - this.threshold);
       const after = this.edge * (ring[place % KEPT] - this.threshold);
-      if (before < 0 && after >= 0) {
+      if (before < 0 && after >= 0 && !(at_s - this.triggered < this.holdoff_s)) {
         this.triggered = at_s;
         if (this.mode === "single") {
           this.pause(true);
@@ -125,13 +128,15 @@ export class Scope {
       }
       return low;
     };
-    return [place(from_s), place(to_s + 1e-9)];
+    return [place(from_s), place(to_s + 1e-6)]; // Unix time as float64 has steps of 0.24 us
   }
 
   draw() {
     const view = this.view();
     get("scope-note").textContent = this.note(view);
-    if (!view || document.hidden) return;
+    if (!this.count || document.hidden) return;
+    for (const strip of this.strips) strip.now(this.rings[strip.signal.name][(this.count - 1) % KEPT]);
+    if (!view) return;
     const [first, after] = this.between(view.from_s, view.to_s);
     for (const strip of this.strips) {
       strip.draw(this.rings.time_s, this.rings[strip.signal.name], first, after, view);
@@ -141,7 +146,7 @@ export class Scope {
 
   note(view) {
     if (this.mode && Number.isNaN(this.threshold)) return noNumber("at", get("threshold").value, this.signal.unit);
-    if (this.mode && this.triggered === null) return `waiting for the trigger: ${this.signal.title} ${this.edge > 0 ? "rising" : "falling"} through ${get("threshold").value} ${this.signal.unit}`;
+    if (this.mode && this.triggered === null) return `waits for ${this.signal.title} ${this.edge > 0 ? "above" : "below"} ${get("threshold").value} ${this.signal.unit}`;
     if (!view) return "";
     const zero = this.mode ? "0 s is the trigger" : "0 s is now";
     const more = this.range ? `; selected ${seconds(this.range[1] - this.range[0])}, ${(1 / (this.range[1] - this.range[0])).toPrecision(4)} Hz` : "";
@@ -217,12 +222,12 @@ class Strip {
     const { colour, rem, axis } = looks();
     const options = {
       width: Math.max(50, this.place.clientWidth), height: Math.max(30, this.place.clientHeight),
-      padding: [0.4 * rem, 0.6 * rem, this.last ? 0 : 0.2 * rem, 0], legend: { show: false },
+      padding: [0.4 * rem, 0.6 * rem, this.last ? 0 : 0.4 * rem, 0], legend: { show: false },
       cursor: { sync: { key: "scope" }, drag: { x: true, y: false, setScale: false }, points: { show: false }, y: false },
       scales: { x: { time: false, range: () => this.span ?? [-1, 0] }, y: { range: () => this.limits } },
       axes: [
         { ...axis, size: this.last ? 1.3 * rem : 0, gap: 0.1 * rem, space: 5 * rem, values: this.last ? undefined : () => [] },
-        { ...axis, size: 4.2 * rem, gap: 0.3 * rem, space: 1.2 * rem, values: (_plot, ticks) => ticks.map((one) => Number(one.toPrecision(6))) },
+        { ...axis, size: 4.2 * rem, gap: 0.3 * rem, splits: (_plot, _axis, low, high) => [low, between(low, high), high], values: (_plot, ticks) => ticks.map((one) => Number(one.toPrecision(6))) },
       ],
       series: [{}, { stroke: colour("--trace"), width: Math.max(1.2, 0.09 * rem), points: { show: false } }],
       hooks: { setSelect: [(plot) => this.dragged(plot)] },
@@ -244,7 +249,11 @@ class Strip {
     this.span = [view.from_s - view.zero_s, view.to_s - view.zero_s];
     this.fit(this.data[1]);
     this.plot.setData(this.data);
-    const newest = after > first ? ring[(after - 1) % ring.length] * this.signal.scale : NaN;
+  }
+
+  // The newest value, whatever span is shown: a trigger holds the trace, not the number.
+  now(value) {
+    const newest = value * this.signal.scale;
     this.value.textContent = Number.isFinite(newest) ? `${fixed(newest, this.signal.digits)} ${this.signal.unit}` : "unknown";
   }
 
@@ -269,6 +278,12 @@ class Strip {
   tell(text) {
     this.statistics.textContent = text;
   }
+}
+
+// What stands between the ends of an axis: 0, if that is far enough from both.
+function between(low, high) {
+  const share = -low / (high - low);
+  return share > 0.3 && share < 0.7 ? 0 : (low + high) / 2;
 }
 
 function rounded(low, high, signal) {
@@ -323,7 +338,7 @@ function statistics(ring, first, after, signal) {
   const mean = sum / count;
   const deviation = Math.sqrt(Math.max(0, squares / count - mean * mean));
   const show = (one) => String(Number(Number(one.toPrecision(3)).toFixed(signal.digits)));
-  return `mean ${show(mean)}  sd ${show(deviation)}  ${show(low)} to ${show(high)}  p-p ${show(high - low)}`;
+  return `mean ${show(mean)}  sd ${show(deviation)}  ${show(low)}…${show(high)}  p-p ${show(high - low)}`;
 }
 
 const fixed = (value, digits) => (Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value).toFixed(digits);

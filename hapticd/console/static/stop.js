@@ -1,16 +1,17 @@
 // STOP: a request of its own, sent again until somebody has taken it. Space and Esc press it
-// wherever the focus is; only in a line of words does a space stay a space.
+// wherever the focus is; only in a line of words does a space stay a space. It names this page's
+// own actor, for whoever pressed a stop may reset it at once, and nobody else for a second.
 
 const AGAIN_MS = 250;
 
-export function stopButton(button, tell) {
+export function stopButton(button, tell, actor) {
   let sending = false;
 
   async function press() {
     if (sending) return;
     sending = true;
     for (let first = true; ; first = false) {
-      const problem = await sent();
+      const problem = await sent(actor());
       button.classList.toggle("failed", Boolean(problem));
       if (!problem) break;
       if (first) tell("error", `NOT STOPPED: ${problem}. Use the emergency stop, or: hapticd stop`);
@@ -33,9 +34,9 @@ export function stopButton(button, tell) {
 }
 
 // Why it was not taken, or "".
-async function sent() {
+async function sent(actor) {
   try {
-    const answer = await fetch("/stop", { method: "POST" });
+    const answer = await fetch(`/stop?actor=${actor ?? ""}`, { method: "POST" });
     return answer.ok ? "" : (await answer.json()).text;
   } catch {
     return "the page's server does not answer";
