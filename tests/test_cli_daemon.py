@@ -335,6 +335,21 @@ def test_status_says_the_measured_delay(
     assert "sample to force unknown" in capsys.readouterr().out
 
 
+def test_status_says_where_telemetry_is_and_why_not_at_the_usual_port(
+    client: ClientDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    usual = {"telemetry": ["ipc:///run/telemetry", "tcp://127.0.0.1:9872"]}
+    told = "port 9872 is taken, telemetry is at tcp://127.0.0.1:40001 instead"
+    client.states = [
+        RUNNING | {"endpoints": usual},
+        RUNNING | {"endpoints": usual | {"elsewhere": told}},
+    ]
+    assert main(["status"]) == 0
+    assert "  telemetry tcp://127.0.0.1:9872\n" in capsys.readouterr().out
+    assert main(["status"]) == 0
+    assert f"  telemetry {told}\n" in capsys.readouterr().out
+
+
 def test_status_says_what_is_compensated_of_the_winding(
     client: ClientDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -401,11 +416,16 @@ def test_status_says_what_is_known_of_the_board(
 ) -> None:
     transport = {"pair_us": 400.0, "sample_phase": 0.3125, "delay_us": 687.5, "rate_hz": 1000.0}
     state = {"state": "disabled", "simulated": False, "rate_hz": 1e3, "revision": 3}
-    servo = {"differences": ["serial: the board says 'B'"], "transport": transport}
+    servo = {
+        "differences": ["serial: the board says 'B'"],
+        "transport": transport,
+        "unsampled": "at 500 Hz a frame carries 6 of 8 samples",
+    }
     client.states = [{**state, "fault": "none", "instance": "x", "servo": servo}]
     assert main(["status"]) == 0
     shown = capsys.readouterr().out
     assert "board     serial: the board says 'B'" in shown
+    assert "probe     at 500 Hz a frame carries 6 of 8 samples" in shown
     assert (
         "bus       a pair of transfers takes 400 us, IN latched 0.3125 periods after OUT, force 688"
         " us after its sample, up to 1000 Hz"

@@ -135,13 +135,18 @@ def test_replay_with_other_settings_draws_both(
         main(["replay", str(file), "--set", "B=5", "--set", "damping=0", "--filter-hz", "60"]) == 0
     )
     lines = capsys.readouterr().out.splitlines()
-    assert lines[-2:] == [
+    assert lines[-3:] == [
         str(file.with_name("run-replay.png")),
         str(file.with_name("run-replay.svg")),
+        str(file.with_name("run-replay.pdf")),
     ]
-    assert all(Path(line).stat().st_size > 10_000 for line in lines[-2:])
+    assert all(Path(line).stat().st_size > 10_000 for line in lines[-3:])
     assert any(line.startswith("force replayed") for line in lines)
-    svg = Path(lines[-1]).read_text()
+    assert "with B=5, damping=0, " in lines[0]
+    assert "the force is another from tick" in lines[0]
+    assert any(line.startswith("left out: ") for line in lines)
+    assert not any(" was " in line for line in lines)  # that B is 5 was asked for
+    svg = Path(lines[-2]).read_text()
     assert "SIMULATED" in svg
     assert "B=5, damping=0, filters.velocity_hz=60, filters.acceleration_hz=60" in svg
 

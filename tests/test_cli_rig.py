@@ -157,6 +157,30 @@ def test_what_is_measured_says_how_old_it_is(config):
     assert told == f"measured {week_ago.isoformat()}, 7 days ago"
 
 
+def test_a_table_that_outlived_its_newton_is_offered_again(config):
+    file = load(config).device_file
+    real = {"simulated": False}
+    for full_scale_n, doubted in ((7.4, True), (8.0, False)):
+        written = [
+            Change("damping", "full_scale_ns_per_m", 10.0),
+            Change("damping", "with_force_full_scale_n", full_scale_n),
+        ]
+        write(file, written, "rig damping: x", datetime.date.today())
+        said = guided.in_doubt("damping", load(config).device.model_copy(update=real))
+        assert said.startswith("it was found with a scale of force of 7.4 N") == doubted
+
+
+def test_refused_signs_are_not_called_verified(config, hand, monkeypatch, capsys):
+    monkeypatch.setenv("HAPTICD_CONFIG", str(config))
+    monkeypatch.setattr(guided, "connect", steps.connect)
+    said = iter(["no", "no", "yes", "", "no"])  # the last: write this? no
+    monkeypatch.setattr(steps, "answer", lambda question: next(said))
+    assert main(["rig"]) == 0
+    told = capsys.readouterr().err
+    assert "Signs are not verified yet" in told
+    assert "start it again" not in told
+
+
 def test_the_path_waits_until_the_daemon_has_read_what_was_written(config, hand, monkeypatch):
     where = guided.Where("default", config)
     monkeypatch.setattr(guided, "connect", steps.connect)

@@ -63,8 +63,8 @@ def test_run_draws_where_it_is_told(
     folder = tmp_path / "figures"
     code, _, err = spoken(capsys, "sim", "run", mine, "--plot", "--out", str(folder))
     assert code == 0
-    assert err == f"drawn: {folder}/mine.png, {folder}/mine.svg\n"
-    assert sorted(path.name for path in folder.iterdir()) == ["mine.png", "mine.svg"]
+    assert err == f"drawn: {folder}/mine.png, {folder}/mine.svg, {folder}/mine.pdf\n"
+    assert sorted(path.name for path in folder.iterdir()) == ["mine.pdf", "mine.png", "mine.svg"]
 
 
 def test_run_draws_nothing_unasked(
@@ -237,8 +237,10 @@ def test_quick_accuracy_prints_draws_and_says_what_defaults_buy(
     assert "Reference: exact first harmonic of the linear scene." in out
     assert "The defaults (8 s, 4 sub-steps, f64, window 2048) cost" in out
     names = [
+        "mine-accuracy.pdf",
         "mine-accuracy.png",
         "mine-accuracy.svg",
+        "mine-integrators.pdf",
         "mine-integrators.png",
         "mine-integrators.svg",
     ]

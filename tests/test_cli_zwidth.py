@@ -37,6 +37,7 @@ def test_trial_prints_a_sentence_and_keeps_a_run(tmp_path, capsys):
         "run.json",
         "trial.png",
         "trial.svg",
+        "trial.pdf",
     }
     kept = json.loads((tmp_path / "a" / "run.json").read_text())
     assert kept["simulated"] is True
@@ -418,7 +419,7 @@ def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
     scene = load_scene("theory")
     conditions = Conditions(scene, 20.0, noise(scene))
     monkeypatch.setattr(verb, "REDRAW_S", -1.0)
-    redrawn = verb._Redrawn(conditions, tmp_path)
+    redrawn = verb._Redrawn(conditions, tmp_path, None)
     failed, passed = run_trials(conditions, 0.0, np.array([[9000.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
     redrawn([failed])
     assert not list(tmp_path.iterdir())
@@ -426,6 +427,7 @@ def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {
         "envelope_so_far.png",
         "envelope_so_far.svg",
+        "envelope_so_far.pdf",
     }
     write_run(tmp_path, {"kind": "map"})
     assert {path.name for path in tmp_path.iterdir()} == {"run.json"}

@@ -92,7 +92,11 @@ def test_old_file_says_where_it_was_judged_first(tmp_path, capsys):
     told = capsys.readouterr().out
     assert "weir2008: first judged 2.93 Hz, last judged 479 Hz" in told
     assert "SIMULATED 10 s of noise of 2.5e-05 N^2/Hz a trial, 95 %, first judged 2.93 Hz" in told
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"compare.png", "compare.svg"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "compare.png",
+        "compare.svg",
+        "compare.pdf",
+    }
     drawn = (tmp_path / "out" / "compare.svg").read_text()
     assert "per moving mass" in drawn
     assert "SIMULATED weir2008 and B" in drawn

@@ -19,6 +19,7 @@ from hapticd.analysis.verdict import judge, two_digits
 from hapticd.cli import change
 from hapticd.cli.app import command_line, main
 from hapticd.cli.zwidth.trial import compared, needed
+from hapticd.params import InjectionParams
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
@@ -380,6 +381,47 @@ def test_live_trial_names_the_daemons_device_before_it_moves(daemon, tmp_path, c
         assert "predicted" in (tmp_path / "trial.svg").read_text()
         (tmp_path / "trial.svg").unlink()
         run(["report", str(tmp_path)], capsys)
+
+
+@pytest.mark.parametrize(("typed", "taken_out_s"), [([], 4.45e-5), (["--skew", "0"], 0.0)])
+def test_live_trial_takes_out_the_skew_of_the_device_file(
+    monkeypatch, tmp_path, capsys, typed, taken_out_s
+):
+    settings = load(shipped("config") / "hapticd.toml")
+    servo = servo_params(settings, "default")
+    servo = replace(servo, device=replace(servo.device, probe_skew_us=44.5))
+
+    @contextmanager
+    def connected(instance, timeout_s=2.0):
+        with LockStepBench(servo, board_params(settings)) as bench:
+            yield bench
+
+    monkeypatch.setattr(change, "connect", connected)
+    words = ["trial", "live", "-K", "50", "-B", "0.5", "--seconds", "5", "--psd", "1e-5"]
+    code, _, err = run([*words, *typed, "--out", str(tmp_path)], capsys)
+    assert code == 0
+    kept = json.loads((tmp_path / "run.json").read_text())
+    assert kept["skew_taken_out_s"] == pytest.approx(taken_out_s)
+    assert "44.5 us later than its force" in err
+    assert f"{1e6 * taken_out_s:.3g} us are taken out" in err
+
+
+def test_live_trial_that_leaves_the_device_in_fault_ends_with_5(monkeypatch, tmp_path, capsys):
+    settings = load(shipped("config") / "hapticd.toml")
+    board = replace(
+        board_params(settings), injections=(InjectionParams("unplug", tick=14000, value=0.3),)
+    )
+
+    @contextmanager
+    def connected(instance, timeout_s=2.0):
+        with LockStepBench(servo_params(settings, "default"), board) as bench:
+            yield bench
+
+    monkeypatch.setattr(change, "connect", connected)
+    words = ["trial", "live", "-K", "50", "-B", "0.5", "--seconds", "20", "--out", str(tmp_path)]
+    code, out, err = run(words, capsys)
+    assert "ended early: fault: " in out, err
+    assert code == 5
 
 
 def test_live_trial_without_stiffness_ends_at_the_stop(daemon, tmp_path, capsys):

@@ -147,6 +147,22 @@ def test_old_request_does_not_reach_a_later_gateway(folder: Path) -> None:
     asyncio.run(ask())
 
 
+def test_client_is_introduced_however_late_it_is_connected(folder: Path) -> None:
+    async def ask() -> None:
+        async with AsyncClient(timeout_s=0.05, name="experiment") as device:
+            with pytest.raises(DaemonDown):
+                await device.get()
+            (folder / "command").unlink()
+            with GatewayRig(folder) as rig, running(rig):
+                device._timeout_s = 10.0
+                await device.set(K=1)
+                assert (await device.status())["actor_name"] == "experiment"
+
+    folder.mkdir(mode=0o700)
+    (folder / "command").touch()
+    asyncio.run(ask())
+
+
 def test_stop_without_gateway_presses_the_page_while_another_task_waits(folder: Path) -> None:
     async def ask() -> None:
         async with AsyncClient(timeout_s=0.5) as device:

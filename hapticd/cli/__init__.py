@@ -4,7 +4,7 @@
     terminal    options that verbs share, what is printed where, the progress bar, figures on disk
     change      a connection to the daemon, NAME=VALUE words, receipts
     daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
-                perturb
+                mark, perturb
     monitor     the live screen (screen: what it shows)
     console     the operators' page
     recording   record, rec, replay

@@ -34,8 +34,10 @@ VERBS = {  # module of this package, and function
     "record": "recording.record",
     "replay": "recording.replay",
     "dump": "daemon.dump",
+    "mark": "daemon.mark",
     "doctor": "system.doctor",
     "accuracy": "sim.accuracy",
+    "sim-board": "sim_board.sim_board",
     "install-system": "system.install_system",
 }
 GROUPS = {  # module, and its verbs

@@ -6,7 +6,6 @@ serves its help and mistakes.
 
 import os
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +15,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect, number
 from hapticd.cli.terminal import SIMULATED_BANNER
-from hapticd.client.words import parameters, receipt_text
+from hapticd.client.words import board_words, parameters, receipt_text
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
@@ -92,13 +91,9 @@ def _follow_events(instance: str) -> "subprocess.Popen[bytes]":
     """`hapticd events` in this terminal, from a process of its own: the one that looks after servo
     and gateway has no threads and no sockets.
     """
-    words = ["events", "--instance", instance, "--parent", str(os.getpid())]
-    return subprocess.Popen(
-        [sys.executable, "-m", "hapticd", *words],
-        stdin=subprocess.DEVNULL,
-        stdout=2,
-        process_group=0,
-    )
+    from hapticd.assembly.supervisor import launch
+
+    return launch("hapticd", "events", "--instance", instance, "--parent", str(os.getpid()))
 
 
 CONSOLE_MODULE = "hapticd.console.main"  # started by name: `run` itself loads no web server
@@ -184,7 +179,7 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
     from hapticd.cli.lease import lease_lines
 
     state = terminal.coloured(found["state"], STATE_COLOURS.get(found["state"], terminal.RED))
-    waits = _waiting(found.get("servo", {}))
+    waits = board_words(found.get("servo", {}))
     if found["state"] in NOT_READY:
         silent = found.get("reason", "the gateway runs, the servo does not answer (yet)")
         return [f"{state}: {waits or silent}"]
@@ -212,6 +207,8 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         lines += _under("guard", guard_lines(guard))
     lines += [f"  lease     {line}" for line in lease_lines(found.get("leases", {}))]
     lines += _board_lines(found.get("servo", {}))
+    if endpoints := found.get("endpoints"):
+        lines.append(f"  telemetry {endpoints.get('elsewhere') or endpoints['telemetry'][1]}")
     lines += [f"  page      {page['url']}"] if (page := found.get("console")) else []
     return lines + [
         f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()
@@ -243,12 +240,6 @@ def compensation_lines(found: dict[str, Any]) -> list[str]:
     ]
 
 
-def _waiting(report: dict[str, Any]) -> str:
-    """That the servo waits for its board, and what for; empty when the board answers."""
-    reason = report.get("waiting_for", "")
-    return f"the servo waits for the board: {reason}" if reason else ""
-
-
 def _board_lines(report: dict[str, Any]) -> list[str]:
     """What was found out about the board when it was connected."""
     lines = [
@@ -257,6 +248,8 @@ def _board_lines(report: dict[str, Any]) -> list[str]:
     ]
     if reason := report.get("uncompensated"):
         lines.append(f"  winding   {reason}")
+    if reason := report.get("unsampled"):
+        lines.append(f"  probe     {terminal.coloured(reason, terminal.RED)}")
     if transport := report.get("transport"):
         phase = f"IN latched {transport['sample_phase']:g} periods after OUT"
         pair = f"a pair of transfers takes {transport['pair_us']:.0f} us"
@@ -473,6 +466,23 @@ def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
         terminal.data_json({"ok": True, **found})
     else:
         terminal.data(f"{path}: {found['records']} records")
+
+
+MarkText = Annotated[str, typer.Argument(metavar="TEXT", help="At most 96 characters.")]
+
+
+def mark(
+    text: MarkText,
+    instance: terminal.Instance = terminal.INSTANCE,
+    as_json: terminal.Json = False,
+) -> None:
+    """Note words with the tick at which they came: an event, which recordings keep."""
+    with connect(instance) as client:
+        found = client.mark(text)
+    if as_json:
+        terminal.data_json({"ok": True, **found})
+    else:
+        terminal.data(f"tick {found['tick']}: {text}")
 
 
 perturb_app = typer.Typer(

@@ -1,4 +1,4 @@
-"""Make the CURVE keys without which telemetry does not leave this machine."""
+"""Make and try the CURVE keys without which telemetry does not leave this machine."""
 
 from pathlib import Path
 from typing import Annotated
@@ -23,13 +23,23 @@ Out = Annotated[
     ),
 ]
 
+Endpoint = Annotated[
+    str, typer.Argument(metavar="ENDPOINT", help="As `hapticd status` names it: tcp://RIG:9872.")
+]
+Keys = Annotated[
+    Path | None,
+    typer.Option(
+        "--keys", metavar="FOLDER", help="With server.key and NAME.key_secret; else without keys."
+    ),
+]
+
 
 @terminal.verb(app, "server")
 def server(folder: Folder, as_json: terminal.Json = False) -> None:
     """The server's pair in a new FOLDER: server.key to hand out, server.key_secret for
     the gateway alone.
     """
-    from hapticd.gateway.auth import make_keys
+    from hapticd.gateway.keys import make_keys
 
     files = make_keys(folder)
     if as_json:
@@ -46,7 +56,7 @@ def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json =
     """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to
     be brought to the listener.
     """
-    from hapticd.gateway.auth import make_client
+    from hapticd.gateway.keys import make_client
 
     files = make_client(folder, name, out or Path())
     if as_json:
@@ -54,7 +64,23 @@ def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json =
         return
     _told(files, None)
     brought = f"{files[1]} and {folder / 'server.key'}"
-    terminal.talk(f"bring {brought} to {name}, and delete the secret here; restart the gateway")
+    terminal.talk(f"bring {brought} to {name}, and delete the secret here")
+
+
+@terminal.verb(app, "try")
+def try_(endpoint: Endpoint, keys: Keys = None, as_json: terminal.Json = False) -> None:
+    """Listen to ENDPOINT for a moment with the keys in FOLDER, and say what comes, or why
+    nothing does.
+    """
+    from hapticd.client import Listener
+
+    with Listener(endpoint, keys) as line:
+        state = next(line.listen("state"))
+    if as_json:
+        terminal.data_json({"ok": True, "endpoint": endpoint, "state": state})
+        return
+    simulated = ", SIMULATED" if state["simulated"] else ""
+    terminal.data(f"{endpoint}: {state['state']}, {state['rate_hz']:g} Hz{simulated}")
 
 
 def _told(files: tuple[Path, ...], folder: Path | None) -> None:

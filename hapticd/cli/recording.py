@@ -66,6 +66,7 @@ def finished_line(ended: str, summary: dict[str, Any]) -> str:
     missing = summary["missing"]["servo"]
     size_mb = summary["bytes"] / 1e6
     taken = f"{summary['seconds']:.3f} s, {summary['records']} records, {missing} missing"
+    taken += f", {lost} slots lost" if (lost := summary["lost_slots"]) else ""
     return f"{summary['file']}: {ended}, {simulated}{taken}, {size_mb:.3g} MB"
 
 
@@ -130,6 +131,8 @@ def info(file: Source, as_json: terminal.Json = False) -> None:
     size = f"{found['seconds']:.3f} s, {found['records']} records, {probe} probe samples"
     terminal.data(f"{badge}{size}, {found['lives']} servo life")
     terminal.data(f"missing: {missing['servo']} records, {missing['probe']} probe samples")
+    if lost := found["lost_slots"]:
+        terminal.data(f"lost slots: {lost} periods without a tick, for the host came late")
     if energy:
         terminal.data(f"work on the device: {_energy_words(energy)}")
     for name in ATTRIBUTES_SHOWN:
@@ -192,7 +195,7 @@ FilterHz = Annotated[
 ]
 ReplayPlot = Annotated[
     Path | None,
-    typer.Option("--plot", metavar="NAME", help="Draw NAME.png and NAME.svg; with --set always."),
+    typer.Option("--plot", metavar="NAME", help="Draw NAME.png, .svg and .pdf; with --set always."),
 ]
 
 
@@ -201,6 +204,7 @@ def replay(
     held: Held = None,
     filter_hz: FilterHz = None,
     plot: ReplayPlot = None,
+    figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:
     """Replay a recorded motion: bit by bit as it was, or with settings held at other values;
@@ -227,9 +231,8 @@ def replay(
     }
     if words or plot:
         drawn = plot or file.with_name(f"{file.name.partition('.')[0]}-replay")
-        found["figures"] = _drawn(
-            result, drawn, f"{file.name}{', SIMULATED' if simulated else ''}", ", ".join(words)
-        )
+        title = f"{file.name}{', SIMULATED' if simulated else ''}"
+        found["figures"] = _drawn(result, drawn, title, ", ".join(words), figure_width)
     if as_json:
         terminal.data_json({"ok": True, **found})
     else:
@@ -249,25 +252,41 @@ def _instead(words: list[str]) -> "dict[Value, float]":
     return found
 
 
-def _drawn(result: "ReplayResult", path: Path, title: str, changed: str) -> list[str]:
+def _drawn(
+    result: "ReplayResult", path: Path, title: str, changed: str, width_mm: float | None
+) -> list[str]:
     from hapticd.report.style import save
     from hapticd.report.trial import replay_figure
+    from hapticd.zwidth.store import FIGURE_KINDS
 
     figure = replay_figure(result, title, changed or "replayed")
-    return [
-        str(one)
-        for one in save(figure, path.parent, path.name.removesuffix(".png").removesuffix(".svg"))
-    ]
+    named = path.suffix in {f".{kind}" for kind in FIGURE_KINDS}
+    name = path.stem if named else path.name
+    return [str(one) for one in save(figure, path.parent, name, width_mm)]
+
+
+def _replay_verdict(found: dict[str, Any]) -> str:
+    """What came out: with settings held, what became of the force."""
+    if not found["held"]:
+        return "bit-exact" if found["bit_exact"] else "different"
+    held = f"with {', '.join(found['held'])}"
+    if found["first_force_tick"] is None:
+        return f"{held} the force is the same"
+    difference_n = found["force_rms_n"]["difference"]
+    from_tick = f"from tick {found['first_force_tick']} on"
+    return f"{held} the force is another {from_tick}, by {difference_n:.4g} N rms"
 
 
 def _show_replay(found: dict[str, Any]) -> None:
     from hapticd.recording.replay import REPLAYED_KEY
 
-    verdict = "bit-exact" if found["bit_exact"] else "different"
     speed = f"{found['times_real_time']:.0f} x real time"
     segments = "1 segment" if found["legs"] == 1 else f"{found['legs']} segments"
-    terminal.data(f"{found['ticks']} ticks in {segments}, {speed}: {verdict}")
-    if first := found["first_difference"]:
+    terminal.data(f"{found['ticks']} ticks in {segments}, {speed}: {_replay_verdict(found)}")
+    if left_out := found["left_out"]:
+        why = "a replay begins at the servo's first checkpoint, after the start and after a gap"
+        terminal.data(f"left out: {left_out} ticks; {why}")
+    if (first := found["first_difference"]) and not found["held"]:
         difference = f"{first['field']} was {first['recorded']}, is {first[REPLAYED_KEY]}"
         terminal.data(f"from tick {first['tick']}: {difference}")
     for name, word in (("recorded", "recorded"), (REPLAYED_KEY, "replayed")):

@@ -24,7 +24,7 @@ from rich.text import Text
 from hapticd.client.words import guard_line, margin_words
 from hapticd.faults import BY_NUMBER
 from hapticd.mailbox.layout import COMMISSIONING, Flag, State, Watched
-from hapticd.units import NS_PER_S
+from hapticd.units import NS_PER_S, percent
 
 if TYPE_CHECKING:
     from hapticd.client import Block
@@ -217,7 +217,7 @@ def _loop(history: History) -> Text:
     flags = history.column("flags")
     for name, flag in (("late", Flag.LATE), ("at the force limit", Flag.CLAMPED)):
         share = float(np.mean((flags & flag) != 0))
-        text.append(f"  {name} {100.0 * share:.2g} %", "yellow" if share else "")
+        text.append(f"  {name} {percent(share)}", "yellow" if share else "")
     warm = float(newest["winding_c"])
     text.append(f"  winding {warm:.1f} C" if warm == warm else "")
     return text.append(f"  revision {newest['revision']}  tick {newest['tick']}")

@@ -49,6 +49,7 @@ sim_app = typer.Typer(
 def sim_run(
     scene: terminal.SceneName,
     plot: terminal.Plot = False,
+    figure_width: terminal.FigureWidth = None,
     seconds: SceneSeconds = None,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
@@ -67,7 +68,8 @@ def sim_run(
         result = run_scene(plan, tell)
     paths = []
     if plot:
-        paths = terminal.save_figure(scene_figure(result), out, plan.scene.name, as_json)
+        figure = scene_figure(result)
+        paths = terminal.save_figure(figure, out, plan.scene.name, figure_width, as_json)
     if as_json:
         terminal.data_json({**_result_json(result), "figures": paths})
         return
@@ -148,6 +150,7 @@ def sim_effects(
     tolerance: Tolerance = "2%",
     seconds: TrialSeconds = 90.0,
     plot: terminal.Plot = True,
+    figure_width: terminal.FigureWidth = None,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -170,7 +173,8 @@ def sim_effects(
     paths = []
     if plot:
         name = f"{loaded.name}-effects-{question.value}"
-        paths = terminal.save_figure(effects_figure(result), out, name, as_json)
+        figure = effects_figure(result)
+        paths = terminal.save_figure(figure, out, name, figure_width, as_json)
     if as_json:
         about = {"ok": True, "simulated": True, "scene": loaded.name}
         asked = {"question": question.value, "tolerance": plan.params.tolerance}
@@ -219,6 +223,7 @@ def accuracy(
     scene: terminal.SceneName,
     quick: Quick = False,
     plot: terminal.Plot = True,
+    figure_width: terminal.FigureWidth = None,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -253,7 +258,8 @@ def accuracy(
             "integrators": integrators_figure(explicit, loaded.title),
         }
         for name, figure in figures.items():
-            paths += terminal.save_figure(figure, out, f"{loaded.name}-{name}", as_json)
+            named = f"{loaded.name}-{name}"
+            paths += terminal.save_figure(figure, out, named, figure_width, as_json)
     if as_json:
         about = {"ok": True, "simulated": True, "scene": loaded.name, "title": loaded.title}
         found = {**to_json(result, skip=("plan",)), "integrators": to_json(explicit)}

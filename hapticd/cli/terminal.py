@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.errors import CommandError, HapticdError
+from hapticd.errors import CommandError, ConfigError, HapticdError
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def progress(quiet: bool = False) -> "Iterator[Progress]":
 SceneName = Annotated[
     str, typer.Argument(metavar="SCENE", help="A shipped scene, or a path to a .toml file.")
 ]
-Plot = Annotated[bool, typer.Option("--plot/--no-plot", help="Draw a figure, PNG and SVG.")]
+Plot = Annotated[bool, typer.Option("--plot/--no-plot", help="Draw a figure, as PNG, SVG and PDF.")]
 Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where figures go.")]
 HERE = Path()
 
@@ -207,11 +207,34 @@ def need_figures(wanted: bool) -> None:
             pass
 
 
-def save_figure(figure: "Figure", folder: Path, name: str, as_json: bool) -> list[str]:
-    """Save NAME.png and NAME.svg and say where; the paths."""
+def figure_width_mm(text: str) -> float:
+    """The width [mm] in the text of --figure-width. BadParameter for others."""
+    from hapticd.report.paper import width_mm
+
+    try:
+        return width_mm(text)
+    except ConfigError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+FigureWidth = Annotated[
+    float | None,
+    typer.Option(
+        "--figure-width",
+        metavar="column|text|MM",
+        parser=figure_width_mm,
+        help="Figures for print: a column (88.9 mm), a page (181 mm) or so many mm wide.",
+    ),
+]
+
+
+def save_figure(
+    figure: "Figure", folder: Path, name: str, width_mm: float | None, as_json: bool
+) -> list[str]:
+    """Save the figure's files and say where; the paths."""
     from hapticd.report import style
 
-    paths = [str(path) for path in style.save(figure, folder, name)]
+    paths = [str(path) for path in style.save(figure, folder, name, width_mm)]
     if not as_json:
         talk(f"drawn: {', '.join(paths)}")
     return paths

@@ -35,6 +35,7 @@ goes on from there when it is asked for again. Enter takes the answer in bracket
 RESTART = (
     "Signs are verified from the next start of the daemon: start it again, then `hapticd rig`."
 )
+NOT_VERIFIED = "Signs are not verified yet: do what was refused again with `hapticd rig`."
 DONE = "The path is at its end. `hapticd status`, docs/first-day.md: what to look at, and a trial."
 
 
@@ -141,19 +142,29 @@ def guided(
         _offer(step, where)
     if _commissioning(where):
         if _offer(SIGN, where):
-            terminal.talk(RESTART)
+            terminal.talk(RESTART if _verified(where) else NOT_VERIFIED)
         return
     for step in LATER:
         _offer(step, where)
     terminal.talk(DONE)
 
 
+def _verified(where: Where) -> bool:
+    """Whether the device file says that the signs are verified, for its board."""
+    from hapticd.settings.build import commissioning
+
+    return not commissioning(_device(where))
+
+
 def _offer(step: Step, where: Where) -> bool:
     """Whether `step` was wanted, and begun."""
     _await_restart(where)
-    known = measured(step.table, _device(where))
-    terminal.talk(f"\n{step.name}: {step.title}{f' ({known})' if known else ''}")
-    if not steps.agreed("again?" if known else "now?", usual=not known):
+    device = _device(where)
+    known = measured(step.table, device)
+    doubted = in_doubt(step.table, device) if known else ""
+    said = f" ({known}{f'; {doubted}' if doubted else ''})" if known else ""
+    terminal.talk(f"\n{step.name}: {step.title}{said}")
+    if not steps.agreed("again?" if known else "now?", usual=bool(doubted) or not known):
         return False
     given = [number(question) for question in step.questions]
     _kept_on(lambda: step.act(where, given))
@@ -167,6 +178,17 @@ def measured(table: str, device: "DeviceFile") -> str:
         return ""
     days = (datetime.date.today() - date).days
     return f"measured {date.isoformat()}, {f'{days} days ago' if days else 'today'}"
+
+
+def in_doubt(table: str, device: "DeviceFile") -> str:
+    """Why what was measured into `table` of `device` cannot be relied on any more; "": it can."""
+    from hapticd.params import to_plain
+    from hapticd.recording.calibrations import doubts
+    from hapticd.settings.build import device_params
+
+    servo = {"simulated": device.simulated, "device": to_plain(device_params(device))}
+    found = doubts(servo, datetime.date.today(), probed=True)
+    return "; ".join(one.reason for one in found if one.table == table)
 
 
 def _dates(table: str, device: "DeviceFile") -> Iterator[datetime.date]:

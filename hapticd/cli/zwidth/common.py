@@ -57,7 +57,7 @@ OneDamping = Annotated[
     float | None, typer.Option("--damping", metavar="NS/M", help="Active damping.", min=0)
 ]
 Plot = Annotated[
-    bool, typer.Option("--plot/--no-plot", help="Draw PNG and SVG into the run folder.")
+    bool, typer.Option("--plot/--no-plot", help="Draw PNG, SVG and PDF into the run folder.")
 ]
 Where = Annotated[
     str,
@@ -99,6 +99,7 @@ class ResultsOptions:
 
     out: Out = None
     plot: Plot = True
+    figure_width: terminal.FigureWidth = None
     as_json: JsonOutcomes = False
 
 

@@ -30,6 +30,7 @@ def command(
     allow: Allow = "",
     out: common.Out = None,
     plot: common.Plot = True,
+    figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:
     """The fair comparison of displays: envelopes and limits as they are, and divided by the mass
@@ -48,7 +49,9 @@ def command(
     found = compare(files, [name for name in allow.split(",") if name])
     folder = common.folder(out, "compare")
     with common.drawing(folder):
-        paths = style.save(comparison_figure(found), folder, "compare") if plot else ()
+        paths = (
+            style.save(comparison_figure(found), folder, "compare", figure_width) if plot else ()
+        )
     if as_json:
         figures = [str(path) for path in paths]
         terminal.data_json({"ok": True, **_comparison_json(found), "figures": figures})

@@ -97,7 +97,10 @@ def command(
     about = {"kind": "limits", "scene": scene, "seconds": trials.seconds, "limits": rows}
     common.write_summary(folder, about, seed=trials.seed)
     with common.drawing(folder):
-        paths = style.save(limits_figure(result), folder, "limits") if results.plot else ()
+        width_mm = results.figure_width
+        paths = (
+            style.save(limits_figure(result), folder, "limits", width_mm) if results.plot else ()
+        )
     if results.as_json:
         common.print_result({"made": result.made, "limits": rows}, folder, paths)
         return

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from hapticd.cli import change, terminal
 from hapticd.cli.zwidth import common
+from hapticd.units import US_PER_S
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -28,6 +29,7 @@ class Rig:
     instance: str  # name of the daemon
     device: str  # name in its device file
     simulated: bool  # its board is simulated
+    skew_s: float  # by which the probe's velocity is later than its force, as its device file says
     model: "Scene | None"  # the scene of the simulated device of that name, if there is one
 
     @property
@@ -57,11 +59,14 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
             acceleration_filter=own.acceleration_filter,
         )
         model = replace(model, environment=filtered)
-    return Rig(client, instance, name, servo["simulated"], model)
+    skew_s = float(servo["device"]["probe_skew_us"]) / US_PER_S
+    return Rig(client, instance, name, servo["simulated"], skew_s, model)
 
 
-def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
-    """Say on stderr what is about to happen, before it does. `scene` is the one that was named."""
+def announce(rig: Rig, trial: "Trial", scene: "Scene | None", skew_s: float) -> None:
+    """Say on stderr what is about to happen, before it does. `scene` is the one that was named,
+    `skew_s` what is taken out.
+    """
     from hapticd.zwidth.watch import CENTRING_N_PER_M
 
     kind = "simulated" if rig.simulated else "real, it moves"
@@ -70,6 +75,11 @@ def announce(rig: Rig, trial: "Trial", scene: "Scene | None") -> None:
         f" {common.environment_words(trial)}, and perturbs it; Ctrl-C ends the trial and"
         " switches the force off"
     )
+    if rig.skew_s:
+        terminal.talk(
+            f"the device file says that the probe's velocity is {US_PER_S * rig.skew_s:.3g} us"
+            f" later than its force; {US_PER_S * skew_s:.3g} us are taken out"
+        )
     if trial.environment[0] == 0.0:
         terminal.talk(
             f"with K = 0 nothing holds the device in its travel; -K {CENTRING_N_PER_M:g} would"

@@ -82,7 +82,7 @@ def command(
     axes = _axes(stiffness, viscous, mass)
     folder = common.folder(results.out, "map")
     store = TrialStore(folder / "trials.jsonl")
-    redraw = _Redrawn(conditions, folder)
+    redraw = _Redrawn(conditions, folder, results.figure_width)
 
     def follow(new: "list[Outcome]") -> None:
         if results.as_json:
@@ -101,7 +101,7 @@ def command(
     asked = {"near": near, "everywhere": everywhere, "refine": refine}
     _write(folder, scene, params, trials, asked, levels)
     with common.drawing(folder):
-        paths = draw_map(result, folder) if results.plot else []
+        paths = draw_map(result, folder, results.figure_width) if results.plot else []
     if results.as_json:
         common.print_result({"made": result.made, "levels": to_json(levels)}, folder, paths)
         return
@@ -146,9 +146,10 @@ def _write(
 class _Redrawn:
     """Draws the envelope again as trials arrive, at most every few seconds."""
 
-    def __init__(self, conditions: "Conditions", folder: Path) -> None:
+    def __init__(self, conditions: "Conditions", folder: Path, width_mm: float | None) -> None:
         self._conditions = conditions
         self._folder = folder
+        self._width_mm = width_mm
         self._drawn_s = monotonic()
         self._passed: dict[float, list[Outcome]] = {}
 
@@ -162,7 +163,7 @@ class _Redrawn:
         if self._passed and monotonic() - self._drawn_s > REDRAW_S:
             self._drawn_s = monotonic()
             figure = envelope_figure(self._conditions, list(self._passed.items()))
-            style.save(figure, self._folder, "envelope_so_far")
+            style.save(figure, self._folder, "envelope_so_far", self._width_mm)
 
 
 def _level(level: "LevelMap") -> dict[str, Any]:
@@ -210,18 +211,18 @@ def _row(level: dict[str, Any]) -> tuple[float, ...]:
     return (level["added_damping_ns_per_m"], *counts, *extremes, width_db)
 
 
-def draw_map(result: "MapResult", folder: Path) -> list[Path]:
+def draw_map(result: "MapResult", folder: Path, width_mm: float | None) -> list[Path]:
     """The set, and the envelopes of impedance and admittance where a trial passed."""
     from hapticd.report import style
     from hapticd.report.envelope import envelope_figure
     from hapticd.report.passive_set import set_figure
 
-    paths = [*style.save(set_figure(result), folder, "set")]
+    paths = [*style.save(set_figure(result), folder, "set", width_mm)]
     drawn = [(level.damping_ns_per_m, level.outcomes) for level in result.levels if level.envelope]
     if drawn:
         conditions = result.plan.params.conditions
         impedance = envelope_figure(conditions, drawn)
         admittance = envelope_figure(conditions, drawn, inverse=True)
-        paths += style.save(impedance, folder, "envelope")
-        paths += style.save(admittance, folder, "envelope_admittance")
+        paths += style.save(impedance, folder, "envelope", width_mm)
+        paths += style.save(admittance, folder, "envelope_admittance", width_mm)
     return paths

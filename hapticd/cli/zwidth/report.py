@@ -61,6 +61,7 @@ def report(
     seconds: common.Seconds = 90.0,
     seed: common.Seed = 1,
     out: common.Out = None,
+    figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:
     """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run
@@ -70,9 +71,9 @@ def report(
 
     folder = Path(what)
     if (folder / "run.json").is_file():
-        drawn = _of_run(folder, out or folder)
+        drawn = _of_run(folder, out or folder, figure_width)
     else:
-        drawn = _of_device(what, damping, seconds, seed, out)
+        drawn = _of_device(what, damping, seconds, seed, out, figure_width)
     if as_json:
         files = [str(path) for path in drawn.files]
         terminal.data_json({"ok": True, "files": files, "judged": to_json(drawn.judged)})
@@ -116,7 +117,7 @@ def _instead(folder: Path) -> str:
     )
 
 
-def _of_run(folder: Path, out: Path) -> DrawnReport:
+def _of_run(folder: Path, out: Path, width_mm: float | None) -> DrawnReport:
     from hapticd.errors import ConfigError
     from hapticd.zwidth.map import kept_map, plan_map
     from hapticd.zwidth.store import TrialStore, read_summary
@@ -125,7 +126,7 @@ def _of_run(folder: Path, out: Path) -> DrawnReport:
     kept = read_summary(folder)
     if kept["kind"] == "trial":
         result = kept_trial(folder, kept, _same_scene(kept))
-        return DrawnReport(draw_trial(result, out), result.verdict.judged)
+        return DrawnReport(draw_trial(result, out, width_mm), result.verdict.judged)
     if kept["kind"] != "map":
         kind = f"a run of kind {kept['kind']!r}"
         raise ConfigError(
@@ -133,7 +134,7 @@ def _of_run(folder: Path, out: Path) -> DrawnReport:
             " this verb redraws trials and maps"
         )
     found = kept_map(plan_map(_map_params(kept)), TrialStore(folder / "trials.jsonl"))
-    return DrawnReport(draw_map(found, out), found.judged)
+    return DrawnReport(draw_map(found, out, width_mm), found.judged)
 
 
 def _same_scene(kept: dict[str, Any]) -> "Scene | None":
@@ -169,7 +170,14 @@ def _map_params(kept: dict[str, Any]) -> "MapParams":
     )
 
 
-def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | None) -> DrawnReport:
+def _of_device(
+    what: str,
+    damping: str,
+    seconds: float,
+    seed: int,
+    out: Path | None,
+    width_mm: float | None,
+) -> DrawnReport:
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
     from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
@@ -188,9 +196,9 @@ def _of_device(what: str, damping: str, seconds: float, seed: int, out: Path | N
         found = run_map(plan_map(params_about(limits)), store, tell)
     device_file = device_path(what if what.endswith(".toml") else scene.device)
     _write(folder, name, device_file, limits, found)
-    paths = _own_trial(scene, seconds, folder)
-    paths += style.save(limits_figure(limits), folder, "limits")
-    paths += draw_map(found, folder)
+    paths = _own_trial(scene, seconds, folder, width_mm)
+    paths += style.save(limits_figure(limits), folder, "limits", width_mm)
+    paths += draw_map(found, folder, width_mm)
     return DrawnReport([*paths, folder / f"{name}{SUFFIX}"], found.judged)
 
 
@@ -215,7 +223,7 @@ def _write(
     write_run(folder, summary, texts={f"{name}{SUFFIX}": text})
 
 
-def _own_trial(scene: "Scene", seconds: float, folder: Path) -> list[Path]:
+def _own_trial(scene: "Scene", seconds: float, folder: Path, width_mm: float | None) -> list[Path]:
     """A trial of the environment that the scene itself describes."""
     from hapticd.zwidth.scenes import level, noise, point
     from hapticd.zwidth.simulated import engine_source
@@ -224,17 +232,21 @@ def _own_trial(scene: "Scene", seconds: float, folder: Path) -> list[Path]:
 
     trial = Trial(point(scene), level(scene), seconds, noise(scene))
     result = run_trial(plan_trial(TrialParams(trial, scene)), engine_source(scene))
-    return draw_trial(result, folder)
+    return draw_trial(result, folder, width_mm)
 
 
 def reproduce(
-    quick: Quick = False, seeds: Seeds = 8, out: common.Out = None, as_json: terminal.Json = False
+    quick: Quick = False,
+    seeds: Seeds = 8,
+    out: common.Out = None,
+    figure_width: terminal.FigureWidth = None,
+    as_json: terminal.Json = False,
 ) -> None:
     """Weir, Colgate and Peshkin 2008 on simulated devices: limits, ratios, equations and Figs. 2-4
     and 7-11 beside the paper's, and what the paper left to future work.
 
-    Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG); with --json only
-    if --out names a folder. Ctrl-C is safe: the folder holds the files of one run, or none.
+    Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG, PDF); with --json
+    only if --out names a folder. Ctrl-C is safe: the folder holds the files of one run, or none.
     """
     from hapticd.weir2008.future_page import future_sections
     from hapticd.weir2008.future_work import plan_future_work, run_future_work
@@ -259,7 +271,7 @@ def reproduce(
             "provenance": common.provenance_now(),
         }
         if out is not None or not as_json:
-            files = keep(found, common.folder(out, "reproduce"), content, tell)
+            files = keep(found, common.folder(out, "reproduce"), content, tell, figure_width)
     if as_json:
         if files:
             content["files"] = [str(file) for file in files]

@@ -74,7 +74,8 @@ def command(
     about = {"kind": "search", "scene": scene, "levels": levels}
     common.write_summary(folder, about, seed=trials.seed)
     with common.drawing(folder):
-        paths = style.save(search_figure(found), folder, "search") if results.plot else ()
+        width_mm = results.figure_width
+        paths = style.save(search_figure(found), folder, "search", width_mm) if results.plot else ()
     if results.as_json:
         common.print_result({"levels": to_json(levels)}, folder, paths)
         return

@@ -33,6 +33,7 @@ SOURCES = (
     "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's device,"
     " ENABLED by this; else a FILE."
 )
+STOPPED = 5  # exit code of a trial after which the device is stopped, or in fault
 ENGINE_SCENE = "fig4"  # of engine and lockstep where none is named
 FILES = (
     ".csv, .npz, .mat or .h5 with force in N and velocity in m/s; a recording, its export, a run"
@@ -149,13 +150,14 @@ class FileOptions:
         typer.Option("--rate-hz", metavar="HZ", help="Sample rate of FILE, where it does not say."),
     ] = None
     skew: Annotated[
-        float,
+        float | None,
         typer.Option(
             "--skew",
             metavar="S",
-            help="Known delay of the velocity channel behind the force, taken out.",
+            help="Known delay of the velocity channel behind the force, taken out; left out: for"
+            " a live trial that of the device file, else 0.",
         ),
-    ] = 0.0
+    ] = None
     high_pass: Annotated[
         float,
         typer.Option(
@@ -174,6 +176,7 @@ class TrialResultOptions:
     out: common.Out = None
     plot: common.Plot = False
     admittance: common.Admittance = False
+    figure_width: terminal.FigureWidth = None
     as_json: terminal.Json = False
 
 
@@ -222,7 +225,7 @@ def _tried(
     plan = plan_trial(_params(asked, file, scene, recorded))
     with common.interruptible(), ExitStack() as stack:
         if asked.source == "live":
-            plan, source = _live(plan, scene, instance, asked.uncalibrated, stack)
+            plan, source = _live(plan, scene, instance, asked, file, stack)
         else:
             terminal.talk(announced(asked.source, plan.params.trial, scene, recorded))
             simulated = scene or common.scene_of(ENGINE_SCENE)
@@ -232,6 +235,8 @@ def _tried(
         wanted = asked.sine and may_follow(result.recorded)
         sines = stepped_sine(plan.params.trial, source, tell) if wanted else None
     _show(result, sines, results)
+    if asked.source == "live" and result.recorded.ended.startswith(("fault: ", "stopped: ")):
+        raise typer.Exit(STOPPED)  # the device is left like that
 
 
 def _check(asked: TrialOptions) -> None:
@@ -290,7 +295,7 @@ def _params(
         asked.behind,
         lag=asked.lag,
         multisine=layout,
-        skew_s=file.skew,
+        skew_s=file.skew or 0.0,
         high_pass_hz=file.high_pass,
     )
 
@@ -328,7 +333,12 @@ def _judged(
 
 
 def _live(
-    plan: "TrialPlan", scene: "Scene | None", instance: str, uncalibrated: bool, stack: ExitStack
+    plan: "TrialPlan",
+    scene: "Scene | None",
+    instance: str,
+    asked: TrialOptions,
+    file: FileOptions,
+    stack: ExitStack,
 ) -> "tuple[TrialPlan, Source]":
     """The plan with the curve of the daemon's device, and the source.
 
@@ -338,10 +348,11 @@ def _live(
     from hapticd.zwidth.trial import plan_trial
 
     found = open_rig(instance, stack)
-    announce(found, plan.params.trial, scene)
-    known = plan_trial(replace(plan.params, scene=found.model))
+    skew_s = found.skew_s if file.skew is None else file.skew
+    announce(found, plan.params.trial, scene, skew_s)
+    known = plan_trial(replace(plan.params, scene=found.model, skew_s=skew_s))
     return replace(known, spectral_radius=None), daemon_source(
-        found.client, found.origin, uncalibrated
+        found.client, found.origin, asked.uncalibrated
     )
 
 
@@ -368,7 +379,11 @@ def _show(
     write(folder, result, common.provenance_now(), sines)
     with common.drawing(folder):
         wanted = results.plot or results.admittance
-        paths = draw_trial(result, folder, sines, results.admittance) if wanted else []
+        paths = (
+            draw_trial(result, folder, results.figure_width, sines, results.admittance)
+            if wanted
+            else []
+        )
     if results.as_json:
         found = to_json(summary(result, sines))
         files = [str(path) for path in paths]
@@ -476,6 +491,7 @@ def _amplitudes(result: "TrialResult", sines_mm_per_s: list[float]) -> str:
 def draw_trial(
     result: "TrialResult",
     folder: Path,
+    width_mm: float | None,
     sines: "ReferenceSines | None" = None,
     admittance: bool = True,
 ) -> list[Path]:
@@ -483,10 +499,10 @@ def draw_trial(
     from hapticd.report import style
     from hapticd.report.trial import trial_figure
 
-    paths = [*style.save(trial_figure(result, sines), folder, "trial")]
+    paths = [*style.save(trial_figure(result, sines), folder, "trial", width_mm)]
     if admittance:
         figure = trial_figure(result, sines, admittance=True)
-        paths += style.save(figure, folder, "trial_admittance")
+        paths += style.save(figure, folder, "trial_admittance", width_mm)
     return paths
 
 

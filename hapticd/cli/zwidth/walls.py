@@ -37,6 +37,7 @@ def command(
     still: Still = 2e-3,
     out: common.Out = None,
     plot: common.Plot = True,
+    figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:
     """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the K-B
@@ -58,7 +59,7 @@ def command(
     folder = common.folder(out, "walls")
     common.write_summary(folder, {"kind": "walls", "scene": scene, "lines": result.lines})
     with common.drawing(folder):
-        paths = style.save(walls_figure(result), folder, "walls") if plot else ()
+        paths = style.save(walls_figure(result), folder, "walls", figure_width) if plot else ()
     if as_json:
         common.print_result({"lines": to_json(result.lines)}, folder, paths)
         return
