@@ -1,0 +1,93 @@
+"""`make attack`: run the rows of the attack suite, print them, and write build/attack.json.
+
+    python tests/attack.py                          every row, whole
+    python tests/attack.py --only commands,frames   some rows; theirs replace those of the file
+    python tests/attack.py --factor 0.01            a hundredth of each
+
+A row whose work can be shared is run by all cores, in parts with seeds of their own. The exit code
+is 1 where something was lost, or a stop took longer than STOP_MS.
+"""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from attacks.rows import Outcome, Row
+from attacks.table import ROWS
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULT = ROOT / "build" / "attack.json"
+STOP_MS = 100.0  # within which the force has to be gone after a stop, whatever is going on
+
+
+def parts(row: Row, times: int) -> Iterator[tuple[int, int]]:
+    """(pieces, seed) of the parts of a run of `times`."""
+    part = row.part or times
+    for number, begin in enumerate(range(0, times, part)):
+        yield min(part, times - begin), 1 + number * part
+
+
+def run(row: Row, times: int) -> Outcome:
+    """All parts of `row`."""
+    shared = list(parts(row, times))
+    if len(shared) == 1:
+        return row.attack(*shared[0])
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        outcomes = pool.map(row.attack, *zip(*shared, strict=True))
+        return sum(outcomes, Outcome(0))
+
+
+def told(row: Row, outcome: Outcome, seconds: float) -> dict[str, Any]:
+    """The row of build/attack.json."""
+    return {
+        "name": row.name,
+        "does": row.does,
+        "expected": row.expected,
+        "counter": row.counter,
+        "tried": outcome.tried,
+        "unit": row.unit,
+        "lost": outcome.lost,
+        "found": outcome.found,
+        "figures": outcome.figures,
+        "seconds": round(seconds),
+        "command": f"make attack ONLY={row.name}",
+    }
+
+
+def merged(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """`rows`, and those of the file that were not run again, in the order of the table."""
+    kept = json.loads(RESULT.read_text()) if RESULT.exists() else []
+    by_name = {one["name"]: one for one in [*kept, *rows]}
+    return [by_name[row.name] for row in ROWS if row.name in by_name]
+
+
+def main() -> int:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--only", default=os.environ.get("ONLY", ""))
+    parser.add_argument("--factor", type=float, default=float(os.environ.get("FACTOR") or 1.0))
+    asked = parser.parse_args()
+    names = asked.only.replace(",", " ").split() or [row.name for row in ROWS]
+    unknown = set(names) - {row.name for row in ROWS}
+    if unknown:
+        parser.error(f"no row {', '.join(unknown)}; rows: {', '.join(one.name for one in ROWS)}")
+    lost = 0
+    for row in (row for row in ROWS if row.name in names):
+        begin = time.monotonic()
+        outcome = run(row, max(1, round(asked.factor * row.times)))
+        line = told(row, outcome, time.monotonic() - begin)
+        print(json.dumps(line, indent=1), flush=True)
+        rows = merged([line])
+        RESULT.parent.mkdir(exist_ok=True)
+        RESULT.write_text(json.dumps(rows, indent=1) + "\n")
+        lost += outcome.lost + (outcome.figures.get("stop_longest_ms", 0.0) > STOP_MS)
+    return 1 if lost else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
