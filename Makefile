@@ -1,9 +1,12 @@
-# Work with a checkout: make run | test | mutate | bench | deps | clean. A fresh machine needs make and Python 3.11 or newer.
+# Work with a checkout: make run | test | mutate | attack | bench | deps | clean. A fresh machine needs make and Python 3.11 or newer.
 #
 #   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
 #   make practice           a simulated rig with hidden truths, to try `hapticd rig` without hardware (docs/first-day.md)
 #   make test               format, lint, types, layers, tests: what continuous integration runs
+#   make test-usb           of these the ones on a true Linux USB stack, in a user-mode kernel (docs/usb.md); with what was measured
 #   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; minutes
+#   make attack [ONLY=frames] [FACTOR=0.01]  hostile requests, frames and files at length; results in build/attack.json
+#   make soak [HOURS=2]     the daemon in real time with faults, re-plugs, commands and subscribers at random; then as long in virtual time; build/soak*.json
 #   make firmware [FIRMWARE=FOLDER] check the reference firmware, or sources of your own, against the simulated board; minutes
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
@@ -12,7 +15,8 @@
 #   make pictures           take the screenshots of README and docs anew
 #   make docs               build the documentation in build/docs; warnings are errors
 #   make deps               install the system packages that are missing
-#   make pins               write constraints.txt anew: the newest version of every library that pyproject.toml allows
+#   make pins               write constraints.txt and requirements.lock anew: the newest of every library that pyproject.toml allows
+#   make test-lowest        what talks to a library, with the lowest versions that pyproject.toml declares; minutes
 #   make clean              remove what was made, the environment included
 #
 # A checkout has the libraries and tools of constraints.txt, so that what passed yesterday passes today. With the newest
@@ -21,7 +25,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run practice test mutate firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-bench pins clean
+.PHONY: run practice test test-usb mutate attack soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-bench pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -45,11 +49,21 @@ test: deps-test $(VENV)/test.stamp
 	$(BIN)/lint-imports
 	$(BIN)/python -m pytest $(ARGS)
 
+test-usb: deps-test $(VENV)/test.stamp
+	$(BIN)/python -m pytest -rP tests/test_usb_stack.py $(ARGS)
+
 mutate: deps-test $(VENV)/test.stamp
 	$(BIN)/python tests/mutate.py $(ONLY)
 
 firmware: deps-test $(VENV)/test.stamp
 	$(BIN)/python tests/million_frames.py $(FIRMWARE)
+
+attack: deps-test $(VENV)/test.stamp
+	ONLY="$(ONLY)" FACTOR="$(FACTOR)" $(BIN)/python tests/attack.py
+
+soak: deps-bench $(VENV)/test.stamp
+	HOURS="$(HOURS)" $(BIN)/python tests/soak.py
+	HOURS="$(HOURS)" $(BIN)/python tests/soak_lockstep.py
 
 bench: deps-bench $(VENV)/test.stamp
 	ONLY="$(ONLY)" $(BIN)/python benchmarks/run.py
@@ -67,7 +81,7 @@ pictures: deps-test $(VENV)/test.stamp
 
 docs: $(VENV)/test.stamp
 	$(BIN)/python docs/generate.py
-	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+	$(BIN)/python -m sphinx -W --keep-going -q -j auto -b html docs build/docs
 	@echo "open build/docs/index.html"
 
 deps:
@@ -76,13 +90,27 @@ deps:
 deps-run deps-test deps-bench: deps-%:
 	@PYTHON=$(PYTHON) .ci/deps $*
 
-# what checks the code, for every Python from the oldest on; uv comes by pip, into the environment alone
-pins: $(VENV)/run.stamp
-	@$(PIP) install --group pins
+# for every Python from the oldest on: what a checkout has, and the same for installations, with the hash of every file
+RESOLVED := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-header --no-annotate
+pins: $(VENV)/test.stamp
 	@echo '# Written by `make pins`: what a checkout has. An installation has the ranges of pyproject.toml.' >$(VENV)/pins.txt
-	@$(BIN)/uv pip compile --quiet --universal --upgrade --python-version 3.11 --all-extras \
-		--group test --group lint --group docs --no-header --no-annotate pyproject.toml >>$(VENV)/pins.txt
+	@$(RESOLVED) --upgrade --group test --group lint --group docs pyproject.toml >>$(VENV)/pins.txt
 	@cp $(VENV)/pins.txt constraints.txt
+	@$(MAKE) --no-print-directory lock
+
+lock: $(VENV)/test.stamp
+	@echo '# Written by `make pins`: the libraries of constraints.txt that an installation may have, by hash; docs/installing.md.' >$(VENV)/lock.txt
+	@$(RESOLVED) --generate-hashes --constraint constraints.txt pyproject.toml >>$(VENV)/lock.txt
+	@cp $(VENV)/lock.txt requirements.lock
+
+# with the lowest versions that pyproject.toml declares: what talks to a library
+LOWEST := $(addprefix tests/test_,settings_load.py settings_build.py gateway_server.py gateway_codec.py gateway_relay.py client.py \
+	client_aio.py console.py cli_terminal.py cli_daemon.py cli_bridge.py recording_file.py recording_live.py recording_pack.py \
+	report_trial.py report_envelope.py engine_compiled.py analysis_batch_spectra.py rig_device_file.py link_usb.py)
+test-lowest: deps-test $(VENV)/test.stamp
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/lowest
+	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --resolution lowest-direct --editable '.[all]' --group test
+	build/lowest/bin/python -m pytest $(or $(ARGS),$(LOWEST))
 
 # --- the environment, made again when pyproject.toml or the pins change ---------------------------
 $(VENV)/run.stamp: pyproject.toml $(PINS) | deps-run
@@ -99,5 +127,5 @@ $(VENV)/test.stamp: $(VENV)/run.stamp
 	@touch $@
 
 clean:
-	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist docs/generated .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -3,6 +3,7 @@ missing.
 """
 
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -126,3 +127,55 @@ def test_missing_program_skips_its_tests_or_fails_the_run(
     assert (done.returncode, "1 skipped" in done.stdout) == (code, True), done.stdout
     assert "systemd-analyze is missing; install it with `make deps`" in done.stdout
     assert ("not run, and every test has to" in done.stdout) == bool(options)
+
+
+# --- the lock -------------------------------------------------------------------------------------
+
+LOCK = ROOT / "requirements.lock"
+
+
+def locked(python: str) -> dict[str, str]:
+    """Version by library that the lock gives that Python on Linux."""
+    here = {"python_full_version": python, "python_version": python.rpartition(".")[0]}
+    found = {}
+    for line in LOCK.read_text().splitlines():
+        if line[:1].isalpha():
+            pin = Requirement(line.removesuffix("\\"))
+            if pin.marker is None or pin.marker.evaluate(here):
+                found[pin.name] = str(pin.specifier).removeprefix("==")
+    return found
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_installations_are_locked_to_what_a_checkout_is_tested_with(python: str) -> None:
+    pins = pinned(python)
+    versions = locked(python)
+    assert versions
+    assert {name: pins.get(name) for name in versions} == versions
+
+
+def test_lock_has_every_library_of_every_extra_and_no_tool() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    lists = [project["dependencies"], *project["optional-dependencies"].values()]
+    wanted = {Requirement(text).name for texts in lists for text in texts} - {"hapticd"}
+    assert wanted - set(locked(PYTHONS[0])) == set()
+    assert {"pytest", "ruff", "sphinx", "uv"} & set(locked(PYTHONS[0])) == set()
+
+
+def test_everything_that_is_locked_has_hashes() -> None:
+    entries = re.split(r"\n(?=[a-z])", LOCK.read_text())[1:]
+    assert len(entries) > 20
+    for entry in entries:
+        name, *hashes = [line.strip(" \\") for line in entry.strip().splitlines()]
+        assert hashes, name
+        assert all(re.fullmatch(r"--hash=sha256:[0-9a-f]{64}", one) for one in hashes), name
+
+
+def test_pins_write_the_lock() -> None:
+    """Made from the same pins; that the lock is that of today's pyproject.toml the tests above
+    see.
+    """
+    recipe = (ROOT / "Makefile").read_text()
+    pins = recipe[recipe.index("\npins:") : recipe.index("\ntest-lowest:")]
+    assert "lock" in pins.partition("\nlock:")[0]
+    assert "--generate-hashes --constraint constraints.txt" in pins
