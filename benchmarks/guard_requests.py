@@ -172,7 +172,7 @@ class Plans:
         return self._obey(kind, 0, (0.0,) * COMMAND_VALUES)
 
     def _obey(self, kind: Command, tick: int, values: tuple[float, ...]) -> Result:
-        now = Now(self.tick, 0, 0.0, True, 0)
+        now = Now(self.tick, self.tick - 1, 0, 0.0, True, 0)
         self.plan, answers = obey(self.plan, (1, kind, 1, tick, values), now, self.params)
         return Result(answers[-1][1])
 

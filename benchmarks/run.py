@@ -55,6 +55,8 @@ GROUPS = {  # parts whose figures belong together
         "late",
         "latency",
         "cli_verbs",
+        "page_cpu",
+        "page_seen",
         "guard",
         "guard_cpu",
         "telemetry",

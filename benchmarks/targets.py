@@ -89,6 +89,26 @@ TABLE: dict[str, dict[str, Target]] = {
             "its way loads neither the command line nor ZeroMQ",
         ),
     },
+    "page_cpu": {
+        "page_cpu_ratio": Target(
+            "<= 3x",
+            "a bare ZeroMQ-to-websocket forwarder, asyncio too, of the same messages at the same"
+            " time",
+            "frames are made out of the records, beside the daemon's words, guard and timing",
+        ),
+    },
+    "page_seen": {
+        "toggle_ratio": Target(
+            "<= 3x",
+            "a page whose switch is turned by a websocket echo, clicked by the same mouse in turns",
+            "the daemon, a tick, the board's report of the next ones, and telemetry; p99",
+        ),
+        "first_paint_ratio": Target(
+            "<= 2x",
+            "one static page of the same bytes, scripts as text, from a bare server",
+            "several files, and scripts that begin to draw",
+        ),
+    },
     "guard": {
         "guard_path_ratio": Target(
             "<= 6x",

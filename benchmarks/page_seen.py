@@ -1,0 +1,124 @@
+"""What a person at the page waits for, in Chromium: from a click on the damping switch until the
+board's report is on the page, and from an address until something is seen.
+
+The yardstick of the click is a bare page whose button sends one message over a websocket and shows
+what comes back; both are clicked by the same mouse, in turns, and timed by the same lines inside
+the page, from the time stamp of the click until the count that the board reports is another one.
+(Damping then goes on its ramp, whatever the page.) That of the first paint is
+a page that holds the same bytes as text, from a bare server, by Chromium's own paint timing.
+"""
+
+import random
+from collections.abc import Iterator
+from contextlib import ExitStack
+
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from benchmarks import daemon, targets
+from benchmarks.blocks import quantile
+from benchmarks.figures import Figure, compared
+from benchmarks.page_cpu import page_of, worker
+from benchmarks.worker import next_json
+from hapticd.client import Client
+
+TARGETS = targets.of("page_seen")
+CHROMIUM = "/usr/bin/chromium"
+ARGUMENTS = ("--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu")
+SIZE = {"width": 1280, "height": 720}
+ROUNDS = 20
+CLICKS = 20  # a round
+PAINTS = 20
+REST_MS = (120, 200)  # after each report: the damping's ramp ends, and no click keeps step
+WATCHED = """([button, report]) => {
+    window.taken_ms = [];
+    let clicked_ms = null;
+    let tell = () => {};
+    button.addEventListener("click", (event) => { clicked_ms = event.timeStamp; }, true);
+    const reported = () => {
+        if (clicked_ms === null) return;
+        taken_ms.push(performance.now() - clicked_ms);
+        clicked_ms = null;
+        tell();
+    };
+    new MutationObserver(reported).observe(report, { childList: true });
+    window.reports = (count) => new Promise((done) => {
+        tell = () => taken_ms.length >= count && done();
+        tell();
+    });
+}"""
+PAINTED = """() => new Promise((done) => {
+    const first = (list) => {
+        const found = list.find((one) => one.name === "first-contentful-paint");
+        if (found) done(found.startTime);
+    };
+    new PerformanceObserver((found) => first(found.getEntries())).observe(
+        { type: "paint", buffered: true });
+})"""
+
+
+def measure() -> Iterator[Figure]:
+    """Ratio of the 99th percentiles of a click, and of the medians of the first paint."""
+    with daemon.running("seen") as instance, ExitStack() as stack:
+        url = str(page_of(instance)["url"])
+        bare = next_json(worker(stack, "serve"), "the bare server")["url"]
+        playwright = stack.enter_context(sync_playwright())
+        browsers = [
+            playwright.chromium.launch(executable_path=CHROMIUM, args=list(ARGUMENTS))
+            for _ in range(2)
+        ]
+        with Client(instance) as client:
+            client.damping("off")
+        pages = [opened(browser, one) for browser, one in zip(browsers, (url, bare), strict=True)]
+        taken_ms = clicked(pages)
+        for page in pages:
+            page.close()
+        painted_ms = [
+            [
+                painted(browser, one)
+                for browser, one in zip(browsers, (url, f"{bare}same"), strict=True)
+            ]
+            for _ in range(PAINTS)
+        ]
+        for browser in browsers:
+            browser.close()
+    ours, theirs = (quantile(one, 0.99) for one in taken_ms)
+    middles = " and ".join(f"{quantile(one, 0.5):.1f}" for one in taken_ms)
+    note = f"{len(taken_ms[0])} clicks each, medians {middles} ms"
+    yield compared("toggle_ratio", TARGETS["toggle_ratio"], ours, "ms", theirs, note)
+    ours, theirs = (quantile(list(one), 0.5) for one in zip(*painted_ms, strict=True))
+    yield compared("first_paint_ratio", TARGETS["first_paint_ratio"], ours, "ms", theirs)
+
+
+def opened(browser: Browser, url: str) -> Page:
+    """A page whose switch is ready and whose report is watched."""
+    page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
+    page.goto(url)
+    page.wait_for_selector("#damping-switch[aria-checked=false]")
+    page.wait_for_timeout(2000)
+    parts = [page.query_selector(one) for one in ("#damping-switch", "#damping-board")]
+    page.evaluate(WATCHED, parts)
+    return page
+
+
+def clicked(pages: list[Page]) -> list[list[float]]:
+    """Times [ms] from click to report, for each page, in turns of some clicks."""
+    random.seed(1)
+    for _ in range(ROUNDS):
+        for page in pages:
+            box = page.locator("#damping-switch").bounding_box()
+            assert box is not None
+            for _ in range(CLICKS):
+                page.wait_for_timeout(random.uniform(*REST_MS))
+                count = page.evaluate("taken_ms.length") + 1
+                page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+                page.evaluate("(count) => reports(count)", count)
+    return [page.evaluate("taken_ms") for page in pages]
+
+
+def painted(browser: Browser, url: str) -> float:
+    """Time [ms] to the first contentful paint of a browser that has never been there."""
+    page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
+    page.goto(url)
+    found: float = page.evaluate(PAINTED)
+    page.context.close()
+    return found
