@@ -1,16 +1,52 @@
 """The documentation site: `make docs`. Pages that repeat a table of the program are made by
-generate.py before.
+generate.py before; the tutorials are run while the site is built.
 """
 
+import sys
+from pathlib import Path
+from typing import Any
+
 import hapticd
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from pages.docstrings import as_text, named
 
 project = "hapticd"
 author = "hapticd contributors"
 copyright = "hapticd contributors, BSD-3-Clause"
 version = release = hapticd.__version__
-extensions = ["myst_parser"]
-myst_enable_extensions = ["colon_fence"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
+myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
-exclude_patterns = ["adr/0000-template.md", "faults/*"]
+smartquotes = False  # `--json` is typed with two hyphens, and quotes are copied
+highlight_language = "console"
+exclude_patterns = ["adr/0000-template.md", "faults/*", "tutorials/*"]
 html_theme = "furo"
 html_title = f"hapticd {release}"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_js_files = ["tables.js"]
+autodoc_member_order = "bysource"
+python_maximum_signature_line_length = 100
+sphinx_gallery_conf = {
+    "examples_dirs": "tutorials",
+    "gallery_dirs": "generated/tutorials",
+    "filename_pattern": r"/t\d_",
+    "image_scrapers": ("pages.gallery.figures",),
+    "within_subsection_order": "FileNameSortKey",
+    "capture_repr": (),
+    "run_stale_examples": True,  # also where not the script but the package has changed
+    "abort_on_example_error": True,
+    "min_reported_time": 1e6,
+    "write_computation_times": False,
+    "show_memory": False,
+    "show_signature": False,
+    "download_all_examples": False,
+}
+
+
+def setup(app: Any) -> None:
+    """Docstrings are plain text."""
+    app.connect("autodoc-process-docstring", as_text)
+    app.connect("autodoc-process-signature", named)

@@ -8,6 +8,7 @@ from pages.commands import commands_page
 from pages.faults import fault_page, faults_page
 from pages.layers import DRAWING, drawing
 from pages.messages import messages_page
+from pages.scenes import effects_page, scene_page
 from pages.settings import settings_page
 from pages.simulated_board import simulated_board_page
 
@@ -22,6 +23,8 @@ def pages() -> dict[str, str]:
         "configuration.md": settings_page("config", "Configuration"),
         "device.md": settings_page("device", "Device file"),
         "commands.md": commands_page(),
+        "scene.md": scene_page(),
+        "effects.md": effects_page(),
         "messages.md": messages_page(),
         "simulated-board.md": simulated_board_page(),
         "faults/index.md": faults_page(),

@@ -23,8 +23,11 @@ CHROMIUM = "/usr/bin/chromium"
 INSTANCE = "display"
 SIZE = {"width": 1280, "height": 720}
 LOOK_MS = 200
-PATIENCE = 150  # looks
-COLOURS = 64
+PATIENCE = 600  # looks
+COLOURS = 160
+PATIENT = "[safety]\ngateway_timeout_s = 30.0\n"  # a busy machine is no fault to be shown
+PATIENCE_MS = 120_000
+PLANE_DRAWN = "() => document.querySelector('#plane-note').textContent.startsWith('by')"
 
 
 def main() -> None:
@@ -42,7 +45,10 @@ def daemon() -> Iterator[str]:
     """A daemon of its own; the URL of its page."""
     with tempfile.TemporaryDirectory(prefix="hapticd-") as folder:
         os.environ["XDG_RUNTIME_DIR"] = folder
+        config = Path(folder) / "hapticd.toml"
+        config.write_text(PATIENT)
         words = [sys.executable, "-m", "hapticd", "run", "--instance", INSTANCE]
+        words += ["--config", str(config)]
         process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
         try:
             yield page_of(process)
@@ -73,9 +79,10 @@ def opened(browser: Browser, url: str, scheme: str) -> Page:
         device_scale_factor=1.5,
     )
     page = context.new_page()
+    page.set_default_timeout(PATIENCE_MS)
     page.goto(url)
     page.wait_for_selector("html:not([data-state=nodata])")
-    page.wait_for_function("document.querySelector('#plane-note').textContent.startsWith('by')")
+    page.wait_for_function(PLANE_DRAWN)
     return page
 
 

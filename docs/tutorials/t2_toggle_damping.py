@@ -1,0 +1,93 @@
+"""
+Toggle damping
+==============
+
+Switch the active damping under a stiff spring, and see what it does. This is the heart of the paper
+by Weir, Colgate and Peshkin (2008): the same spring, the same hand, one analog circuit.
+
+The device is ``weir2008``, the simulated display that reproduces the paper's limits: without
+damping it bears some 100 N/m, with 1.74 N s/m of it some 600.
+"""
+
+import numpy as np
+
+from hapticd.assembly.lockstep import scene_params
+from hapticd.faults import BY_NUMBER
+from hapticd.report.style import BLUE, OFF, ON, WIDTH_IN, axes, styled
+from hapticd.zwidth.lockstep import LockStepBench
+
+device = LockStepBench(*scene_params("fig7"))  # live: device = Client()
+
+# %%
+# A spring beyond the limit
+# -------------------------
+# 250 N/m is more than twice what the undamped device bears. Damping first, then the spring, then
+# force. A hand that is never still is played by noise at the probe.
+
+NOISE_N = np.random.default_rng(1).normal(0.0, 0.2, 4000)  # 4 kHz
+print(f"damping {device.damping('on').effective['damping']:.4f} N s/m")
+device.set(K=250, B=1)
+device.enable()
+device.perturb_load(NOISE_N)
+device.perturb_start(loop=True)
+
+# %%
+# On, off, on, off
+# ----------------
+# ``damping`` is a change like any other: a receipt, a revision, the level as the 16-bit converter
+# of the board made it.
+
+parts = []
+for asked in ("on", "off", "on", "off"):
+    receipt = device.damping(asked)
+    records, lost = device.record(seconds=1.0)
+    parts.append(records)
+    moved_um = 1e6 * records["position_m"].std()
+    print(f"damping {receipt.effective['damping']:.2f} N s/m: {moved_um:.0f} um rms, {lost} lost")
+
+# %%
+# The damping in the second panel is what the **board reports**, tick by tick.
+
+records = np.concatenate(parts)
+time_s = (records["tick"] - records["tick"][0]) / 1e3
+with styled():
+    figure, (top, bottom) = axes(2, 1, WIDTH_IN, 3.8, sharex=True)
+    for part, look in zip(parts, (ON, OFF, ON, OFF), strict=True):
+        at_s = (part["tick"] - records["tick"][0]) / 1e3
+        top.plot(at_s, 1e3 * part["position_m"], color=look["color"], linewidth=0.6)
+    top.set(ylabel="position (mm)", title="K = 250 N/m under the same noise")
+    bottom.plot(time_s, records["added_damping_ns_per_m"], color=BLUE)
+    bottom.set(ylabel="damping (N s/m)", xlabel="time (s)")
+
+# %%
+# Too far
+# -------
+# At 400 N/m the undamped loop gives out more than friction takes. What happens then is not left to
+# luck: the servo sees a handle that is faster than any hand, takes the force away in 20 ms, and
+# keeps the damping.
+
+device.damping("on")
+device.set(K=400)
+calm, _ = device.record(seconds=0.3)
+device.damping("off")
+loose, _ = device.record(seconds=0.5)
+records = np.concatenate([calm, loose])
+fault = BY_NUMBER[int(loose["fault"].max())]
+print(f"{fault.code}: {fault.cause}")
+print(f"remedy: {fault.remedy}")
+
+with styled():
+    runaway, (top, bottom) = axes(2, 1, WIDTH_IN, 3.8, sharex=True)
+    time_s = (records["tick"] - loose["tick"][0]) / 1e3
+    until = time_s <= time_s[np.flatnonzero(records["fault"])[0]] + 0.03
+    top.plot(time_s[until], 1e3 * records["position_m"][until], color=OFF["color"])
+    top.set(ylabel="position (mm)", title="K = 400 N/m: damping goes off at 0 s")
+    bottom.plot(time_s[until], records["force_n"][until], color=OFF["color"])
+    bottom.set(ylabel="force (N)", xlabel="time (s)")
+
+# %%
+# A daemon would have said so before anything moved: its :doc:`guard </guard>` knows from the
+# device's model that 400 N/m without damping can be shaken by a passive hand, and under the policy
+# ``refuse`` the damping stays on. Virtual time has no gateway, and so no guard.
+
+device.close()
