@@ -203,6 +203,9 @@ class FirmwareBoard:
         )
         return None if size == STALL else room.raw[:size]
 
+    def advance(self, t_ns: int) -> None:
+        self._advance(t_ns)
+
     def press_stop(self, t_ns: int, pressed: bool) -> None:
         self._advance(t_ns)
         self._levels = EMERGENCY_STOP if pressed else READY

@@ -19,6 +19,7 @@ from hapticd.gateway.guard import Guard, Line
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.server import GatewayServer
 from hapticd.gateway.view import ServoView
+from hapticd.gateway.worker import Start
 from hapticd.params import LeaseParams
 from hapticd.units import NS_PER_MS, NS_PER_S
 
@@ -96,10 +97,12 @@ class GatewayRig:
     closed with it.
     """
 
-    def __init__(self, folder: Path, **options: Any) -> None:
+    def __init__(self, folder: Path, start_worker: Start | None = None, **options: Any) -> None:
         self.folder, self.clock = folder, VirtualClock(START_NS)
         self.servo = StandInServo(folder, self.clock)
-        self.gateway = GatewayServer(folder, setup(**options), self.clock, lambda: UNIX_NS)
+        self.gateway = GatewayServer(
+            folder, setup(**options), self.clock, lambda: UNIX_NS, start_worker
+        )
         self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._sockets: list[zmq.Socket[bytes]] = []  # a context holds only weak references
         self.lock = threading.Lock()  # held while the rig steps

@@ -48,6 +48,8 @@ NEXT_STATE = {
     Command.HOME: {State.DISABLED: State.HOMING},
     Command.PERTURB_START: {State.ENABLED: State.ENABLED},
     Command.PERTURB_STOP: {state: state for state in State},
+    Command.FAULT: dict.fromkeys(State, State.FAULT),
+    Command.WITHHOLD: {State.DISABLED: State.DISABLED},
 }
 
 
@@ -113,6 +115,7 @@ class StandInServo:
         self.perturbing = self.deaf = self.mute = False
         self.values = list(configured(setup().servo))
         self.scheduled: list[tuple[Any, ...]] = []
+        self.word_pressers: set[int] = set()
         self.taken: list[tuple[int, int]] = []  # (kind, actor) in the order of taking
         self.probe_index = 0
         self.probe_pairs = 4
@@ -137,12 +140,13 @@ class StandInServo:
                 self._command(command)
         pressed = self.mailbox.stop_word.pressed
         if pressed:
+            self.word_pressers.add(self.mailbox.stop_word.presser)
             self.mailbox.stop_word.take_back()
         if pressed and self.state not in (State.STOPPED, State.FAULT):
             self.state = State.STOPPED
             self.fault = 1
             self.actor = 2
-            self.revision += 1
+            self.revision = layout.following(self.revision)
         for command in [one for one in self.scheduled if one[3] <= self.ticks]:
             self.scheduled.remove(command)
             self._apply(command)
@@ -174,7 +178,7 @@ class StandInServo:
             if self.state is not State.ENABLED:
                 self.values[Value.LIMIT_CYCLE_FAULTS] = 1.0
                 self.perturbing = False
-            self.revision += 1
+            self.revision = layout.following(self.revision)
             self._answer(seq, Result.APPLIED)
 
     def _cancel(self, actor: int, mask: int) -> None:
@@ -194,9 +198,9 @@ class StandInServo:
         for place in range(1, Value.ENVIRONMENT_REVISION):
             if int(values[0]) >> place & 1:
                 self.values[place] = values[place]
-        self.revision += 1
+        self.revision = layout.following(self.revision)
         if any(int(values[0]) >> place & 1 for place in JUDGED):
-            self.values[Value.ENVIRONMENT_REVISION] += 1
+            self.values[Value.ENVIRONMENT_REVISION] = float(layout.following(int(now)))
         self._answer(seq, Result.APPLIED, end=self.ticks + 50)
 
     def _answer(

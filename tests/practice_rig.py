@@ -27,7 +27,10 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from importlib import import_module
 from pathlib import Path
+from pkgutil import walk_packages
+from typing import get_args
 from unittest.mock import patch
 
 import tomlkit
@@ -35,24 +38,22 @@ from blind_hand import Person
 from blind_rig import EDITS, TEMPLATE, BlindRig
 from blind_truth import NOMINAL, BlindBoard, drawn
 
+import hapticd.cli
 from hapticd.assembly import servo_main
 from hapticd.assembly.process import die_with_parent, on_stop
 from hapticd.assembly.supervisor import Supervisor, spawn
 from hapticd.cli.app import main as hapticd_main
-from hapticd.cli.rig import steps
 from hapticd.client import Client
 from hapticd.clock import MonotonicClock
-from hapticd.errors import HapticdError
+from hapticd.errors import ConfigError, HapticdError
 from hapticd.mailbox.files import runtime_folder
 from hapticd.params import BoardParams, ServoParams
-from hapticd.rig.hand import Request
+from hapticd.rig.hand import Action, Request
 from hapticd.rig.machine_hand import asked_at
 from hapticd.settings.load import load
 
 CONFIG = """\
 device = "practice"
-[realtime]
-mode = "off"
 [safety]
 lost_slots_limit = 10000        # a computer that practises beside other work loses slots
 """
@@ -151,11 +152,13 @@ def quick(folder: Path, arguments: list[str]) -> int:
             print(f"> {request.text}")
             rig.ask(request)
 
-        modules = [one for name, one in sys.modules.items() if name.startswith("hapticd.cli.")]
+        found = walk_packages(hapticd.cli.__path__, "hapticd.cli.")
+        modules = [import_module(one.name) for one in found]
         for module in modules:
             if hasattr(module, "connect"):
                 stack.enter_context(patch.object(module, "connect", connected))
-        stack.enter_context(patch.object(steps, "asking", lambda yes: ask))
+            if hasattr(module, "asking"):
+                stack.enter_context(patch.object(module, "asking", lambda yes: ask))
         named = {"HAPTICD_CONFIG": str(folder / "hapticd.toml")}
         stack.enter_context(patch.dict(os.environ, named))
         return hapticd_main(arguments)
@@ -204,6 +207,11 @@ def main(arguments: list[str]) -> int:
     folder = Path(arguments[0]).resolve()
     if arguments[1:2] in (["rig"], ["zwidth"]):
         return quick(folder, arguments[1:])
+    if arguments[1:2] and arguments[1] not in (*get_args(Action), "--instance"):
+        raise ConfigError(
+            f"{arguments[1]!r} needs a daemon: start `make practice`, then `hapticd {arguments[1]}`"
+            " in another terminal, as it says there"
+        )
     if len(arguments) > 1 and arguments[1] != "--instance":
         amount = float(arguments[2]) if len(arguments) > 2 else 0.0
         asked_at(folder / HAND)(Request(arguments[1], "by hand", amount))

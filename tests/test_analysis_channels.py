@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from spectral_trials import exact_trial, mass_damper, record
 
-from hapticd.analysis.channels import channel_findings, high_pass, skew
+from hapticd.analysis.channels import MODES_SKEW_S, channel_findings, high_pass, skew
 from hapticd.analysis.spectra import corrected, spa
 from hapticd.analysis.verdict import judge
 
@@ -44,18 +44,34 @@ def test_half_a_sample_makes_a_passive_device_look_active():
     assert judge(repaired).answer == "passive"
 
 
-def test_two_bodies_are_not_taken_for_skew():
+def coupled(bridge_ns_per_m):
     """Probe and motor on a stiff transmission: |Z| goes through a maximum and a minimum."""
 
-    def coupled(f):
+    def impedance(f):
         s = 2j * np.pi * f
         slider = 0.0025 * s + 0.15
-        bridge = 2.0 + 4e4 / s
+        bridge = bridge_ns_per_m + 4e4 / s
         return 0.0055 * s + 0.85 + slider * bridge / (slider + bridge)
 
-    shown = exact_trial(coupled, 0.98)
+    return impedance
+
+
+def test_two_bodies_are_not_taken_for_skew():
+    shown = exact_trial(coupled(2.0), 0.98)
     assert abs(skew(shown).value) < 15e-6
     assert channel_findings(shown) == ()
+
+
+@pytest.mark.parametrize("bridge_ns_per_m", [0.5, 1.0, 2.0])
+def test_mode_of_the_papers_display_does_no_more_skew_than_its_interval_holds(bridge_ns_per_m):
+    found = skew(exact_trial(coupled(bridge_ns_per_m), 0.98))
+    assert abs(found.value) + 1.96 * found.sd <= MODES_SKEW_S
+
+
+def test_mode_that_is_damped_more_does_more_skew_than_that():
+    """A limit of the fit, which the module states."""
+    found = skew(exact_trial(coupled(4.0), 0.98))
+    assert 15e-6 < found.value < 27e-6
 
 
 def test_device_that_is_no_mass_says_nothing_about_skew():

@@ -19,6 +19,7 @@ from hapticd.params import HomeParams, InjectionParams, RealtimeParams, ScalePar
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.board import hello
+from hapticd.wire import codec
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 
@@ -320,6 +321,19 @@ def test_board_that_cannot_set_its_phase_keeps_seven_eighths():
     result, _, ticks = flown(servo, dataclasses.replace(fixed, rate_hz=slow), 500)
     assert result is Result.APPLIED
     assert ticks["lost_slots"][-1] == 0
+
+
+@pytest.mark.parametrize(("rate_hz", "lost"), [(667.0, 0.0), (500.0, 0.25)])
+def test_samples_of_the_probe_that_are_lost_at_a_low_rate_are_told(rate_hz, lost):
+    """At 500 Hz a quarter of them, as the indices of those that came show."""
+    servo = servo_params(realtime=RealtimeParams(mode="off", rate_hz=rate_hz))
+    with LockStep(servo, board_params(rate_hz=rate_hz)) as stack:
+        told = stack.loop.board.report()["unsampled"]
+        frames = [codec.decode_in(bytes(one)) for one in records(stack.run(400))["in_frame"][20:]]
+    came = sum(len(frame.pairs) for frame in frames[:-1])
+    made = frames[-1].probe_index - frames[0].probe_index
+    assert 1.0 - came / made == pytest.approx(lost, abs=0.01)
+    assert ("a frame carries 6 of 8 samples" in told) == (lost > 0.0)
 
 
 def test_board_that_starts_anew_is_given_its_phase_again():

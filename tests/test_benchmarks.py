@@ -59,6 +59,9 @@ PROMISED = {
         "telemetry_gaps",
         "gateway_cpu_ratio",
         "guard_cpu_ratio",
+        "page_cpu_ratio",
+        "toggle_ratio",
+        "first_paint_ratio",
     ),
     *(
         "lockstep_ratio",

@@ -5,11 +5,13 @@ the one file that is not ours.
 import asyncio
 import hashlib
 import json
+import os
 import socket
 import struct
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from test_cli_process import until
 
 from hapticd.client import CommandError
 from hapticd.client.blocks import Block, BlockDecoder
-from hapticd.console import asker, server
+from hapticd.console import asker, server, visitors
 from hapticd.console.asker import Asker
 from hapticd.console.outbox import FRAMES, WINDOW, WORDS, Outbox
 from hapticd.console.place import Place
@@ -156,6 +158,41 @@ def test_stop_of_nobody_is_no_success() -> None:
     assert "no daemon runs there" in json.loads(body["body"])["text"]
 
 
+@pytest.mark.usefixtures("runtime")
+def test_what_cannot_be_looked_at_is_not_said_to_be_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def denied(_folder: Path) -> bool:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(server, "servo_lives", denied)
+    said = board_told(server.Console("nobody"))
+    assert said == "cannot look whether a servo runs: [Errno 13] Permission denied"
+
+
+@pytest.mark.usefixtures("runtime")
+def test_a_page_is_told_by_a_new_console_that_the_board_answers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It may still show what the console before said."""
+    monkeypatch.setattr(server, "servo_lives", lambda _folder: True)
+    assert board_told(server.Console("nobody")) == ""
+
+
+def board_told(console: server.Console) -> str:
+    """What pages of `console` are told first of the board."""
+
+    async def first() -> str:
+        looking = asyncio.create_task(server._tell_board(console))
+        while "board" not in console._latest:
+            await asyncio.sleep(0)
+        looking.cancel()
+        return console._latest["board"]
+
+    text: str = json.loads(asyncio.run(asyncio.wait_for(first(), 10)))["told"]["text"]
+    return text
+
+
 # --- commands -------------------------------------------------------------------------------------
 
 
@@ -272,7 +309,7 @@ def test_a_frame_carries_every_tick_and_the_newest_state() -> None:
     )
     assert columns["time_s"].tolist() == [6.0, 6.001]
     assert columns["position_m"].tolist() == [0.5, 0.25]
-    assert columns["work_us"].tolist() == [1.5, 2.5]
+    assert columns["work_ns"].tolist() == [1500, 2500]
     assert (header["n"], header["now"]["state"], header["simulated"]) == (2, "enabled", True)
 
 
@@ -302,6 +339,25 @@ def test_a_taken_port_is_passed_over_unless_it_was_asked_for() -> None:
             assert line.getsockname()[0] == "127.0.0.1"
         with pytest.raises(ConfigError, match=str(taken)):
             server.bound(taken, None)
+
+
+def test_no_answer_is_held_back_until_the_one_before_it_was_acknowledged() -> None:
+    async def accepted() -> int:
+        came: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+        def look(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            line = writer.get_extra_info("socket")
+            came.set_result(line.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            writer.close()
+
+        line = server.bound(None, None)
+        async with await asyncio.start_server(look, sock=line):
+            _, writer = await asyncio.open_connection(*line.getsockname())
+            found = await came
+            writer.close()
+        return found
+
+    assert asyncio.run(accepted()) == 1
 
 
 def test_the_place_is_told_while_the_page_lives_and_its_port_kept(tmp_path: Path) -> None:
@@ -398,3 +454,139 @@ def test_what_is_not_coherent_is_not_shown() -> None:
     noise = np.random.default_rng(4).normal(0.0, 1.0, len(force))
     found = estimate([probe_block(0.001 * force + noise, velocity)])
     assert found["real"] == [None] * len(found["real"])
+
+
+# --- other accounts of the computer -----------------------------------------------------------
+
+
+@pytest.fixture
+def connection() -> Iterator[tuple[socket.socket, socket.socket]]:
+    """Both ends of a connection over the loopback: (client's, server's)."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        client = socket.create_connection(listener.getsockname())
+        server, _ = listener.accept()
+    with client, server:
+        yield client, server
+
+
+def asked_over(connection: tuple[socket.socket, socket.socket], **scope: Any) -> dict[str, Any]:
+    client, _ = connection
+    ends = {"client": client.getsockname(), "server": client.getpeername()}
+    return {**ends, "headers": headers(host="127.0.0.1:9873"), **scope}
+
+
+def test_kernel_tells_whose_connection_it_is(
+    connection: tuple[socket.socket, socket.socket],
+) -> None:
+    client, _ = connection
+    table = visitors.CONNECTIONS.read_text().splitlines()
+    ends = (client.getsockname(), client.getpeername())
+    assert visitors.owner_of(*ends, table) == os.getuid()
+    assert visitors.owner_of(("127.0.0.1", 1), client.getpeername(), table) is None
+
+
+@pytest.mark.parametrize(("state", "inode"), [("01", "0"), ("04", "0"), ("06", "77")])
+def test_a_connection_that_is_closed_is_nobodys_and_not_roots(state: str, inode: str) -> None:
+    """The kernel writes account 0 behind an end that its owner has closed."""
+    ends = "0100007F:C350 0100007F:2691"
+    line = f"1: {ends} {state} 00000000:00000000 00:00000000 00000000     0        0 {inode} 1"
+    asked = ("127.0.0.1", 0xC350), ("127.0.0.1", 0x2691)
+    assert visitors.owner_of(*asked, [line]) is None
+    opened = line.replace(f" {state} ", " 01 ").replace(f" {inode} 1", " 77 1")
+    assert visitors.owner_of(*asked, [opened]) == 0
+
+
+@pytest.mark.parametrize(
+    ("ours", "path", "status"),
+    [
+        (frozenset({os.getuid()}), "/", 200),
+        (frozenset({os.getuid() + 1}), "/", 403),
+        (frozenset({os.getuid() + 1}), "/static/page.js", 403),
+        (frozenset({os.getuid() + 1}), "/stop", 405),  # by GET; it came as far as its route
+    ],
+)
+@pytest.mark.usefixtures("runtime")
+def test_another_account_of_the_computer_may_stop_and_nothing_else(
+    connection: tuple[socket.socket, socket.socket],
+    monkeypatch: pytest.MonkeyPatch,
+    ours: frozenset[int],
+    path: str,
+    status: int,
+) -> None:
+    monkeypatch.setattr(visitors, "accounts", lambda: ours)
+    sent = exchange(asked_over(connection, type="http", method="GET", path=path))
+    assert sent[0]["status"] == status
+    if status == 403:
+        assert b"or run `hapticd console` of your own" in sent[1]["body"]
+
+
+def test_program_that_writes_the_address_as_ipv6_is_known_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A socket of IPv6 that is connected to ::ffff:127.0.0.1 stands in tcp6 alone."""
+    mapped = "0000000000000000FFFF00000100007F"
+    zeros = "00000000:00000000 00:00000000 00000000"
+    (tmp_path / "tcp6").write_text(f"7: {mapped}:C350 {mapped}:2691 01 {zeros}  1000        0 77 1")
+    monkeypatch.setattr(visitors, "CONNECTIONS_6", tmp_path / "tcp6")
+    scope = {"client": ("127.0.0.1", 0xC350), "server": ("127.0.0.1", 0x2691)}
+    assert visitors.stranger(scope, frozenset({1000})) == ""
+    assert "this page is" in visitors.stranger(scope, frozenset({1001}))
+
+
+def test_crowd_of_visitors_is_turned_away_and_stop_is_not() -> None:
+    """Nobody else waits for the ones that are attended to, and STOP is not counted."""
+    passed: list[str] = []
+    released = asyncio.Event()
+
+    async def page(scope: Any, receive: Any, send: Any) -> None:
+        passed.append(scope["path"])
+        if scope["path"] == "/":
+            await released.wait()
+
+    async def crowd() -> list[Any]:
+        app = visitors.Visitors(page)
+        scope = {
+            "type": "http",
+            "method": "GET",
+            "path": "/",
+            "headers": headers(host="127.0.0.1:1"),
+        }
+        sent: list[Any] = []
+
+        async def send(message: Any) -> None:
+            sent.append(message)
+
+        there = [asyncio.create_task(app(scope, None, send)) for _ in range(visitors.MOST_VISITS)]
+        while len(passed) < visitors.MOST_VISITS:
+            await asyncio.sleep(0.001)
+        await app(scope, None, send)
+        await app({**scope, "method": "POST", "path": "/stop"}, None, send)
+        released.set()
+        await asyncio.gather(*there)
+        await app(scope, None, send)
+        return sent
+
+    sent = asyncio.run(crowd())
+    assert [one["status"] for one in sent if "status" in one] == [503]
+    assert passed == ["/"] * visitors.MOST_VISITS + ["/stop", "/"]
+
+
+@pytest.mark.usefixtures("runtime")
+def test_another_account_opens_no_socket(
+    connection: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(visitors, "accounts", lambda: frozenset({os.getuid() + 1}))
+    page = headers(host="127.0.0.1:9873", origin="http://127.0.0.1:9873")
+    scope = asked_over(connection, type="websocket", path="/live", subprotocols=[])
+    sent = exchange(scope | {"headers": page})
+    assert [one["type"] for one in sent] == ["websocket.close"]
+
+
+def test_page_is_for_its_account_root_and_who_called_it_by_sudo(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(os, "getuid", lambda: 1000)
+    monkeypatch.delenv("SUDO_UID", raising=False)
+    assert visitors.accounts() == {0, 1000}
+    monkeypatch.setenv("SUDO_UID", "1001")
+    assert visitors.accounts() == {0, 1000, 1001}

@@ -8,25 +8,35 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import fields
+from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
+from urllib.parse import unquote, urlsplit
 
 import pytest
 import typer.main
+from console_page import ARGUMENTS, CHROMIUM
+from playwright.sync_api import sync_playwright
 
 from hapticd.cli.app import command_line
+from hapticd.client import Client
 from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS
 from hapticd.gateway.schemas import MODELS
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
+from hapticd.plant.effects import ALWAYS, KINDS, PROVENANCE
 from hapticd.settings.config import Hand, Simulation, Touch
 from hapticd.settings.load import load
+from hapticd.settings.scene import schema
 from hapticd.settings.tables import leaves
 from hapticd.settings.toml import shipped
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
 from hapticd.units import unit_of
 
 ROOT = Path(__file__).parents[1]
+SCENE_TABLES = ("SceneFile", "ExcitationTable", "DampingStepTable", "Start")
 CODES = [fault.code for fault in FAULTS if fault.number]
 
 
@@ -41,11 +51,11 @@ def layers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the documentation's sources with its generated pages."""
     root = tmp_path_factory.mktemp("site")
-    for folder in ("docs", "firmware_iface"):
+    for folder in ("docs", "examples", "firmware_iface"):
         shutil.copytree(
             ROOT / folder, root / folder, ignore=shutil.ignore_patterns("generated", "__pycache__")
         )
-    for file in ("CHANGELOG.md", "pyproject.toml"):
+    for file in ("CHANGELOG.md", "CITATION.cff", "SECURITY.md", "pyproject.toml"):
         shutil.copy(ROOT / file, root)
     subprocess.run([sys.executable, "-B", "docs/generate.py"], cwd=root, check=True)
     return root / "docs"
@@ -114,6 +124,31 @@ def test_no_note_is_left_of_a_fault_that_is_gone() -> None:
 # --- reference pages ------------------------------------------------------------------------------
 
 
+def test_every_key_of_a_scene_is_listed_with_its_meaning(site: Path) -> None:
+    text = page(site, "scene.md")
+    root = schema("scene")
+    known = [root, *root["$defs"].values()]
+    keys = {key for one in known for key in one.get("properties", {})}
+    assert not [key for key in keys if f"| `{key}` |" not in text and f"{key}]`" not in text]
+    own = [one for one in known if one["title"] in SCENE_TABLES]
+    assert len(own) == len(SCENE_TABLES)
+    plain = [field for one in own for field in one["properties"].values() if "$ref" not in field]
+    assert not [
+        field["title"] for field in plain if not field.get("description", field.get("items"))
+    ]
+
+
+def test_every_effect_is_listed_with_its_numbers_and_its_cost(site: Path) -> None:
+    text = page(site, "effects.md")
+    for kind in KINDS:
+        assert f"## `{kind.key}`\n" in text
+        assert kind.why in text
+        names = [item.name for item in fields(kind) if item.name not in PROVENANCE]
+        assert not [name for name in names if f"| `{name}` |" not in text]
+        row = next(line for line in text.splitlines() if line.startswith(f"| [`{kind.key}`]"))
+        assert kind.key in ALWAYS or row.count("%") == 2, row
+
+
 @pytest.mark.parametrize(
     ("name", "part"), [("configuration.md", "config"), ("device.md", "device")]
 )
@@ -162,27 +197,151 @@ def test_every_message_topic_and_field_is_listed(site: Path) -> None:
     assert "| `K` | N/m | number >= -10000, <= 100000 | virtual stiffness |" in text
 
 
-@pytest.mark.slow
-def test_site_builds_without_a_warning(site: Path, tmp_path: Path) -> None:
-    if importlib.util.find_spec("sphinx") is None or importlib.util.find_spec("furo") is None:
-        pytest.fail(
-            "sphinx and furo are missing; install them with `make test` or pip install --group docs"
-        )
+# --- the site -------------------------------------------------------------------------------------
+
+
+BUILD_S = 900.0  # at most, on a machine that is very busy; 30 s of processor time
+
+
+def of_the_site(test: Callable[..., None]) -> Callable[..., None]:
+    """A test that needs the built site; the first of them waits until it is built."""
+    return pytest.mark.slow(pytest.mark.timeout(BUILD_S)(test))
+
+
+@pytest.fixture(scope="module")
+def built(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site as `make docs` builds it; a warning is an error."""
+    needed = ("sphinx", "furo", "sphinx_gallery")
+    missing = [name for name in needed if importlib.util.find_spec(name) is None]
+    if missing:
+        pytest.fail(f"{missing} are missing; `make test` or pip install --group docs brings them")
+    out = tmp_path_factory.mktemp("built")
     command = [
-        sys.executable,
         "-m",
         "sphinx",
         "-W",
         "--keep-going",
         "-q",
+        "-j",
+        "2",
         "-b",
         "html",
         str(site),
-        str(tmp_path),
+        str(out),
     ]
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, *command], capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    assert (tmp_path / "generated/faults/usb_lost.html").is_file()
+    return out
+
+
+class Links(HTMLParser):
+    """What a page refers to, and the places in it that can be referred to."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.targets: set[str] = set()
+        self.places: set[str] = {""}
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """A link, a picture, a script, or a place."""
+        for name, value in attrs:
+            if name in ("href", "src") and value and not value.startswith("data:"):
+                self.targets.add(value)
+            elif name == "id" and value:
+                self.places.add(value)
+
+
+def broken(root: Path) -> list[str]:
+    """Links of the pages below `root` that lead to no file, or to no place in a page."""
+    pages = {path: Links(path.read_text(encoding="utf-8")) for path in root.rglob("*.html")}
+    found = []
+    for path, links in pages.items():
+        for target in links.targets:
+            url = urlsplit(target)
+            if url.scheme or url.netloc:
+                continue
+            to = (path.parent / unquote(url.path)).resolve() if url.path else path
+            lost = to in pages and unquote(url.fragment) not in pages[to].places
+            if lost or not to.is_file():
+                found.append(f"{path.relative_to(root)}: {target}")
+    return sorted(found)
+
+
+@of_the_site
+def test_site_builds_without_a_warning(built: Path) -> None:
+    assert (built / "generated/faults/usb_lost.html").is_file()
+
+
+@of_the_site
+@pytest.mark.parametrize("script", sorted((ROOT / "docs" / "tutorials").glob("t*.py")))
+def test_tutorial_was_run_and_shows_what_it_printed_and_drew(built: Path, script: Path) -> None:
+    page = (built / f"generated/tutorials/{script.stem}.html").read_text()
+    assert "sphx-glr-script-out" in page
+    assert f"sphx_glr_{script.stem}_001.png" in page
+
+
+@of_the_site
+def test_reference_of_the_python_interface_has_every_verb(built: Path) -> None:
+    page = (built / "api.html").read_text()
+    verbs = [name for name in dir(Client) if not name.startswith("_")]
+    assert len(verbs) > 20
+    assert not [name for name in verbs if f'id="hapticd.client.Client.{name}"' not in page]
+    assert not re.search(r">[RD]</span>", page)  # what the verbs are generic in
+
+
+@of_the_site
+def test_no_link_of_the_site_leads_nowhere(built: Path) -> None:
+    assert broken(built) == []
+
+
+def test_link_that_leads_nowhere_is_found(tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text('<p id="x"><a href="#x"></a><a href="b.html#y"></a>')
+    (tmp_path / "b.html").write_text('<a href="a.html#x"></a><img src="c.png">')
+    assert broken(tmp_path) == ["a.html: b.html#y", "b.html: c.png"]
+
+
+@of_the_site
+def test_options_are_shown_as_they_are_typed(built: Path) -> None:
+    """Two hyphens are no dash, and quotes are those of the keyboard."""
+    page = (built / "generated" / "commands.html").read_text()
+    assert "--json" in page
+    assert not re.search("[\N{EN DASH}\N{LEFT DOUBLE QUOTATION MARK}]", page)
+
+
+# what of a page is wider than the window, and tables that are wider than their frame
+TOO_WIDE = """() => {
+  const root = document.documentElement;
+  const page = root.scrollWidth - root.clientWidth;
+  const frames = [...document.querySelectorAll("article .table-wrapper")];
+  const tables = frames.filter((frame) => frame.scrollWidth > frame.clientWidth + 1);
+  return (page > 0 ? [`page by ${page} px`] : []).concat(
+    tables.map((frame) => `table ${frame.textContent.trim().slice(0, 40)}`));
+}"""
+
+
+@of_the_site
+@pytest.mark.parametrize("width", [1280, 400])
+def test_nothing_is_wider_than_the_window(built: Path, width: int) -> None:
+    """On a desk and on a phone. Programs and drawings scroll in frames of their own."""
+    places = [path for path in sorted(built.rglob("*.html")) if path.parent.name != "adr"]
+    found = []
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(ARGUMENTS))
+        page = browser.new_page(viewport={"width": width, "height": 900})
+        for path in places:
+            page.goto(path.as_uri())
+            found += [f"{path.relative_to(built)}: {what}" for what in page.evaluate(TOO_WIDE)]
+        browser.close()
+    assert len(places) > 60
+    assert found == []
+
+
+def test_links_between_files_of_a_checkout_lead_somewhere() -> None:
+    for name in ("README.md", "examples/README.md", "firmware_iface/README.md"):
+        page = ROOT / name
+        for target in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
+            assert "://" in target or (page.parent / target).exists(), (name, target)
 
 
 # --- names of modules -----------------------------------------------------------------------------

@@ -422,6 +422,8 @@ ROWS: list[Row] = [
     (checks.swap, {"proc/swaps": "Filename Type Size"}, {}, ASKED, "ok", "none", ""),
     (checks.swap, swapping(60), {}, ASKED, "warn", "swappiness 60", "swappiness=10"),
     (checks.swap, swapping(1), {}, ASKED, "ok", "swappiness 1", ""),
+    (checks.load, {"proc/loadavg": "1.20 3.0 2.0 1/300 4"}, {}, ASKED, "ok", "1.2 programs", ""),
+    (checks.load, {"proc/loadavg": "99.5 3.0 2.0 1/300 4"}, {}, ASKED, "warn", "99.5", "close"),
     # --- usb
     (checks.board, BOARD_FILES, {}, ASKED, "ok", "1209:0001 at 1-2", ""),
     (

@@ -25,15 +25,16 @@ def hapticd_config(tmp_path):
 
 
 def run(daemon, folder, *words):
-    return subprocess.run(
+    done = subprocess.run(
         list(map(str, words)),
         cwd=folder,
         env={**daemon.environment, "PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
         timeout=DEADLINE_S,
-        check=True,
-    ).stdout
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def python(daemon, folder, name, *words):
@@ -55,6 +56,14 @@ def test_toggle_example_moves_less_with_damping(hapticd_daemon, tmp_path):
     lines = python(hapticd_daemon, tmp_path, "toggle")
     speeds = [float(line.split(":")[1].split()[0]) for line in lines]
     assert max(speeds[0], speeds[2]) < min(speeds[1], speeds[3])
+
+
+def test_steps_example_acts_step_by_step(hapticd_daemon, tmp_path):
+    lines = python(hapticd_daemon, tmp_path, "steps", "1.0")
+    ticks = [int(line.split()[1].rstrip(",")) for line in lines]
+    assert len(lines) == 7
+    assert ticks == sorted(set(ticks))
+    assert state(hapticd_daemon) == "disabled"
 
 
 def test_wall_example_finds_a_stiffer_wall_with_damping(hapticd_daemon, tmp_path):

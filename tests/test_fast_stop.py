@@ -5,6 +5,8 @@ leftovers, strangers and whatever hangs; and it says whom it has stopped.
 import json
 import os
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -17,7 +19,8 @@ from hapticd.client import fast_stop
 from hapticd.client.fast_stop import main, stop
 from hapticd.errors import DaemonDown, MailboxError
 from hapticd.mailbox import daemons, files
-from hapticd.mailbox.layout import Command, State
+from hapticd.mailbox.daemons import Place
+from hapticd.mailbox.layout import State
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED
 
@@ -123,19 +126,44 @@ def test_daemon_of_another_environment_is_reached(
         assert moving.stop_word.pressed
 
 
-def test_everyone_is_pressed_before_anyone_is_asked(
+def test_a_stop_is_the_clients_in_whose_name_it_is_pressed(runtime: Path) -> None:
+    with GatewayRig(files.runtime_folder()) as rig:
+        client = rig.client()
+        actor = rig.ask(client, cmd="hello")["result"]["actor"]
+        with running(rig):
+            stop("default", actor)
+        assert rig.servo.word_pressers == {actor}
+        assert rig.servo.taken == []  # nothing behind it that could come later
+
+
+def test_everyone_is_pressed_before_anyone_is_waited_for(
     service: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with servo(files.runtime_folder()) as own, servo(service) as moving:
         seen: list[bool] = []
 
-        def asked(_folders: list[Path]) -> dict[Path, str]:
+        def waited(_pressed: list[Place]) -> list[Place]:
             seen.extend([own.stop_word.pressed, moving.stop_word.pressed])
-            return {}
+            return []
 
-        monkeypatch.setattr(fast_stop, "_states", asked)
+        monkeypatch.setattr(fast_stop, "_taken", waited)
         stop(None)
     assert seen == [True, True]
+
+
+@pytest.mark.process
+def test_whole_stop_loads_nothing_large(runtime: Path) -> None:
+    script = (
+        "import sys; from hapticd.__main__ import main; sys.argv[1:] = ['stop']; main();"
+        " print(*sys.modules)"
+    )
+    with servo(files.runtime_folder()) as moving:
+        found = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, check=True
+        )
+        assert moving.stop_word.pressed
+    loaded = {name.partition(".")[0] for name in found.stdout.split()}
+    assert not {"zmq", "numpy", "msgpack", "pydantic", "typer", "rich", "asyncio"} & loaded
 
 
 # --- whom it believes -----------------------------------------------------------------------------
@@ -284,10 +312,10 @@ def test_living_daemon_that_could_not_be_pressed_is_said_and_fails(
 # --- what it says ---------------------------------------------------------------------------------
 
 
-def test_gateway_says_the_state_and_the_answer_names_everyone(
+def test_servo_that_takes_the_stop_confirms_it_and_the_answer_names_everyone(
     service: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fast_stop, "REPLY_TIMEOUT_MS", 10_000)
+    monkeypatch.setattr(fast_stop, "TAKEN_MS", 10_000)
     with GatewayRig(files.prepare_folder(files.runtime_folder())) as rig:
         rig.servo.mailbox.report({"device": "example, SIM-1", "simulated": True})
         with running(rig):
@@ -297,7 +325,7 @@ def test_gateway_says_the_state_and_the_answer_names_everyone(
                 " is safe\n"
             )
             assert main("default", True) == 0
-        assert Command.STOP in [kind for kind, _ in rig.servo.taken]
+        assert rig.servo.state is State.STOPPED
     answer = json.loads(capsys.readouterr().out)
     assert (answer["ok"], answer["state"]) == (True, "stopped")
     assert answer["daemons"] == [
@@ -311,7 +339,7 @@ def test_gateway_says_the_state_and_the_answer_names_everyone(
     ]
 
 
-def test_without_a_gateway_the_servo_itself_confirms_by_taking_the_word_back(
+def test_stop_is_confirmed_once_the_word_is_taken_back_and_not_before(
     runtime: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with servo(files.runtime_folder(), "example, 7", False) as moving:
@@ -320,14 +348,21 @@ def test_without_a_gateway_the_servo_itself_confirms_by_taking_the_word_back(
             "default (example, 7, REAL BOARD): pressed; the servo has not taken it yet, see"
             " `hapticd status`\n"
         )
-
-        def a_tick_later(_folders: list[Path]) -> dict[Path, str]:
-            moving.stop_word.take_back()
-            return {}
-
-        monkeypatch.setattr(fast_stop, "_states", a_tick_later)
+        looks = iter([moving.stop_word.mend, moving.stop_word.mend, moving.stop_word.take_back])
+        monkeypatch.setattr(fast_stop.time, "sleep", lambda _seconds: next(looks)())
+        monkeypatch.setattr(fast_stop, "TAKEN_MS", 10_000)
         assert main(None, False) == 0
-    assert "the servo took the stop; the gateway did not answer" in capsys.readouterr().out
+    assert "stopped: force off" in capsys.readouterr().out
+    assert list(looks) == []
+
+
+def test_one_servo_that_stands_still_does_not_hide_that_another_has_stopped(
+    service: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with servo(files.runtime_folder()) as own, servo(service):
+        monkeypatch.setattr(fast_stop.time, "sleep", lambda _seconds: own.stop_word.take_back())
+        monkeypatch.setattr(fast_stop, "TAKEN_MS", 5)
+        assert [one.state for one in stop(None).daemons] == ["stopped", "pressed"]
 
 
 def test_gateway_that_hangs_does_not_keep_the_stop_away(

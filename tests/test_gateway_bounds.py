@@ -236,6 +236,17 @@ def test_connections_are_bounded(rig: GatewayRig) -> None:
         one.socket.close()
 
 
+def test_crowd_at_the_port_leaves_the_socket_file_free(rig: GatewayRig) -> None:
+    """Whoever can reach TCP cannot keep recorders and pages of this computer out."""
+    crowd = [RawPeer(rig, tcp(rig), b"SUB") for _ in range(MOST_PEERS)]
+    for _ in range(20):
+        rig.step()
+    local = rig.subscriber("servo.raw")
+    assert rig.receive(local)[0] == b"servo.raw"
+    for one in crowd:
+        one.socket.close()
+
+
 def test_silent_stranger_is_dropped_in_3_s(rig: GatewayRig) -> None:
     stranger = RawPeer(rig, command(rig), introduced=False)
     rig.step(0)

@@ -13,8 +13,8 @@ from hapticd.gateway import commands
 from hapticd.gateway.commands import ALLOWED
 from hapticd.gateway.journal import RESERVED
 from hapticd.mailbox.layout import Command, Result, State
+from hapticd.mailbox.stop_word import ACTOR_STOP_WORD
 from hapticd.servo import safety
-from hapticd.servo.inbox import ACTOR_STOP_WORD
 
 TABLED = (
     Command.ENABLE,
@@ -33,7 +33,9 @@ def rig(tmp_path: Path) -> DeskRig:
 
 
 def situation(rig: DeskRig, settled: bool = True, samples: int = 0) -> commands.Situation:
-    return commands.Situation(rig.desk.limits, rig.view, settled, samples, rig.desk.leases)
+    return commands.Situation(
+        rig.desk.limits, rig.view, settled, samples, rig.desk.leases, rig.desk.actors
+    )
 
 
 def test_order_is_schema_state_lease() -> None:
@@ -57,7 +59,7 @@ def test_stand_in_obeys_the_safety_table(kind: Command, state: State) -> None:
 
 
 def test_actor_of_the_stop_page_is_the_servos() -> None:
-    assert RESERVED[ACTOR_STOP_WORD] == "stop page"
+    assert RESERVED[ACTOR_STOP_WORD] == "stop word"
 
 
 def test_lease_passes_everything(rig: DeskRig) -> None:
@@ -82,3 +84,12 @@ def test_start_without_waveform_is_refused(rig: DeskRig) -> None:
         CommandError, match="perturb start: no waveform is loaded; send it with action load first"
     ):
         commands.admit({"cmd": "perturb", "action": "start"}, 16, situation(rig))
+
+
+def test_start_at_a_rate_at_which_samples_are_lost_is_refused(rig: DeskRig) -> None:
+    rig.ask(cmd="enable")
+    request = {"cmd": "perturb", "action": "start"}
+    assert commands.admit(request, 16, situation(rig, samples=100)).cmd == "perturb"
+    rig.servo.mailbox.report({"unsampled": "a frame carries 6 of 8 samples"})
+    with pytest.raises(CommandError, match="perturb start: a frame carries 6 of 8 samples"):
+        commands.admit(request, 16, situation(rig, samples=100))

@@ -52,6 +52,15 @@ def test_last_minute_counts_and_a_shorter_delay_later() -> None:
     assert histogram.periods == 2 / 16
 
 
+@pytest.mark.parametrize("pause_s", [61, 100, 119, 120, 121, 1000])
+def test_what_was_before_a_long_pause_counts_no_more(pause_s: int) -> None:
+    histogram = DelayHistogram(1000.0)
+    histogram.add(records([900] * 1000))
+    histogram.add(records([125] * 600, float(pause_s)))
+    histogram.add(records([125] * 600, float(pause_s + SHORTER_S)))
+    assert histogram.periods == 2 / 16
+
+
 def test_longer_delay_counts_at_once() -> None:
     histogram = DelayHistogram(1000.0)
     histogram.add(records([125] * 1000))

@@ -11,6 +11,7 @@ import pytest
 from gateway_rig import DeskRig, decoded, packed
 from gateway_stand_in import StandInServo
 
+from hapticd.client.events import event_words
 from hapticd.faults import BY_CODE
 from hapticd.gateway.commands import refusal
 from hapticd.gateway.journal import Actors
@@ -120,16 +121,26 @@ def test_reply_waits_for_record_in_force(rig: DeskRig) -> None:
 
 
 @pytest.mark.parametrize("cmd", ["enable", "zero", "home"])
-def test_latched_state_is_refused_early(rig: DeskRig, cmd: str) -> None:
+def test_latched_state_is_refused_early_with_who_stopped(rig: DeskRig, cmd: str) -> None:
+    rig.ask(cmd="hello", name="second page")
     rig.ask(cmd="stop")
-    (reply,) = rig.send(packed(cmd=cmd))
+    (reply,) = rig.send(packed(cmd=cmd), client=b"b")
     assert reply["error"]["code"] == "stopped"
     assert (
         reply["error"]["message"]
-        == f"{cmd} in state stopped (someone asked for a stop): make sure it is safe, then `hapticd"
-        " reset`"
+        == f"{cmd} in state stopped (by second page): make sure it is safe, then `hapticd reset`"
     )
     assert rig.servo.mailbox.take() is None
+
+
+def test_stop_from_before_this_gateway_is_nobodys_it_knows(rig: DeskRig) -> None:
+    rig.ask(cmd="stop")
+    rig.start_gateway()
+    rig.run(2)
+    (reply,) = rig.send(packed(cmd="zero"))
+    assert (
+        "zero in state stopped (someone asked for a stop): make sure" in reply["error"]["message"]
+    )
 
 
 def test_early_refusal_waits_for_settled_state(rig: DeskRig) -> None:
@@ -402,9 +413,22 @@ def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
         "guard",
         "status",
         "dump",
+        "mark",
         "schema",
         "withhold",
     }
+
+
+def test_a_mark_is_an_event_with_words_and_tick(rig: DeskRig) -> None:
+    actor = rig.ask(cmd="hello", name="trial")["result"]["actor"]
+    rig.servo.tick(7)
+    rig.view.refresh(rig.clock.now_ns())
+    found = rig.ask(cmd="mark", text="the handle is released")["result"]
+    event = next(one for one in reversed(rig.journal.recent) if one["kind"] == "mark")
+    assert found["tick"] >= 7
+    assert (event["tick"], event["actor"]) == (found["tick"], actor)
+    assert event_words(event) == f"mark: the handle is released (by trial, tick {event['tick']})"
+    assert rig.ask(cmd="mark", text="")["error"]["code"] == "invalid"
 
 
 def test_counts_requests_and_errors(rig: DeskRig) -> None:
@@ -557,11 +581,18 @@ def test_reset_is_refused_by_the_emergency_stop_and_not_by_what_it_ended(rig: De
     assert "someone asked for a stop" in str(refusal(answer, "reset", rig.view, Actors()))
 
 
+def test_stop_behind_many_commands_is_one_clients_stop(rig: DeskRig) -> None:
+    rig.servo.deaf = True
+    rig.send(*[packed(cmd="set", K=k) for k in range(4)])
+    rig.send(packed(cmd="stop"))
+    assert rig.servo.mailbox.stop_word.presser == rig.desk.actors.number(b"a")
+
+
 @pytest.mark.parametrize(
     ("owner", "whose"),
     [
         (16, "operator (actor 16)"),
-        (2, "stop page (actor 2)"),
+        (2, "stop word (actor 2)"),
         (99, "a client that has gone (actor 99)"),
         (0, "more than one client"),
     ],
@@ -580,3 +611,13 @@ def test_stop_of_somebody_else_is_refused_with_whose_it_is(
         f"reset: stop was pressed by {whose} less than 1 s ago and is not for others to reset; look"
         " whether it is safe, and ask again in 0.74 s",
     )
+
+
+def test_scheduled_change_whose_tick_comes_in_the_same_look_has_its_reply(rig: DeskRig) -> None:
+    """Both answers of the servo are there at once: the first is the reply, the second an event."""
+    asked = packed(cmd="set", K=5.0, at_tick=rig.servo.ticks + 3)
+    assert rig.send(asked) == []
+    replies = [decoded(one) for one in rig.run(6)]
+    assert [one["receipt"]["result"] for one in replies] == ["scheduled"]
+    assert [one["result"] for one in rig.journal.recent if one["kind"] == "answer"] == ["applied"]
+    assert not rig.desk._guarded._scheduled  # or every later verdict would count it

@@ -124,7 +124,7 @@ def test_hand_follows_as_an_event(rig: DeskRig, worker: StubWorker) -> None:
     later(rig, 2)
     (event,) = [one for one in rig.journal.drain() if one["kind"] == "guard"]
     assert (event["id"], event["cmd"], event["number"]) == (9, "set", error["guard"]["number"])
-    assert event["text"] == "a hand that would shake it: a mass of 120 g, at 34 Hz"
+    assert event["text"] == "a hand that would shake the device: a mass of 120 g, at 34 Hz"
     assert worker.asked[-1]["display"]["K"] == 100
 
 

@@ -304,6 +304,10 @@ def test_taken_port_falls_back_to_a_free_one(tmp_path: Path) -> None:
             tcp = rig.gateway.endpoints["telemetry"][1]  # type: ignore[index]
             assert tcp.startswith("tcp://127.0.0.1:")
             assert not tcp.endswith(f":{port}")
+            told = f"port {port} is taken, telemetry is at {tcp} instead"
+            assert rig.gateway.endpoints["elsewhere"] == told
+            events = rig.gateway._status()["events"]
+            assert told in [one.get("text") for one in events if one["kind"] == "warning"]
 
 
 def test_other_instance_leaves_the_usual_port_alone() -> None:

@@ -107,6 +107,31 @@ def test_batches_are_whole_unless_the_ring_stands_still(rig: FeedRig) -> None:
     assert [message["n"] for message in unpacked(rig.take("servo.raw"))] == [12]
 
 
+def test_a_change_of_state_does_not_wait_for_its_batch(rig: FeedRig) -> None:
+    rig.subscribe("servo.raw")
+    rig.servo.tick(18)
+    rig.take("servo.raw")
+    rig.ask(cmd="enable")
+    rig.servo.tick(3)
+    (block,) = unpacked(rig.take("servo.raw"))
+    assert 0 < block["n"] < 20
+    rig.servo.tick(4)
+    assert rig.take("servo.raw") == []
+
+
+def test_changes_in_a_row_do_not_split_batches_without_end(rig: FeedRig) -> None:
+    rig.subscribe("servo.raw")
+    rig.servo.tick(18)
+    rig.take("servo.raw")
+    taken = 0
+    for _ in range(10):
+        for cmd in ("enable", "disable"):
+            rig.ask(cmd=cmd)
+            taken += len(rig.take("servo.raw"))
+    ticks = rig.servo.ticks - 20
+    assert taken <= 2 * ticks / 20 + 1
+
+
 def test_overrun_ring_is_a_counted_gap(rig: FeedRig) -> None:
     rig.subscribe("servo.raw")
     rig.servo.tick(18)
@@ -341,6 +366,14 @@ def test_state_comes_on_change_and_once_a_second(rig: FeedRig) -> None:
     assert len(rig.take("state")) == 1
 
 
+def test_state_says_what_the_servo_waits_for(rig: FeedRig) -> None:
+    rig.servo.mailbox.report({"waiting_for": "another program has claimed the board"})
+    for reason in ("another program has claimed the board", ""):
+        ((_, payload),) = rig.subscribe("state")
+        assert msgpack.unpackb(payload)["waiting_for"] == reason
+        rig.servo.mailbox.report({"waiting_for": ""})
+
+
 def test_lost_servo_is_told_in_state_and_event(rig: FeedRig) -> None:
     rig.subscribe("state")
     rig.subscribe("event")
@@ -376,7 +409,7 @@ def test_stop_page_is_named_as_actor(rig: FeedRig) -> None:
     rig.servo.tick(20)
     rig.take("event")
     assert [event["name"] for event in rig.journal.recent if event["kind"] == "state"] == [
-        "stop page"
+        "stop word"
     ]
 
 

@@ -192,4 +192,4 @@ def test_hand_that_would_shake_it_comes_as_an_event() -> None:
     assert told
     hand = told[0]["hand"]
     assert hand["radius"] > 1.0
-    assert told[0]["text"].startswith("a hand that would shake it: a ")
+    assert told[0]["text"].startswith("a hand that would shake the device: a ")

@@ -182,6 +182,16 @@ def test_frame_is_as_the_encoder_makes_it_also_after_the_last_samples():
         assert bytes(device.out_buffer) == codec.encode_out(OutFrame(seq, 0, 1, -7, 8, 0, samples))
 
 
+@pytest.mark.parametrize(
+    "fields", [(0xFF, -32768, 65535, -32768), (0, 32767, 0, 32767), (3, -1, 256, 1)]
+)
+def test_frame_without_samples_carries_the_ends_of_its_fields(fields):
+    """Torque and resistance have a sign, the scale factor of the damping has none."""
+    device = connected()
+    device.send(*fields)
+    assert bytes(device.out_buffer) == codec.encode_out(OutFrame(2, 0, *fields))
+
+
 def test_rehearsal_leaves_both_frames_as_they_are():
     device = connected(frame(0))
     tick(device)

@@ -38,7 +38,7 @@ from hapticd.wire import codec
 
 START_NS = 1000 * NS_PER_S
 FOREIGN_HELLO = b"\xff" * 8 + codec.encode_hello(hello(board_params()))[8:]
-RIGHTS = "install 70-hapticd.rules"
+RIGHTS = "hapticd install-system"
 SLOW = "the board is slow to answer, or hangs; it is asked again"
 BOOT = "is it in its boot loader"
 HASH = "the board speaks protocol ffffffffffffffff"

@@ -193,7 +193,7 @@ def test_missing_rights_name_the_udev_rule(serial):
     bench.backend.access_denied = True
     with pytest.raises(
         LinkAccess,
-        match=r"Access denied \(insufficient permissions\) \(errno 13\); install 70-hapticd\.rules",
+        match=r"Access denied \(insufficient permissions\) \(errno 13\); as root run `hapticd inst",
     ):
         bench.link.open()
 
@@ -461,6 +461,7 @@ def test_every_known_errno_has_its_class():
         75: LinkStalled,
         5: LinkLost,
         19: LinkLost,
+        2: LinkAccess,
         13: LinkAccess,
         16: LinkAccess,
     }
@@ -492,6 +493,37 @@ def test_missing_libusb_names_what_to_install(monkeypatch):
         ConfigError, match=r"apt install libusb-1\.0-0, or pip install 'hapticd\[usb\]'"
     ):
         UsbLink(UsbParams())
+
+
+class EventFed:
+    """Lists what was at the bus when it was made, as Debian's libusb does where udev's messages
+    do not come; `lib` is the bus.
+    """
+
+    def __init__(self, lib):
+        self.lib = lib
+        self.listed = list(lib.enumerate_devices())
+
+    def enumerate_devices(self):
+        return iter(self.listed)
+
+    def __getattr__(self, name):
+        return getattr(self.lib, name)
+
+
+def test_board_that_is_plugged_in_late_and_again_is_found_without_messages_of_udev(monkeypatch):
+    bus = Bench(opened=False).backend
+    bus.unplug()
+    monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: EventFed(bus))
+    link = UsbLink(UsbParams(serial="SIM0001"))
+    for _ in range(2):
+        list(bus.enumerate_devices())  # a dead device is listed once more
+        with pytest.raises(LinkLost, match="no board"):
+            link.open()
+        bus.plug()
+        link.open()
+        link.write(array("B", bytes(out_packet(0))))
+        bus.unplug()
 
 
 # --- memory ---------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hapticd.errors import MailboxError
-from hapticd.mailbox import files, layout
+from hapticd.mailbox import daemons, files, layout
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.files import word_access
 from hapticd.mailbox.layout import Command, Result, Value
@@ -370,3 +370,16 @@ def test_servo_ends_although_its_folder_is_gone(tmp_path):
     shutil.rmtree(folder)
     mailbox.close()
     assert not folder.exists()
+
+
+def test_report_is_parsed_once_for_each_change(servo, gateway, monkeypatch):
+    parsed = []
+    read = daemons.read_report
+    monkeypatch.setattr(daemons, "read_report", lambda folder: parsed.append(1) or read(folder))
+    servo.report({"waiting_for": "its board"})
+    assert [gateway.report() for _ in range(3)] == [{"waiting_for": "its board"}] * 3
+    servo.report({"waiting_for": ""})
+    assert gateway.report() == {"waiting_for": ""}
+    assert len(parsed) == 2
+    os.unlink(servo.folder / files.REPORT)
+    assert gateway.report() == {}

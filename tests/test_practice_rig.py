@@ -4,8 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
-from practice_rig import SEED, lay_out, quick
+from practice_rig import SEED, lay_out, main, quick
 
+from hapticd.errors import ConfigError
 from hapticd.settings.load import load
 
 
@@ -25,6 +26,11 @@ def test_a_newcomers_folder_is_the_template_with_nothing_measured(folder):
     before = (folder / SEED).read_text()
     lay_out(folder)
     assert (folder / SEED).read_text() == before
+
+
+def test_what_needs_a_daemon_says_so(folder):
+    with pytest.raises(ConfigError, match="'guard' needs a daemon: start `make practice`"):
+        main([str(folder), "guard"])
 
 
 @pytest.mark.slow

@@ -57,6 +57,17 @@ def test_each_calibration_without_a_date_is_named_with_its_remedy():
     assert said[2].remedy == "`hapticd rig damping`"
 
 
+@pytest.mark.parametrize(("factor", "doubted"), [(1.0, False), (1.005, False), (1.082, True)])
+def test_damping_that_was_found_in_other_newtons_is_in_doubt(factor, doubted):
+    """A gain of the motor that is measured after the damping makes another newton of it."""
+    plain = to_plain(dated())
+    plain["device"]["damping_with_force_n"] = 32767 * plain["device"]["force"]["per_count"]
+    plain["device"]["force"]["per_count"] *= factor
+    said = [str(one) for one in doubts(plain, DAY)]
+    assert len(said) == doubted
+    assert all(one.startswith("damping: it was found with a scale of force of") for one in said)
+
+
 @pytest.mark.parametrize(("days", "old"), [(365, False), (366, True)])
 def test_a_calibration_is_old_after_a_year(days, old):
     force = dataclasses.replace(

@@ -1,21 +1,19 @@
 """Damaged recordings: bounded time, one clear error, and the source stays as it is."""
 
-import json
 import random
 import shutil
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from attacks.documents import crashed_recording, damaged_bytes, pack_damaged
 from recorded import RecordedFlight
 
 from hapticd.errors import ConfigError, HapticdError
-from hapticd.params import to_plain
 from hapticd.recording import pack
 from hapticd.recording.file import open_recording
-from hapticd.recording.live import Writer
 from hapticd.recording.provenance import SCHEMA
 from hapticd.recording.superblock import CHECKED, SUPERBLOCK, lookup3, tended
 
@@ -25,19 +23,7 @@ pytestmark = pytest.mark.timeout(60)
 @pytest.fixture(scope="module")
 def crashed(recorded_run: RecordedFlight, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A live file as a killed recorder leaves it."""
-    folder = tmp_path_factory.mktemp("crashed")
-    configuration = json.dumps(to_plain(recorded_run.params))
-    attributes = {"schema": SCHEMA, "simulated": 1, "configuration": configuration}
-    writer = Writer(folder / "written.part.h5", attributes)
-    for number, (topic, payload) in enumerate(recorded_run.messages):
-        writer.take(topic, payload)
-        if number % 20 == 19:
-            writer.write()
-    writer.write()
-    path = folder / "crashed.part.h5"
-    shutil.copy(folder / "written.part.h5", path)
-    writer.file.close()
-    return path
+    return crashed_recording(recorded_run, tmp_path_factory.mktemp("crashed"))
 
 
 def damaged(crashed: Path, folder: Path, old: bytes, new: bytes) -> Path:
@@ -91,22 +77,43 @@ def test_text_in_a_live_file_is_where_checksums_are(crashed: Path, tmp_path: Pat
     assert recording.attributes["simulated"] == 1
 
 
+def test_text_in_a_finished_file_is_in_no_heap(crashed: Path, tmp_path: Path) -> None:
+    path = tmp_path / "finished.h5"
+    pack.pack(Path(shutil.copy(crashed, tmp_path)), path)
+    assert b"GCOL" not in path.read_bytes()
+    with h5py.File(path) as content:
+        assert content.attrs["schema"] == SCHEMA.encode()
+
+
+def test_note_that_is_longer_than_a_header_is_kept_all_the_same(
+    crashed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    note = "ü" * 50_000
+    with open_recording(crashed) as recording:
+        monkeypatch.setitem(recording.attributes, "note", note)
+        monkeypatch.setattr(pack, "open_recording", lambda _: nullcontext(recording))
+        pack.pack(Path(shutil.copy(crashed, tmp_path)), tmp_path / "finished.h5")
+    with open_recording(tmp_path / "finished.h5") as finished:
+        assert finished.attributes["note"] == note
+
+
+@pytest.mark.parametrize("place", [24, 40, 48])  # base, end, driver block, in a superblock of 0
+def test_address_beyond_what_a_file_may_have_is_damage(
+    recording_file: Path, tmp_path: Path, place: int
+) -> None:
+    data = bytearray(recording_file.read_bytes())
+    assert data[8] == 0
+    data[place : place + 8] = (2**64 - 2**49).to_bytes(8, "little")
+    path = tmp_path / "damaged.h5"
+    path.write_bytes(data)
+    with pytest.raises(ConfigError, match="or damaged"):
+        open_recording(path)
+
+
 def test_bytes_at_random_are_packed_or_refused(crashed: Path, tmp_path: Path) -> None:
     source = crashed.read_bytes()
-    path = tmp_path / "any.part.h5"
     for seed in range(30):
-        chance = random.Random(seed)
-        data = bytearray(source)
-        for _ in range(chance.choice((1, 2, 5, 20))):
-            data[chance.randrange(chance.choice((40_000, len(data))))] ^= 1 << chance.randrange(8)
-        if chance.random() < 0.2:
-            del data[chance.randrange(len(data)) :]
-        path.write_bytes(data)
-        with suppress(HapticdError):
-            pack.pack(path, tmp_path / "any.h5")
-        assert path.exists() != (tmp_path / "any.h5").exists()  # one of them, whole
-        assert not path.exists() or path.read_bytes() == data
-        (tmp_path / "any.h5").unlink(missing_ok=True)
+        pack_damaged(tmp_path, damaged_bytes(source, random.Random(seed)))
 
 
 def test_flight_recording_with_any_header_is_read_or_refused(runtime: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def test_probe_is_there_in_counts_and_in_si(
         assert np.all(np.diff(probe["index"][:]) >= 1)
         scale = recorded_run.params.device.probe_torque
         assert np.allclose(probe["torque_n"][:], probe["torque"][:] * scale.per_count)
-        assert probe["torque_n"].attrs["units"] == "N"
+        assert probe["torque_n"].attrs["units"] == b"N"
 
 
 def test_plain_numbers_and_fixed_text_only(recording_file: Path) -> None:
@@ -54,7 +54,7 @@ def test_finished_file_is_compressed_and_old_enough_for_everyone(recording_file:
 def test_units_are_those_of_udunits(recording_file: Path) -> None:
     with h5py.File(recording_file) as content:
         units = {
-            name: content["servo"][name].attrs["units"]
+            name: content["servo"][name].attrs["units"].decode()
             for name in ("position_m", "velocity_m_per_s", "damping_ns_per_m", "tick")
         }
     assert units == {

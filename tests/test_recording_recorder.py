@@ -12,6 +12,7 @@ from typing import Any
 
 import h5py
 import msgpack
+import numpy as np
 import pytest
 from recorded import RecordedFlight, Source, recorded_into, room
 
@@ -32,6 +33,41 @@ def test_seconds_are_recorded_time(recorded_run: RecordedFlight, tmp_path: Path)
     assert (result["ended"], result["records"]) == ("complete", 1000)
     assert result["seconds"] == pytest.approx(0.999)
     assert not (tmp_path / "one.part.h5").exists()
+
+
+def test_what_was_changed_is_an_event_at_its_tick(
+    recorded_run: RecordedFlight, tmp_path: Path
+) -> None:
+    recorded_into(tmp_path / "one.h5", recorded_run)
+    with open_recording(tmp_path / "one.h5") as recording:
+        kinds = recording.column("event", "kind")
+        ticks, texts, unix_s = (
+            recording.column("event", name)[kinds == b"damping"].tolist()
+            for name in ("tick", "text", "timestamp")
+        )
+        tick, time_ns, asked = (
+            recording.column("servo", name)
+            for name in ("tick", "time_ns", "added_damping_asked_ns_per_m")
+        )
+        offset_ns = int(recording.column("life", "mono_unix_offset_ns")[0])
+        values = recording.column("request", "value_14_added_damping_on")
+    changed = np.flatnonzero(np.diff(asked)) + 1
+    assert ticks == tick[changed].tolist()
+    np.testing.assert_allclose(unix_s, (time_ns[changed] + offset_ns) / 1e9, atol=1.5e-3)
+    for text, level in zip(texts, asked[changed].tolist(), strict=True):
+        assert "added_damping_on=1" in text.decode()
+        assert f"added_damping={level:.6g} N s/m" in text.decode()
+    assert 1.0 in values
+
+
+def test_lost_slots_are_counted_over_all_lives() -> None:
+    class Stand:
+        def column(self, group: str, name: str) -> np.ndarray:
+            assert (group, name) == ("servo", "lost_slots")
+            # recorded from 2 on; another life, first seen at 3
+            return np.array([2, 2, 5, 5, 3, 4], "<u4")
+
+    assert pack._lost_slots(Stand()) == 7  # type: ignore[arg-type]
 
 
 def test_operator_ends_it_in_order(recorded_run: RecordedFlight, tmp_path: Path) -> None:
@@ -249,6 +285,12 @@ def test_write_error_ends_it_with_the_remedy(
         recorded_into(tmp_path / "run.h5", recorded_run)
 
 
+def published(flight: RecordedFlight) -> int:
+    """How many ticks are in the messages of `flight`."""
+    blocks = [payload for topic, payload in flight.messages if topic == "servo.raw"]
+    return sum(msgpack.unpackb(payload)["n"] for payload in blocks)
+
+
 def test_stalled_disk_delays_and_loses_nothing(
     recorded_run: RecordedFlight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -268,7 +310,7 @@ def test_stalled_disk_delays_and_loses_nothing(
         free_bytes=room,
     )
     assert result["missing"]["servo"] == 0
-    assert result["records"] == 3000
+    assert result["records"] == published(recorded_run)
 
 
 def test_disk_that_refuses_to_be_synchronised_loses_nothing(
@@ -281,5 +323,5 @@ def test_disk_that_refuses_to_be_synchronised_loses_nothing(
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "fdatasync", refuse)
-    assert recorded_into(tmp_path / "run.h5", recorded_run)["records"] == 3000
+    assert recorded_into(tmp_path / "run.h5", recorded_run)["records"] == published(recorded_run)
     assert asked

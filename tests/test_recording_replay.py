@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from recorded import RecordedFlight, recorded_into
 
@@ -9,6 +10,7 @@ from hapticd.errors import ConfigError
 from hapticd.mailbox.layout import Value
 from hapticd.recording.file import open_recording
 from hapticd.recording.replay import replay_recording
+from hapticd.report.trial import replay_figure
 
 
 def test_recording_is_replayed_bit_by_bit(recording_file: Path) -> None:
@@ -23,6 +25,21 @@ def test_recording_is_replayed_bit_by_bit(recording_file: Path) -> None:
     assert list(plain["first_difference"]) == ["tick", "field", "recorded", "flown"]
     assert plain["force_rms_n"]["flown"] > plain["force_rms_n"]["recorded"]
     assert other.time_s[0] == 0.0
+
+
+def test_ticks_before_the_first_checkpoint_are_counted(recording_file: Path) -> None:
+    with open_recording(recording_file) as recording:
+        result = replay_recording(recording)
+        ticks = recording.column("servo", "tick")
+    assert result.left_out == int(np.searchsorted(ticks, result.recorded["tick"][0])) > 0
+
+
+def test_both_forces_are_seen_where_they_are_equal(recording_file: Path) -> None:
+    with open_recording(recording_file) as recording:
+        figure = replay_figure(replay_recording(recording), "title")
+    below, above = figure.axes[1].lines[:2]
+    assert below.get_linewidth() > 2 * above.get_linewidth()
+    assert below.get_color() != above.get_color()
 
 
 def test_short_recording_has_nothing_to_replay(

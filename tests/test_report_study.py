@@ -56,11 +56,12 @@ def written(figure: Any) -> set[str]:
 # --- files ----------------------------------------------------------------------------------------
 
 
-def test_figure_is_kept_as_png_and_svg(tmp_path: Path, noisy: SceneResult) -> None:
-    png, svg = style.save(scene_figure(noisy), tmp_path / "new", "small")
+def test_figure_is_kept_as_png_svg_and_pdf(tmp_path: Path, noisy: SceneResult) -> None:
+    png, svg, pdf = style.save(scene_figure(noisy), tmp_path / "new", "small")
     assert png.read_bytes().startswith(PNG)
     assert svg.read_text().startswith("<?xml")
-    assert (png.name, svg.name) == ("small.png", "small.svg")
+    assert pdf.read_bytes().startswith(b"%PDF")
+    assert (png.name, svg.name, pdf.name) == ("small.png", "small.svg", "small.pdf")
 
 
 def test_same_result_gives_the_same_bytes(tmp_path: Path, noisy: SceneResult) -> None:

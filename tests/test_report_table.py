@@ -6,7 +6,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from hapticd.report.table import duration, percent, shown, table, text
+from hapticd.report.table import changed, duration, shown, table, text
 from hapticd.zwidth.store import to_json
 
 
@@ -47,7 +47,7 @@ def test_cells_have_three_digits(cell: str | float, expected: str) -> None:
     [(0.02, "2 %"), (0.0, "0 %"), (1e-9, "0 %"), (0.0123, "1.2 %"), (4.96, "496 %"), (inf, "all")],
 )
 def test_shares_are_percent(share: float, expected: str) -> None:
-    assert percent(share) == expected
+    assert changed(share) == expected
 
 
 @pytest.mark.parametrize(

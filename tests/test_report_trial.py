@@ -99,6 +99,19 @@ def test_multisine_is_drawn_where_it_was_excited_and_by_its_few_realisations():
     assert "multisine: 3 realisations of 1 periods" in figure.get_suptitle()
 
 
+@pytest.mark.filterwarnings("error")
+def test_trial_in_which_nothing_moved_shows_its_record_and_no_impedance():
+    nothing = np.zeros(80_000)
+    record = TrialRecord(nothing, nothing, 4000.0, "made", False)
+    result = judged(plan_trial(TrialParams(Trial(seconds=20.0))), record)
+    figure = trial_figure(result)
+    assert "no impedance to draw: force and velocity have nothing in common" in (
+        figure.get_suptitle().replace("\n", " ")
+    )
+    assert len(figure.axes) == 2
+    assert "perturb the device while it records" in str(result.verdict)
+
+
 def test_escaped_trial_shows_its_record_and_no_impedance():
     force = np.random.default_rng(1).normal(0.0, 0.2, 80_000)
     record = TrialRecord(force, 0.1 * force, 4000.0, "made", False, ended="escape: it ran away")

@@ -135,6 +135,7 @@ def test_gains_offsets_and_skew_of_a_known_motion():
     assert changes["probe_torque", "sign"] == -1
     assert changes["probe_velocity", "sign"] == 1
     assert changes["probe_torque", "full_scale_n"] == pytest.approx(2.34, rel=0.005)
+    assert changes["probe_velocity", "skew_us"] == pytest.approx(-50.0, abs=0.3)
     assert result.settled
 
 

@@ -157,6 +157,14 @@ def test_the_sensor_of_the_simulated_board_agrees_with_its_room():
     assert holds(told(result)["temperature.offset_count"], 0.0)
 
 
+def test_a_room_that_cannot_be_is_refused_before_anybody_shakes_the_handle():
+    asked = []
+    with Hand() as hand:
+        result = measure(hand.bench, lambda one: asked.append(one.action), Stated((295.0,)))
+    assert "degC" in refused(result)[0].what
+    assert asked == ["let go"]
+
+
 def test_a_board_without_the_sensor_is_told_so():
     with Hand(lacks=("temperature",)) as hand, pytest.raises(AnalysisError, match="no temperature"):
         measure(hand.bench, hand.ask, Stated((22.0,)))

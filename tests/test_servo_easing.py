@@ -10,10 +10,11 @@ from flight import Flight, enabled, masked
 from models import COUNT_M, COUNT_N, board_params, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.faults import BY_CODE
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.params import SafetyParams
 from hapticd.render.ramp import constant
-from hapticd.servo.safety import State
+from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
 
 FAR = 38_000  # counts = 19 mm
 ROUNDING_N = 1.001 * COUNT_N  # of the force as sent, up on one tick and down on the next
@@ -65,6 +66,27 @@ def test_stop_takes_a_force_at_its_limit_away_along_its_ramp():
     assert forces[9] == pytest.approx(-4.0, abs=0.01)
     assert largest_step([-8.0, *forces]) <= 8.0 / 20 + ROUNDING_N
     assert forces[20] == 0.0
+
+
+@pytest.mark.parametrize("ending", ["stop", "fault", "fault after lost slots"])
+@pytest.mark.parametrize("enable_ramp_s", [0.0, 0.02, 0.5])
+def test_an_enable_that_is_ended_on_its_way_never_pushes_harder_than_it_did(enable_ramp_s, ending):
+    """The gain that fades is the one that was in force, not where its ramp would have been."""
+    flight = Flight(params_with(0.1, enable_ramp_s), FAR)
+    flight.do(Command.SET, {Value.STIFFNESS: 1e5, Value.RAMP_S: 0.0})
+    flight.do(Command.ENABLE)
+    acted_n = flight.fly(40)[8]
+    assert -5.0 < acted_n < -0.5
+    if ending == "stop":
+        flight.do(Command.STOP)
+    else:
+        flight.tick += 7 * ending.endswith("lost slots")
+        flight.event(FAULT_EVENT, BY_CODE["lost_slots"].number)
+    assert flight.plan.state in LATCHED
+    forces = [flight.out[8], *(flight.fly()[8] for _ in range(25))]
+    assert forces[0] == pytest.approx(acted_n, abs=ROUNDING_N)
+    assert all(abs(b) <= abs(a) for a, b in pairwise(forces))
+    assert forces[-1] == 0.0
 
 
 CHANGES = [

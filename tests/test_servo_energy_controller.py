@@ -22,7 +22,8 @@ from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.params import ENERGY_LIMIT_J, HandParams, SafetyParams, TouchParams
 from hapticd.render.energy import EXCESS, at_rest
-from hapticd.servo.energy_controller import SHARE, lag
+from hapticd.render.ramp import Ramp
+from hapticd.servo.energy_controller import SHARE, halved, lag
 from hapticd.servo.plan import GATEWAY_ALIVE, SETTLED, Control, flatten, unflatten
 from hapticd.servo.safety import State
 
@@ -203,6 +204,15 @@ def test_it_does_not_act_in_a_measurement():
     found.pushed(wander(found.hand, 600, 0))
     assert max(found.leaks) > 4.0 * BALANCE_J
     assert not found.acted
+
+
+def test_a_stiffness_that_is_held_back_on_its_way_up_is_cut_from_where_it_is():
+    """One tick is left of its ramp: a half of where that would lead is more than acted."""
+    tick = 700
+    plan = flight().plan
+    values = plan.values | {Value.STIFFNESS: Ramp(100.0, 1000.0, tick - 1, 1)}
+    cut = halved(plan._replace(values=values), Control((), tick, 0.0), tick - 1)
+    assert cut.values[Value.STIFFNESS].value(tick) == 50.0
 
 
 def test_it_is_off_by_default_and_without_a_known_damping():

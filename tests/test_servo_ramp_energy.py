@@ -294,3 +294,26 @@ def test_pump_that_pauses_is_replayed_bit_by_bit():
         leg = flight.leg()
     assert (records["flags"] & Flag.PAUSED).any()
     assert replay.difference(leg.records, replay.replay(params, leg)) is None
+
+
+@pytest.mark.parametrize("actor", ["stop", "fault"])
+def test_force_of_a_gain_that_waits_never_rises_when_it_has_to_end(actor):
+    """What waits at the end of its ramp would arrive in the next tick: up by a third, once."""
+    flight = Flight(budgeted(safety=SafetyParams(enable_ramp_s=0.001)), TEN_MM)
+    flight.do(Command.SET, {Value.STIFFNESS: 700.0, Value.RAMP_S: 0.0})
+    for _ in range(3):
+        flight.do(Command.ENABLE)
+        flight.fly(60)
+        if flight.out[9] & Flag.PAUSED:
+            break
+        flight.do(Command.DISABLE)
+        flight.fly()
+    assert flight.out[9] & Flag.PAUSED
+    before_n = abs(flight.out[8])
+    assert 0.0 < before_n < 6.0
+    forces = []
+    flight.do(Command.STOP) if actor == "stop" else flight.event(FAULT_EVENT, 3)
+    forces = [abs(flight.out[8]), *(abs(flight.fly()[8]) for _ in range(20))]
+    assert forces[0] <= before_n
+    assert (np.diff(forces) <= 0.0).all()
+    assert forces[-1] == 0.0

@@ -410,6 +410,10 @@ DEVICE_CASES = {
         "damping_ns_per_m = 10.0 ",
         "damping_ns_per_m = 11.0 ",
     ): "limits.damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m",
+    (
+        "[probe_velocity]",
+        "[probe_velocity]\nskew_us = 40.0",
+    ): "probe_velocity.skew_us = 40.0 us: must be 0: a simulated board samples both",
     ("probe_n = 2.0", "probe_n = 2.5"): "limits.probe_n = 2.5 N: must be at most 2.0 N",
     (
         "upper_m = 0.02",

@@ -6,10 +6,12 @@ import pytest
 from models import board_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.mailbox.stop_word import press_stop
 
 A, B, STOP_PAGE = 16, 17, 2
+FADE_TICKS = 21  # after which the word is taken back
 
 
 @pytest.fixture
@@ -61,6 +63,36 @@ def test_the_stop_page_is_an_actor_of_its_own(stack: LockStep) -> None:
     assert (result, owner) == (Result.REFUSED_OWNER, STOP_PAGE)
     stack.run(1000)
     assert asked(stack, Command.RESET, A)[0] is Result.APPLIED
+
+
+def test_a_press_of_the_stop_page_in_a_clients_name_is_that_clients(stack: LockStep) -> None:
+    press_stop(stack.gateway.folder, A)
+    asked(stack, Command.STOP, A)  # by the gateway as well: one client, two ways
+    stack.run(FADE_TICKS)
+    result, _, _, owner = asked(stack, Command.RESET, B)
+    assert (result, owner) == (Result.REFUSED_OWNER, A)
+    assert asked(stack, Command.RESET, A)[0] is Result.APPLIED
+
+
+@pytest.mark.parametrize("ticks_between", [0, 1])
+def test_two_who_press_the_stop_page_may_both_not_reset_it(
+    stack: LockStep, ticks_between: int
+) -> None:
+    press_stop(stack.gateway.folder, A)
+    stack.run(ticks_between)
+    press_stop(stack.gateway.folder, B)
+    stack.run(FADE_TICKS + 1)
+    for actor in (A, B):
+        assert asked(stack, Command.RESET, actor)[0] is Result.REFUSED_OWNER
+
+
+@pytest.mark.parametrize("number", [0, 1, STOP_PAGE, 15, 1 << 32, (1 << 64) - 1])
+def test_a_press_that_names_no_client_is_the_stop_pages(stack: LockStep, number: int) -> None:
+    word = stack.gateway.folder / files.STOP
+    word.write_bytes(number.to_bytes(8, "little") if number else b"")
+    stack.run(1)
+    result, _, _, owner = asked(stack, Command.RESET, A)
+    assert (result, owner) == (Result.REFUSED_OWNER, STOP_PAGE)
 
 
 def test_a_stop_that_is_held_down_stays(stack: LockStep) -> None:

@@ -244,6 +244,15 @@ def test_press_into_a_word_that_was_just_renamed_over_is_made_again(
     assert servo.stop_word.pressed
 
 
+def test_press_of_a_servo_without_force_is_taken_back_at_once(stack: LockStep) -> None:
+    press_stop(stack.mailbox.folder)
+    stack.run(FADE_TICKS + 1)
+    press_stop(stack.mailbox.folder)
+    assert not stop_taken(stack.mailbox.folder)
+    stack.run(1)
+    assert stop_taken(stack.mailbox.folder)
+
+
 def test_word_that_is_written_all_the_time_only_stops(stack: LockStep) -> None:
     for _ in range(50):
         press_stop(stack.mailbox.folder)

@@ -2,9 +2,11 @@
 systemd.
 """
 
+import ipaddress
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import struct
@@ -33,8 +35,10 @@ from hapticd.units import NS_PER_S
 
 UNITS = ("hapticd-servo.service", "hapticd-gateway.service", "hapticd.target")
 SERVICES = UNITS[:2]
-EXPOSURE_LIMIT = 3.0
+ROOT = Path(__file__).parents[1]
+EXPOSURE = {"hapticd-servo.service": 0.9, "hapticd-gateway.service": 1.1}
 DEADLINE_S = 60.0
+SYSTEMD = "/lib/systemd/systemd"
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +72,7 @@ def test_units_verify_without_a_word(root: Path) -> None:
 
 
 @pytest.mark.parametrize("name", SERVICES)
-def test_exposure_is_at_most_three(root: Path, name: str) -> None:
+def test_exposure_is_no_worse_than_the_page_says(root: Path, name: str) -> None:
     path = str(root / system_files.PLACES[name])
     done = subprocess.run(
         [program("systemd-analyze"), "security", "--offline=true", path],
@@ -77,7 +81,9 @@ def test_exposure_is_at_most_three(root: Path, name: str) -> None:
     )
     level = re.search(r"Overall exposure level for \S+: (\d+\.\d+)", done.stdout)
     assert level is not None, done.stdout + done.stderr
-    assert float(level[1]) <= EXPOSURE_LIMIT
+    assert float(level[1]) <= EXPOSURE[name]
+    told = "rates the servo {} and the gateway {};".format(*EXPOSURE.values())
+    assert told in (ROOT / "docs/service.md").read_text()
 
 
 def test_user_and_folders_can_be_made(tmp_path: Path) -> None:
@@ -158,9 +164,84 @@ def test_gateway_talks_to_this_machine_alone(root: Path) -> None:
     assert found["NotifyAccess"] == ["main"]
 
 
+def directives(text: str) -> list[tuple[str, str, str]]:
+    """(section, key, value) of a unit file, in order."""
+    found = []
+    section = ""
+    for line in text.splitlines():
+        if line.startswith("["):
+            section = line.strip("[]")
+        elif line and line[0] not in "#;":
+            key, _, value = line.partition("=")
+            found.append((section, key, value))
+    return found
+
+
+def test_drop_in_for_telemetry_widens_the_gateways_addresses_and_nothing_else(root: Path) -> None:
+    drop_in = (shipped("systemd") / "hapticd-telemetry.conf").read_text()
+    ((section, key, value),) = directives(drop_in)
+    whole = directives((root / system_files.PLACES["hapticd-gateway.service"]).read_text())
+    assert (section, key, "localhost") in whole  # the same directive, in the same section
+    network, *named = value.split()
+    assert ipaddress.ip_network(network) in [ipaddress.ip_network("192.0.2.0/24")]  # RFC 5737
+    assert set(named) <= {"link-local", "localhost", "multicast"}  # systemd.resource-control(5)
+    told = (ROOT / "docs" / "service.md").read_text()
+    assert "systemd/hapticd-telemetry.conf" in told
+    assert "/etc/systemd/system/hapticd-gateway.service.d/telemetry.conf" in told
+
+
+def test_drop_in_for_telemetry_verifies_beside_its_unit(root: Path) -> None:
+    """systemd names a directive that it does not know, and a value that it cannot read."""
+    unit_file = root / system_files.PLACES["hapticd-gateway.service"]
+    folder = unit_file.with_name(f"{unit_file.name}.d")
+    folder.mkdir()
+    place = folder / "telemetry.conf"
+    text = (shipped("systemd") / "hapticd-telemetry.conf").read_text()
+    try:
+        for wrong in ("", "IPAddressAllowed=10.0.0.0/8\n", "IPAddressAllow=10.0.0.0/99\n"):
+            place.write_text(text + wrong)
+            done = subprocess.run(
+                [program("systemd-analyze"), "verify", "--man=no", str(unit_file)],
+                capture_output=True,
+                text=True,
+            )
+            said = "telemetry.conf" in done.stdout + done.stderr
+            assert said == bool(wrong), done.stderr
+    finally:
+        shutil.rmtree(folder)
+
+
 def test_target_starts_both(root: Path) -> None:
     assert unit(root, "hapticd.target")["Wants"] == [" ".join(SERVICES)]
     assert all(unit(root, name)["PartOf"] == ["hapticd.target"] for name in SERVICES)
+
+
+def test_nobody_who_starts_the_target_waits_for_a_board(root: Path, runtime: Path) -> None:
+    """A target orders itself behind what it wants, unless it says that it does not."""
+    runtime.chmod(0o755)  # read by nobody: systemd shows no plan to root
+    shutil.copytree(root / "etc/systemd/system", runtime / "units")
+    as_nobody = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]
+    words = [SYSTEMD, "--test", "--system", "--unit=hapticd.target"]
+    done = subprocess.run(
+        [*(as_nobody if os.getuid() == 0 else []), *words],
+        env={"SYSTEMD_UNIT_PATH": f"{runtime}/units:/lib/systemd/system"},
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+    )
+    _, _, target = (done.stdout + done.stderr).partition("-> Unit hapticd.target:")
+    target, _, _ = target.partition("-> Unit ")
+    assert "Wants: hapticd-servo.service" in target
+    assert "Before: shutdown.target" in target
+    assert "After: hapticd-servo.service" not in target
+
+
+def test_servo_has_no_network(root: Path) -> None:
+    """It finds boards that are plugged in later all the same: see tests/usb_guest."""
+    found = unit(root, "hapticd-servo.service")
+    assert found["PrivateNetwork"] == ["yes"]
+    assert found["RestrictAddressFamilies"] == ["AF_UNIX AF_NETLINK"]
+    assert found["IPAddressDeny"] == ["any"]
 
 
 def test_udev_rule_names_the_configured_board() -> None:
@@ -182,7 +263,9 @@ def test_no_template_word_is_left() -> None:
 
 
 def test_every_template_has_a_place() -> None:
-    assert {path.name for path in shipped("systemd").iterdir()} == set(system_files.PLACES)
+    by_hand = "hapticd-telemetry.conf"  # who widens the unit says for which network
+    names = {path.name for path in shipped("systemd").iterdir()}
+    assert names - {by_hand} == set(system_files.PLACES)
 
 
 # --- install-system -------------------------------------------------------------------------------
@@ -408,14 +491,6 @@ def test_servo_tells_systemd_what_it_waits_for_and_starts_when_the_board_is_read
         assert ["STATUS=the board answers"] in said
         servo.send_signal(signal.SIGTERM)
         assert servo.wait(DEADLINE_S) == 0
-
-
-def test_servo_hears_of_boards_that_are_plugged_in_later(root: Path) -> None:
-    """libusb learns of them by netlink, which enters no network namespace."""
-    found = unit(root, "hapticd-servo.service")
-    assert "PrivateNetwork" not in found
-    assert found["RestrictAddressFamilies"] == ["AF_UNIX AF_NETLINK"]
-    assert found["IPAddressDeny"] == ["any"]
 
 
 @pytest.mark.process

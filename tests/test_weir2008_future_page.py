@@ -22,7 +22,8 @@ def test_negative_damping_takes_back_what_added_damping_raised(quick):
         assert low[f"off{kind}"] + 5.0 < low[f"on{kind}"]
         assert low[f"on_negative_B{kind}"] < low[f"on{kind}"] - 5.0
         upper = [quick.envelopes[f"{name}{kind}"].upper.value for name in ("on", "on_negative_B")]
-        assert (upper[1] >= upper[0]).all()
+        # the same environment, calculated in another batch, may round in another way
+        assert (upper[1] >= upper[0] * (1.0 - 1e-12)).all()
     assert restored(quick, "_safe")[0] == pytest.approx(
         100 * (low["on_safe"] - low["on_negative_B_safe"]) / (low["on_safe"] - low["off_safe"])
     )

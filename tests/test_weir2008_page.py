@@ -87,7 +87,7 @@ def test_verb_writes_report_table_and_figures(
     pytest.importorskip("matplotlib")
     assert main(["zwidth", "reproduce", "--quick", "--json", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out)
-    wanted = {f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg")} | {
+    wanted = {f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg", "pdf")} | {
         "REPORT.md",
         "table.json",
         "table.csv",
@@ -144,7 +144,7 @@ def test_interrupted_drawing_leaves_the_run_before(
     (tmp_path / "table.json").write_text("before")
     saved: list[str] = []
 
-    def save(figure: object, folder: Path, name: str) -> None:
+    def save(figure: object, folder: Path, name: str, width_mm: float | None) -> None:
         if saved:
             raise KeyboardInterrupt
         saved.append(name)
@@ -163,8 +163,8 @@ def test_smaller_run_leaves_no_figure_of_the_run_before(
 ) -> None:
     from hapticd.report import style
 
-    def save(figure: object, folder: Path, name: str) -> None:
-        for kind in ("png", "svg"):
+    def save(figure: object, folder: Path, name: str, width_mm: float | None) -> None:
+        for kind in ("png", "svg", "pdf"):
             (folder / f"{name}.{kind}").write_text("drawn")
 
     monkeypatch.setattr(style, "save", save)
@@ -183,6 +183,7 @@ def test_smaller_run_leaves_no_figure_of_the_run_before(
         "table.md",
         "fig03.png",
         "fig03.svg",
+        "fig03.pdf",
         "fig02_mine.png",
         "notes.txt",
         "fig12.svg",

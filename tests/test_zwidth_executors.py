@@ -20,7 +20,7 @@ from stand_in import StandIn
 
 from hapticd import errors
 from hapticd.engine.batch import at_most, workers
-from hapticd.errors import AnalysisError, CommandError, ConfigError, HapticdError
+from hapticd.errors import AnalysisError, CommandError, ConfigError, HapticdError, SequenceError
 from hapticd.plant.effects import Masses, ProbeMass, Viscous
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth import executors, outcomes
@@ -213,9 +213,12 @@ def test_other_patch_of_python_is_the_same() -> None:
 @pytest.mark.parametrize("kind", every(HapticdError))
 def test_every_error_travels(kind: type[HapticdError]) -> None:
     """As pools do it; what cannot be unpickled would end the pool instead."""
-    raised = (
-        kind("code", "what", {"limit": 8.0}) if issubclass(kind, CommandError) else kind("what")
-    )
+    if kind is SequenceError:
+        raised: HapticdError = SequenceError("code", "what", ("a receipt",), "disabled")
+    elif issubclass(kind, CommandError):
+        raised = kind("code", "what", {"limit": 8.0})
+    else:
+        raised = kind("what")
     back = pickle.loads(pickle.dumps(raised))
     assert type(back) is kind
     assert str(back) == "what"

@@ -14,14 +14,15 @@ from hapticd.analysis.spectra import spa
 from hapticd.assembly.lockstep import scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.errors import AnalysisError
+from hapticd.faults import BY_CODE
 from hapticd.plant.scene import Excitation
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.zwidth.live import daemon_source
+from hapticd.zwidth.live import _gone, daemon_source
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import TrialRecord, end_remedy
+from hapticd.zwidth.store import TrialRecord, too_short
 from hapticd.zwidth.trial import (
     MultisineLayout,
     TrialParams,
@@ -248,7 +249,26 @@ def test_device_at_its_stop_leaves_nothing_decided():
         match=r"ended after 2 s \(travel: the device stands at 22 mm\): too short for a verdict$",
     ):
         judged(plan_trial(TrialParams(Trial())), short)
-    assert end_remedy("escape: x") == "; go nearer to 0"
+
+
+def told(code):
+    """What a daemon's status says of a fault, as far as a trial looks."""
+    return {"state": "fault", "cause": BY_CODE[code].cause}
+
+
+@pytest.mark.parametrize(
+    ("ended", "remedy"),
+    [
+        ("escape: 3.1 m/s", "; an environment that runs away by itself is unstable"),
+        (_gone(told("overspeed")), "; an environment that runs away by itself is unstable"),
+        ("saturation: the command", "; take a weaker perturbation, or a smaller K, B or M"),
+        (_gone(told("gateway_lost")), ""),
+    ],
+)
+def test_a_trial_that_was_too_short_says_whether_it_ran_away(ended, remedy):
+    said = str(too_short(0.21, ended))
+    assert said.startswith(f"ended after 0.21 s ({ended}): too short for a verdict{remedy}")
+    assert remedy or said.endswith("verdict")
 
 
 @pytest.mark.parametrize(
