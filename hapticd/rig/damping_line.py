@@ -34,6 +34,7 @@ from hapticd.rig.result import (
     rounded,
     settled,
 )
+from hapticd.units import percent
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 
 LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit
@@ -160,7 +161,7 @@ def _residual(found: Balance, known_n_per_a: float, scales: float) -> Iterator[V
 def _together(found: Balance) -> Finding:
     """Whether every push fits the others."""
     worst = float(np.abs(found.beside).max())
-    what = f"the worst push lies {100.0 * worst:.2g} % beside the others"
+    what = f"the worst push lies {percent(worst)} beside the others"
     if worst <= MOST_BESIDE:
         return Finding(what, "ok")
     remedy = (

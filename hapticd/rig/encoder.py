@@ -28,6 +28,7 @@ from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
+from hapticd.units import percent
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, StatusBit
 
@@ -231,5 +232,5 @@ def _believable(scale: Value, m_per_count: float, distance: Distance) -> Finding
     half = (scale.high - scale.low) / 2.0 / scale.value
     if half > MOST_SCATTER:
         remedy = "rest the handle against something firm at A and B"
-        return Finding(f"the scale is known to {100 * half:.2g} %", "warning", remedy)
-    return Finding(f"the scale is known to {100 * half:.2g} %", "ok")
+        return Finding(f"the scale is known to {percent(half)}", "warning", remedy)
+    return Finding(f"the scale is known to {percent(half)}", "ok")

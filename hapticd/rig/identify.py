@@ -40,7 +40,7 @@ from hapticd.rig.model_tables import changes_of
 from hapticd.rig.motor import limit_n
 from hapticd.rig.played import Environment, Played, play
 from hapticd.rig.result import Finding, StepResult, relative_half, settled
-from hapticd.units import US_PER_S
+from hapticd.units import US_PER_S, percent
 
 QUIET_S = 6.0
 LOUD_S = 7.0
@@ -147,7 +147,7 @@ def _solved(runs: Sequence[Played]) -> Balance:
 
 def _moved(found: Balance) -> Finding:
     share = 100.0 * found.residual
-    what = f"forces balance to {share:.2g} % of the torque, over {found.blocks} s"
+    what = f"forces balance to {percent(found.residual)} of the torque, over {found.blocks} s"
     remedy = "is the handle free, and are both probe channels and their signs right? `rig probe`"
     if found.handle.coulomb_n < 0.0 or not found.handle.mass_kg > 0.0 or share > 20.0:
         return Finding(what, "refused", remedy)

@@ -38,6 +38,7 @@ from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import LOOK_S, Pushed, push, ready, wall_of
 from hapticd.rig.records import collect, identity_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
+from hapticd.units import percent
 from hapticd.wire.codec import I16_HIGHEST
 
 PUSH_S = 0.02
@@ -357,7 +358,7 @@ def fitted(x: Floats, y: Floats) -> Line:
 
 def _linear(line: Line, means: Sequence[float] | Floats) -> Finding:
     share = line.worst / float(np.ptp(means))
-    what = f"the worst reading lies {100 * share:.2g} % of the span beside the line"
+    what = f"the worst reading lies {percent(share)} of the span beside the line"
     if share <= MOST_RESIDUAL:
         return Finding(what, "ok")
     remedy = "is one mass typed wrong, does the lever slip, or the handle stick? Repeat the step"

@@ -53,6 +53,7 @@ from hapticd.rig.shaken import (
     shaken,
     waveform,
 )
+from hapticd.units import percent
 from hapticd.wire.codec import I16_HIGHEST
 
 REST_S = 12.0  # high-passes of 0.1 Hz forget what was before in some seconds
@@ -248,12 +249,12 @@ def force_gain(found: Added, attached: Attached, position_half: float) -> Gain:
 
 def _weighed(found: Added) -> list[Finding]:
     """What is to be thought of the fit of both recordings."""
-    what = f"masses, damping and friction leave {100 * found.left:.2g} % of the torque unexplained"
+    what = f"masses, damping and friction leave {percent(found.left)} of the torque unexplained"
     remedy = "fix the mass so that nothing rattles, and keep hands and table still"
     findings = [Finding(what, *(("ok", "") if found.left <= MOST_LEFT else ("warning", remedy)))]
     relative = found.half / abs(found.counts)
     if relative > WORST_HALF:
-        what = f"the mass tells the force to {100 * relative:.2g} % alone"
+        what = f"the mass tells the force to {percent(relative)} alone"
         findings.append(Finding(what, "refused", "was it fixed? Repeat it, or take a heavier one"))
     return findings
 

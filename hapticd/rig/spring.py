@@ -41,6 +41,7 @@ from hapticd.rig.motor import (
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
+from hapticd.units import percent
 from hapticd.wire.codec import I16_HIGHEST
 
 LEVELS = 3
@@ -140,7 +141,7 @@ def concluded(
 
 
 def _linear(share: float) -> Finding:
-    what = f"the worst reading lies {100 * share:.2g} % of the stretch beside the line"
+    what = f"the worst reading lies {percent(share)} of the stretch beside the line"
     if share <= MOST_RESIDUAL:
         return Finding(what, "ok")
     remedy = "does the spring buckle or end, the lever slip, or the handle stick? Repeat the step"

@@ -52,7 +52,7 @@ from hapticd.rig.link import MOST_SPREAD, RARE, require_disabled, require_verifi
 from hapticd.rig.mechanics import UNKNOWN_SHARE
 from hapticd.rig.played import Played, play
 from hapticd.rig.result import Finding, StepResult, Value, Verdict, relative_half
-from hapticd.units import PROBE_RATE_HZ, US_PER_S
+from hapticd.units import PROBE_RATE_HZ, US_PER_S, percent
 
 LOW_HZ = 8.0
 HIGH_HZ = 120.0
@@ -294,7 +294,7 @@ def judged(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
     limit = hypot(allowed, own)
     what = (
         f"{part.name}: {part.size:g} {part.unit} is {value.value:.4g} at the probe, off by"
-        f" {100 * (scale - 1):+.2g} %; calibrations and record leave {100 * limit:.2g} %"
+        f" {100 * (scale - 1):+.2g} %; calibrations and record leave {percent(limit)}"
     )
     if unknown:
         share = f"{100 * UNKNOWN_SHARE:g} %"
