@@ -61,7 +61,11 @@ class Stop(NamedTuple):
 
 
 class Bystander(threading.Thread):
-    """A client that asks, and waits for its reply."""
+    """A client that asks, and waits for its reply.
+
+    It is connected before anything begins: who comes to an address whose places are all taken
+    waits until a peer leaves, however fast the gateway is.
+    """
 
     def __init__(self, folder: Path) -> None:
         super().__init__(name="bystander")
@@ -70,6 +74,7 @@ class Bystander(threading.Thread):
         self.asked = self.answered = 0
         self.told_down = 0  # of the answers: the servo had been silent for too long
         self.longest_ms = 0.0
+        self._line.exchange("get", {}, ANSWERED_S)
         self.start()
 
     def run(self) -> None:
