@@ -131,7 +131,7 @@ def named(display: Display) -> str:
     """A display by its numbers."""
     return (
         f"K = {display.stiffness_n_per_m:g} N/m, B = {display.damping_ns_per_m:g} N s/m,"
-        f" M = {display.mass_kg:g} kg with {display.added_ns_per_m:g} N s/m of damping"
+        f" M = {display.mass_kg:g} kg with {display.added_ns_per_m:.4g} N s/m of damping"
     )
 
 

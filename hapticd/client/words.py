@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from hapticd.gateway.limits import PLACES, flat
-from hapticd.mailbox.layout import VALUE_LIMITS
+from hapticd.mailbox.layout import VALUE_LIMITS, Value
 
 if TYPE_CHECKING:
     from hapticd.client.conversation import Receipt
@@ -101,4 +101,6 @@ def parameters(table: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for name, value in flat(table):
         place = PLACES.get(name.replace("damping_level", "damping"))
         unit = VALUE_LIMITS[place].unit if place is not None else ""
-        yield name, f"{value:.6g}" if unit in ("", "1", "side") else f"{value:.6g} {unit}"
+        # a level is rounded to a count of the board's converter: 1.73999 was 1.74 when it was asked
+        shown = f"{value:.4g}" if place == Value.ADDED_DAMPING else f"{value:.6g}"
+        yield name, shown if unit in ("", "1", "side") else f"{shown} {unit}"
