@@ -20,6 +20,7 @@ from console_page import (
     ARGUMENTS,
     CHROMIUM,
     PATIENCE_MS,
+    PatientClient,
     Served,
     lamp_colour,
     paused,
@@ -109,7 +110,7 @@ def daemon(shared: Daemon) -> Daemon:
 
 @pytest.fixture
 def client(daemon: Daemon) -> Iterator[Client]:
-    with Client(daemon.instance, name="test") as client:
+    with PatientClient(daemon.instance, name="test") as client:
         client.call("stop")  # answered: one whose answer came late would stop the next test
         until(lambda: daemon.cli("reset") == 0, "reset")
         client.set(K=0.0, B=0.0, M=0.0, damping=0.0)
