@@ -41,7 +41,7 @@ from hapticd.client.conversation import (
     socket_file,
 )
 from hapticd.client.lease import RENEWALS, lost_error
-from hapticd.client.sequence import Ask, AtRefusal, Step, StepReceipt, course
+from hapticd.client.sequence import Ask, AtRefusal, Pause, Step, StepReceipt, advanced, course
 from hapticd.client.verbs import POLL_S, Verbs, hand_of
 from hapticd.errors import CommandError, DaemonDown, HapticdError
 from hapticd.mailbox.daemons import daemon_folder
@@ -222,16 +222,14 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
         under_way = course(steps, at_refusal, self._name, lead_s)
         answer = None
         while True:
-            try:
-                due = under_way.send(answer)
-            except StopIteration as end:
-                receipts: tuple[StepReceipt, ...] = end.value
-                return receipts
+            due = advanced(under_way, answer)
             if isinstance(due, Ask):
                 answer = await self._tried(due)
-            else:
+            elif isinstance(due, Pause):
                 await asyncio.sleep(due.seconds)
                 answer = None
+            else:
+                return due
 
     async def _tried(self, due: Ask) -> Answer | Receipt | HapticdError:
         try:

@@ -204,21 +204,19 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         with "hold", left as it was. A lost daemon is stopped by the stop word, but with "hold".
         `lead_s`: how long before its tick a step is sent; left out: half a second.
         """
-        from hapticd.client.sequence import Ask, course
+        from hapticd.client.sequence import Ask, Pause, advanced, course
 
         under_way = course(steps, at_refusal, self._name, lead_s)
         answer = None
         while True:
-            try:
-                due = under_way.send(answer)
-            except StopIteration as end:
-                receipts: tuple[StepReceipt, ...] = end.value
-                return receipts
+            due = advanced(under_way, answer)
             if isinstance(due, Ask):
                 answer = self._tried(due)
-            else:
+            elif isinstance(due, Pause):
                 time.sleep(due.seconds)
                 answer = None
+            else:
+                return due
 
     def _tried(self, due: "Ask") -> "dict[str, Any] | Receipt | HapticdError":
         """The reply to a request of a sequence, or the error that it ended with."""

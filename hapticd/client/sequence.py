@@ -149,6 +149,15 @@ def course(
     return (yield from _Run(steps, at_refusal, name, status, lead_s).whole())
 
 
+def advanced(under_way: Course, answer: Any) -> Ask | Pause | tuple[StepReceipt, ...]:
+    """What is due after `answer` (None at the start and after a pause); at the end the receipts."""
+    try:
+        return under_way.send(answer)
+    except StopIteration as end:
+        receipts: tuple[StepReceipt, ...] = end.value
+        return receipts
+
+
 class _Run:
     """A sequence under way."""
 
