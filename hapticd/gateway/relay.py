@@ -57,7 +57,7 @@ EVENTS = (
     | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
     | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 )
-REASONS = {
+REASONS: dict[int, str] = {
     zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH: "it offers no key",
     zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC: "it has another server's key",
 }
@@ -91,7 +91,7 @@ class Connections:
                 self.refuse(address, self._failed)
             self._failed = ""
         elif event == zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL:
-            self._failed = REASONS.get(value, "it breaks the protocol")  # type: ignore[call-overload]
+            self._failed = REASONS.get(value, "it breaks the protocol")
         else:
             self._failed = "it ended, or was silent, before it had shown a key"
 
