@@ -3,7 +3,8 @@ its own, in virtual time.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgpack
@@ -336,30 +337,32 @@ def test_silent_gateway_times_out(folder: Path) -> None:
         client.get()
 
 
-def test_old_request_does_not_reach_a_later_gateway(folder: Path) -> None:
-    folder.mkdir(mode=0o700)
-    (folder / "command").touch()
-    with Client(timeout_s=0.05) as client:
-        with pytest.raises(DaemonDown):
-            client.enable()
-        (folder / "command").unlink()
-        with GatewayRig(folder) as rig, running(rig):
-            client._timeout_s = 10.0
-            client.set(K=1)
-            assert [kind for kind, _ in rig.servo.taken] == [Command.SET]
-
-
-def test_client_is_introduced_however_late_it_is_connected(folder: Path) -> None:
+@contextmanager
+def late_gateway(
+    folder: Path, in_vain: Callable[[Client], object]
+) -> Iterator[tuple[GatewayRig, Client]]:
+    """A client that asked in vain before its gateway began; both, once that runs."""
     folder.mkdir(mode=0o700)
     (folder / "command").touch()
     with Client(timeout_s=0.05, name="experiment") as client:
         with pytest.raises(DaemonDown):
-            client.get()
+            in_vain(client)
         (folder / "command").unlink()
         with GatewayRig(folder) as rig, running(rig):
             client._timeout_s = 10.0
-            client.set(K=1)
-            assert client.status()["actor_name"] == "experiment"
+            yield rig, client
+
+
+def test_old_request_does_not_reach_a_later_gateway(folder: Path) -> None:
+    with late_gateway(folder, lambda client: client.enable()) as (rig, client):
+        client.set(K=1)
+        assert [kind for kind, _ in rig.servo.taken] == [Command.SET]
+
+
+def test_client_is_introduced_however_late_it_is_connected(folder: Path) -> None:
+    with late_gateway(folder, lambda client: client.get()) as (_, client):
+        client.set(K=1)
+        assert client.status()["actor_name"] == "experiment"
 
 
 def test_stop_without_gateway_presses_the_page(folder: Path) -> None:
