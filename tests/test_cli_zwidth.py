@@ -441,7 +441,7 @@ WALLS = ["walls", "--no-plot", "--damping", "0"]
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        ([*TRIAL, "--psd", "-1"], 2, "greater than or equal to 0"),
+        ([*TRIAL, "--psd", "-1"], 2, "not in the range x>=0"),
         ([*TRIAL, "--psd", "0"], 65, "perturbation of 0 N^2/Hz"),
         ([*TRIAL, "--psd", "inf"], 65, "perturbation of inf N^2/Hz"),
         ([*TRIAL, "--behind-mass", "inf"], 65, "mass behind the port of inf kg"),

@@ -117,7 +117,7 @@ def test_theorem_of_a_rigid_device_is_colgate_and_schenkels(point):
         (["-K", "nan"], 2, "-K nan: a finite number of N/m"),
         (["-M", "inf"], 2, "-M inf: a finite number of kg"),
         (["--damping", "inf"], 2, "--damping inf"),
-        (["--damping", "-1"], 2, "greater than or equal to 0"),
+        (["--damping", "-1"], 2, "not in the range x>=0"),
         (["--scene", "nothing"], 78, "'nothing': no such scene"),
         (["--band", "500", "2"], 65, "band of 500..2 Hz"),
     ],
