@@ -468,7 +468,7 @@ def test_percentiles_are_exact_to_one_bin() -> None:
     times_ns = np.random.default_rng(1).lognormal(9.0, 1.0, 50_000).astype(np.int32)
     histograms = StageHistograms(grace_s=0.0)
     for part in np.array_split(times_ns, 70):
-        histograms.add(records(part), 0)
+        histograms.add(records(part))
     for place, stage in enumerate(STAGES):
         found = histograms.summary()[stage]
         for name, share in (("p50_us", 50), ("p99_us", 99), ("p999_us", 99.9)):
@@ -480,13 +480,14 @@ def test_percentiles_are_exact_to_one_bin() -> None:
 
 def test_grace_is_left_out() -> None:
     histograms = StageHistograms(grace_s=0.5)
-    histograms.add(records(np.full(1000, 100), start_ns=7), 7)
+    histograms.begin(7)
+    histograms.add(records(np.full(1000, 100), start_ns=7))
     assert histograms.summary()["wake"]["count"] == 500
 
 
 def test_extremes_stay_in_the_table() -> None:
     histograms = StageHistograms(grace_s=0.0)
-    histograms.add(records(np.array([-5, 0, 3, 400_000_000])), 0)
+    histograms.add(records(np.array([-5, 0, 3, 400_000_000])))
     found = histograms.summary()["wake"]
     assert (found["count"], found["max_us"]) == (4, 400_000.0)
     assert found["p50_us"] == EDGES_NS[0] / 1000
@@ -503,8 +504,8 @@ def test_empty_histogram_is_zero() -> None:
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_clear_begins_anew(stage: str) -> None:
+def test_another_servo_life_begins_anew(stage: str) -> None:
     histograms = StageHistograms(grace_s=0.0)
-    histograms.add(records(np.full(10, 100)), 0)
-    histograms.clear()
+    histograms.add(records(np.full(10, 100)))
+    histograms.begin(0)
     assert histograms.summary()[stage]["count"] == 0

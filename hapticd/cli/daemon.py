@@ -327,7 +327,7 @@ def get_parameters(
 Changes = Annotated[
     list[str],
     typer.Argument(
-        metavar="NAME=VALUE", help="K in N/m, B in N s/m, M in kg, damping in N s/m, ..."
+        metavar="NAME=VALUE...", help="K in N/m, B in N s/m, M in kg, damping in N s/m, ..."
     ),
 ]
 Ramp = Annotated[

@@ -303,7 +303,7 @@ class Publisher:
             found.append(("flight", bytes(msgpack.packb(noted))))  # every number as it is
         for block in self.feed.take(now_ns, early):
             # whether or not anyone subscribes: statistics and events miss no record
-            self.stages.add(block.records, self._origin.epoch)
+            self.stages.add(block.records)
             self._guard.count(block.records, block.life)
             self._transitions.follow(block)
             self.flight.add(block, now_ns)
@@ -327,7 +327,7 @@ class Publisher:
                 view.mailbox.epoch, view.unix_offset_ns, view.mailbox.header.simulated
             )
             self._lamps = ()
-            self.stages.clear()
+            self.stages.begin(self._origin.epoch)
             self.flight.begin(self._origin)
             self._probe.forget()
             self._ledger.begin()

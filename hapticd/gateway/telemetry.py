@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.gateway.ledger import NAMES as LEDGER
-from hapticd.gateway.view import Records, ServoView, as_records, last_torn
+from hapticd.gateway.view import Records, ServoView, as_records, joined, last_torn
 from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, STAGES, TELEMETRY, Flag
 from hapticd.params import DeviceParams, ScaleParams
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, PROBE_RATE_HZ
@@ -425,24 +425,34 @@ BINS = len(EDGES_NS) + 1  # below the lowest edge, between edges, above the high
 PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
 
 
+COUNTED_AT_ONCE = 500  # records: each call of numpy costs more than the few records of one batch
+
+
 class StageHistograms:
-    """One histogram per stage (layout.STAGES)."""
+    """One histogram per stage (layout.STAGES) of one servo life."""
 
     def __init__(self, grace_s: float) -> None:
-        self._grace_ns = grace_s * NS_PER_S
-        self.clear()
+        self._grace_ns = round(grace_s * NS_PER_S)
+        self.begin(0)
 
-    def clear(self) -> None:
-        """Begin anew, for another servo life."""
+    def begin(self, start_ns: int) -> None:
+        """Begin anew, for a servo life that began at `start_ns`."""
+        self._settled_ns = start_ns + self._grace_ns
+        self._pending: list[Records] = []
         self._counts = np.zeros((len(STAGES), BINS), np.int64)
         self._max_ns = np.zeros(len(STAGES), np.int64)
 
-    def add(self, records: Records, start_ns: int) -> None:
-        """Count the ticks in `records` that came after the grace.
+    def add(self, records: Records) -> None:
+        """Take the next `records`; the ticks among them that came after the grace count."""
+        self._pending.append(records)
+        if sum(map(len, self._pending)) >= COUNTED_AT_ONCE:
+            self._count()
 
-        The grace begins with the servo's life at `start_ns`.
-        """
-        settled = records[records["time_ns"] - start_ns >= self._grace_ns]
+    def _count(self) -> None:
+        """Count what is pending."""
+        records = joined(self._pending)
+        self._pending = []
+        settled = records[records["time_ns"] >= self._settled_ns]
         if not settled.size:
             return
         times_ns = np.stack([settled[f"{stage}_ns"] for stage in STAGES])
@@ -461,6 +471,8 @@ class StageHistograms:
 
         A percentile is the upper edge of its bin, at most the maximum.
         """
+        if self._pending:
+            self._count()
         return {stage: self._one(row) for row, stage in enumerate(STAGES)}
 
     def _one(self, row: int) -> dict[str, float]:
