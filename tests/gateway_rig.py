@@ -100,9 +100,10 @@ class GatewayRig:
     def __init__(self, folder: Path, start_worker: Start | None = None, **options: Any) -> None:
         self.folder, self.clock = folder, VirtualClock(START_NS)
         self.servo = StandInServo(folder, self.clock)
-        self.gateway = GatewayServer(
+        self._begin = lambda: GatewayServer(
             folder, setup(**options), self.clock, lambda: UNIX_NS, start_worker
         )
+        self.gateway = self._begin()
         self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._sockets: list[zmq.Socket[bytes]] = []  # a context holds only weak references
         self.lock = threading.Lock()  # held while the rig steps
@@ -121,6 +122,12 @@ class GatewayRig:
         with self.lock:
             self.servo.tick(0 if self.servo_stands else ticks)
             self.gateway.step(0)
+
+    def restart_gateway(self) -> None:
+        """Another gateway in place of the one there is; the servo goes on."""
+        with self.lock:
+            self.gateway.close()
+            self.gateway = self._begin()
 
     def socket(self, kind: int, endpoint: str, **options: Any) -> "zmq.Socket[bytes]":
         """A connected socket; options by their ZeroMQ names."""

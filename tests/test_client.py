@@ -365,6 +365,13 @@ def test_client_is_introduced_however_late_it_is_connected(folder: Path) -> None
         assert client.status()["actor_name"] == "experiment"
 
 
+def test_client_is_introduced_to_the_next_gateway_too(client: Client, rig: GatewayRig) -> None:
+    client.set(K=1)
+    rig.restart_gateway()
+    client.set(K=2)
+    assert client.status()["actor_name"] == "test"
+
+
 def test_stop_without_gateway_presses_the_page(folder: Path) -> None:
     with GatewayRig(folder) as rig, Client() as client:  # nobody steps the gateway
         assert client.stop() == Receipt("pressed")

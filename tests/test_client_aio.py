@@ -147,6 +147,17 @@ def test_old_request_does_not_reach_a_later_gateway(folder: Path) -> None:
     asyncio.run(ask())
 
 
+def test_client_is_introduced_to_the_next_gateway_too(rig: GatewayRig) -> None:
+    async def ask() -> None:
+        async with client() as device:
+            await device.set(K=1)
+            rig.restart_gateway()
+            await device.set(K=2)
+            assert (await device.status())["actor_name"] == "test"
+
+    asyncio.run(ask())
+
+
 def test_client_is_introduced_however_late_it_is_connected(folder: Path) -> None:
     async def ask() -> None:
         async with AsyncClient(timeout_s=0.05, name="experiment") as device:

@@ -61,6 +61,8 @@ class AsyncLine:
         self._conversation = Conversation()
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
+        self._made: zmq.asyncio.Socket  # a message for each connection that was made
+        self._met = 0  # of them
         self._reading: asyncio.Task[None] | None = None
         self._came = asyncio.Condition()
 
@@ -83,6 +85,7 @@ class AsyncLine:
         timeout_ns = round(timeout_s * NS_PER_S)
         number, payload = self._conversation.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
         try:
+            await self._meet_again(socket)
             await _until(deadline, socket.send(payload))
             return await self._reply(number, deadline)
         except BaseException:
@@ -106,11 +109,20 @@ class AsyncLine:
             # requests are given only to a gateway that is connected: one that starts later finds
             # no old commands
             self._socket.setsockopt(zmq.IMMEDIATE, 1)
+            self._made = self._socket.get_monitor_socket(zmq.EVENT_CONNECTED)
             self._socket.connect(f"ipc://{path}")
             # not awaited: it goes out, before all else, as soon as the gateway is connected
             self._socket.send(self._conversation.introduction(self._name))
             self._reading = asyncio.create_task(self._read(self._socket))
         return self._socket
+
+    async def _meet_again(self, socket: zmq.asyncio.Socket) -> None:
+        """Each connection is another client to the gateway, and perhaps to another gateway."""
+        while await self._made.poll(0):
+            await self._made.recv_multipart()
+            self._met += 1
+            if self._met > 1:  # the first one was met when the socket was made
+                socket.send(self._conversation.introduction(self._name))
 
     async def _read(self, socket: zmq.asyncio.Socket) -> None:
         while True:

@@ -58,9 +58,10 @@ class GatewayLine(Line):
         self._folder = folder
         self._name = name
         self._conversation = Conversation()
-        self._introduction: list[bytes] = []  # goes out before the first request that is sent
+        self._introduction: list[bytes] = []  # goes out before the next request
         super().__init__()
         self._socket: zmq.Socket[bytes] | None = None
+        self._made: zmq.Socket[bytes]  # a message for each connection that was made
 
     def exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
         """Send a request; its reply, accepted or not.
@@ -78,6 +79,7 @@ class GatewayLine(Line):
             if unsent:
                 # with IMMEDIATE it can be written to only when it is connected
                 if socket.poll(wait_ms, zmq.POLLOUT):
+                    self._meet_again()
                     socket.send((self._introduction or unsent).pop())
             elif socket.poll(wait_ms):
                 self._conversation.receive(socket.recv())
@@ -92,9 +94,15 @@ class GatewayLine(Line):
             self._socket = self._context.socket(zmq.DEALER)
             self._socket.setsockopt(zmq.LINGER, 0)
             self._socket.setsockopt(zmq.IMMEDIATE, 1)
+            self._made = self._socket.get_monitor_socket(zmq.EVENT_CONNECTED)
             self._socket.connect(f"ipc://{path}")
-            self._introduction = [self._conversation.introduction(self._name)]
         return self._socket
+
+    def _meet_again(self) -> None:
+        """Each connection is another client to the gateway, and perhaps to another gateway."""
+        while self._made.poll(0):
+            self._made.recv_multipart()
+            self._introduction = [self._conversation.introduction(self._name)]
 
     def _endpoint(self) -> str:
         return f"ipc://{socket_file(self._folder, TELEMETRY_SOCKET)}"

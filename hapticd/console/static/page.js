@@ -44,7 +44,8 @@ function board(simulated) {
 
 const handlers = {
   frame(header, columns) {
-    if (performance.now() - came_ms > NO_DATA_MS) introduce(); // perhaps to another gateway
+    const silent_ms = performance.now() - came_ms;
+    if (silent_ms > NO_DATA_MS && silent_ms < Infinity) introduce(); // perhaps to another gateway
     came_ms = performance.now();
     lamp(header.now.state);
     board(header.simulated);
