@@ -377,44 +377,49 @@ def take(lower, upper, k1, first, count, sums, force, turn):  # type: ignore[no-
 
 
 @njit(nogil=True, cache=True)
-def add_section(  # type: ignore[no-untyped-def]
+def add_sections(  # type: ignore[no-untyped-def]
     samples, place, sums, force, work, part, lower, upper, by32, by64, by2048, turn, order
 ):
-    """Add a section of the trials of every vector to their `sums` (vectors, PAIRS * KEPT * 16)."""
+    """Add sections of the trials of every vector to their `sums` (vectors, PAIRS * KEPT * 16):
+    sample t of section n is vector place[n, t] + its own number. `force` is (n, PAIRS, 8).
+    """
     for vector in range(len(sums)):
-        columns(samples, place, vector, work, part, by32, by2048)
-        for k1 in range(17):
-            row(work, k1, part, lower, by64)
-            partner = (32 - k1) % 32
-            if partner != k1:
-                row(work, partner, part, upper, by64)
-            take(
-                lower,
-                lower if partner == k1 else upper,
-                k1,
-                order[k1, 0],
-                order[k1, 1],
-                sums[vector],
-                force,
-                turn,
-            )
+        # section by section: the vector's sums, 1 MB, stay in the second-level cache meanwhile
+        for n in range(len(place)):
+            columns(samples, place[n], vector, work, part, by32, by2048)
+            for k1 in range(17):
+                row(work, k1, part, lower, by64)
+                partner = (32 - k1) % 32
+                if partner != k1:
+                    row(work, partner, part, upper, by64)
+                take(
+                    lower,
+                    lower if partner == k1 else upper,
+                    k1,
+                    order[k1, 0],
+                    order[k1, 1],
+                    sums[vector],
+                    force[n],
+                    turn,
+                )
 
 
 @njit(nogil=True, cache=True)
 def moments(samples, place, vectors, found):  # type: ignore[no-untyped-def]
-    """Write the sums of x, t x and x^2 over a section of every vector into `found` (3 vectors,
-    16).
+    """Write the sums of x, t x and x^2 over each section of every vector into `found` (n, 3,
+    vectors, 16), flat; t counts from the beginning of the section.
     """
-    for vector in range(vectors):
-        x = load(samples, place[0] + vector)
-        total = x
-        moment = x * 0.0
-        square = x * x
-        for t in range(1, len(place)):
-            x = load(samples, place[t] + vector)
-            total = total + x
-            moment = fma(x, t, moment)
-            square = fma(x, x, square)
-        store(found, 3 * vector, total)
-        store(found, 3 * vector + 1, moment)
-        store(found, 3 * vector + 2, square)
+    for n in range(len(place)):
+        for vector in range(vectors):
+            x = load(samples, place[n, 0] + vector)
+            total = x
+            moment = x * 0.0
+            square = x * x
+            for t in range(1, place.shape[1]):
+                x = load(samples, place[n, t] + vector)
+                total = total + x
+                moment = fma(x, t, moment)
+                square = fma(x, x, square)
+            store(found, 3 * n * vectors + vector, total)
+            store(found, (3 * n + 1) * vectors + vector, moment)
+            store(found, (3 * n + 2) * vectors + vector, square)

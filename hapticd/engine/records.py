@@ -1,8 +1,8 @@
 """What is kept of a group: its blocks of output become rows of records, or spectra at once.
 
-keep = "spectra": a section of 2,048 samples of all lanes is 0.5 MB; it is transformed while it is
-still in the cache (`analysis.batch_spectra`), so nothing of a trial is stored but six sums a
-frequency. That needs one torque record for all trials and a velocity that is recorded as it is;
+keep = "spectra": four sections of 2,048 samples of all lanes are 2 MB; they are transformed while
+they are still in the cache (`analysis.batch_spectra`), so nothing of a trial is stored but six sums
+a frequency. That needs one torque record for all trials and a velocity that is recorded as it is;
 where trials have their own torque, or the probe adds noise or counts, the group's records are kept
 until its end and analysed one by one, which gives the same spectra more slowly.
 
@@ -121,6 +121,9 @@ def spectral(job: Job, made: Prepared, numbers: Sequence[int]) -> "Sums | Spectr
     return Sums(job, made, len(numbers))
 
 
+TOGETHER = 4  # sections
+
+
 class Sums:
     """See the module; used as `Records`."""
 
@@ -132,12 +135,14 @@ class Sums:
         self._samples = job.samples
         self._lanes = shape.lanes
         self._tick = shape.width * shape.lanes
-        self._ticks = LAG // shape.samples
-        self._end = job.ticks
+        self._section = LAG // shape.samples  # ticks
+        self._ticks = TOGETHER * self._section
+        self._filled = 0  # ticks
         self._out = aligned(self._ticks * self._tick, made.scalar)
-        sample = np.arange(LAG)
+        sample = np.arange(TOGETHER * LAG)
         row = sample // shape.samples * shape.width + sample % shape.samples
-        self._place = row * (shape.lanes * made.scalar().itemsize // CACHE_LINE)
+        place = row * (shape.lanes * made.scalar().itemsize // CACHE_LINE)
+        self._place = place.reshape(TOGETHER, LAG)
         self._sections = BatchSections(_force(job, made), shape.lanes, made.scalar)
 
     def block(self, start: int) -> Values:
@@ -145,20 +150,25 @@ class Sums:
         return self._out[start % self._ticks * self._tick :]
 
     def store(self, start: int, end: int, alive: Values) -> None:
-        """Take the leg; a section that is complete goes into the sums, without the lanes that
-        diverged.
-        """
-        rows = self._out.reshape(-1, self._lanes)
+        """Take the leg, without the lanes that diverged; sections go into the sums together."""
+        rows = self.block(start)[: (end - start) * self._tick].reshape(-1, self._lanes)
         if not alive.all():
             rows[:, alive == 0.0] = 0.0
-        if end % self._ticks and end != self._end:
-            return
-        if end % self._ticks:
-            self._out[end % self._ticks * self._tick :] = 0.0
-        self._sections.add(self._out, self._place)
+        self._filled = (end - 1) % self._ticks + 1
+        if self._filled == self._ticks:
+            self._add()
+
+    def _add(self) -> None:
+        """Take what is there into the sums; the last section may be short."""
+        sections = -(-self._filled // self._section)
+        self._out[self._filled * self._tick : sections * self._section * self._tick] = 0.0
+        self._sections.add(self._out, self._place[:sections])
+        self._filled = 0
 
     def finished(self, samples: Samples, inputs: Inputs) -> dict[str, Any]:
         """By their names in BatchResult."""
+        if self._filled:
+            self._add()
         velocity, cross = (
             self._sections.spectra() if (samples == self._samples).any() else _nothing(self._lanes)
         )
