@@ -193,6 +193,16 @@ def test_warned_change_is_in_force_before_its_verdict_and_told_with_it(
     assert (reply["receipt"]["first_tick"], reply["guard"]["safe"]) == (2, False)
 
 
+def test_warned_change_waits_for_no_look(rig: DeskRig, worker: StubWorker) -> None:
+    """A look takes some 10 ms, twice a second while what is rendered changes."""
+    worker.silent = True
+    looking(rig)
+    assert [one["ask"] for one in worker.asked] == ["look"]
+    rig.send(packed(cmd="set", K=100))
+    later(rig, 2)
+    assert rig.servo.values[Value.STIFFNESS] == 100
+
+
 def test_change_that_is_passive_in_stages_alone_is_warned_about_when_done_at_once(
     rig: DeskRig, worker: StubWorker
 ) -> None:

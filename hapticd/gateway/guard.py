@@ -273,6 +273,12 @@ class Guard:
         """Whether the worker has something to answer."""
         return bool(self._unanswered)
 
+    @property
+    def owes_verdict(self) -> bool:
+        """Whether it has a request to answer, also one that nobody waits for any more."""
+        own = {asked[0] for asked in (self._look, self._hand) if asked}
+        return bool(self._unanswered.keys() - own)
+
     # --- questions --------------------------------------------------------------------------------
 
     def tend(self, now_ns: int) -> None:

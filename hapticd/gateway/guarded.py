@@ -119,7 +119,8 @@ class Guarded:
         change = change_of(case.request, guard.in_force.level)
         whole = "damping" not in change or len(change) == 1
         plain = whole and not case.at_tick and not self._auto(case)
-        ready = guard.worker == "up" and guard.in_force.known and not guard.busy
+        # a look, or the search for a hand, delays the reply alone
+        ready = guard.worker == "up" and guard.in_force.known and not guard.owes_verdict
         free = not self.waiting and self._under_way.case is None
         return guard.policy == "warn" and plain and ready and free
 
