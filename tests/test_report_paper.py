@@ -12,7 +12,7 @@ from matplotlib.text import Text
 from hapticd.cli.app import main
 from hapticd.errors import ConfigError
 from hapticd.report.paper import LEAST_PT, WIDTHS_MM, fit, width_mm
-from hapticd.report.style import BELOW, axes, hertz_axis, legend_handles, save, styled
+from hapticd.report.style import BELOW, axes, hertz_axis, legend_handles, mosaic, save, styled
 
 LONG = "a label of a line that is longer than half of a column, in words"
 
@@ -119,3 +119,42 @@ def test_data_stay_what_they_were(column: Any) -> None:
     for before, after in zip(drawn().axes, column.axes, strict=True):
         assert np.array_equal(before.lines[0].get_xydata(), after.lines[0].get_xydata())
         assert (before.get_xlim(), before.get_ylim()) == (after.get_xlim(), after.get_ylim())
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Any:
+    """In a column: a solid beside a plane with a bar of colours; below, words along an axis, and a
+    title over axes that long labels make narrow.
+    """
+    with styled():
+        rows = [["solid", "plane"], ["words", "narrow"]]
+        solid = {"solid": {"projection": "3d"}}
+        figure, panels = mosaic(rows, 6.7, 6.0, "SIMULATED", per_subplot_kw=solid)
+        painted = panels["plane"].pcolormesh(np.eye(4))
+        figure.colorbar(painted, ax=panels["plane"], label="K (N/m)")
+        panels["words"].set_xticks(range(3), ["without\nany", "with\nactive", "damping"])
+        panels["narrow"].set(title="damping below the corner", ylabel="a long label " * 6)
+        fit(figure, WIDTHS_MM["column"])
+        figure.draw_without_rendering()
+    return figure, panels
+
+
+def test_bar_of_colours_stays_at_its_panel(mixed: Any) -> None:
+    figure, panels = mixed
+    (bar,) = (one.get_position() for one in figure.axes if one.get_label() == "<colorbar>")
+    plane, solid = (panels[name].get_position(original=True) for name in ("plane", "solid"))
+    assert plane.y1 < solid.y0  # one below the other: beside each other they would be narrow
+    assert plane.x1 < bar.x0
+    assert (bar.y0, bar.y1) == pytest.approx((plane.y0, plane.y1), abs=1e-6)
+
+
+def test_no_word_of_an_axis_is_left_out(mixed: Any) -> None:
+    _, panels = mixed
+    shown = [one.get_text() for one in panels["words"].get_xticklabels()]
+    assert shown == ["without\nany", "with\nactive", "damping"]
+
+
+def test_title_ends_where_its_panel_does(mixed: Any) -> None:
+    figure, _ = mixed
+    (title,) = (one for one in figure.findobj(Text) if "corner" in one.get_text())
+    assert title.get_window_extent(figure._get_renderer()).x1 <= figure.bbox.x1

@@ -4,17 +4,18 @@ A figure is drawn once, as wide as it suits a screen, and `fit` brings it to a w
 does not shrink a picture, for then its type would shrink too; it arranges the figure anew:
 
     type      8 pt and more become 7 pt and more, which is the least that journals take
-    panels    those that would be too narrow beside each other go to the next line, in their order
+    panels    those that would be too narrow beside each other go to the next line, in their order;
+              a bar of colours stays at its panel
     legends   all of a narrow figure become one below it, in as many columns as there is room for
     words     titles, labels and the legend are broken into lines
-    ticks     of labels that would touch, those of round numbers stay
+    ticks     of numbers that would touch, the round ones stay; words become smaller
     numbers   beside marks that would lie on each other: the first one stays
     height    follows from all that, and from what a page can hold
 
 The data are never touched: lines, marks, limits of axes are those that were drawn.
 
-What would break it: a legend whose handles are containers, such as those of an errorbar; the legend
-is made again from its own lines, marks and areas.
+What would break it: a legend whose handles are containers, such as those of an errorbar, since the
+legend is made again from its own lines, marks and areas; and axes that stand in no grid.
 """
 
 import re
@@ -49,6 +50,7 @@ FIXED = "\u00a0"  # a space at which no line ends
 LEAST_LETTERS = 8  # of a line
 # a number with its unit, and what stands in brackets
 UNITS = r"\([^()]*\)|[\w.]+ (N s/m|N/m|N|Hz|g|mm/s|m/s|mm|s|%)(?=\W|$)|\w = \S+"
+COLOURS = "<colorbar>"  # what matplotlib calls its axes
 OVERLAP = 0.5  # of the height of a panel: it stands in that row
 
 
@@ -76,19 +78,18 @@ def fit(figure: Figure, wide_mm: float) -> None:
     bands = _pooled([_band(figure, row) for row in _rows(figure)])
     narrow = width_in < NARROW_IN
     _set_type(figure, TYPE if narrow else 1.0)
-    arranged = figure.get_layout_engine() is not None
     figure.set_figwidth(width_in)
-    lines = _reflow(bands, width_in) if arranged else [list(band.axes) for band in bands]
+    lines = _reflow(bands, width_in)
     _legends(figure, width_in, narrow, renderer)
     _break_title(figure, width_in, renderer)
     extra_in = _extra_in(figure, renderer)
     body_in = _body_in(bands, width_in, HIGHEST_IN - extra_in)
     _break_labels(lines, width_in, renderer)
-    if not arranged:
-        _below_title(figure, extra_in / (body_in + extra_in))
     figure.set_figheight(body_in + extra_in)
     figure.draw_without_rendering()
     _break_upright(figure, renderer)
+    figure.draw_without_rendering()
+    _break_across(figure, renderer)
     figure.draw_without_rendering()
     _thin(figure, renderer)
     _declutter(figure, renderer)
@@ -107,10 +108,11 @@ class _Band:
     columns: int
     panel_in: float
     height_in: float
+    aside_in: float = 0.0  # that a bar of colours takes
 
     def beside(self, width_in: float) -> int:
         """How many of its panels have room in a line."""
-        least_in = max(PANEL_IN, PANEL_SHARE * self.panel_in)
+        least_in = max(PANEL_IN, PANEL_SHARE * self.panel_in) + self.aside_in
         return min(self.columns, max(1, int(width_in / least_in)))
 
     def line_count(self, width_in: float) -> int:
@@ -121,9 +123,14 @@ class _Band:
 def _rows(figure: Figure) -> list[list[Axes]]:
     """Axes that stand beside each other, from above; one that spans two rows joins them."""
     rows: list[list[Axes]] = []
-    for axis in sorted(figure.axes, key=lambda one: -one.get_position().y1):
-        place = axis.get_position()
-        foot = min((one.get_position().y0 for one in rows[-1]), default=1.0) if rows else 1.0
+    panels = [one for one in figure.axes if one.get_label() != COLOURS]  # those follow their panel
+    for axis in sorted(panels, key=lambda one: -one.get_position(original=True).y1):
+        place = axis.get_position(original=True)
+        foot = (
+            min((one.get_position(original=True).y0 for one in rows[-1]), default=1.0)
+            if rows
+            else 1.0
+        )
         if rows and place.y1 - foot > OVERLAP * place.height:
             rows[-1].append(axis)
         else:
@@ -134,7 +141,7 @@ def _rows(figure: Figure) -> list[list[Axes]]:
 def _band(figure: Figure, row: list[Axes]) -> _Band:
     """One row of a screen; a panel as high as the row is read last."""
     width_in = float(figure.get_figwidth())
-    boxes = {axis: axis.get_position() for axis in row}
+    boxes = {axis: axis.get_position(original=True) for axis in row}
     tops = sorted({round(box.y1, 2) for box in boxes.values()}, reverse=True)
     lefts = {round(box.x0, 2) for box in boxes.values()}
     whole = max(box.y1 for box in boxes.values()) - min(box.y0 for box in boxes.values())
@@ -149,7 +156,14 @@ def _band(figure: Figure, row: list[Axes]) -> _Band:
     top = max(box.y1 for box in tight if box is not None)
     foot = min(box.y0 for box in tight if box is not None)
     high_in = (top - foot) / figure.dpi
-    return _Band(ordered, len(lefts), width_in / len(lefts), high_in / max(1, len(tops)))
+    coloured = any(one.get_label() == COLOURS for one in figure.axes)
+    return _Band(
+        ordered,
+        len(lefts),
+        width_in / len(lefts),
+        high_in / max(1, len(tops)),
+        AXIS_IN if coloured else 0.0,
+    )
 
 
 def _pooled(bands: Iterable[_Band]) -> list[_Band]:
@@ -171,7 +185,9 @@ def _pooled(bands: Iterable[_Band]) -> list[_Band]:
 
 def _by_column(axes: Iterable[Axes]) -> list[Axes]:
     """Panels that come into one line each: columns of a screen one after the other."""
-    return sorted(axes, key=lambda one: (round(one.get_position().x0, 2), -one.get_position().y1))
+    return sorted(
+        axes, key=lambda one: (round(one.get_position(original=True).x0, 2), -one.get_position().y1)
+    )
 
 
 def _reflow(bands: Sequence[_Band], width_in: float) -> list[list[Axes]]:
@@ -200,7 +216,7 @@ def _place(lines: Sequence[Sequence[Axes]], widths: Sequence[int]) -> None:
     """A grid of those lines, each with room for so many panels."""
     figure = lines[0][0].figure
     columns = lcm(*widths)
-    heights = [line[0].get_position().height for line in lines]
+    heights = [line[0].get_position(original=True).height for line in lines]
     grid = figure.add_gridspec(len(lines), columns, height_ratios=heights)
     for row, (line, width) in enumerate(zip(lines, widths, strict=True)):
         span = columns // width
@@ -327,6 +343,16 @@ def _break_upright(figure: Figure, renderer: Any) -> None:
         _break(axis.yaxis.label, high_in + EDGE_IN, renderer, upright=True)
 
 
+def _break_across(figure: Figure, renderer: Any) -> None:
+    """Break titles of panels that would go on over the next panel or the edge."""
+    boxes = {axis: axis.get_window_extent(renderer) for axis in figure.axes}
+    for axis, box in boxes.items():
+        beside = (one.x0 for one in boxes.values() if one.x0 > box.x1 and one.y1 > box.y0)
+        room_in = (min(beside, default=float(figure.bbox.x1)) - box.x0) / figure.dpi
+        for words in _titled(axis, axis.get_title("left")):
+            _break(words, room_in - EDGE_IN, renderer)
+
+
 def _legends(figure: Figure, width_in: float, narrow: bool, renderer: Any) -> None:
     """One legend below, in as many columns as there is room for."""
     own = [*figure.legends]
@@ -367,15 +393,6 @@ def _extra_in(figure: Figure, renderer: Any) -> float:
     )
 
 
-def _below_title(figure: Figure, share: float) -> None:
-    """Make room for the title of a figure whose axes stand at places of their own."""
-    top = max(axis.get_position().y1 for axis in figure.axes)
-    for axis in figure.axes:
-        x0, y0, width, height = axis.get_position().bounds
-        scale = (1.0 - share) / top
-        axis.set_position((x0, scale * y0, width, scale * height))
-
-
 # --- what would touch -----------------------------------------------------------------------------
 
 
@@ -390,7 +407,11 @@ def _thin(figure: Figure, renderer: Any) -> None:
                 if one.label1.get_text() and box.width:
                     spans[one.get_loc()] = (box.y0, box.y1) if upright else (box.x0, box.x1)
             kept = _kept(spans, each.get_scale() == "log")
-            if len(kept) < len(spans):
+            if len(kept) == len(spans):
+                continue
+            if any(one.label1.get_text()[:1].isalpha() for one in shown):
+                each.set_tick_params(labelsize=LEAST_PT)  # words: none may be left out
+            else:
                 each.set_major_formatter(_only(each.get_major_formatter(), kept))
 
 

@@ -135,13 +135,11 @@ def styled() -> Iterator[None]:
 # --- figures and axes -----------------------------------------------------------------------------
 
 
-def blank_figure(
-    width_in: float, height_in: float, title: str = "", layout: Any = "constrained"
-) -> Figure:
+def blank_figure(width_in: float, height_in: float, title: str = "") -> Figure:
     """A figure without a window and without axes. Call it within `styled`."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_in, height_in), layout=layout)
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
     if title:
         figure.suptitle(title, x=0.01, ha="left")
     return figure

@@ -37,12 +37,12 @@ from hapticd.report.style import (
     Figure,
     Look,
     axes,
-    blank_figure,
     draw_bracket,
     hertz_axis,
     legend_handles,
     level_label,
     level_styles,
+    mosaic,
     plain_axis,
     simulated,
 )
@@ -84,6 +84,7 @@ COLOURED: Look = {
     "vmin": 0,
     "vmax": len(AXES[0]) - 1,
 }  # by the place of K on the grid
+SPACE = {"space": {"projection": "3d"}}
 PREDICTED_HZ = np.geomspace(*SHOWN_HZ, 400)
 
 
@@ -284,10 +285,10 @@ def passive_figure(found: GridResult, title: str) -> Figure:
         else "predicted"
     )
     whole = f"{title}\nSIMULATED {MAIN}, {count} of {len(POINTS)} environments ({how})"
-    figure = blank_figure(WIDTH_IN, 4.1, whole, layout=None)
-    _space(figure.add_axes((-0.02, 0.0, 0.49, 0.86), projection="3d"), found)
-    painted = _flat(figure.add_axes((0.575, 0.13, 0.3, 0.6)), found)
-    bar = figure.colorbar(painted, cax=figure.add_axes((0.89, 0.13, 0.018, 0.6)), label="K (N/m)")
+    figure, panels = mosaic([["space", "flat"]], WIDTH_IN, 4.1, whole, per_subplot_kw=SPACE)
+    _space(panels["space"], found)
+    painted = _flat(panels["flat"], found)
+    bar = figure.colorbar(painted, ax=panels["flat"], label="K (N/m)", aspect=30)
     bar.set_ticks(range(len(AXES[0])), labels=[f"{k:g}" for k in AXES[0]], fontsize=SMALL_PT)
     bar.ax.minorticks_off()
     return figure
@@ -309,11 +310,11 @@ def _space(axis: Any, found: GridResult) -> None:
     )
     axis.set_xlabel("M (g)", labelpad=-4)
     axis.set_ylabel("B (N s/m)", labelpad=-4)
-    axis.set_zlabel("K (N/m)", labelpad=4)
+    axis.set_title("K (N/m) upwards")  # a label beside the axis would lie on the next panel's
     axis.tick_params(labelsize=SMALL_PT, pad=-2)
     axis.tick_params(axis="z", pad=1)
     axis.view_init(elev=20, azim=-60)
-    axis.set_box_aspect((1.0, 1.0, 1.15), zoom=0.95)
+    axis.set_box_aspect((1.0, 1.0, 1.15), zoom=0.85)
 
 
 def _flat(axis: Axes, found: GridResult) -> Any:
