@@ -5,6 +5,7 @@ alone or the whole gateway.
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -100,8 +101,8 @@ class GatewayRig:
     def __init__(self, folder: Path, start_worker: Start | None = None, **options: Any) -> None:
         self.folder, self.clock = folder, VirtualClock(START_NS)
         self.servo = StandInServo(folder, self.clock)
-        self._begin = lambda: GatewayServer(
-            folder, setup(**options), self.clock, lambda: UNIX_NS, start_worker
+        self._begin = partial(
+            GatewayServer, folder, setup(**options), self.clock, lambda: UNIX_NS, start_worker
         )
         self.gateway = self._begin()
         self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()

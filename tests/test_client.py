@@ -365,11 +365,24 @@ def test_client_is_introduced_however_late_it_is_connected(folder: Path) -> None
         assert client.status()["actor_name"] == "experiment"
 
 
-def test_client_is_introduced_to_the_next_gateway_too(client: Client, rig: GatewayRig) -> None:
+def test_client_is_introduced_to_the_next_gateway_before_it_asks(
+    client: Client, rig: GatewayRig
+) -> None:
     client.set(K=1)
     rig.restart_gateway()
-    client.set(K=2)
-    assert client.status()["actor_name"] == "test"
+    client.mark("first")
+    events = client.status()["events"]
+    assert [one["name"] for one in events if one["kind"] == "mark"] == ["test"]
+
+
+def test_connection_that_is_lost_before_the_request_is_sent_times_out(
+    client: Client, rig: GatewayRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client.set(K=1)
+    monkeypatch.setattr(client._line, "_meet", lambda: rig.gateway._sockets.close())
+    client._timeout_s = 0.3
+    with pytest.raises(DaemonDown, match="no reply"):
+        client.get()
 
 
 def test_stop_without_gateway_presses_the_page(folder: Path) -> None:

@@ -147,13 +147,14 @@ def test_old_request_does_not_reach_a_later_gateway(folder: Path) -> None:
     asyncio.run(ask())
 
 
-def test_client_is_introduced_to_the_next_gateway_too(rig: GatewayRig) -> None:
+def test_client_is_introduced_to_the_next_gateway_before_it_asks(rig: GatewayRig) -> None:
     async def ask() -> None:
         async with client() as device:
             await device.set(K=1)
             rig.restart_gateway()
-            await device.set(K=2)
-            assert (await device.status())["actor_name"] == "test"
+            await device.mark("first")
+            events = (await device.status())["events"]
+            assert [one["name"] for one in events if one["kind"] == "mark"] == ["test"]
 
     asyncio.run(ask())
 

@@ -42,7 +42,7 @@ def assert_alike(spectra, records, trials, tolerance):
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [("f64", 1e-12), ("f32", 2e-6)])
-@pytest.mark.parametrize("seconds", [2.048, 3.3])
+@pytest.mark.parametrize("seconds", [2.048, 3.3, 4.6])
 def test_spectra_are_those_of_the_records(dtype, tolerance, seconds):
     spectra, records = both(WEIR, PARAMS, seconds, 3, damping=1.74, dtype=dtype, substeps=2)
     assert_alike(spectra, records, (0, 31, 69), tolerance)
@@ -59,6 +59,15 @@ def test_damping_switched_within_a_section_is_in_the_spectra():
     steps = [(0.7, 1.74), (1.3, 0.0)]
     spectra, records = both(WEIR, PARAMS[:3], 2.5, 3, damping=steps)
     assert_alike(spectra, records, (0, 2), 1e-12)
+
+
+def test_section_of_a_trial_that_diverges_counts_whole_or_not_at_all():
+    """However its legs are cut by steps of the damping."""
+    steps = [(0.1 * k, 0.0) for k in range(1, 20)]
+    plain = device(*STAR)
+    found = simulate(plain, np.array([[-30.0, 0.0, 0.0]]), 2.0, 3, damping=steps, keep="spectra")
+    assert found.diverged.all()
+    assert not found.section_rms_m_per_s.any()
 
 
 def test_winding_that_heats_up_is_in_the_spectra():

@@ -201,6 +201,20 @@ def test_warned_change_waits_for_no_look(rig: DeskRig, worker: StubWorker) -> No
     rig.send(packed(cmd="set", K=100))
     later(rig, 2)
     assert rig.servo.values[Value.STIFFNESS] == 100
+    look, change = worker.asked
+    worker.said = [{**looked(look), "n": look["n"]}, {**refuses(change), "n": change["n"]}]
+    (reply,) = later(rig)
+    assert (reply["guard"]["safe"], reply["guard"]["text"]) == (False, "it would ring")
+
+
+def test_warned_change_waits_for_no_hand(rig: DeskRig, worker: StubWorker) -> None:
+    worker.script = lambda asked: None if asked["ask"] == "hand" else refuses(asked)
+    rig.ask(cmd="set", K=100)
+    rig.run(2)
+    assert worker.asked[-1]["ask"] == "hand"
+    rig.send(packed(cmd="set", K=200))
+    later(rig, 2)
+    assert rig.servo.values[Value.STIFFNESS] == 200
 
 
 def test_change_that_is_passive_in_stages_alone_is_warned_about_when_done_at_once(

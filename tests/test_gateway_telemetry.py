@@ -467,7 +467,7 @@ def records(times_ns: np.ndarray, start_ns: int = 0) -> np.ndarray:
 def test_percentiles_are_exact_to_one_bin() -> None:
     times_ns = np.random.default_rng(1).lognormal(9.0, 1.0, 50_000).astype(np.int32)
     histograms = StageHistograms(grace_s=0.0)
-    for part in np.array_split(times_ns, 70):
+    for part in np.array_split(times_ns, 1003):
         histograms.add(records(part))
     for place, stage in enumerate(STAGES):
         found = histograms.summary()[stage]

@@ -381,7 +381,7 @@ def add_sections(  # type: ignore[no-untyped-def]
     samples, place, sums, force, work, part, lower, upper, by32, by64, by2048, turn, order
 ):
     """Add sections of the trials of every vector to their `sums` (vectors, PAIRS * KEPT * 16):
-    sample t of section n is vector place[n, t] + its own number. `force` is (n, PAIRS, 8).
+    sample t of section n is vector place[n, t] + its own number. `force` (n, PAIRS, 8): see `take`.
     """
     for vector in range(len(sums)):
         # section by section: the vector's sums, 1 MB, stay in the second-level cache meanwhile

@@ -113,6 +113,8 @@ class BatchSections:
         """
         taken = slice(self._taken, self._taken + len(place))
         force = self._force.table[taken]
+        if len(force) != len(place):
+            raise ValueError(f"{len(place)} sections, {len(force)} are left of the record")
         self._compiled.add_sections(
             samples, place, self._sums, force, *self._rooms, *self._tables, self._order
         )

@@ -186,7 +186,7 @@ ReplayFile = Annotated[
 Held = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="NAME=VALUE...", help="Hold a setting, as in `hapticd set`; repeat."
+        "--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat."
     ),
 ]
 FilterHz = Annotated[

@@ -62,7 +62,6 @@ class AsyncLine:
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
         self._made: zmq.asyncio.Socket  # a message for each connection that was made
-        self._met = 0  # of them
         self._reading: asyncio.Task[None] | None = None
         self._came = asyncio.Condition()
 
@@ -85,8 +84,10 @@ class AsyncLine:
         timeout_ns = round(timeout_s * NS_PER_S)
         number, payload = self._conversation.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
         try:
-            await self._meet_again(socket)
-            await _until(deadline, socket.send(payload))
+            # with IMMEDIATE it can be written to only when it is connected
+            if await _writable(socket, timeout_s):
+                await self._meet(socket)
+                await _until(deadline, socket.send(payload))
             return await self._reply(number, deadline)
         except BaseException:
             self._conversation.forget(number)
@@ -101,7 +102,7 @@ class AsyncLine:
         return outcome
 
     def _connected(self) -> zmq.asyncio.Socket:
-        """The command socket; made, and the client introduced, when it is first needed."""
+        """The command socket; made when it is first needed."""
         path = socket_file(self._folder, COMMAND_SOCKET)
         if self._socket is None:
             self._socket = self._context.socket(zmq.DEALER)
@@ -111,17 +112,14 @@ class AsyncLine:
             self._socket.setsockopt(zmq.IMMEDIATE, 1)
             self._made = self._socket.get_monitor_socket(zmq.EVENT_CONNECTED)
             self._socket.connect(f"ipc://{path}")
-            # not awaited: it goes out, before all else, as soon as the gateway is connected
-            self._socket.send(self._conversation.introduction(self._name))
             self._reading = asyncio.create_task(self._read(self._socket))
         return self._socket
 
-    async def _meet_again(self, socket: zmq.asyncio.Socket) -> None:
-        """Each connection is another client to the gateway, and perhaps to another gateway."""
-        while await self._made.poll(0):
-            await self._made.recv_multipart()
-            self._met += 1
-            if self._met > 1:  # the first one was met when the socket was made
+    async def _meet(self, socket: zmq.asyncio.Socket) -> None:
+        """To a gateway each connection is another client; the gateway may be another one too."""
+        with suppress(zmq.Again):
+            while True:
+                await self._made.recv_multipart(zmq.NOBLOCK)
                 socket.send(self._conversation.introduction(self._name))
 
     async def _read(self, socket: zmq.asyncio.Socket) -> None:
@@ -143,6 +141,13 @@ class AsyncLine:
                 if name == topic.encode():  # ZeroMQ matches prefixes
                     yield payload
         raise quiet(topic, self._folder, timeout_s)
+
+
+async def _writable(socket: zmq.asyncio.Socket, timeout_s: float) -> bool:
+    """Whether something can be written before the time is over."""
+    poller = zmq.asyncio.Poller()
+    poller.register(socket, zmq.POLLOUT)
+    return bool(await poller.poll(max(0, round(1000 * timeout_s))))
 
 
 async def _until(deadline: float, done: Awaitable[Any]) -> None:

@@ -1,10 +1,10 @@
 """The client: one connection to a running daemon; synchronous, one thread, never waiting for ever.
 
-`GatewayLine` holds the sockets: a DEALER for the conversation (`conversation`), a SUB per
-subscription. Requests are given only to a gateway that is connected (IMMEDIATE), so one that starts
-later finds no old commands in its queue; nothing lingers when the line is closed. `Client` gives
-every command a method: those of one request are `verbs`, which asyncio has as well (`aio`); what
-is followed as it comes is `watching`.
+`GatewayLine` holds the sockets: a DEALER for the conversation (`conversation`), a PAIR that tells
+of new connections, a SUB per subscription. Requests are given only to a gateway that is connected
+(IMMEDIATE), so one that starts later finds no old commands in its queue; nothing lingers when the
+line is closed. `Client` gives every command a method: those of one request are `verbs`, which
+asyncio has as well (`aio`); what is followed as it comes is `watching`.
 
 Every call ends within its time-out, with a reply, a CommandError (the daemon refused: `code` and
 `detail` say why) or DaemonDown (nobody answers, or the gateway has no servo).
@@ -16,6 +16,7 @@ a reply without a deadline, since a gateway may die between request and reply.
 """
 
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,8 +80,11 @@ class GatewayLine(Line):
             if unsent:
                 # with IMMEDIATE it can be written to only when it is connected
                 if socket.poll(wait_ms, zmq.POLLOUT):
-                    self._meet_again()
-                    socket.send((self._introduction or unsent).pop())
+                    self._meet()
+                    due = self._introduction or unsent
+                    with suppress(zmq.Again):  # the connection was lost meanwhile
+                        socket.send(due[-1], zmq.NOBLOCK)
+                        due.pop()
             elif socket.poll(wait_ms):
                 self._conversation.receive(socket.recv())
         if isinstance(outcome, TimedOut):
@@ -98,8 +102,8 @@ class GatewayLine(Line):
             self._socket.connect(f"ipc://{path}")
         return self._socket
 
-    def _meet_again(self) -> None:
-        """Each connection is another client to the gateway, and perhaps to another gateway."""
+    def _meet(self) -> None:
+        """To a gateway each connection is another client; the gateway may be another one too."""
         while self._made.poll(0):
             self._made.recv_multipart()
             self._introduction = [self._conversation.introduction(self._name)]

@@ -121,7 +121,7 @@ def spectral(job: Job, made: Prepared, numbers: Sequence[int]) -> "Sums | Spectr
     return Sums(job, made, len(numbers))
 
 
-TOGETHER = 4  # sections
+TOGETHER = 4  # sections: a vector's sums stay in the cache for so many, 2 MB of samples beside them
 
 
 class Sums:
@@ -151,7 +151,8 @@ class Sums:
 
     def store(self, start: int, end: int, alive: Values) -> None:
         """Take the leg, without the lanes that diverged; sections go into the sums together."""
-        rows = self.block(start)[: (end - start) * self._tick].reshape(-1, self._lanes)
+        begin = start - start % self._section  # a section counts whole or not at all
+        rows = self.block(begin)[: (end - begin) * self._tick].reshape(-1, self._lanes)
         if not alive.all():
             rows[:, alive == 0.0] = 0.0
         self._filled = (end - 1) % self._ticks + 1

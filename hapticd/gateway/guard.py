@@ -275,7 +275,7 @@ class Guard:
 
     @property
     def owes_verdict(self) -> bool:
-        """Whether it has a request to answer, also one that nobody waits for any more."""
+        """Whether the worker has a request to answer, also one that nobody waits for any more."""
         own = {asked[0] for asked in (self._look, self._hand) if asked}
         return bool(self._unanswered.keys() - own)
 

@@ -5,8 +5,8 @@
        |         +-> refused, with the verdict
        +-> too late, or what it waited for is gone
 
-Under `warn`, where a verdict is information, what needs no stages is posted at once and judged
-beside: its reply waits for both.
+Under `warn`, where a verdict is information, what needs no stages is posted at once, if nothing
+else waits, and judged beside: its reply waits for both.
 
 They go one after the other. Each is judged when no command is on its way, so that the newest record
 and the last answer tell of the same environment, and is posted with the revision of that

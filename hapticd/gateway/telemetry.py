@@ -422,10 +422,8 @@ DECADES = 7
 LOWEST_NS = 10.0
 EDGES_NS = LOWEST_NS * 10.0 ** (np.arange(PER_DECADE * DECADES + 1) / PER_DECADE)
 BINS = len(EDGES_NS) + 1  # below the lowest edge, between edges, above the highest
-PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
-
-
 COUNTED_AT_ONCE = 500  # records: each call of numpy costs more than the few records of one batch
+PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
 
 
 class StageHistograms:
