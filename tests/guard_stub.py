@@ -37,6 +37,7 @@ class StubWorker:
         self.hello: dict[str, Any] = {"pid": 7, "model": True, "model_hash": "m"}
         self.trouble = ""
         self.state = "up"
+        self.life = 1
         self.silent = False
         self.asked: list[dict[str, Any]] = []
         self.given_up: list[str] = []

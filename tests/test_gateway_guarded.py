@@ -313,6 +313,23 @@ def test_no_verdict_within_half_a_second_goes_on_under_warn(
     assert reply["guard"]["safe"] is None
 
 
+def test_worker_owes_nothing_that_the_one_before_was_asked(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    """Else the new one would be ended, 10 s after a question that it never saw."""
+    worker.silent = True
+    rig.send(packed(cmd="set", K=1))
+    later(rig, 510)
+    assert rig.guard.owes_verdict
+    worker.life += 1
+    worker.silent = False
+    later(rig, 2)
+    assert not rig.guard.owes_verdict
+    assert rig.ask(cmd="set", K=2)["guard"]["safe"] is True
+    later(rig, 10_000)
+    assert worker.given_up == []
+
+
 def test_worker_that_dies_in_the_middle_of_a_request_refuses_it(
     rig: DeskRig, worker: StubWorker
 ) -> None:

@@ -1,7 +1,7 @@
 // A client in C++ in a process of its own: set a spring, enable, receive a second of ticks, and say
 // how far the handle moved. Commands and replies are JSON, telemetry is msgpack.
 //
-//   c++ -std=c++17 -o acquire acquire.cpp -lzmq          (Debian: libzmq3-dev cppzmq-dev libmsgpack-dev)
+//   c++ -std=c++17 -o acquire acquire.cpp -lzmq          (Debian: libzmq3-dev cppzmq-dev libmsgpack-cxx-dev)
 //   ./acquire "$(hapticd status --json | jq -r .endpoints.command)" tcp://127.0.0.1:9872
 #include <algorithm>
 #include <chrono>

@@ -43,6 +43,7 @@ class Line(Protocol):
 
     hello: dict[str, Any]
     trouble: str
+    life: int
 
     @property
     def state(self) -> str: ...
@@ -86,6 +87,7 @@ class Guard:
         self.in_force = InForce(view)
         self._journal = journal
         self._worker = worker
+        self._worker_life = 0
         # whether measuring is leased: set by the desk
         self.measuring: Callable[[], bool] = lambda: False
         self._policy = params.policy
@@ -361,9 +363,13 @@ class Guard:
             self._journal.note("warning", text=text)
 
     def _expire(self, now_ns: int) -> None:
-        if self._worker and now_ns - min(self._unanswered.values(), default=now_ns) >= HANG_NS:
+        if self._worker is None:
+            return
+        if now_ns - min(self._unanswered.values(), default=now_ns) >= HANG_NS:
             self._worker.give_up(f"no answer within {HANG_NS / NS_PER_S:g} s")
-        if self.worker == "down":
+        # one that ends may have its successor before anybody looks
+        if self._worker.state == "down" or self._worker.life != self._worker_life:
+            self._worker_life = self._worker.life
             self._look = self._hand = None
             self._unanswered = {}
             self._looked_delay = None

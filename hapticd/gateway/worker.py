@@ -55,6 +55,7 @@ class Worker:
         self._buffer = b""
         self._answers: list[dict[str, Any]] = []
         self._started_ns: int | None = None
+        self.life = 0  # number of the worker: the next one knows nothing of what was asked
         self.hello: dict[str, Any] = {}
         self.trouble = "it has not been started"
 
@@ -84,6 +85,7 @@ class Worker:
         finally:
             theirs.close()
         ours.setblocking(False)
+        self.life += 1
         self._socket = ours
         self._selector.register(ours, selectors.EVENT_READ, self._read)
 
