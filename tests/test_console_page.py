@@ -496,6 +496,24 @@ def test_nothing_overflows(
     page.context.close()
 
 
+@pytest.mark.parametrize("size", [(1280, 720), (1920, 1080), (1024, 768)])
+def test_verdict_margin_and_level_are_read_in_full(
+    served: Served, chromium: Browser, client: Client, size: tuple[int, int]
+) -> None:
+    page = opened(chromium, served.url, viewport={"width": size[0], "height": size[1]})
+    client.set(K=500.0, B=2.0, damping=0.7143)
+    client.damping("off")
+    wait_text(page, "#verdict", "K = 500 N/m, B = 2 N s/m, M = 0 kg with 0 N s/m of damping")
+    assert read_in_full(page, "#guard")
+    page.evaluate("document.querySelector('#margin').textContent = 'spare 0.678 N\u202fs/m'")
+    assert read_in_full(page, "#guard")
+    client.damping("on")
+    wait_text(page, "#level-now", "0.7143")
+    fits = "(one) => one.scrollWidth <= one.clientWidth"
+    assert page.eval_on_selector("#level-now", fits)
+    page.context.close()
+
+
 def test_page_loads_nothing_from_elsewhere(served: Served, chromium: Browser) -> None:
     page = opened(chromium, "about:blank")
     asked: list[str] = []

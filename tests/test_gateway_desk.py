@@ -534,6 +534,17 @@ def test_playing_waveform_is_not_overwritten(rig: DeskRig) -> None:
     assert load(rig, [0.2])["ok"]
 
 
+def test_waveform_is_loaded_while_others_wait_for_something_else(rig: DeskRig) -> None:
+    """But not behind a start that has no answer yet."""
+    rig.send(packed(cmd="set", K=1))
+    assert rig.send(packed(cmd="perturb", action="load", samples_n=[0.1] * 7))[0]["ok"]
+    rig.run()
+    rig.ask(cmd="enable")
+    rig.send(packed(cmd="perturb", action="start"))
+    (reply,) = rig.send(packed(cmd="perturb", action="load", samples_n=[0.2]))
+    assert reply["error"]["code"] == "busy"
+
+
 def test_waveform_does_not_outlive_its_servo(rig: DeskRig) -> None:
     load(rig, [0.1] * 7)
     rig.view.life += 1

@@ -142,6 +142,10 @@ class Outstanding:
     def __len__(self) -> int:
         return len(self._pending)
 
+    def awaits(self, cmd: str) -> bool:
+        """Whether a command of that name has no reply yet."""
+        return any(one.message.cmd == cmd for one in self._pending.values())
+
     def add(self, seq: int, pending: Pending) -> None:
         """A command was posted as number `seq`."""
         self._pending[pending.life, seq] = pending
@@ -400,7 +404,7 @@ class Desk:
         return {"tick": tick}
 
     def _load(self, request: Perturb, actor: int) -> dict[str, Any]:
-        if self.waiting or self._view.record.get("perturbing"):
+        if self._outstanding.awaits("perturb") or self._view.record.get("perturbing"):
             raise CommandError("busy", "perturb load: a waveform may be playing; stop it first")
         return {"samples": self._waveform.load(request, self._view, actor)}
 

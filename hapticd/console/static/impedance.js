@@ -42,7 +42,7 @@ export class Impedance {
     } else {
       const beside = (sign) => told.real.map((one, place) => (one === null ? null : one + sign * 2 * told.sd[place]));
       this.data = [told.frequency_hz, told.real, beside(1), beside(-1), told.size];
-      get("impedance-note").innerHTML = `<span class="real">&mdash; Re Z &plusmn; 2 sd</span> <span class="size">- - |Z|</span> N&#8239;s/m, Hz${told.lost ? `; ${told.lost} samples lost` : ""}`;
+      get("impedance-note").innerHTML = `<span class="real">&mdash; Re Z &plusmn; 2 sd</span> <span class="size">- - |Z|</span> ${told.lost ? `${told.lost} samples lost` : "N&#8239;s/m, Hz"}`;
       this.limits = around(this.data.slice(1).flat());
     }
     this.plot.setData(this.data);
