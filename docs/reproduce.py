@@ -1,7 +1,8 @@
 """Bring docs/reproduction.md up to date with a run: `python docs/reproduce.py build/reproduction`,
 or `make reproduction-docs`.
 
-Its table.json and its figures are copied, the figures with fewer colours: a third of the bytes.
+Its table.json and its figures are copied, the figures at half their resolution, which is that of a
+screen, and with fewer colours: an eighth of the bytes.
 Numbers and tables of the page are filled in; the words are written by hand. After a change of words
 alone, docs/figures/reproduction is the run.
 """
@@ -42,12 +43,11 @@ def copy(run: Path) -> None:
 
 
 def shrink(figure: Path, to: Path) -> None:
-    """A PNG with at most COLOURS colours."""
+    """A PNG of 150 dpi with at most COLOURS colours."""
     from PIL import Image  # comes with matplotlib
 
-    Image.open(figure).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(
-        to, optimize=True
-    )
+    half = Image.open(figure).convert("RGB").reduce(2)
+    half.quantize(COLOURS, dither=Image.Dither.NONE).save(to, optimize=True)
 
 
 if __name__ == "__main__":
