@@ -34,6 +34,7 @@ class InProcess:
         self.hello: dict[str, Any] = {"pid": 0, "model": True, "model_hash": ""}
         self.trouble = ""
         self.state = "up"
+        self.life = 1
         self.asked: list[dict[str, Any]] = []
         self.said: list[dict[str, Any]] = []
         self._ready: list[dict[str, Any]] = []

@@ -168,7 +168,7 @@ def test_every_reply_says_what_was_done_and_why(policy: str) -> None:
         assert said["not_covered"] == ["contact switching", "varying delay"]
         assert "N s/m" in said["text"]
         if word == "off" and said["safe"] is False:
-            assert "ask for less, or for more damping" in said["text"]
+            assert "ask for less, or for more active damping" in said["text"]
 
 
 def test_warn_names_the_frequency_at_which_it_rings_before_energy_ends_it() -> None:

@@ -97,7 +97,7 @@ def sentence(judgement: Judgement, display: Display, safe: bool) -> str:
             f"{where}: {worst.margin_ns_per_m:.3g} N s/m to spare{side}, least at"
             f" {worst.worst_hz:.3g} Hz"
         )
-    return f"{where}: {_shortage(judgement, worst, side)}; ask for less, or for more damping"
+    return f"{where}: {_shortage(judgement, worst, side)}; ask for less, or for more active damping"
 
 
 def _shortage(judgement: Judgement, worst: Reading, side: str) -> str:

@@ -5,7 +5,9 @@ serves its help and mistakes.
 """
 
 import os
+import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -132,7 +134,7 @@ def _ready_text(settings: "Settings", instance: str) -> str:
     return f"""
 {head}
 hapticd is ready, disabled, at {config.realtime.rate_hz:g} Hz; {_guarded(guard)}
-Try in another terminal:
+Try in another terminal{_activation()}:
 
   hapticd damping on{which}                active damping, {level}; also off, auto, or a level
   hapticd set K=100 B=1 M=0.010{which}     stiffness N/m, damping N s/m, mass kg
@@ -144,6 +146,12 @@ Try in another terminal:
 
 Ctrl-C here ends it.
 """
+
+
+def _activation() -> str:
+    """What makes the command known where this one came from an environment of its own."""
+    known = shutil.which("hapticd") or sys.prefix == sys.base_prefix
+    return "" if known else f", after `source {sys.prefix}/bin/activate`"
 
 
 NOT_READY = ("down", "starting")
@@ -380,6 +388,8 @@ def damping(
 ) -> None:
     """Switch the active damping on or off, set its level (N s/m) and switch it on, or have the
     guard choose the least that will do; live, in every state.
+
+    `on` gives the level that was asked for last, or that the guard chose; at first the configured.
     """
     expected = "on, off, auto or a level in N s/m"
     asked = value if value in ("on", "off", "auto") else number("damping", value, expected)

@@ -58,5 +58,7 @@ _WORDS: dict[str, Callable[[Event], str]] = {
     "lease": _text,
     "controlled": _text,
     "answer": _answer,
+    "servo_up": lambda event: "the servo runs",
+    "servo_down": lambda event: "the servo has ended, or does not answer any more",
     "gap": _lost,
 }
