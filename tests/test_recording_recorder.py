@@ -17,6 +17,7 @@ import pytest
 from recorded import RecordedFlight, Source, recorded_into, room
 
 from hapticd.assembly import replay
+from hapticd.client.blocks import BlockDecoder
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.recording import pack, recorder
@@ -58,6 +59,28 @@ def test_what_was_changed_is_an_event_at_its_tick(
         assert "added_damping_on=1" in text.decode()
         assert f"added_damping={level:.6g} N s/m" in text.decode()
     assert 1.0 in values
+
+
+def test_checkpoint_that_comes_before_the_first_records_is_kept(
+    recorded_run: RecordedFlight, tmp_path: Path
+) -> None:
+    """It is published at once, and records when a batch of them is whole."""
+    clock = VirtualClock(NS_PER_S)
+    source = Source(recorded_run, clock)
+    flights = [payload for topic, payload in source.played if topic == "flight"]
+    first = next(one for one in flights if msgpack.unpackb(one)["checkpoint"] is not None)
+    tick = msgpack.unpackb(first)["checkpoint"][0]
+    streams = [one for one in source.played if one[0] != "flight"]
+    from_there = next(
+        place
+        for place, (topic, payload) in enumerate(streams)
+        if topic == "servo.raw" and tick in BlockDecoder().decode(payload).records["tick"]
+    )
+    source.played = [("flight", first), *streams[from_there:]]
+    record(source, RecordingParams(tmp_path / "run.h5", 1.0), lambda: False, clock=clock)
+    with open_recording(tmp_path / "run.h5") as recording:
+        assert recording.column("checkpoint", "tick").tolist() == [tick]
+        assert [segment.tick for segment in recording.segments()] == [tick]
 
 
 def test_lost_slots_are_counted_over_all_lives() -> None:

@@ -112,6 +112,7 @@ class Recorder:
         self._clock = clock
         self._free_bytes = free_bytes
         self._writer: Writer | None = None
+        self._early: list[bytes] = []  # for replays: what came before the first records
 
     def run(
         self, should_stop: Callable[[], bool], tell: Callable[[RecordingProgress], None]
@@ -171,13 +172,18 @@ class Recorder:
         return RecordingProgress(writer.records, writer.seconds, writer.missing["servo.raw"], size)
 
     def _take(self, topic: str, payload: bytes, answers: Answers) -> None:
-        if self._writer is None:
-            if topic != "servo.raw":
-                return
+        if self._writer is not None:
+            self._writer.take(topic, payload)
+        elif topic == "flight":
+            # a checkpoint of a tick that is among the first records may come before them
+            self._early.append(payload)
+        elif topic == "servo.raw":
             header = BlockDecoder().decode(payload).header
             attributes = of_recording(*answers, header, self._params.note)
             self._writer = Writer(self._params.part, attributes, self._params.seconds)
-        self._writer.take(topic, payload)
+            self._writer.take(topic, payload)
+            for early in self._early:
+                self._writer.take("flight", early)
 
     def _over(self, silent_ns: int, should_stop: Callable[[], bool]) -> str:
         if should_stop():
