@@ -31,7 +31,7 @@ LIVE = ("engine", "lockstep", "live")  # sources that can be perturbed; all othe
 MARKED = ("lockstep", "live")  # sources whose perturbation can begin with a mark
 SOURCES = (
     "engine: simulate; lockstep: the whole stack on virtual time; live: the daemon's device,"
-    " ENABLED by this; else a FILE."
+    " ENABLED by this, with these K, B, M also afterwards; else a FILE."
 )
 STOPPED = 5  # exit code of a trial after which the device is stopped, or in fault
 ENGINE_SCENE = "fig4"  # of engine and lockstep where none is named
