@@ -3,6 +3,7 @@ its own, in virtual time.
 """
 
 import itertools
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -376,13 +377,21 @@ def test_client_is_introduced_to_the_next_gateway_before_it_asks(
 
 
 def test_connection_that_is_lost_before_the_request_is_sent_times_out(
-    client: Client, rig: GatewayRig, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    client.set(K=1)
-    monkeypatch.setattr(client._line, "_meet", lambda: rig.gateway._sockets.close())
-    client._timeout_s = 0.3
-    with pytest.raises(DaemonDown, match="no reply"):
-        client.get()
+    folder.mkdir(mode=0o700)
+    with zmq.Context() as context, Client(timeout_s=0.3) as client:
+        gateway = context.socket(zmq.ROUTER)
+        gateway.bind(f"ipc://{folder}/command")
+
+        def lose() -> None:
+            gateway.close(linger=0)
+            while client._line._socket.poll(0, zmq.POLLOUT):
+                time.sleep(0.001)
+
+        monkeypatch.setattr(client._line, "_meet", lose)
+        with pytest.raises(DaemonDown, match="no reply"):
+            client.get()
 
 
 def test_stop_without_gateway_presses_the_page(folder: Path) -> None:
