@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from guard_device import change, shipped_judge
 from test_cli_daemon import ClientDouble
 from test_cli_process import Daemon, until
 
 from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
 from hapticd.client import Client, Receipt
-from hapticd.client.words import guard_line, receipt_text
+from hapticd.client.words import guard_line, receipt_text, thoughts, verdict_lines
 from hapticd.errors import CommandError
 
 VERDICT = {
@@ -112,6 +113,19 @@ def test_receipt_says_what_is_to_spare(
     found = capsys.readouterr()
     assert found.out.endswith("; clamped to what is safe, 0.25 N s/m to spare, by theorem\n")
     assert found.err == ""
+
+
+def test_more_damping_is_the_remedy_only_where_some_level_would_do() -> None:
+    judge = shipped_judge()
+    far, near = (
+        change(judge, asked, policy="warn")["verdict"]
+        for asked in ({"K": 5000.0, "B": 20.0}, {"K": 150.0, "B": 1.0})
+    )
+    told = thoughts(far["text"], verdict_lines(far))
+    assert "no active damping of this device would do" in told
+    assert "ask for less" in told
+    remedy = "ask for less, or for more active damping"
+    assert remedy in thoughts(near["text"], verdict_lines(near))
 
 
 def test_guard_changes_and_shows(double: GuardDouble, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from hapticd.client.conversation import Receipt
 
 
+NO_LEVEL = "no active damping of this device would do"
+OR_MORE = ", or for more active damping"  # of a remedy, where that is none
+
+
 def verdict_lines(verdict: dict[str, Any]) -> list[str]:
     """What a verdict allows, as people read it; nothing where nothing is known."""
     lines = []
@@ -31,13 +35,15 @@ def verdict_lines(verdict: dict[str, Any]) -> list[str]:
     if least is not None:
         lines.append(f"least level of active damping tried that would do: {least:.4g} N s/m")
     elif allowed and verdict["safe"] is False:
-        lines.append("no active damping of this device would do")
+        lines.append(NO_LEVEL)
     return lines
 
 
 def thoughts(text: str, allowed: list[str]) -> list[str]:
     """`text` with one thought a line, and what is allowed as soon as it is said what is wrong."""
     wrong, *rest = text.split("; ")
+    if NO_LEVEL in allowed:
+        rest = [one.removesuffix(OR_MORE) for one in rest]
     return [wrong, *allowed, *rest]
 
 
