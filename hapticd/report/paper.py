@@ -120,17 +120,18 @@ class _Band:
         return -(-len(self.axes) // self.beside(width_in))
 
 
+def _box(axis: Axes) -> Any:
+    """What the grid gives to a panel; one with an aspect of its own may be drawn smaller."""
+    return axis.get_position(original=True)
+
+
 def _rows(figure: Figure) -> list[list[Axes]]:
     """Axes that stand beside each other, from above; one that spans two rows joins them."""
     rows: list[list[Axes]] = []
     panels = [one for one in figure.axes if one.get_label() != COLOURS]  # those follow their panel
-    for axis in sorted(panels, key=lambda one: -one.get_position(original=True).y1):
-        place = axis.get_position(original=True)
-        foot = (
-            min((one.get_position(original=True).y0 for one in rows[-1]), default=1.0)
-            if rows
-            else 1.0
-        )
+    for axis in sorted(panels, key=lambda one: -_box(one).y1):
+        place = _box(axis)
+        foot = min((_box(one).y0 for one in rows[-1]), default=1.0) if rows else 1.0
         if rows and place.y1 - foot > OVERLAP * place.height:
             rows[-1].append(axis)
         else:
@@ -141,7 +142,7 @@ def _rows(figure: Figure) -> list[list[Axes]]:
 def _band(figure: Figure, row: list[Axes]) -> _Band:
     """One row of a screen; a panel as high as the row is read last."""
     width_in = float(figure.get_figwidth())
-    boxes = {axis: axis.get_position(original=True) for axis in row}
+    boxes = {axis: _box(axis) for axis in row}
     tops = sorted({round(box.y1, 2) for box in boxes.values()}, reverse=True)
     lefts = {round(box.x0, 2) for box in boxes.values()}
     whole = max(box.y1 for box in boxes.values()) - min(box.y0 for box in boxes.values())
@@ -185,9 +186,7 @@ def _pooled(bands: Iterable[_Band]) -> list[_Band]:
 
 def _by_column(axes: Iterable[Axes]) -> list[Axes]:
     """Panels that come into one line each: columns of a screen one after the other."""
-    return sorted(
-        axes, key=lambda one: (round(one.get_position(original=True).x0, 2), -one.get_position().y1)
-    )
+    return sorted(axes, key=lambda one: (round(_box(one).x0, 2), -_box(one).y1))
 
 
 def _reflow(bands: Sequence[_Band], width_in: float) -> list[list[Axes]]:
@@ -216,7 +215,7 @@ def _place(lines: Sequence[Sequence[Axes]], widths: Sequence[int]) -> None:
     """A grid of those lines, each with room for so many panels."""
     figure = lines[0][0].figure
     columns = lcm(*widths)
-    heights = [line[0].get_position(original=True).height for line in lines]
+    heights = [_box(line[0]).height for line in lines]
     grid = figure.add_gridspec(len(lines), columns, height_ratios=heights)
     for row, (line, width) in enumerate(zip(lines, widths, strict=True)):
         span = columns // width
