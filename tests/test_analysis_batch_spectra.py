@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hapticd.analysis import batch_spectra
 from hapticd.analysis.arrays import aligned
 from hapticd.analysis.batch_spectra import LAG, BatchSections, shared_force
 from hapticd.analysis.spectra import spa
@@ -21,31 +22,39 @@ def trials(n_samples, count, drift=0.01, seed=1):
     return force, np.stack(mixed) + noise + drift * np.arange(count)[:, None] * (1.0 - 2.0 * k)
 
 
-def analysed(force, velocity, scalar, together=2):
+def analysed(force, velocity, scalar):
     """Feed sections as the engine leaves them: rows of all trials, every WIDTH-th row a sample."""
     count = len(velocity)
     sums = BatchSections(shared_force(force, scalar), count, scalar)
-    block = aligned(together * LAG * WIDTH * count, scalar)
+    block = aligned(LAG * WIDTH * count, scalar)
     rows = block.reshape(-1, count)
-    vectors = WIDTH * (count * np.dtype(scalar).itemsize // 64)
-    place = np.arange(together * LAG).reshape(together, LAG) * vectors
-    for start in range(0, force.size, together * LAG):
-        part = velocity[:, start : start + together * LAG]
+    place = np.arange(LAG) * WIDTH * (count * np.dtype(scalar).itemsize // 64)
+    for start in range(0, force.size, LAG):
+        part = velocity[:, start : start + LAG]
         rows[:] = 7.0
         rows[::WIDTH] = 0.0
         rows[: WIDTH * part.shape[1] : WIDTH] = part.T
-        sums.add(block, place[: -(-part.shape[1] // LAG)])
+        sums.add(block, place)
     return sums
 
 
-def test_sections_together_are_those_one_by_one():
+def test_sections_together_are_those_one_by_one(monkeypatch):
     force, velocity = trials(9 * LAG + 700, COUNTS[np.float32])
-    one_by_one = analysed(force, velocity, np.float32, together=1)
-    for together in (2, 4, 11):
-        some = analysed(force, velocity, np.float32, together)
+    monkeypatch.setattr(batch_spectra, "TOGETHER", 1)
+    one_by_one = analysed(force, velocity, np.float32)
+    for together in (2, 3, 8, 11):
+        monkeypatch.setattr(batch_spectra, "TOGETHER", together)
+        some = analysed(force, velocity, np.float32)
         for found, expected in zip(some.spectra(), one_by_one.spectra(), strict=True):
             assert np.array_equal(found, expected)
         assert np.array_equal(some.squares, one_by_one.squares)
+
+
+def test_a_section_after_the_end_is_refused():
+    force, velocity = trials(2 * LAG, COUNTS[np.float64])
+    sums = analysed(force, velocity, np.float64)
+    with pytest.raises(ValueError, match="section 3: the record has 2"):
+        sums.add(aligned(LAG * len(velocity), np.float64), np.arange(LAG) * 2)
 
 
 @pytest.mark.parametrize("n_samples", [LAG + 1, 2 * LAG, 2 * LAG + 1, 5 * LAG - 1, 9 * LAG + 700])

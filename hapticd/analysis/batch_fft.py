@@ -14,13 +14,17 @@ of a scalar algorithm does 16 trials at once, whatever LLVM thinks of its loops:
 Transforms. A section of real samples x, padded to 4,096, is a complex series z[n] = x[2n] + i
 x[2n+1] of 2,048 points, half of them zero:
 
+    gather     the samples of a section, which lie among those of other trials, side by side
     columns    b = 0..63:  DFT of 32 points (16 of them zero) over n = 64 a + b,
                times exp(-2 pi i b k1 / 2048)  -> row k1
     row        k1 = 0..32: DFT of 64 points over b  -> Z[k1 + 32 k2]
     take       Z[k] and Z[2048-k] -> X[k] and X[2048-k] of the real series -> sums over sections
 
-Rows k1 and 32 - k1 are transformed together and summed at once, so spectra never leave the
-first-level cache. What one trial gets does not depend on its neighbours in the vector.
+Caches. The arithmetic would take a quarter of a trial's time; the rest is moving numbers. The sums
+of a vector are 1 MB, so all sections that wait are summed for one vector before the next one, even
+k1 before odd ones (half of the sums), and two sections for each time that a sum is loaded. Rows k1
+and 32 - k1 are transformed in place and summed at once, while they are in the first-level cache.
+What one trial gets does not depend on its neighbours in the vector.
 
 What would break it: arrays that do not begin on a border of 64 bytes (`arrays.aligned` makes those
 that do), or llvmlite without typed pointers in its IR builder.
@@ -45,13 +49,14 @@ FLAGS = ("contract", "nsz")
 LLVM = {types.float32: ir.FloatType(), types.float64: ir.DoubleType()}
 
 PITCH = 65  # of a row: not a power of two, whose lines would fall on the same places of the cache
-# vectors of an intermediate section, of a row
-WORK = 2 * 32 * PITCH
-PART = 2 * 64
+# vectors of half an intermediate section, of half a column
+WORK = 2 * 16 * PITCH
+PART = 2 * 16
 # vectors of a pair of bins: for each bin velocity, forward, backward (complex), and the spectrum
 # before
 KEPT = 16
 PAIRS = 1025  # of bins k and 2048 - k
+AT_ONCE = 2  # sections: the sums are loaded and stored once for so many
 ROOT_HALF = float(np.sqrt(0.5))
 
 
@@ -276,150 +281,208 @@ def _eight(source, row, step):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True)
-def columns(samples, place, offset, work, part, by32, by2048):  # type: ignore[no-untyped-def]
-    """Do the first half of a section's transform; sample t of the section is vector place[t] +
-    offset of `samples`.
-    """
+def _columns(section, odd, work, part, by32, by2048):  # type: ignore[no-untyped-def]
+    """Do the first half of a section's transform for the even k1, or for the odd ones."""
     for b in range(64):
         for a in range(8):
             n = 2 * (64 * a + b)
-            xr = load(samples, place[n] + offset)
-            xi = load(samples, place[n + 1] + offset)
-            yr = load(samples, place[n + 1024] + offset)
-            yi = load(samples, place[n + 1025] + offset)
-            _kept(part, a, xr + yr, xi + yi)
-            _turned(part, 8 + a, xr + yi, xi - yr, by32[1, a, 0], by32[1, a, 1])
-            _turned(part, 16 + a, xr - yr, xi - yi, by32[2, a, 0], by32[2, a, 1])
-            _turned(part, 24 + a, xr - yi, xi + yr, by32[3, a, 0], by32[3, a, 1])
-        for j in range(4):
-            x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(part, 8 * j, 1)
-            _turned(work, j * PITCH + b, x0, y0, by2048[b, j, 0], by2048[b, j, 1])
-            _turned(work, (j + 4) * PITCH + b, x1, y1, by2048[b, j + 4, 0], by2048[b, j + 4, 1])
-            _turned(work, (j + 8) * PITCH + b, x2, y2, by2048[b, j + 8, 0], by2048[b, j + 8, 1])
-            _turned(work, (j + 12) * PITCH + b, x3, y3, by2048[b, j + 12, 0], by2048[b, j + 12, 1])
-            _turned(work, (j + 16) * PITCH + b, x4, y4, by2048[b, j + 16, 0], by2048[b, j + 16, 1])
-            _turned(work, (j + 20) * PITCH + b, x5, y5, by2048[b, j + 20, 0], by2048[b, j + 20, 1])
-            _turned(work, (j + 24) * PITCH + b, x6, y6, by2048[b, j + 24, 0], by2048[b, j + 24, 1])
-            _turned(work, (j + 28) * PITCH + b, x7, y7, by2048[b, j + 28, 0], by2048[b, j + 28, 1])
+            xr = load(section, n)
+            xi = load(section, n + 1)
+            yr = load(section, n + 1024)
+            yi = load(section, n + 1025)
+            if odd:
+                _turned(part, a, xr + yi, xi - yr, by32[1, a, 0], by32[1, a, 1])
+                _turned(part, 8 + a, xr - yi, xi + yr, by32[3, a, 0], by32[3, a, 1])
+            else:
+                _kept(part, a, xr + yr, xi + yi)
+                _turned(part, 8 + a, xr - yr, xi - yi, by32[2, a, 0], by32[2, a, 1])
+        for i in range(2):
+            j = 2 * i + odd
+            x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(part, 8 * i, 1)
+            _turned(work, i * PITCH + b, x0, y0, by2048[b, j, 0], by2048[b, j, 1])
+            _turned(work, (i + 2) * PITCH + b, x1, y1, by2048[b, j + 4, 0], by2048[b, j + 4, 1])
+            _turned(work, (i + 4) * PITCH + b, x2, y2, by2048[b, j + 8, 0], by2048[b, j + 8, 1])
+            _turned(work, (i + 6) * PITCH + b, x3, y3, by2048[b, j + 12, 0], by2048[b, j + 12, 1])
+            _turned(work, (i + 8) * PITCH + b, x4, y4, by2048[b, j + 16, 0], by2048[b, j + 16, 1])
+            _turned(work, (i + 10) * PITCH + b, x5, y5, by2048[b, j + 20, 0], by2048[b, j + 20, 1])
+            _turned(work, (i + 12) * PITCH + b, x6, y6, by2048[b, j + 24, 0], by2048[b, j + 24, 1])
+            _turned(work, (i + 14) * PITCH + b, x7, y7, by2048[b, j + 28, 0], by2048[b, j + 28, 1])
 
 
 @njit(nogil=True)
-def row(work, k1, part, out, by64):  # type: ignore[no-untyped-def]
-    """Do the second half for one k1: Z[k1 + 32 k2] into rows k2 of `out`."""
+def _row(work, at, by64):  # type: ignore[no-untyped-def]
+    """Do the second half for the row that begins at `at`, in place: Z[k1 + 32 k2] is left at 8 (k2
+    mod 8) + k2 // 8.
+    """
     for b in range(8):
-        x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(
-            work, k1 * PITCH + b, 8
-        )
-        _kept(part, b, x0, y0)
-        _turned(part, 8 + b, x1, y1, by64[1, b, 0], by64[1, b, 1])
-        _turned(part, 16 + b, x2, y2, by64[2, b, 0], by64[2, b, 1])
-        _turned(part, 24 + b, x3, y3, by64[3, b, 0], by64[3, b, 1])
-        _turned(part, 32 + b, x4, y4, by64[4, b, 0], by64[4, b, 1])
-        _turned(part, 40 + b, x5, y5, by64[5, b, 0], by64[5, b, 1])
-        _turned(part, 48 + b, x6, y6, by64[6, b, 0], by64[6, b, 1])
-        _turned(part, 56 + b, x7, y7, by64[7, b, 0], by64[7, b, 1])
-    for q in range(8):
-        x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(part, 8 * q, 1)
-        _kept(out, q, x0, y0)
-        _kept(out, q + 8, x1, y1)
-        _kept(out, q + 16, x2, y2)
-        _kept(out, q + 24, x3, y3)
-        _kept(out, q + 32, x4, y4)
-        _kept(out, q + 40, x5, y5)
-        _kept(out, q + 48, x6, y6)
-        _kept(out, q + 56, x7, y7)
+        x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(work, at + b, 8)
+        _kept(work, at + b, x0, y0)
+        _turned(work, at + 8 + b, x1, y1, by64[1, b, 0], by64[1, b, 1])
+        _turned(work, at + 16 + b, x2, y2, by64[2, b, 0], by64[2, b, 1])
+        _turned(work, at + 24 + b, x3, y3, by64[3, b, 0], by64[3, b, 1])
+        _turned(work, at + 32 + b, x4, y4, by64[4, b, 0], by64[4, b, 1])
+        _turned(work, at + 40 + b, x5, y5, by64[5, b, 0], by64[5, b, 1])
+        _turned(work, at + 48 + b, x6, y6, by64[6, b, 0], by64[6, b, 1])
+        _turned(work, at + 56 + b, x7, y7, by64[7, b, 0], by64[7, b, 1])
+    for q in range(at, at + 64, 8):
+        x0, y0, x1, y1, x2, y2, x3, y3, x4, y4, x5, y5, x6, y6, x7, y7 = _eight(work, q, 1)
+        _kept(work, q, x0, y0)
+        _kept(work, q + 1, x1, y1)
+        _kept(work, q + 2, x2, y2)
+        _kept(work, q + 3, x3, y3)
+        _kept(work, q + 4, x4, y4)
+        _kept(work, q + 5, x5, y5)
+        _kept(work, q + 6, x6, y6)
+        _kept(work, q + 7, x7, y7)
 
 
 @njit(forceinline=True)
-def _bin(sums, at, before, xr, xi, sign, gr, gi, hr, hi):  # type: ignore[no-untyped-def]
-    """Add a section's X[k] = xr + i xi to the sums of its bin: velocity with what came before,
-    force ahead and behind.
+def _added(sums, pr, pi, xr, xi, sign, force, n, p, first):  # type: ignore[no-untyped-def]
+    """Add section n's X[k] = xr + i xi to the sums of its bin: velocity with what came before,
+    force ahead and behind, which are the four from `first` on.
     """
-    pr = load(sums, before)
-    pi = load(sums, before + 1)
+    vr, vi, ar, ai, br, bi = sums
+    gr = force[n, p, first]
+    gi = force[n, p, first + 1]
+    hr = force[n, p, first + 2]
+    hi = force[n, p, first + 3]
     tr = fma(xr, sign, pr)
     ti = fma(xi, sign, pi)
-    store(sums, at, fma(pr, tr, fma(pi, ti, load(sums, at))))
-    store(sums, at + 1, load(sums, at + 1) + (pr * ti - pi * tr))
-    store(sums, at + 2, fma(xr, gr, fma(xi, gi, load(sums, at + 2))))
-    store(sums, at + 3, load(sums, at + 3) + (xr * gi - xi * gr))
-    store(sums, at + 4, fma(xr, hr, fma(xi, hi, load(sums, at + 4))))
-    store(sums, at + 5, load(sums, at + 5) + (xr * hi - xi * hr))
-    store(sums, before, xr)
-    store(sums, before + 1, xi)
+    return (
+        fma(pr, tr, fma(pi, ti, vr)),
+        vi + (pr * ti - pi * tr),
+        fma(xr, gr, fma(xi, gi, ar)),
+        ai + (xr * gi - xi * gr),
+        fma(xr, hr, fma(xi, hi, br)),
+        bi + (xr * hi - xi * hr),
+    )
+
+
+@njit(forceinline=True)
+def _six(sums, at):  # type: ignore[no-untyped-def]
+    """Load the sums of a bin."""
+    return (
+        load(sums, at),
+        load(sums, at + 1),
+        load(sums, at + 2),
+        load(sums, at + 3),
+        load(sums, at + 4),
+        load(sums, at + 5),
+    )
+
+
+@njit(forceinline=True)
+def _put(sums, at, six):  # type: ignore[no-untyped-def]
+    """Store the sums of a bin."""
+    vr, vi, ar, ai, br, bi = six
+    store(sums, at, vr)
+    store(sums, at + 1, vi)
+    store(sums, at + 2, ar)
+    store(sums, at + 3, ai)
+    store(sums, at + 4, br)
+    store(sums, at + 5, bi)
 
 
 @njit(nogil=True)
-def take(lower, upper, k1, first, count, sums, force, turn):  # type: ignore[no-untyped-def]
-    """Sum the pairs of one k1 and its partner. `force` (PAIRS, 8) holds for each bin Y of this
-    section with the one after it, and with the one before it.
+def _take(work, lower, upper, k1, first, pairs, sums, force, turn):  # type: ignore[no-untyped-def]
+    """Sum the pairs of one k1, whose rows begin at `lower`, and its partner, `upper`, over the
+    sections in `work`. `force` (sections, PAIRS, 8) holds for each bin Y of a section with the one
+    after it, and with the one before it.
     """
-    one = force[0, 0] * 0 + 1
+    one = force[0, 0, 0] * 0 + 1
     sign = one if k1 % 2 == 0 else -one
-    for k2 in range(count):
+    for k2 in range(pairs):
         other = (64 - k2) % 64 if k1 == 0 else 63 - k2
         p = first + k2
-        zr = load(lower, 2 * k2)
-        zi = load(lower, 2 * k2 + 1)
-        vr = load(upper, 2 * other)
-        vi = load(upper, 2 * other + 1)
-        er = zr + vr
-        ei = zi - vi
-        dr = zi + vi
-        di = vr - zr
         c = turn[p, 0]
         s = turn[p, 1]
-        wr = dr * c - di * s
-        wi = fma(di, c, dr * s)
-        f = force[p]
-        _bin(sums, KEPT * p, KEPT * p + 12, er + wr, ei + wi, sign, f[0], f[1], f[2], f[3])
-        _bin(sums, KEPT * p + 6, KEPT * p + 14, er - wr, wi - ei, sign, f[4], f[5], f[6], f[7])
+        low = _six(sums, KEPT * p)
+        high = _six(sums, KEPT * p + 6)
+        lr = load(sums, KEPT * p + 12)
+        li = load(sums, KEPT * p + 13)
+        hr = load(sums, KEPT * p + 14)
+        hi = load(sums, KEPT * p + 15)
+        for n in range(len(force)):
+            z = WORK * n + 2 * (lower + 8 * (k2 % 8) + k2 // 8)
+            v = WORK * n + 2 * (upper + 8 * (other % 8) + other // 8)
+            zr = load(work, z)
+            zi = load(work, z + 1)
+            vr = load(work, v)
+            vi = load(work, v + 1)
+            er = zr + vr
+            ei = zi - vi
+            dr = zi + vi
+            di = vr - zr
+            wr = dr * c - di * s
+            wi = fma(di, c, dr * s)
+            xr = er + wr
+            xi = ei + wi
+            low = _added(low, lr, li, xr, xi, sign, force, n, p, 0)
+            lr = xr
+            li = xi
+            xr = er - wr
+            xi = wi - ei
+            high = _added(high, hr, hi, xr, xi, sign, force, n, p, 4)
+            hr = xr
+            hi = xi
+        _put(sums, KEPT * p, low)
+        _put(sums, KEPT * p + 6, high)
+        store(sums, KEPT * p + 12, lr)
+        store(sums, KEPT * p + 13, li)
+        store(sums, KEPT * p + 14, hr)
+        store(sums, KEPT * p + 15, hi)
+
+
+@njit(nogil=True, cache=True)
+def gather(samples, place, waiting, number, moments):  # type: ignore[no-untyped-def]
+    """Copy a section of every vector, whose sample t is vector place[t] + its own number, to
+    waiting[:, number] (vectors, sections, 2048 * 16), and the sums of x, t x and x^2 over it to
+    `moments` (vectors, 3 * 16); t counts from the section's beginning.
+    """
+    for vector in range(len(waiting)):
+        section = waiting[vector, number]
+        total = load(samples, place[0] + vector) * 0.0
+        moment = total
+        square = total
+        for t in range(len(place)):
+            x = load(samples, place[t] + vector)
+            store(section, t, x)
+            total = total + x
+            moment = fma(x, t, moment)
+            square = fma(x, x, square)
+        store(moments[vector], 0, total)
+        store(moments[vector], 1, moment)
+        store(moments[vector], 2, square)
 
 
 @njit(nogil=True, cache=True)
 def add_sections(  # type: ignore[no-untyped-def]
-    samples, place, sums, force, work, part, lower, upper, by32, by64, by2048, turn, order
+    waiting, count, sums, force, work, part, by32, by64, by2048, turn, order
 ):
-    """Add sections of the trials of every vector to their `sums` (vectors, PAIRS * KEPT * 16):
-    sample t of section n is vector place[n, t] + its own number. `force` (n, PAIRS, 8): see `take`.
+    """Add the first `count` of the sections that wait to the `sums` of every vector (vectors,
+    PAIRS * KEPT * 16). `force` (count, PAIRS, 8): see `_take`.
     """
     for vector in range(len(sums)):
-        # section by section: the vector's sums, 1 MB, stay in the second-level cache meanwhile
-        for n in range(len(place)):
-            columns(samples, place[n], vector, work, part, by32, by2048)
-            for k1 in range(17):
-                row(work, k1, part, lower, by64)
-                partner = (32 - k1) % 32
-                if partner != k1:
-                    row(work, partner, part, upper, by64)
-                take(
-                    lower,
-                    lower if partner == k1 else upper,
-                    k1,
-                    order[k1, 0],
-                    order[k1, 1],
-                    sums[vector],
-                    force[n],
-                    turn,
-                )
-
-
-@njit(nogil=True, cache=True)
-def moments(samples, place, vectors, found):  # type: ignore[no-untyped-def]
-    """Write the sums of x, t x and x^2 over each section of every vector into `found` (n, 3,
-    vectors, 16), flat; t counts from the beginning of the section.
-    """
-    for n in range(len(place)):
-        for vector in range(vectors):
-            x = load(samples, place[n, 0] + vector)
-            total = x
-            moment = x * 0.0
-            square = x * x
-            for t in range(1, place.shape[1]):
-                x = load(samples, place[n, t] + vector)
-                total = total + x
-                moment = fma(x, t, moment)
-                square = fma(x, x, square)
-            store(found, 3 * n * vectors + vector, total)
-            store(found, (3 * n + 1) * vectors + vector, moment)
-            store(found, (3 * n + 2) * vectors + vector, square)
+        for odd in range(2):
+            for begin in range(0, count, AT_ONCE):
+                end = min(begin + AT_ONCE, count)
+                for n in range(begin, end):
+                    _columns(waiting[vector, n], odd, work[n - begin], part, by32, by2048)
+                for k1 in range(odd, 17, 2):
+                    lower = (k1 // 2) * PITCH
+                    upper = ((32 - k1) % 32 // 2) * PITCH
+                    for n in range(end - begin):
+                        _row(work[n], lower, by64)
+                        if upper != lower:
+                            _row(work[n], upper, by64)
+                    _take(
+                        work.reshape(-1),
+                        lower,
+                        upper,
+                        k1,
+                        order[k1, 0],
+                        order[k1, 1],
+                        sums[vector],
+                        force[begin:end],
+                        turn,
+                    )

@@ -36,6 +36,8 @@ from hapticd.analysis.covariances import NO_SAMPLES, Moments, Sections, line_pro
 from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.analysis.spectra import on_the_grid
 
+TOGETHER = 8  # sections: a vector's sums come into the cache once for so many, which wait in 4 MB
+
 
 @dataclass(frozen=True, eq=False)
 class SharedForce:
@@ -95,10 +97,14 @@ class BatchSections:
         self._sums = self._room(self._vectors * compiled.PAIRS * compiled.KEPT).reshape(
             self._vectors, -1
         )
-        self._rooms = [
-            self._room(size)
-            for size in (compiled.WORK, compiled.PART, compiled.PART, compiled.PART)
-        ]
+        self._waiting = self._room(self._vectors * TOGETHER * LAG).reshape(
+            self._vectors, TOGETHER, -1
+        )
+        self._held = 0  # sections that wait
+        self._rooms = (
+            self._room(compiled.AT_ONCE * compiled.WORK).reshape(compiled.AT_ONCE, -1),
+            self._room(compiled.PART),
+        )
         self._tables = [
             np.ascontiguousarray(table, scalar) for table in (*compiled.twiddles(), _turn())
         ]
@@ -107,24 +113,31 @@ class BatchSections:
         self._ends: list[Floats] = []  # first section, and the last two, (count, M)
 
     def add(self, samples: Values, place: Integers) -> None:
-        """Add the next sections of all trials, several at once for speed alone. `samples` is flat
-        and begins on a border of 64 bytes; sample t of section n is the `count` values from vector
-        place[n, t] on. After the end of the record samples are 0.
+        """Add the next section of all trials. `samples` is flat and begins on a border of 64 bytes;
+        sample t of the section is the `count` values from vector place[t] on. After the end of the
+        record samples are 0.
         """
-        taken = slice(self._taken, self._taken + len(place))
-        force = self._force.table[taken]
-        if len(force) != len(place):
-            raise ValueError(f"{len(place)} sections, {len(force)} are left of the record")
-        self._compiled.add_sections(
-            samples, place, self._sums, force, *self._rooms, *self._tables, self._order
+        if self._taken == len(self._force.table):
+            raise ValueError(f"section {self._taken + 1}: the record has {self._taken}")
+        found = self._room(3 * self._vectors).reshape(self._vectors, -1)
+        self._compiled.gather(samples, place, self._waiting, self._held, found)
+        self._moments[self._taken] = (
+            found.reshape(self._vectors, 3, -1).swapaxes(0, 1).reshape(3, -1)
         )
-        found = self._room(3 * self._vectors * len(place))
-        self._compiled.moments(samples, place, self._vectors, found)
-        self._moments[taken] = found.reshape(len(place), 3, -1)
-        for one in place:
-            self._taken += 1
-            if self._taken == 1 or self._taken >= len(self._force.table) - 1:
-                self._ends.append(self._copied(samples, one))
+        if self._taken == 0 or self._taken >= len(self._force.table) - 2:
+            self._ends.append(self._copied())
+        self._taken += 1
+        self._held += 1
+        if self._held == TOGETHER:
+            self._sum()
+
+    def _sum(self) -> None:
+        """Transform the sections that wait into the sums."""
+        force = self._force.table[self._taken - self._held : self._taken]
+        self._compiled.add_sections(
+            self._waiting, self._held, self._sums, force, *self._rooms, *self._tables, self._order
+        )
+        self._held = 0
 
     @property
     def squares(self) -> Floats:
@@ -135,6 +148,8 @@ class BatchSections:
         """Velocity and cross spectra as `spa` gives them, (count, M + 1) each, in (m/s)^2 and N
         m/s; to be called when all sections are in.
         """
+        if self._held:
+            self._sum()
         count = self._vectors * self._lanes
         u = self._velocity()
         velocity = np.empty((count, LAG + 1))
@@ -153,28 +168,21 @@ class BatchSections:
         backward = lags[2] - line_products(u, y, LAG)
         return np.maximum(on_the_grid(velocity, velocity).real, 0.0), on_the_grid(forward, backward)
 
-    def _summed(self, vector: int) -> tuple[Complexes, Complexes, Complexes]:
-        """The three sums of the module's text, (lanes, M + 1); the compiled loops leave twice
-        every spectrum.
-        """
-        rows = (
-            self._sums[vector]
-            .reshape(self._compiled.PAIRS, self._compiled.KEPT, self._lanes)
-            .transpose(1, 2, 0)
-        )
-
-        def complete(row: int, other: int, scale: float) -> Complexes:
-            found = np.empty((self._lanes, LAG + 1), np.complex128)
-            for first, bins in ((row, _bins()), (other, LAG - _bins())):
-                found[:, bins] = scale * (rows[first] + 1j * rows[first + 1])
-            return found
-
-        last = complete(12, 14, 0.5)  # spectrum of the last section, which nothing follows
-        return (
-            complete(0, 6, 0.25) + np.abs(last) ** 2,
-            complete(2, 8, 0.5),
-            complete(4, 10, 0.5).conj(),
-        )
+    def _summed(self, vector: int) -> Complexes:
+        """The three sums of the module's text, (3, lanes, M + 1)."""
+        pair, side = _place_of_bin()
+        rows = self._sums[vector].reshape(self._compiled.PAIRS, self._compiled.KEPT, self._lanes)
+        sums = rows[:, :12].reshape(-1, 2, 3, 2, self._lanes)[pair, side]
+        real, imaginary = rows[:, 12:].reshape(-1, 2, 2, self._lanes)[pair, side].swapaxes(0, 1)
+        found = np.empty((3, self._lanes, LAG + 1), np.complex128)
+        found.real = sums[:, :, 0].transpose(1, 2, 0)
+        found.imag = sums[:, :, 1].transpose(1, 2, 0)
+        # the compiled loops leave twice every spectrum
+        found *= np.array((0.25, 0.5, 0.5))[:, None, None]
+        # nothing follows the last section
+        found[0] += 0.25 * (real * real + imaginary * imaginary).T
+        found[2].imag *= -1.0
+        return found
 
     def _velocity(self) -> Moments:
         n = self._force.moments.length
@@ -192,10 +200,10 @@ class BatchSections:
             last[:, max(0, rest - LAG) : rest],
         )
 
-    def _copied(self, samples: Values, place: Integers) -> Floats:
-        rows = samples[: samples.size // self._lanes * self._lanes].reshape(-1, self._lanes)
-        parts = [rows[place + vector].T for vector in range(self._vectors)]
-        return np.concatenate(parts).astype(np.float64)
+    def _copied(self) -> Floats:
+        """The newest section that waits, (count, M)."""
+        section = self._waiting[:, self._held].reshape(self._vectors, LAG, self._lanes)
+        return section.swapaxes(1, 2).reshape(-1, LAG).astype(np.float64)
 
     def _room(self, vectors: int) -> Values:
         return aligned(vectors * self._lanes, self._scalar)
@@ -212,6 +220,17 @@ def _bins() -> Integers:
     from hapticd.analysis.batch_fft import pair_order
 
     return np.asarray(pair_order()[1])
+
+
+@cache
+def _place_of_bin() -> tuple[Integers, Integers]:
+    """Pair of every bin 0..M, and whether the bin is the upper one of it."""
+    pair = np.empty(LAG + 1, np.int64)
+    side = np.zeros(LAG + 1, np.int64)
+    pair[_bins()] = np.arange(_bins().size)
+    pair[LAG - _bins()] = np.arange(_bins().size)
+    side[LAG - _bins()] = 1
+    return pair, side
 
 
 def _turn() -> Floats:

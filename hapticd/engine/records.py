@@ -1,8 +1,8 @@
 """What is kept of a group: its blocks of output become rows of records, or spectra at once.
 
-keep = "spectra": four sections of 2,048 samples of all lanes are 2 MB; they are transformed while
-they are still in the cache (`analysis.batch_spectra`), so nothing of a trial is stored but six sums
-a frequency. That needs one torque record for all trials and a velocity that is recorded as it is;
+keep = "spectra": a section of 2,048 samples of all lanes is 0.6 MB; spectra take it while it is
+still in the cache (`analysis.batch_spectra`), so nothing of a trial is stored but six sums a
+frequency. That needs one torque record for all trials and a velocity that is recorded as it is;
 where trials have their own torque, or the probe adds noise or counts, the group's records are kept
 until its end and analysed one by one, which gives the same spectra more slowly.
 
@@ -121,9 +121,6 @@ def spectral(job: Job, made: Prepared, numbers: Sequence[int]) -> "Sums | Spectr
     return Sums(job, made, len(numbers))
 
 
-TOGETHER = 4  # sections: a vector's sums stay in the cache for so many, 2 MB of samples beside them
-
-
 class Sums:
     """See the module; used as `Records`."""
 
@@ -136,34 +133,31 @@ class Sums:
         self._lanes = shape.lanes
         self._tick = shape.width * shape.lanes
         self._section = LAG // shape.samples  # ticks
-        self._ticks = TOGETHER * self._section
         self._filled = 0  # ticks
-        self._out = aligned(self._ticks * self._tick, made.scalar)
-        sample = np.arange(TOGETHER * LAG)
+        # of one section: it stays in the second-level cache until its spectra take it
+        self._out = aligned(self._section * self._tick, made.scalar)
+        sample = np.arange(LAG)
         row = sample // shape.samples * shape.width + sample % shape.samples
-        place = row * (shape.lanes * made.scalar().itemsize // CACHE_LINE)
-        self._place = place.reshape(TOGETHER, LAG)
+        self._place = row * (shape.lanes * made.scalar().itemsize // CACHE_LINE)
         self._sections = BatchSections(_force(job, made), shape.lanes, made.scalar)
 
     def block(self, start: int) -> Values:
         """Where the kernel writes a leg from tick `start` on."""
-        return self._out[start % self._ticks * self._tick :]
+        return self._out[start % self._section * self._tick :]
 
     def store(self, start: int, end: int, alive: Values) -> None:
-        """Take the leg, without the lanes that diverged; sections go into the sums together."""
-        begin = start - start % self._section  # a section counts whole or not at all
-        rows = self.block(begin)[: (end - begin) * self._tick].reshape(-1, self._lanes)
+        """Take the leg, without the lanes that diverged: a section counts whole or not at all."""
+        self._filled = (end - 1) % self._section + 1
         if not alive.all():
+            rows = self._out[: self._filled * self._tick].reshape(-1, self._lanes)
             rows[:, alive == 0.0] = 0.0
-        self._filled = (end - 1) % self._ticks + 1
-        if self._filled == self._ticks:
+        if self._filled == self._section:
             self._add()
 
     def _add(self) -> None:
         """Take what is there into the sums; the last section may be short."""
-        sections = -(-self._filled // self._section)
-        self._out[self._filled * self._tick : sections * self._section * self._tick] = 0.0
-        self._sections.add(self._out, self._place[:sections])
+        self._out[self._filled * self._tick :] = 0.0
+        self._sections.add(self._out, self._place)
         self._filled = 0
 
     def finished(self, samples: Samples, inputs: Inputs) -> dict[str, Any]:
