@@ -19,8 +19,10 @@ sixteen digits.
 """
 
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.kernels import kernels
@@ -74,22 +76,33 @@ class Moments:
         )
         return mean - 0.5 * (n - 1) * slope, slope
 
-    def sums_without_end(self, lag: int) -> tuple[Floats, Floats]:
-        """sum(x_k) and sum(k x_k) over k < N - t, for t = 0..lag: (lag + 1,) or (n, lag + 1)."""
-        k = np.arange(self.length - 1, self.length - 1 - lag, -1.0)
-        last = self.tail[..., ::-1][..., :lag]
-        return self.total[..., None] - _running(last), self.moment[..., None] - _running(k * last)
+    @cached_property
+    def leaving(self) -> "Running":
+        """What the last t samples amount to, backwards from the end."""
+        return Running.of(self.tail[..., ::-1])
 
-    def sums_without_start(self, lag: int) -> tuple[Floats, Floats]:
-        """sum(x_k) and sum((k - t) x_k) over k >= t, for t = 0..lag."""
-        first = self.head[..., :lag]
-        total = self.total[..., None] - _running(first)
-        return (
-            total,
-            self.moment[..., None]
-            - _running(np.arange(float(lag)) * first)
-            - np.arange(lag + 1.0) * total,
-        )
+    @cached_property
+    def entering(self) -> "Running":
+        """What the first t samples amount to."""
+        return Running.of(self.head)
+
+
+@dataclass(frozen=True)
+class Running:
+    """Sums over the first t of some samples x_0, x_1, ..., for t = 0, 1, ...: (samples + 1,) or
+    (n, samples + 1).
+    """
+
+    once: Floats  # sum of x_j over j < t
+    twice: Floats  # sum of (t - j) x_j over j < t
+
+    @classmethod
+    def of(cls, samples: Floats) -> "Running":
+        """Sums over `samples`, (samples,) or (n, samples)."""
+        sums = np.zeros((2, *samples.shape[:-1], samples.shape[-1] + 1))
+        np.cumsum(samples, axis=-1, out=sums[0, ..., 1:])
+        np.cumsum(sums[0, ..., 1:], axis=-1, out=sums[1, ..., 1:])
+        return cls(sums[0], sums[1])
 
 
 NO_SAMPLES = Moments(0, np.zeros(()), np.zeros(()), np.empty(0), np.empty(0))
@@ -98,31 +111,60 @@ NO_SAMPLES = Moments(0, np.zeros(()), np.zeros(()), np.empty(0), np.empty(0))
 def line_products(late: Moments, early: Moments, lag: int) -> Floats:
     """What the lines of both signals add to (1/N) sum late_{k+t} early_k, for t = 0..lag, (lag +
     1,) or (n, lag + 1): subtract it from the raw covariance.
+
+    With the lines p + q k of `late` and r + s k of `early`, it is the sum over k < N - t of
+
+        (p + q (k + t)) early_k + late_{k+t} (r + s k) - (p + q (k + t)) (r + s k)
+
+    a cubic in t, less what the last t samples of `early` and the first t of `late` would add.
     """
     n = early.length
-    t = np.arange(lag + 1.0)
-    late_start, late_slope = late.line()
-    early_start, early_slope = early.line()
-    early_0, early_1 = early.sums_without_end(lag)
-    late_0, late_1 = late.sums_without_start(lag)
+    p, q = late.line()
+    r, s = early.line()
+    ahead = early.leaving
+    behind = late.entering
+    found = _of_whole_lines(late, early, lag)
+    found -= (p + q * (n - 1)) * ahead.once[..., : lag + 1]
+    found -= q * ahead.twice[..., : lag + 1]
+    found -= r * behind.once[..., : lag + 1]
+    found += s * behind.twice[..., : lag + 1]
+    return np.asarray(found / n)
+
+
+def _of_whole_lines(late: Moments, early: Moments, lag: int) -> Floats:
+    """The cubic of `line_products`: as if no sample of either signal were left out."""
+    p, q = late.line()
+    r, s = early.line()
+    late_total = late.total[..., None]
+    early_total = early.total[..., None]
+    factors = (
+        p * early_total + q * early.moment[..., None] + r * late_total + s * late.moment[..., None],
+        q * early_total - s * late_total,
+        -p * r,
+        -q * r,
+        -p * s,
+        -q * s,
+    )
+    powers = np.vander(np.arange(lag + 1.0), 4, increasing=True).T.copy()
+    factor = np.stack(np.broadcast_arrays(*factors), axis=-1)[..., 0, :]  # (6,) or (n, 6)
+    # not a BLAS product, whose last bits may depend on the number of cores
+    cubic = np.einsum("...i,ji->...j", factor, _sums_over_overlap(early.length))
+    return np.asarray(np.einsum("...j,jt->...t", cubic, powers))
+
+
+@cache
+def _sums_over_overlap(n: int) -> Floats:
+    """Coefficients of t^0..t^3, the rows, of 1, of t, and of the sums over k < n - t of 1, k + t,
+    k and (k + t) k, the columns: (4, 6).
+    """
+    t = Polynomial([0.0, 1.0])
     count = n - t
-    k1 = count * (count - 1) / 2
-    k2 = (count - 1) * count * (2 * count - 1) / 6
-    shifted = late_start + late_slope * t
-    line_by_signal = (
-        shifted * early_0 + late_slope * early_1 + early_start * late_0 + early_slope * late_1
-    )
-    line_by_line = (
-        shifted * early_start * count
-        + (shifted * early_slope + late_slope * early_start) * k1
-        + late_slope * early_slope * k2
-    )
-    return np.asarray((line_by_signal - line_by_line) / n)
-
-
-def _running(values: Floats) -> Floats:
-    found = np.zeros((*values.shape[:-1], values.shape[-1] + 1))
-    np.cumsum(values, axis=-1, out=found[..., 1:])
+    k = count * (count - 1.0) / 2.0
+    k2 = (count - 1.0) * count * (2.0 * count - 1.0) / 6.0
+    columns = (Polynomial([1.0]), t, count, t * count + k, k, t * k + k2)
+    found = np.zeros((4, len(columns)))
+    for place, column in enumerate(columns):
+        found[: column.coef.size, place] = column.coef
     return found
 
 
