@@ -232,8 +232,8 @@ def escape_findings(
     """Find an escape in the rms velocity of windows of about a second (n,), and in that of the
     force (n,) where it may change: a stronger force moves a stable device as much faster.
     """
-    calm = float(np.quantile(rms, 0.25))
-    usual = 0.0 if pushed is None else float(np.quantile(pushed, 0.25))
+    calm = _lower_quartile(rms)
+    usual = 0.0 if pushed is None else _lower_quartile(pushed)
     stronger = np.maximum(1.0, pushed / usual) if pushed is not None and usual > 0.0 else 1.0
     loud = np.flatnonzero(rms > ESCAPE_RATIO * calm * stronger)
     if not loud.size:
@@ -244,6 +244,12 @@ def escape_findings(
         " loop is not stable there"
     )
     return (Finding("escape", message, unstable=True),)
+
+
+def _lower_quartile(values: Floats) -> float:
+    """As `np.quantile`, which takes ten times as long for a few."""
+    place = 0.25 * (values.size - 1)
+    return float(np.interp(place, np.arange(values.size), np.sort(values)))
 
 
 def _drift(raw: Floats, without: Floats) -> tuple[Finding, ...]:
@@ -338,7 +344,7 @@ def line_of(trial: Spectra) -> UnexplainedLine | None:
         close[peak - 2 * LINE_WIDTH : peak - LINE_WIDTH],
         close[peak + LINE_WIDTH : peak + 2 * LINE_WIDTH],
     )
-    beside = max(float(np.median(side)) for side in sides)
+    beside = float(np.median(sides, axis=1).max())
     if close[peak] <= SMALL_LINE * total or close[peak] < LINE_HEIGHT * beside:
         return None
     about = trial.coherence[peak - LINE_WIDTH // 2 : peak + LINE_WIDTH // 2]

@@ -33,7 +33,7 @@ What would break it:
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import ceil, floor
 from typing import Any
 
@@ -111,7 +111,7 @@ class Spectra:
         """Lowest frequency of which the window says something, 1/(M T)."""
         return self.rate_hz / self.lag
 
-    @property
+    @cached_property
     def whole(self) -> bool:
         """Whether these are all lines of the window, which hold the estimate between them as
         well.
@@ -142,6 +142,16 @@ class Spectra:
         not `whole` give whatever frequencies they have inside. AnalysisError for an end outside
         0..rate/2.
         """
+        if band_hz not in self._bands:
+            self._bands[band_hz] = self._cut(band_hz)
+        return self._bands[band_hz]
+
+    @cached_property
+    def _bands(self) -> "dict[tuple[float, float], Spectra]":
+        """Those that were asked for."""
+        return {}
+
+    def _cut(self, band_hz: tuple[float, float]) -> "Spectra":
         if not self.whole:
             return self.part((self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1]))
         _inside(np.asarray(band_hz, np.float64), self.rate_hz)
@@ -209,7 +219,7 @@ class Spectra:
         """What the values were taken over, in words."""
         return f"window of {self.lag} samples"
 
-    @property
+    @cached_property
     def coherence(self) -> Floats:
         """Coherence g2 (F,), between 0 and 1; 0 where a channel has no power."""
         power = self.velocity * self.force

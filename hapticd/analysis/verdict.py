@@ -426,7 +426,7 @@ def _coherence(trial: Spectra, inside: Spectra) -> Floats:
     there side lobes of a drift may take power from the motion, and the perturbation then seems
     to explain more of it.
     """
-    found = inside.coherence
+    found = inside.coherence.copy()
     if trial.whole:
         for place in {0, found.size - 1}:
             below, above = lines_beside(inside.frequency_hz[place], trial.rate_hz, trial.lag)
