@@ -42,7 +42,7 @@ from hapticd.analysis.arrays import Flags, Values, aligned
 from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.engine.kernels import kernel
 from hapticd.engine.numbers import Filters, law_numbers, plant_numbers
-from hapticd.engine.shape import Shape, reduced, shape_of
+from hapticd.engine.shape import LANES_OF_RECORDS, Shape, reduced, shape_of
 from hapticd.engine.source import LAW_STATE, SCALARS
 from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams
@@ -110,8 +110,13 @@ def prepared(job: Job) -> Prepared:
     shape = shape_of(model, job.environment, damped, job.substeps, job.dtype)
     if job.keep not in KEEPS:
         raise ConfigError(f"keep {job.keep!r}: use one of {', '.join(KEEPS)}")
+    recorded = job.keep in ("records", "ticks")
     shape = replace(
-        shape, renders=job.renders, own_torque=job.own_torque, ticks=job.keep == "ticks"
+        shape,
+        lanes=LANES_OF_RECORDS[job.dtype] if recorded else shape.lanes,
+        renders=job.renders,
+        own_torque=job.own_torque,
+        ticks=job.keep == "ticks",
     )
     return Prepared(model, coordinates, shape, kernel(shape), SCALARS[shape.dtype])
 
