@@ -388,17 +388,17 @@ def test_report_of_a_device_has_every_figure(tmp_path, capsys, monkeypatch):
         (
             ["map", "--executor", "ray"],
             78,
-            "executor 'ray': use thread, process or dask://HOST:PORT",
+            "executor 'ray': use auto, thread, process or dask://HOST:PORT",
         ),
         (
             ["limits", "--executor", "dask://here"],
             78,
-            "executor 'dask://here': use thread, process or dask://HOST:PORT",
+            "executor 'dask://here': use auto, thread, process or dask://HOST:PORT",
         ),
         (
             ["search", "--executor", "dask:8786"],
             78,
-            "executor 'dask:8786': use thread, process or dask://HOST:PORT",
+            "executor 'dask:8786': use auto, thread, process or dask://HOST:PORT",
         ),
         (["walls", "--scene", "fig4"], 65, "it has no wall to hit"),
     ],

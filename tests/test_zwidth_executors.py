@@ -94,7 +94,7 @@ def every(kind: type[HapticdError]) -> list[type[HapticdError]]:
 def test_unknown_name_says_what_there_is(spec: str) -> None:
     with (
         pytest.raises(
-            ConfigError, match=f"executor {spec!r}: use thread, process or dask://HOST:PORT"
+            ConfigError, match=f"executor {spec!r}: use auto, thread, process or dask://HOST:PORT"
         ),
         executor(spec),
     ):
@@ -279,16 +279,26 @@ def test_outcomes_do_not_depend_on_the_size_of_a_task(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(("points", "size"), [(40, 40), (600, 64), (1100, 128), (5000, 256)])
-def test_tasks_grow_with_their_lot(points: int, size: int) -> None:
+def test_tasks_grow_with_their_lot_but_for_the_last(points: int, size: int) -> None:
     lot = TrialBatch(SHORT, 0.0, tuple((float(k), 0.0, 0.0) for k in range(points)))
     tasks = lot.tasks(TrialStore(None))
-    assert {len(task) for task in tasks[:-1]} <= {size}
+    sizes = [len(task) for task in tasks]
+    assert max(sizes) == size
+    assert sizes == sorted(sizes, reverse=True)
+    assert sum(size <= TOGETHER for size in sizes) >= min(8, len(sizes))
     assert np.array_equal(np.concatenate(tasks), np.array(lot.points))
 
 
-def test_thread_is_this_process() -> None:
-    with executor("thread") as pool:
+@pytest.mark.parametrize(("spec", "trials"), [("thread", 10**6), ("auto", 3999), ("auto", 0)])
+def test_threads_are_this_process(spec: str, trials: int) -> None:
+    with executor(spec, trials=trials) as pool:
         assert pool is None
+
+
+def test_thousands_of_trials_have_processes() -> None:
+    with executor("auto", trials=4000) as pool:
+        assert pool is not None
+        assert pool.submit(os.getpid).result() != os.getpid()
 
 
 def test_given_up_campaign_cancels_what_has_not_begun() -> None:

@@ -1,8 +1,9 @@
 """Where many trials run: on threads of this process, in processes of this machine, or on a Dask
 cluster.
 
+    auto                processes for thousands of trials, else threads
     thread              the engine's own threads; its kernels release the interpreter lock
-    process             a process for each core, started anew; for what holds the lock
+    process             a process for each core, started anew: verdicts hold the lock
     dask://HOST:PORT    the workers of a running scheduler (`dask scheduler`, `dask worker`)
 
 A task is a function and its arguments, a few kB; what comes back is some 2.5 kB a trial. Kernels
@@ -40,7 +41,8 @@ from hapticd.errors import ConfigError, HapticdError
 PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
 GREETING_MOST = 1 << 20  # bytes
 SAME = ("hapticd", "numpy", "numba")  # what the last bit of an outcome depends on
-SPECS = "thread, process or dask://HOST:PORT"
+SPECS = "auto, thread, process or dask://HOST:PORT"
+MANY = 4000  # trials of 90 s, from which on what verdicts wait for one another is more than a start
 DASK = re.compile(r"dask://(?P<host>[^/@:?#\s]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})")
 
 P = ParamSpec("P")
@@ -48,17 +50,17 @@ T = TypeVar("T")
 
 
 @contextmanager
-def executor(spec: str, processes: int | None = None) -> Iterator[Executor | None]:
+def executor(spec: str, processes: int | None = None, trials: int = 0) -> Iterator[Executor | None]:
     """The executor of that name, closed afterwards: what has not begun by then is given up. None
     for the threads here.
 
-    `processes` of a pool, by default one a core. ConfigError for another name, a scheduler that
-    does not answer, without workers or with workers of other versions, without the library;
-    HapticdError when workers die.
+    `processes` of a pool, by default one a core; `trials` that are expected, for "auto".
+    ConfigError for another name, a scheduler that does not answer, without workers or with workers
+    of other versions, without the library; HapticdError when workers die.
     """
-    if spec == "thread":
+    if spec == "thread" or (spec == "auto" and trials < MANY):
         yield None
-    elif spec == "process":
+    elif spec in ("process", "auto"):
         with _processes(processes or workers()) as pool:
             yield pool
     else:

@@ -29,6 +29,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, reduce
+from itertools import pairwise
 from math import inf, isnan, nan
 from typing import Any, TypeVar
 
@@ -168,8 +169,9 @@ def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) 
             finer = _finer(conditions, record, raw, needed[trial], shared)
             if low or finer is not raw:
                 pairs[trial] = _with_verdict(conditions, found, trial, finer, low)
+    limit_n = conditions.display.force_limit_n
     return [
-        _outcome(conditions, damping_ns_per_m, found, trial, pairs.get(trial))
+        _outcome(conditions, damping_ns_per_m, limit_n, found, trial, pairs.get(trial))
         for trial in range(len(points))
     ]
 
@@ -235,6 +237,7 @@ def _with_verdict(
 def _outcome(
     conditions: Conditions,
     damping: float,
+    limit_n: float,
     found: BatchResult,
     trial: int,
     pair: tuple[Spectra, Verdict] | None,
@@ -258,7 +261,6 @@ def _outcome(
             band_hz=conditions.band_hz,
         )
     spectra, verdict = pair
-    limit_n = conditions.display.force_limit_n
     doubtful = most >= SATURATED * limit_n or k < 0.0  # a K < 0 is active below every band
     z = _kept_impedance(spectra, conditions.band_hz)
     return Outcome(
@@ -390,11 +392,14 @@ class TrialBatch:
 
     def tasks(self, store: TrialStore) -> list[Floats]:
         """Points (n, 3) that the store has not, as many together as the engine does at once, or
-        several times as many where tasks are plenty.
+        several times as many where tasks are plenty; but for the last, for which no core should
+        wait long.
         """
         missing = [point for point, key in self.keys.items() if key not in store.known]
         size = TOGETHER * min(max(1, len(missing) // (TASKS * TOGETHER)), GROUPS)
-        return [np.array(missing[first : first + size]) for first in range(0, len(missing), size)]
+        long = max(0, len(missing) - TASKS * TOGETHER) // size * size
+        firsts = [*range(0, long, size), *range(long, len(missing), TOGETHER)]
+        return [np.array(missing[here:there]) for here, there in pairwise([*firsts, len(missing)])]
 
 
 def points_of(rows: Floats) -> tuple[Point, ...]:

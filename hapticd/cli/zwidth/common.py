@@ -63,10 +63,10 @@ Where = Annotated[
     str,
     typer.Option(
         "--executor",
-        metavar="thread|process|dask://HOST:PORT",
+        metavar="auto|thread|process|dask://HOST:PORT",
         help=(
-            "Where trials run: here, in a process a core, or on the workers of a Dask scheduler"
-            " (extra: cluster)."
+            "Where trials run: on threads here, in a process a core, or on the workers of a Dask"
+            " scheduler (extra: cluster); auto: processes for thousands of trials, else threads."
         ),
     ),
 ]
@@ -87,7 +87,7 @@ Admittance = Annotated[bool, typer.Option("--admittance", help="Draw the admitta
 class TrialsOptions:
     """How many trials are made alike: where they run, how long and in which noise, and the band."""
 
-    where: Where = "thread"
+    where: Where = "auto"
     seconds: Seconds = 90.0
     seed: Seed = 1
     band: Band = (2.0, 500.0)

@@ -91,11 +91,11 @@ def command(
             redraw(new)
 
     params = MapParams(conditions, axes, common.levels(damping), near, everywhere, refine)
-    with common.keeping(store, folder), executor(trials.where) as pool:
+    with common.keeping(store, folder):
         plan = plan_map(params)
         points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
         terminal.talk(f"{points} points predicted, {plan.trials} to be tried")
-        with progress() as tell:
+        with executor(trials.where, trials=plan.trials) as pool, progress() as tell:
             result = run_map(plan, store, tell, pool, follow)
     levels = [_level(level) for level in result.levels]
     asked = {"near": near, "everywhere": everywhere, "refine": refine}
