@@ -95,7 +95,8 @@ def _rms(torque: Any) -> dict[int, float]:
         lanes = Lanes(model(), "f64", ticks)
         lanes.torque = torque[: 4 * ticks].copy()
         lanes()
-        lengths[ticks] = float((lanes.group.squares[0] / lanes.group.samples[0]) ** 0.5)
+        sums = lanes.group.tallied()
+        lengths[ticks] = float((sums.squares[0] / sums.samples[0]) ** 0.5)
     return lengths
 
 

@@ -101,6 +101,7 @@ class BatchSections:
             self._vectors, TOGETHER, -1
         )
         self._held = 0  # sections that wait
+        self._newest = self._room(3 * self._vectors).reshape(self._vectors, -1)  # its moments
         self._rooms = (
             self._room(compiled.AT_ONCE * compiled.WORK).reshape(compiled.AT_ONCE, -1),
             self._room(compiled.PART),
@@ -119,11 +120,9 @@ class BatchSections:
         """
         if self._taken == len(self._force.table):
             raise ValueError(f"section {self._taken + 1}: the record has {self._taken}")
-        found = self._room(3 * self._vectors).reshape(self._vectors, -1)
-        self._compiled.gather(samples, place, self._waiting, self._held, found)
-        self._moments[self._taken] = (
-            found.reshape(self._vectors, 3, -1).swapaxes(0, 1).reshape(3, -1)
-        )
+        self._compiled.gather(samples, place, self._waiting, self._held, self._newest)
+        by_vector = self._newest.reshape(self._vectors, 3, self._lanes)
+        self._moments[self._taken] = by_vector.swapaxes(0, 1).reshape(3, -1)
         if self._taken == 0 or self._taken >= len(self._force.table) - 2:
             self._ends.append(self._copied())
         self._taken += 1

@@ -392,13 +392,14 @@ def _result(
     inputs: Inputs,
 ) -> BatchResult:
     n = group.count
-    samples = group.samples[:n].astype(np.int64)
+    sums = group.tallied()
+    samples = sums.samples[:n].astype(np.int64)
     return BatchResult(
         params=params,
-        sigma_v_m_per_s=np.sqrt(group.squares[:n] / np.maximum(samples, 1)),
+        sigma_v_m_per_s=np.sqrt(sums.squares[:n] / np.maximum(samples, 1)),
         max_force_n=group.rows["FORCE"][:n].astype(np.float64),
-        work_j=group.work[:n] / PROBE_RATE_HZ,
-        min_energy_j=group.lowest[:n] / PROBE_RATE_HZ,
+        work_j=sums.work[:n] / PROBE_RATE_HZ,
+        min_energy_j=sums.lowest[:n] / PROBE_RATE_HZ,
         samples=samples,
         rate_hz=float(PROBE_RATE_HZ),
         seconds=job.ticks / job.model.rate_hz,

@@ -174,12 +174,18 @@ BODIES = {
 }
 
 
-class Group:
-    """One group of lanes: `rows[name]` is a view of a row of its state array.
+@dataclass(frozen=True, eq=False)
+class Tallies:
+    """Sums over the samples of each lane, (lanes,) float64."""
 
-    Sums over the samples of each lane, float64: `squares` of the recorded velocity [(m/s)^2],
-    `work` of the perturbation and its `lowest` value [N m/s], `samples` that count.
-    """
+    squares: Array  # of the recorded velocity, (m/s)^2
+    work: Array  # of the perturbation, N m/s
+    lowest: Array  # value of `work`, N m/s
+    samples: Array  # that count
+
+
+class Group:
+    """One group of lanes: `rows[name]` is a view of a row of its state array."""
 
     def __init__(self, job: Job, made: Prepared, params: Array) -> None:
         lanes = made.shape.lanes
@@ -191,10 +197,8 @@ class Group:
             name: self.state[place * lanes : (place + 1) * lanes]
             for place, name in enumerate(names)
         }
-        self.squares = np.zeros(lanes)
-        self.work = np.zeros(lanes)
-        self.lowest = np.zeros(lanes)
-        self.samples = np.zeros(lanes)
+        self._tallies = Tallies(*np.zeros((4, lanes)))
+        self._untallied = 0  # ticks
         self.coefficients = np.zeros(max(1, len(made.kernel.COEFFICIENTS)), made.scalar)
         self.set(law_numbers(job.environment, job.filters, job.model.rate_hz))
         for column, name in enumerate("KBM" if job.renders else ""):
@@ -217,17 +221,27 @@ class Group:
                 self.coefficients[place] = numbers[name]
 
     def play(self, torque: Values, noise: Values, out: Values, ticks: int, keep: bool) -> None:
-        """Advance by `ticks`, tallied; `out` gets what each tick leaves if it is to `keep` it."""
+        """Advance by `ticks`; `out` gets what each tick leaves if it is to `keep` it."""
+        if self._untallied + ticks > BLOCK_TICKS:
+            self.tallied()
         self.made.kernel.run(self.state, self.coefficients, torque, noise, out, ticks, int(keep))
+        self._untallied += ticks
+        alive = self.rows["ALIVE"]
+        if not alive.all():
+            self._park(alive == 0.0)
+
+    def tallied(self) -> Tallies:
+        """Sums up to now."""
         rows = self.rows
-        self.lowest = np.minimum(self.lowest, self.work + rows["LOWEST"])
-        self.squares += rows["SPEED2"]
-        self.work += rows["WORK"]
-        self.samples += rows["TICKS"] * self.made.shape.samples
+        sums = self._tallies
+        np.minimum(sums.lowest, sums.work + rows["LOWEST"], out=sums.lowest)
+        sums.squares[:] += rows["SPEED2"]
+        sums.work[:] += rows["WORK"]
+        sums.samples[:] += rows["TICKS"] * self.made.shape.samples
         for name in ("SPEED2", "WORK", "LOWEST", "TICKS"):
             rows[name][:] = 0.0
-        if not rows["ALIVE"].all():
-            self._park(rows["ALIVE"] == 0.0)
+        self._untallied = 0
+        return sums
 
     def _park(self, lanes: Flags) -> None:
         moving = [
