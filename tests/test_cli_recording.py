@@ -48,8 +48,12 @@ def flown() -> RecordedFlight:
 
 @pytest.fixture
 def client(flown: RecordedFlight, monkeypatch: pytest.MonkeyPatch) -> ClientDouble:
+    return connected(flown, monkeypatch)
+
+
+def connected(flight: RecordedFlight, monkeypatch: pytest.MonkeyPatch) -> ClientDouble:
     clock = VirtualClock(NS_PER_S)
-    double = ClientDouble(flown, clock)
+    double = ClientDouble(flight, clock)
     for module in (recording, daemon):
         monkeypatch.setattr(module, "connect", lambda instance: double)
     monkeypatch.setattr(recorder, "MonotonicClock", lambda: clock)
@@ -149,6 +153,17 @@ def test_replay_with_other_settings_draws_both(
     svg = Path(lines[-2]).read_text()
     assert "SIMULATED" in svg
     assert "B=5, damping=0, filters.velocity_hz=60, filters.acceleration_hz=60" in svg
+
+
+def test_replay_without_force_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with RecordedFlight() as flight:
+        flight.fly(1500)
+    connected(flight, monkeypatch)
+    assert main(["record", str(tmp_path / "rest.h5")]) == 0
+    assert main(["replay", str(tmp_path / "rest.h5")]) == 0
+    assert "no force in either: it was off, or nothing moved; " in capsys.readouterr().out
 
 
 def test_replay_of_a_wrong_setting_is_usage(file: Path) -> None:

@@ -293,5 +293,10 @@ def _show_replay(found: dict[str, Any]) -> None:
         rms_n = found["force_rms_n"][name]
         peak_n = found["force_peak_n"][name]
         terminal.data(f"force {word:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N")
+    if not any(found["force_peak_n"].values()):
+        terminal.data(
+            "no force in either: it was off, or nothing moved; enable it, set a stiffness and move"
+            " the handle while it is recorded"
+        )
     for path in found.get("figures", []):
         terminal.data(path)

@@ -7,6 +7,7 @@ beside the verdict it is said what would decide an undecided trial, and how sing
 with the noise.
 """
 
+import sys
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -389,12 +390,14 @@ def _show(
         files = [str(path) for path in paths]
         terminal.data_json({"ok": True, **found, "folder": str(folder), "figures": files})
         return
-    for line in _lines(result, sines):
-        terminal.data(line)
+    for line in _lines(result):
+        terminal.data(terminal.wrapped(line, sys.stdout))
+    if sines is not None:
+        terminal.data(compared(result, sines))
     common.print_kept(folder, paths)
 
 
-def _lines(result: "TrialResult", sines: "ReferenceSines | None") -> list[str]:
+def _lines(result: "TrialResult") -> list[str]:
     """What is printed of a trial: what was tried, the verdict, what it rests on."""
     badge = "SIMULATED " if result.recorded.simulated else ""
     what = common.environment_words(result.plan.params.trial)
@@ -406,8 +409,6 @@ def _lines(result: "TrialResult", sines: "ReferenceSines | None") -> list[str]:
         lines.append(f"ended early: {result.recorded.ended}")
     if result.verdict.answer == "undecided":
         lines.append(needed(result))
-    if sines is not None:
-        lines.append(compared(result, sines))
     return lines
 
 
