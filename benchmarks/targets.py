@@ -72,9 +72,9 @@ TABLE: dict[str, dict[str, Target]] = {
             "information: half a period, and the gateway",
         ),
         "set_p99_ms": Target(
-            "<= the echo's p99 + 2.2",
+            "<= the echo's p99 + 1.4",
             "the same",
-            "a period of waiting for the tick, and 1.2 ms until the gateway has seen it",
+            "a period of waiting for the tick, and 0.4 ms for a pass of the gateway",
         ),
     },
     "cli_verbs": {

@@ -1,6 +1,7 @@
 """The guard's worker: what it starts from, what it says, and that it outlives a bad request."""
 
 import json
+import os
 import socket
 import struct
 import subprocess
@@ -115,6 +116,8 @@ def test_worker_says_hello_answers_and_ends_with_the_gateway(runtime: Path) -> N
         assert hello["model_hash"] == setup["model_hash"] != ""
         assert hello["config_hash"] == setup["config_hash"]
         assert hello["pid"] == process.pid
+        # woken by a question it takes nobody's core
+        assert os.sched_getscheduler(process.pid) == os.SCHED_BATCH
         send(line, REQUEST)
         assert receive(line)["action"] == "apply"
         line.close()
