@@ -2,10 +2,12 @@
 
 All numbers are in SI and double precision; only sums over many trials at once may be float32
 (`Values`). A vector load that crosses the border of two cache lines costs twice as much, and the
-vectors of `batch_fft` may only be loaded from such a border: `aligned` makes arrays for them.
+vectors of `batch_fft` may only be loaded from such a border: `aligned` makes arrays for them. What
+is asked for again and again is kept by `once`.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +19,27 @@ Integers = npt.NDArray[np.int64]  # places in another array
 Values = npt.NDArray[np.floating[Any]]  # float32 or float64, as the batch has them
 
 CACHE_LINE = 64  # bytes; vector loads across its border cost double
+
+T = TypeVar("T")
+
+
+class once(Generic[T]):
+    """A property that is computed at the first look and kept in its object.
+
+    As `functools.cached_property`, which in Python 3.11 holds a lock for all objects and threads
+    while it computes. Two threads may compute the same here, to the same bits.
+    """
+
+    def __init__(self, compute: Callable[[Any], T]) -> None:
+        self._compute = compute
+        self._name = compute.__name__
+        self.__doc__ = compute.__doc__
+
+    def __get__(self, owner: Any, kind: type) -> T:
+        """The kept value; `owner` then has it under the same name, and this is not asked again."""
+        found = self._compute(owner)
+        owner.__dict__[self._name] = found
+        return found
 
 
 def alternating(count: int) -> Floats:

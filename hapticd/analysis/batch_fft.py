@@ -15,16 +15,16 @@ Transforms. A section of real samples x, padded to 4,096, is a complex series z[
 x[2n+1] of 2,048 points, half of them zero:
 
     gather     the samples of a section, which lie among those of other trials, side by side
-    columns    b = 0..63:  DFT of 32 points (16 of them zero) over n = 64 a + b,
+    _columns   b = 0..63:  DFT of 32 points (16 of them zero) over n = 64 a + b,
                times exp(-2 pi i b k1 / 2048)  -> row k1
-    row        k1 = 0..32: DFT of 64 points over b  -> Z[k1 + 32 k2]
-    take       Z[k] and Z[2048-k] -> X[k] and X[2048-k] of the real series -> sums over sections
+    _row       k1 = 0..32: DFT of 64 points over b  -> Z[k1 + 32 k2]
+    _take      Z[k] and Z[2048-k] -> X[k] and X[2048-k] of the real series -> sums over sections
 
 Caches. The arithmetic would take a quarter of a trial's time; the rest is moving numbers. The sums
-of a vector are 1 MB, so all sections that wait are summed for one vector before the next one, even
-k1 before odd ones (half of the sums), and two sections for each time that a sum is loaded. Rows k1
-and 32 - k1 are transformed in place and summed at once, while they are in the first-level cache.
-What one trial gets does not depend on its neighbours in the vector.
+of a vector are 1 MB. So all sections that wait are summed for one vector before the next one is
+begun; even k1, which need half of the sums, come before odd ones; and each sum is loaded once for
+two sections. Rows k1 and 32 - k1 are transformed in place and summed at once, while they are in the
+first-level cache. What one trial gets does not depend on its neighbours in the vector.
 
 What would break it: arrays that do not begin on a border of 64 bytes (`arrays.aligned` makes those
 that do), or llvmlite without typed pointers in its IR builder.
@@ -339,7 +339,7 @@ def _row(work, at, by64):  # type: ignore[no-untyped-def]
 @njit(forceinline=True)
 def _added(sums, pr, pi, xr, xi, sign, force, n, p, first):  # type: ignore[no-untyped-def]
     """Add section n's X[k] = xr + i xi to the sums of its bin: velocity with what came before,
-    force ahead and behind, which are the four from `first` on.
+    force ahead and behind, force[n, p, first : first + 4].
     """
     vr, vi, ar, ai, br, bi = sums
     gr = force[n, p, first]

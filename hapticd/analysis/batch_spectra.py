@@ -36,7 +36,7 @@ from hapticd.analysis.covariances import NO_SAMPLES, Moments, Sections, line_pro
 from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.analysis.spectra import on_the_grid
 
-TOGETHER = 8  # sections: a vector's sums come into the cache once for so many, which wait in 4 MB
+TOGETHER = 8  # sections that wait, 4 MB: a vector's sums are brought into the cache once for all
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ class BatchSections:
             self._vectors, TOGETHER, -1
         )
         self._held = 0  # sections that wait
-        self._newest = self._room(3 * self._vectors).reshape(self._vectors, -1)  # its moments
+        self._newest_moments = self._room(3 * self._vectors).reshape(self._vectors, -1)
         self._rooms = (
             self._room(compiled.AT_ONCE * compiled.WORK).reshape(compiled.AT_ONCE, -1),
             self._room(compiled.PART),
@@ -120,8 +120,8 @@ class BatchSections:
         """
         if self._taken == len(self._force.table):
             raise ValueError(f"section {self._taken + 1}: the record has {self._taken}")
-        self._compiled.gather(samples, place, self._waiting, self._held, self._newest)
-        by_vector = self._newest.reshape(self._vectors, 3, self._lanes)
+        self._compiled.gather(samples, place, self._waiting, self._held, self._newest_moments)
+        by_vector = self._newest_moments.reshape(self._vectors, 3, self._lanes)
         self._moments[self._taken] = by_vector.swapaxes(0, 1).reshape(3, -1)
         if self._taken == 0 or self._taken >= len(self._force.table) - 2:
             self._ends.append(self._copied())
@@ -223,7 +223,7 @@ def _bins() -> Integers:
 
 @cache
 def _place_of_bin() -> tuple[Integers, Integers]:
-    """Pair of every bin 0..M, and whether the bin is the upper one of it."""
+    """Pair of every bin 0..M, and whether the bin is the upper one of its pair."""
     pair = np.empty(LAG + 1, np.int64)
     side = np.zeros(LAG + 1, np.int64)
     pair[_bins()] = np.arange(_bins().size)

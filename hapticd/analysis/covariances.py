@@ -19,12 +19,12 @@ sixteen digits.
 """
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from hapticd.analysis.arrays import Floats
+from hapticd.analysis.arrays import Floats, once
 from hapticd.analysis.kernels import kernels
 from hapticd.errors import AnalysisError
 
@@ -76,14 +76,14 @@ class Moments:
         )
         return mean - 0.5 * (n - 1) * slope, slope
 
-    @cached_property
+    @once
     def leaving(self) -> "Running":
-        """What the last t samples amount to, backwards from the end."""
+        """Sums over the last samples, backwards from the end."""
         return Running.of(self.tail[..., ::-1])
 
-    @cached_property
+    @once
     def entering(self) -> "Running":
-        """What the first t samples amount to."""
+        """Sums over the first samples."""
         return Running.of(self.head)
 
 
@@ -152,10 +152,10 @@ def _of_whole_lines(late: Moments, early: Moments, lag: int) -> Floats:
     return np.asarray(np.einsum("...j,jt->...t", cubic, powers))
 
 
-@cache
+@lru_cache(maxsize=8)
 def _sums_over_overlap(n: int) -> Floats:
-    """Coefficients of t^0..t^3, the rows, of 1, of t, and of the sums over k < n - t of 1, k + t,
-    k and (k + t) k, the columns: (4, 6).
+    """Coefficients of t^0..t^3 (4, 6), a row for each power. The columns are 1 and t, and the sums
+    over k < n - t of 1, of k + t, of k, and of (k + t) k.
     """
     t = Polynomial([0.0, 1.0])
     count = n - t

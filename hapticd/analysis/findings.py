@@ -247,7 +247,7 @@ def escape_findings(
 
 
 def _lower_quartile(values: Floats) -> float:
-    """As `np.quantile`, which takes ten times as long for a few."""
+    """As `np.quantile`, which takes ten times as long for a few values."""
     place = 0.25 * (values.size - 1)
     return float(np.interp(place, np.arange(values.size), np.sort(values)))
 

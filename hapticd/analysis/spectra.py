@@ -33,14 +33,14 @@ What would break it:
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from math import ceil, floor
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
+from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers, once
 from hapticd.analysis.covariances import (
     NO_SAMPLES,
     TOGETHER,
@@ -111,7 +111,7 @@ class Spectra:
         """Lowest frequency of which the window says something, 1/(M T)."""
         return self.rate_hz / self.lag
 
-    @cached_property
+    @once
     def whole(self) -> bool:
         """Whether these are all lines of the window, which hold the estimate between them as
         well.
@@ -142,16 +142,18 @@ class Spectra:
         not `whole` give whatever frequencies they have inside. AnalysisError for an end outside
         0..rate/2.
         """
-        if band_hz not in self._bands:
-            self._bands[band_hz] = self._cut(band_hz)
-        return self._bands[band_hz]
+        ends_hz = float(band_hz[0]), float(band_hz[1])
+        if ends_hz not in self._bands:
+            self._bands[ends_hz] = self._cut(ends_hz)
+        return self._bands[ends_hz]
 
-    @cached_property
+    @once
     def _bands(self) -> "dict[tuple[float, float], Spectra]":
-        """Those that were asked for."""
+        """Bands that were cut before, by their ends [Hz]."""
         return {}
 
     def _cut(self, band_hz: tuple[float, float]) -> "Spectra":
+        """See `band`."""
         if not self.whole:
             return self.part((self.frequency_hz >= band_hz[0]) & (self.frequency_hz <= band_hz[1]))
         _inside(np.asarray(band_hz, np.float64), self.rate_hz)
@@ -219,14 +221,17 @@ class Spectra:
         """What the values were taken over, in words."""
         return f"window of {self.lag} samples"
 
-    @cached_property
+    @once
     def coherence(self) -> Floats:
-        """Coherence g2 (F,), between 0 and 1; 0 where a channel has no power."""
+        """Coherence g2 (F,), between 0 and 1; 0 where a channel has no power. Not to be written to:
+        whoever asks gets the same array.
+        """
         power = self.velocity * self.force
         square = self.cross.real**2 + self.cross.imag**2
-        return np.clip(
-            np.divide(square, power, out=np.zeros_like(power), where=power > 0.0), 0.0, 1.0
-        )
+        share = np.divide(square, power, out=np.zeros_like(power), where=power > 0.0)
+        found = np.clip(share, 0.0, 1.0)
+        found.flags.writeable = False
+        return found
 
 
 def spectra(
