@@ -163,7 +163,7 @@ def test_replay_without_force_says_so(
     connected(flight, monkeypatch)
     assert main(["record", str(tmp_path / "rest.h5")]) == 0
     assert main(["replay", str(tmp_path / "rest.h5")]) == 0
-    assert "no force in either: it was off, or nothing moved; " in capsys.readouterr().out
+    assert "no force in either: force was off, or nothing moved; " in capsys.readouterr().out
 
 
 def test_replay_of_a_wrong_setting_is_usage(file: Path) -> None:

@@ -295,8 +295,8 @@ def _show_replay(found: dict[str, Any]) -> None:
         terminal.data(f"force {word:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N")
     if not any(found["force_peak_n"].values()):
         terminal.data(
-            "no force in either: it was off, or nothing moved; enable it, set a stiffness and move"
-            " the handle while it is recorded"
+            "no force in either: force was off, or nothing moved; enable the display, set a"
+            " stiffness and move the handle while it records"
         )
     for path in found.get("figures", []):
         terminal.data(path)

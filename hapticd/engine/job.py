@@ -176,11 +176,11 @@ BODIES = {
 
 @dataclass(frozen=True, eq=False)
 class Tallies:
-    """Sums over the samples of each lane, (lanes,) float64."""
+    """Sums over the samples of each lane, (lanes,) float64. The group goes on adding to them."""
 
     squares: Array  # of the recorded velocity, (m/s)^2
     work: Array  # of the perturbation, N m/s
-    lowest: Array  # value of `work`, N m/s
+    lowest: Array  # value of `work` so far, N m/s
     samples: Array  # that count
 
 
@@ -331,7 +331,7 @@ class Heating:
 
 # --- what drives a group --------------------------------------------------------------------------
 
-BLOCK_TICKS = 8192  # between two calls of a kernel, at most
+BLOCK_TICKS = 8192  # in a call of a kernel, and between two tallies, at most
 
 
 class Inputs:

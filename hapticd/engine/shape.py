@@ -39,7 +39,7 @@ from hapticd.plant.model import Array, Contact, Ends, Model, Output, Outputs, Ro
 from hapticd.units import PROBE_RATE_HZ
 
 LANES = {"f32": 64, "f64": 32}  # trials side by side in a kernel: four cache lines of each row
-# where records are kept: often of a few trials, which would pay for the places of all the others
+# where records are kept: often of a few trials, for which most of a wide group would be empty
 LANES_OF_RECORDS = {"f32": 16, "f64": 8}
 
 

@@ -1,9 +1,9 @@
 """Where many trials run: on threads of this process, in processes of this machine, or on a Dask
 cluster.
 
-    auto                processes for thousands of trials, else threads
+    auto                processes for a map of thousands of trials, else threads
     thread              the engine's own threads; its kernels release the interpreter lock
-    process             a process for each core, started anew: verdicts hold the lock
+    process             a process for each core, started anew; for verdicts, which hold the lock
     dask://HOST:PORT    the workers of a running scheduler (`dask scheduler`, `dask worker`)
 
 A task is a function and its arguments, a few kB; what comes back is some 2.5 kB a trial. Kernels
@@ -42,7 +42,8 @@ PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
 GREETING_MOST = 1 << 20  # bytes
 SAME = ("hapticd", "numpy", "numba")  # what the last bit of an outcome depends on
 SPECS = "auto, thread, process or dask://HOST:PORT"
-MANY = 4000  # trials of 90 s, from which on what verdicts wait for one another is more than a start
+# trials of 90 s: from here on threads wait longer for the lock than processes take to start
+MANY = 4000
 DASK = re.compile(r"dask://(?P<host>[^/@:?#\s]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})")
 
 P = ParamSpec("P")
@@ -58,7 +59,8 @@ def executor(spec: str, processes: int | None = None, trials: int = 0) -> Iterat
     ConfigError for another name, a scheduler that does not answer, without workers or with workers
     of other versions, without the library; HapticdError when workers die.
     """
-    if spec == "thread" or (spec == "auto" and trials < MANY):
+    few = trials < MANY or workers() == 1
+    if spec == "thread" or (spec == "auto" and few):
         yield None
     elif spec in ("process", "auto"):
         with _processes(processes or workers()) as pool:
@@ -66,6 +68,12 @@ def executor(spec: str, processes: int | None = None, trials: int = 0) -> Iterat
     else:
         with _cluster(_address(spec)) as pool:
             yield pool
+
+
+def checked(spec: str) -> None:
+    """ConfigError unless there may be an executor of that name."""
+    if spec not in ("auto", "thread", "process"):
+        _address(spec)
 
 
 def alone(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:

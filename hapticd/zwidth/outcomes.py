@@ -63,7 +63,7 @@ from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_wa
 from hapticd.zwidth.store import TrialStore, fingerprint
 
 TOGETHER = LANES["f32"]  # trials that the engine does at once
-GROUPS = 4  # of so many in a task: the trials of a few that need their records fill one
+GROUPS = 4  # of so many in a task: the trials that need their records are simulated together
 TASKS = 8  # of a batch, before its tasks grow
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
@@ -392,8 +392,8 @@ class TrialBatch:
 
     def tasks(self, store: TrialStore) -> list[Floats]:
         """Points (n, 3) that the store has not, as many together as the engine does at once, or
-        several times as many where tasks are plenty; but for the last, for which no core should
-        wait long.
+        several times as many where tasks are plenty. The last tasks are small, so that no core
+        waits long for another.
         """
         missing = [point for point, key in self.keys.items() if key not in store.known]
         size = TOGETHER * min(max(1, len(missing) // (TASKS * TOGETHER)), GROUPS)

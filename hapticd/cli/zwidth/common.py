@@ -66,7 +66,8 @@ Where = Annotated[
         metavar="auto|thread|process|dask://HOST:PORT",
         help=(
             "Where trials run: on threads here, in a process a core, or on the workers of a Dask"
-            " scheduler (extra: cluster); auto: processes for thousands of trials, else threads."
+            " scheduler (extra: cluster); auto: processes for a map of thousands of trials, else"
+            " threads."
         ),
     ),
 ]

@@ -74,7 +74,7 @@ def command(
     new outcome is a line, and the last line is the result; trials that --out had kept already are
     in its trials.jsonl.
     """
-    from hapticd.zwidth.executors import executor
+    from hapticd.zwidth.executors import checked, executor
     from hapticd.zwidth.map import MapParams, plan_map, run_map
     from hapticd.zwidth.store import TrialStore, to_json
 
@@ -91,11 +91,13 @@ def command(
             redraw(new)
 
     params = MapParams(conditions, axes, common.levels(damping), near, everywhere, refine)
+    checked(trials.where)
     with common.keeping(store, folder):
         plan = plan_map(params)
         points = len(plan.levels) * axes[0].size * axes[1].size * axes[2].size
         terminal.talk(f"{points} points predicted, {plan.trials} to be tried")
-        with executor(trials.where, trials=plan.trials) as pool, progress() as tell:
+        missing = plan.trials - len(store.known)
+        with executor(trials.where, trials=missing) as pool, progress() as tell:
             result = run_map(plan, store, tell, pool, follow)
     levels = [_level(level) for level in result.levels]
     asked = {"near": near, "everywhere": everywhere, "refine": refine}
