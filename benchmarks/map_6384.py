@@ -2,10 +2,10 @@
 device. Wall clock.
 
 A laboratory needs 13 days for it. All trials are made, near the predicted boundary with 4
-sub-steps, elsewhere with one, where `hapticd zwidth map` makes so many: in a process for each core,
-whose start counts. The yardstick is what the same trials cost in C with the same
-sub-steps, every sample left, and their spectra by FFTW, all cores at once; it is timed before,
-between and after the two levels, and its median counts.
+sub-steps, elsewhere with one. They run as `hapticd zwidth map` runs them, in a process for each
+core; the start of the processes counts, their end does not. The yardstick is what the same trials
+cost in C with the same sub-steps, every sample left, and their spectra by FFTW, all cores at once;
+it is timed before, between and after the two levels, and its median counts.
 """
 
 import time

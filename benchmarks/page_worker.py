@@ -25,6 +25,7 @@ from pathlib import Path
 import zmq
 import zmq.asyncio
 from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.client import connect
 from websockets.typing import Origin
@@ -60,9 +61,10 @@ async def forward(endpoint: str) -> None:
         socket = context.socket(zmq.SUB)
         socket.subscribe(b"")
         socket.connect(endpoint)
-        while True:
-            kind, data = await socket.recv_multipart()
-            await browser.send(data if kind == BINARY else data.decode())
+        with suppress(ConnectionClosed):
+            while True:
+                kind, data = await socket.recv_multipart()
+                await browser.send(data if kind == BINARY else data.decode())
 
     async with serve(live, HOST, 0, compression=None) as server:
         host, port = server.sockets[0].getsockname()

@@ -45,7 +45,7 @@ def main(arguments: list[str]) -> int:
     asked = parser.parse_args(arguments)
     on_stop(_end)
     die_with_parent(asked.parent)
-    _let_others_finish()
+    _be_a_batch()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy loads; threads only wait
     from hapticd.analysis.judge import Judge
 
@@ -59,11 +59,11 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _let_others_finish() -> None:
+def _be_a_batch() -> None:
     """Woken by a question, this process would take the gateway's core for some 3 ms, in the middle
-    of a pass; one that Linux calls a batch waits for its turn.
+    of a pass. A process of SCHED_BATCH waits until the core is free.
     """
-    with suppress(OSError):  # where that is not allowed it is only slower
+    with suppress(OSError):  # where that is not allowed, changes act a little later
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
