@@ -67,6 +67,7 @@ class Moments:
             np.concatenate((self.tail, block))[-keep:],
         )
 
+    @once
     def line(self) -> tuple[Floats, Floats]:
         """Value at k = 0 and slope per sample of the least-squares line, (1,) or (n, 1)."""
         n = self.length
@@ -119,8 +120,8 @@ def line_products(late: Moments, early: Moments, lag: int) -> Floats:
     a cubic in t, less what the last t samples of `early` and the first t of `late` would add.
     """
     n = early.length
-    p, q = late.line()
-    r, s = early.line()
+    p, q = late.line
+    r, s = early.line
     ahead = early.leaving
     behind = late.entering
     found = _of_whole_lines(late, early, lag)
@@ -133,8 +134,8 @@ def line_products(late: Moments, early: Moments, lag: int) -> Floats:
 
 def _of_whole_lines(late: Moments, early: Moments, lag: int) -> Floats:
     """The cubic of `line_products`: as if no sample of either signal were left out."""
-    p, q = late.line()
-    r, s = early.line()
+    p, q = late.line
+    r, s = early.line
     late_total = late.total[..., None]
     early_total = early.total[..., None]
     factors = (
@@ -145,11 +146,16 @@ def _of_whole_lines(late: Moments, early: Moments, lag: int) -> Floats:
         -p * s,
         -q * s,
     )
-    powers = np.vander(np.arange(lag + 1.0), 4, increasing=True).T.copy()
     factor = np.stack(np.broadcast_arrays(*factors), axis=-1)[..., 0, :]  # (6,) or (n, 6)
     # not a BLAS product, whose last bits may depend on the number of cores
     cubic = np.einsum("...i,ji->...j", factor, _sums_over_overlap(early.length))
-    return np.asarray(np.einsum("...j,jt->...t", cubic, powers))
+    return np.asarray(np.einsum("...j,jt->...t", cubic, _powers(lag)))
+
+
+@lru_cache(maxsize=8)
+def _powers(lag: int) -> Floats:
+    """t^0..t^3 for t = 0..lag, (4, lag + 1)."""
+    return np.vander(np.arange(lag + 1.0), 4, increasing=True).T.copy()
 
 
 @lru_cache(maxsize=8)

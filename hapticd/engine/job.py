@@ -11,7 +11,7 @@ one period of the torque record, no longer than a block (and, where a winding he
 refresh; where spectra are kept, inside one section).
 
 Group: the kernel tallies in its own precision within a block; blocks add up in double. A lane that
-diverged is parked: its state is zeroed after the block, and its sums have stopped at that tick (see
+diverged is parked: its state is zeroed after the leg, and its sums have stopped at that tick (see
 `source`).
 
 Heating: where a winding warms up, the kernel's coefficients follow the temperature of every lane.
