@@ -30,7 +30,7 @@ from typing import NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from blind_rig import REFUSED, BlindRig, first_day
+from support.blind_rig import REFUSED, BlindRig, first_day
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared

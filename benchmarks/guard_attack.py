@@ -33,7 +33,7 @@ from typing import NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from whole_tick import Display, Point
+from support.whole_tick import Display, Point
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared

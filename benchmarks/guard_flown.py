@@ -16,7 +16,7 @@ from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
-from whole_tick import PlainHand, Point, held_mass
+from support.whole_tick import PlainHand, Point, held_mass
 
 from benchmarks.guard_desk import DeskClient, GuardedStack
 from benchmarks.guard_flight import (

@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from whole_tick import Point
+from support.whole_tick import Point
 
 from hapticd.errors import HapticdError
 from hapticd.gateway.commands import posting

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from passive_hands import random_hands
 from scipy.optimize import minimize
-from whole_tick import (
+from support.passive_hands import random_hands
+from support.whole_tick import (
     NOBODY,
     SETTLED,
     Display,

@@ -12,7 +12,7 @@ import numpy as np
 DOCS = Path(__file__).resolve().parent
 sys.path[:0] = [str(DOCS.parent / "tests")]
 
-from blind_rig import BlindRig, first_day  # noqa: E402
+from support.blind_rig import BlindRig, first_day  # noqa: E402
 
 from hapticd.report.style import BLACK, BLUE, ORANGE, WIDTH_IN, axes, styled  # noqa: E402
 from hapticd.rig.motor import fitted  # noqa: E402

@@ -17,8 +17,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from attacks.rows import Outcome, Row
-from attacks.table import ROWS
+from support.attacks.rows import Outcome, Row
+from support.attacks.table import ROWS
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "build" / "attack.json"

@@ -11,13 +11,13 @@ import pytest
 from hapticd.mailbox import files
 
 if TYPE_CHECKING:
-    from recorded import RecordedFlight
+    from support.recorded import RecordedFlight
 
 # as an installation has it by its entry point, also where hapticd is only on the path
 pytest_plugins = ["hapticd.pytest_plugin"]
 
-# run in another kernel, by test_usb_stack.py; its conftest.py speaks to that test on the console
-collect_ignore = ["usb_guest"]
+# helpers; the cases of usb_guest run in another kernel, and its conftest.py speaks to that kernel
+collect_ignore = ["support"]
 
 MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x86
 
@@ -97,8 +97,8 @@ def recorded_run() -> "RecordedFlight":
     """Three seconds with active damping switched live and one lost frame; the stack is gone, its
     messages are there.
     """
-    from models import board_params
-    from recorded import RecordedFlight
+    from support.boards import board_params
+    from support.recorded import RecordedFlight
 
     from hapticd.mailbox.layout import Command, Value
     from hapticd.params import InjectionParams
@@ -120,7 +120,7 @@ def recording_file(
     recorded_run: "RecordedFlight", tmp_path_factory: pytest.TempPathFactory
 ) -> Path:
     """A finished recording of `recorded_run`."""
-    from recorded import recorded_into
+    from support.recorded import recorded_into
 
     path = tmp_path_factory.mktemp("recording") / "run.h5"
     assert recorded_into(path, recorded_run)["ended"] == "daemon ended"

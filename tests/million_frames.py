@@ -18,10 +18,10 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
-from firmware_board import FirmwareBoard
-from firmware_build import COVERED, REFERENCE, SANITIZED, fuzz, reached
-from firmware_trial import fig7_trial
-from hostile import Tally, compare_boards
+from support.firmware_board import FirmwareBoard
+from support.firmware_build import COVERED, REFERENCE, SANITIZED, fuzz, reached
+from support.firmware_trial import fig7_trial
+from support.hostile import Tally, compare_boards
 
 from hapticd.sim.board import BoardModel
 

@@ -34,9 +34,9 @@ from typing import get_args
 from unittest.mock import patch
 
 import tomlkit
-from blind_hand import Person
-from blind_rig import EDITS, TEMPLATE, BlindRig
-from blind_truth import NOMINAL, BlindBoard, drawn
+from support.blind_hand import Person
+from support.blind_rig import EDITS, TEMPLATE, BlindRig
+from support.blind_truth import NOMINAL, BlindBoard, drawn
 
 import hapticd.cli
 from hapticd.assembly import servo_main

@@ -29,7 +29,7 @@ import zmq
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from attacks.live import LiveDaemon, Subscriber, Watch, usage
+from support.attacks.live import LiveDaemon, Subscriber, Watch, usage
 
 from benchmarks.cyclictest import wakes_beyond_period
 from benchmarks.late import fisher_p

@@ -23,9 +23,10 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
-from attacks.live import DTYPE
-from models import board_params, servo_params
 from soak import BOARD_TIME_US, FAULTS, RATE_HZ, ROOT
+from support.attacks.live import DTYPE
+from support.boards import board_params
+from support.models import servo_params
 
 from benchmarks.attack import Operator
 from hapticd.assembly.lockstep import LockStep

@@ -4,7 +4,7 @@ with.
 
 import numpy as np
 import pytest
-from foreign import MARK_AT, own, played, recorded, without
+from support.foreign import MARK_AT, own, played, recorded, without
 
 from hapticd.analysis.alignment import align, find_marks
 from hapticd.analysis.matching import fitting, interpolated

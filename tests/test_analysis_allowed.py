@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from guard_device import (
+from support.guard_device import (
     VISCOUS_NS_PER_M,
     change,
     rigid,

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from spectral_trials import exact_trial, mass_damper, record
+from support.spectral_trials import exact_trial, mass_damper, record
 
 from hapticd.analysis.channels import MODES_SKEW_S, channel_findings, high_pass, skew
 from hapticd.analysis.spectra import corrected, spa

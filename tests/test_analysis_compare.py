@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from analysis_devices import display, rigid
-from spectral_trials import exact_trial, mass_damper
+from support.analysis_devices import display, rigid
+from support.spectral_trials import exact_trial, mass_damper
 
 from hapticd.analysis.compare import (
     EnvelopeConditions,

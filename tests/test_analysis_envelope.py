@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from spectral_trials import exact_trial, mass_damper
+from support.spectral_trials import exact_trial, mass_damper
 
 from hapticd.analysis.envelope import (
     EnvelopeTrial,

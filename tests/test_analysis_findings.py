@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from spectral_trials import exact_trial, mass_damper, record
+from support.spectral_trials import exact_trial, mass_damper, record
 
 from hapticd.analysis.findings import coherence_findings, examine
 from hapticd.analysis.spectra import spa

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from spectral_trials import LAG, RATE_HZ, mass_damper
+from support.spectral_trials import LAG, RATE_HZ, mass_damper
 
 from hapticd.analysis.covariances import Covariances
 from hapticd.analysis.findings import leakage_findings, shrinkage

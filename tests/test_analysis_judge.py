@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from guard_device import FREE, change, rigid, rigid_judge, setup_of, shipped_judge
+from support.guard_device import FREE, change, rigid, rigid_judge, setup_of, shipped_judge
 
 from hapticd.analysis import policies
 from hapticd.analysis.coupled import coupled_radius, shaking_hand

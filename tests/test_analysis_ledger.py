@@ -4,7 +4,7 @@ motor that follows late.
 
 import numpy as np
 import pytest
-from held_force import T, exact_work, in_effect, sampled
+from support.held_force import T, exact_work, in_effect, sampled
 
 from hapticd.analysis.ledger import CAUSES, SAMPLE, book
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from analysis_devices import display, rigid
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.analysis_devices import display, rigid
 
 from hapticd.analysis.linearise import (
     GAIN,

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from analysis_devices import display, law_on_device, rigid
+from support.analysis_devices import display, law_on_device, rigid
 
 from hapticd.analysis.loop import (
     derivatives,

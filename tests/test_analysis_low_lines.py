@@ -4,10 +4,10 @@ resonance, however narrow, not friction, counts or noise of the probe.
 
 from functools import cache
 
-import analysis_devices
 import numpy as np
 import pytest
-from measured_scenes import MOTOR, scene
+from support import analysis_devices
+from support.measured_scenes import MOTOR, scene
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.findings import Finding
@@ -41,7 +41,7 @@ DRY = display(0.3, Coulomb(rotor_n=0.03), mass_kg=0.023)
 
 
 @cache
-def records(device: Scene | Model, stiffness: float, seeds: int, seconds: float = 90.0):
+def trial_records(device: Scene | Model, stiffness: float, seeds: int, seconds: float = 90.0):
     """Forces and velocities of trials with noise of their own."""
     found = simulate(
         device, [[stiffness, 0.0, 0.0]] * seeds, seconds, 1, excitation=NOISE, start=(0.0, 0.0),
@@ -70,7 +70,7 @@ def with_line(velocity: Floats, line_hz: float, share: float, width_hz: float = 
 )
 def test_a_line_is_named_with_its_frequency(device, stiffness, share, line_hz):
     """The heavy device has a resonance of its own, 0.8 Hz wide, at 4.7 and 10.5 Hz."""
-    for force, velocity in records(device, stiffness, 2):
+    for force, velocity in trial_records(device, stiffness, 2):
         (found,) = named(force, with_line(velocity, line_hz, share))
         assert found.code == ("line" if share < 0.3 else "oscillation")
         assert found.unstable == (share > 0.3)
@@ -79,7 +79,7 @@ def test_a_line_is_named_with_its_frequency(device, stiffness, share, line_hz):
 
 @pytest.mark.parametrize("line_hz", [3.0, 5.0, 8.0])
 def test_a_line_that_wanders_is_named(line_hz):
-    for force, velocity in records(HEAVY, 100.0, 2):
+    for force, velocity in trial_records(HEAVY, 100.0, 2):
         (found,) = named(force, with_line(velocity, line_hz, 0.1, width_hz=0.1))
         assert found.code == "line"
 
@@ -103,7 +103,7 @@ QUIET = [
 def test_what_the_perturbation_or_friction_moves_is_no_line(device, stiffness, monkeypatch):
     """Nor where the window's spectra do not hint at one, and the record is never looked at."""
     monkeypatch.setattr("hapticd.analysis.low_lines.hinted", lambda trial: True)
-    for force, velocity in records(device, stiffness, 4):
+    for force, velocity in trial_records(device, stiffness, 4):
         assert named(force, velocity) == ()
 
 
@@ -111,7 +111,7 @@ def test_a_broad_motion_that_nothing_explains_is_no_line(monkeypatch):
     """Half of the velocity's power is noise from 1 to 14 Hz, 4 % of it in each half hertz."""
     monkeypatch.setattr("hapticd.analysis.low_lines.hinted", lambda trial: True)
     random = np.random.default_rng(3)
-    for force, velocity in records(DRY, 100.0, 4):
+    for force, velocity in trial_records(DRY, 100.0, 4):
         spectrum = np.fft.rfft(random.standard_normal(velocity.size))
         f = np.fft.rfftfreq(velocity.size, 1.0 / RATE_HZ)
         noise = np.fft.irfft(spectrum * ((f > 1.0) & (f < 14.0)), velocity.size)
@@ -121,7 +121,7 @@ def test_a_broad_motion_that_nothing_explains_is_no_line(monkeypatch):
 @pytest.mark.parametrize("seconds", [5.0, 10.0, 20.0])
 @pytest.mark.parametrize(("device", "stiffness"), [(HEAVY, 50.0), (DRY, 20.0), (DRY, 0.0)])
 def test_a_short_record_has_lines_only_where_they_are(device, stiffness, seconds):
-    for force, velocity in records(device, stiffness, 8, seconds):
+    for force, velocity in trial_records(device, stiffness, 8, seconds):
         assert named(force, velocity) == ()
         if seconds > 5.0:
             (found,) = named(force, with_line(velocity, 5.0, 0.25))
@@ -130,7 +130,7 @@ def test_a_short_record_has_lines_only_where_they_are(device, stiffness, seconds
 
 def test_only_what_hints_at_a_line_costs_a_look_at_the_record():
     dry = analysis_devices.display()
-    ((force, velocity),) = records(dry, 0.0, 1)
+    ((force, velocity),) = trial_records(dry, 0.0, 1)
     assert not hinted(spa(force, velocity))
     assert hinted(spa(force, with_line(velocity, 5.0, 0.05)))
 
@@ -141,7 +141,7 @@ def of_trial(velocity: Floats, force: Floats) -> TrialResult:
 
 
 def test_a_verdict_names_it_and_calls_a_strong_one_unstable():
-    ((force, velocity),) = records(DRY, 20.0, 1)
+    ((force, velocity),) = trial_records(DRY, 20.0, 1)
     assert of_trial(velocity, force).verdict.stability == "stable"
     weak = of_trial(with_line(velocity, 5.0, 0.1), force).verdict
     assert "line at 5" in str(weak)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from analysis_devices import MOTOR, display
+from support.analysis_devices import MOTOR, display
 
 from hapticd.analysis import predict as module
 from hapticd.analysis.linearise import Perturbation, port_admittance

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from analysis_devices import display
+from support.analysis_devices import display
 
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.passive_set import (

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analysis_devices import display, rigid
 from scipy.stats import t as student
-from spectral_trials import mass_damper
+from support.analysis_devices import display, rigid
+from support.spectral_trials import mass_damper
 
 from hapticd.analysis.channels import channel_findings
 from hapticd.analysis.impedance import impedance, relative_sd

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from guard_device import VISCOUS_NS_PER_M, change, rigid_judge, setup_of, shipped_judge
+from support.guard_device import VISCOUS_NS_PER_M, change, rigid_judge, setup_of, shipped_judge
 
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.theorem import required_damping

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from analysis_devices import display, law_on_device
+from support.analysis_devices import display, law_on_device
 
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.linearise import (

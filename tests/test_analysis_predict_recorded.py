@@ -4,7 +4,7 @@ device's is AC-coupled at 0.1 Hz.
 
 import numpy as np
 import pytest
-from analysis_devices import display
+from support.analysis_devices import display
 
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies, predict, predicted_impedance

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from measured_scenes import MOTOR, scene
+from support.measured_scenes import MOTOR, scene
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.predict import predicted_impedance

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from octave.run import GOLDEN, record, spa_by_octave
-from programs import octave_with_signal
+from support.octave.run import GOLDEN, record, spa_by_octave
+from support.programs import octave_with_signal
 
 from hapticd.analysis import covariances, spectra
 from hapticd.analysis import kernels as kernel_module

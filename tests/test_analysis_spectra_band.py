@@ -5,7 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from spectral_trials import exact_trial, mass_damper, record, with_phase_margin
+from support.spectral_trials import exact_trial, mass_damper, record, with_phase_margin
 
 from hapticd.analysis.covariances import Covariances
 from hapticd.analysis.periodic import periodic

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from analysis_devices import display, rigid
+from support.analysis_devices import display, rigid
 
 from hapticd.analysis.loop import PAPER_FILTERS, derivatives, held, pulse_transfer, responses
 from hapticd.analysis.theorem import (

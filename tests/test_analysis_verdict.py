@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 from scipy import stats
-from spectral_trials import exact_trial, mass_damper, record, with_phase_margin
+from support.spectral_trials import exact_trial, mass_damper, record, with_phase_margin
 
 from hapticd.analysis.findings import Finding, energy, examine
 from hapticd.analysis.spectra import spa

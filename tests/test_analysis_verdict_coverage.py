@@ -6,8 +6,8 @@ with the frequencies.
 
 import numpy as np
 import pytest
-from analysis_devices import rigid
-from spectral_trials import mass_damper, record, with_phase_margin
+from support.analysis_devices import rigid
+from support.spectral_trials import mass_damper, record, with_phase_margin
 
 from hapticd.analysis.findings import coherence_findings, examine
 from hapticd.analysis.impedance import impedance

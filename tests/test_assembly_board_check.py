@@ -6,26 +6,21 @@ import dataclasses
 import json
 import math
 
-import numpy as np
 import pytest
-from models import COUNT_M, COUNT_N, board_params, device_params, servo_params
+from support.boards import board_params
+from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.gateway.view import as_records
 from hapticd.link.agreement import differences
 from hapticd.link.device import SEED
-from hapticd.mailbox import files, layout
+from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import HomeParams, InjectionParams, RealtimeParams, ScaleParams
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.board import hello
 from hapticd.wire import codec
-
-DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
-
-
-def records(block):
-    return np.frombuffer(block, DTYPE)
 
 
 def report(stack):
@@ -37,7 +32,7 @@ def flown(servo, board, ticks=5):
     with LockStep(servo, board) as stack:
         stack.run(5)
         answer = stack.do(Command.ENABLE)
-        return answer.result, stack.loop.board.report(), records(stack.run(ticks))
+        return answer.result, stack.loop.board.report(), as_records(stack.run(ticks))
 
 
 # --- the hello against the device file ------------------------------------------------------------
@@ -180,7 +175,7 @@ def test_a_board_that_was_flashed_while_it_was_there_is_looked_at_again(place, v
         stack.run(30)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         flashed(stack, place, value)
-        ticks = records(stack.run(400))
+        ticks = as_records(stack.run(400))
         assert not ticks["host"][0] & DEVICE_DIFFERS
         assert ticks["host"][-1] & DEVICE_DIFFERS
         stack.do(Command.RESET)
@@ -196,7 +191,7 @@ def test_a_loop_that_never_pauses_bars_a_board_that_was_flashed():
         stack.run(30)
         flashed(stack, 8, 7)
         stack.loop.run(600)  # as a daemon runs: without an end
-        ticks = records(b"".join(stack.run(1) for _ in range(4)))
+        ticks = as_records(b"".join(stack.run(1) for _ in range(4)))
         of_that_run = ticks[(ticks["tick"] >= 300) & (ticks["tick"] < 630)]
         assert len(of_that_run) == 330
         assert (of_that_run["host"] & DEVICE_DIFFERS).all()
@@ -219,7 +214,7 @@ def test_another_board_at_the_plug_is_looked_at_again():
         stack.run(30)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         flashed(stack, 16, ord("X"))  # of its serial number
-        ticks = records(stack.run(250))
+        ticks = as_records(stack.run(250))
         assert not ticks["host"][40] & DEVICE_DIFFERS
         assert ticks["host"][200] & DEVICE_DIFFERS
         assert stack.do(Command.RESET).result is Result.APPLIED
@@ -264,11 +259,11 @@ HELD = {0.3: 0.5, 0.36: 0.375, 0.4: 0.3125}  # pair [ms]: phase
 @pytest.mark.parametrize("pair_ms", HELD)
 def test_phase_leaves_room_for_the_measured_pair(pair_ms, depth):
     with LockStep(servo_params(), far_board(pair_ms, in_queue_depth=depth)) as stack:
-        first, _, *others = records(stack.run(5))["arrival"]
+        first, _, *others = as_records(stack.run(5))["arrival"]
         assert (first, *others) == (SEED, 0, 0, 0)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         stack.do(Command.SET, {Value.STIFFNESS: 200.0, Value.DAMPING: 3.0})
-        ticks = records(stack.run(3000))
+        ticks = as_records(stack.run(3000))
         found = stack.loop.board.report()["transport"]
     phase = HELD[pair_ms]
     assert ticks["lost_slots"][-1] == 0
@@ -283,7 +278,7 @@ def test_phase_leaves_room_for_the_measured_pair(pair_ms, depth):
 
 def test_without_a_bus_the_phase_stays_and_no_frame_is_sent():
     with LockStep(servo_params(), board_params()) as stack:
-        ticks = records(stack.run(40))
+        ticks = as_records(stack.run(40))
         found = stack.loop.board.report()["transport"]
     assert found == {"pair_us": 0.0, "sample_phase": 0.875, "delay_us": 125.0, "rate_hz": 1000.0}
     assert ticks["board_us"][0] == 875
@@ -329,7 +324,9 @@ def test_samples_of_the_probe_that_are_lost_at_a_low_rate_are_told(rate_hz, lost
     servo = servo_params(realtime=RealtimeParams(mode="off", rate_hz=rate_hz))
     with LockStep(servo, board_params(rate_hz=rate_hz)) as stack:
         told = stack.loop.board.report()["unsampled"]
-        frames = [codec.decode_in(bytes(one)) for one in records(stack.run(400))["in_frame"][20:]]
+        frames = [
+            codec.decode_in(bytes(one)) for one in as_records(stack.run(400))["in_frame"][20:]
+        ]
     came = sum(len(frame.pairs) for frame in frames[:-1])
     made = frames[-1].probe_index - frames[0].probe_index
     assert 1.0 - came / made == pytest.approx(lost, abs=0.01)
@@ -339,7 +336,7 @@ def test_samples_of_the_probe_that_are_lost_at_a_low_rate_are_told(rate_hz, lost
 def test_board_that_starts_anew_is_given_its_phase_again():
     begun = (InjectionParams("restart", tick=200),)
     with LockStep(servo_params(), far_board(0.4, injections=begun)) as stack:
-        ticks = records(stack.run(2000))
+        ticks = as_records(stack.run(2000))
     assert ticks["lost_slots"][-1] == ticks["lost_slots"][700]
     assert set(ticks["delay_us"][-500:]) == {688}
 
@@ -351,7 +348,7 @@ def test_phase_is_asked_for_again_before_the_first_command_is_obeyed():
         stack.run(1320)  # past the grace of the start, in which lost slots are counted apart
         assert stack.do(Command.RESET).result is Result.APPLIED
         assert stack.do(Command.ENABLE).result is Result.APPLIED
-        ticks = records(stack.run(150))
+        ticks = as_records(stack.run(150))
         assert stack.loop.tick < 6 * 256
     assert ticks["lost_slots"][-1] == ticks["lost_slots"][2]
 
@@ -362,6 +359,6 @@ def test_board_that_comes_back_is_measured_again():
         stack.run(1000)
         stack.do(Command.RESET)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
-        lost = records(stack.run(1))["lost_slots"][-1]
-        assert records(stack.run(1000))["lost_slots"][-1] == lost
+        lost = as_records(stack.run(1))["lost_slots"][-1]
+        assert as_records(stack.run(1000))["lost_slots"][-1] == lost
         assert report(stack)["transport"]["sample_phase"] == 0.3125

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgpack
 import pytest
-from guard_device import (
+from support.guard_device import (
     change,
     over_compensated,
     request,
@@ -21,6 +21,7 @@ from guard_device import (
     shipped_judge,
     shipped_setup,
 )
+from support.tree import ROOT
 
 from hapticd.analysis.bases import model_of
 from hapticd.analysis.judge import Judge
@@ -108,7 +109,7 @@ def send(line: socket.socket, message: Any) -> None:
 @pytest.mark.process
 def test_worker_says_hello_answers_and_ends_with_the_gateway(runtime: Path) -> None:
     folder = runtime / "hapticd" / "instance-guard"
-    resolve.write(folder, load(Path(__file__).parent / "data" / "guard_weir2008.toml"), "guard")
+    resolve.write(folder, load(ROOT / "tests/support/data" / "guard_weir2008.toml"), "guard")
     setup = json.loads((folder / files.GUARD_JSON).read_text())
     with worker(folder) as (process, line):
         hello = receive(line)["hello"]

@@ -9,11 +9,13 @@ from types import FunctionType
 
 import numpy as np
 import pytest
-from models import COUNT_M, COUNT_NS_PER_M, board_params, device_params, servo_params
+from support.boards import board_params
+from support.models import COUNT_M, COUNT_NS_PER_M, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.errors import LinkLost, MailboxError
 from hapticd.faults import BY_CODE
+from hapticd.gateway.view import as_records
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.mailbox.stop_word import press_stop
@@ -23,7 +25,6 @@ from hapticd.servo.safety import State
 from hapticd.wire import codec
 from hapticd.wire.frames import OutFlag, StatusBit
 
-DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 FIG_4 = {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
 FREE = {Value.STIFFNESS: 0.0, Value.RAMP_S: 0.0}
 FIG_7 = {Value.STIFFNESS: 50.0, Value.DAMPING: 2.0, Value.MASS: 0.0, Value.RAMP_S: 0.0}
@@ -42,10 +43,6 @@ FAULTS = [
     ("short_in", 2, 0.0),
     ("late", 3, 0.0004),
 ]
-
-
-def records(block):
-    return np.frombuffer(block, DTYPE)
 
 
 def perturbed(stack, amplitude=3000, seed=3):
@@ -70,7 +67,7 @@ def test_figure_4_environment_renders_on_the_simulated_board():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
         perturbed(stack)
-        flown = records(stack.run(5000))
+        flown = as_records(stack.run(5000))
     assert set(flown["state"]) == {State.ENABLED}
     assert not flown["flags"].any()
     expected = flown["stiffness_force_n"] + flown["damping_force_n"] + flown["mass_force_n"]
@@ -83,16 +80,16 @@ def test_figure_7_added_damping_is_toggled_live_and_slows_the_device():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_7)
         perturbed(stack)
-        without = records(stack.run(8000))
+        without = as_records(stack.run(8000))
         receipt = stack.do(
             Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}
         )
         assert receipt.effective[Value.ADDED_DAMPING] == pytest.approx(1.74, abs=COUNT_NS_PER_M)
         stack.run(200)
-        added = records(stack.run(8000))
+        added = as_records(stack.run(8000))
         stack.do(Command.DAMPING, {Value.ADDED_DAMPING_ON: 0.0})
         stack.run(200)
-        again = records(stack.run(8000))
+        again = as_records(stack.run(8000))
     assert set(added["added_damping_ns_per_m"]) == {receipt.effective[Value.ADDED_DAMPING]}
     slow = added["velocity_m_per_s"].std()
     fast = without["velocity_m_per_s"].std()
@@ -111,7 +108,7 @@ def test_free_decay_shows_the_damping_that_was_commanded():
         stack.run(300)
         stack.load_waveform([16000] * 80)
         stack.do(Command.PERTURB_START, {Value.SAMPLES: 80.0, Value.LOOP: 0.0})
-        flown = records(stack.run(60))
+        flown = as_records(stack.run(60))
     moved = np.diff(flown["position_m"])
     tail = moved[25:33]
     rate = -np.polyfit(np.arange(8) * 1e-3, np.log(tail), 1)[0]
@@ -124,7 +121,7 @@ def test_delay_from_sample_to_force_is_measured_every_tick(phase, lag):
     board = board_params(sample_phase=phase, lag_periods=lag)
     with LockStep(servo_params(), board) as stack:
         enable(stack, FIG_4)
-        flown = records(stack.run(600))
+        flown = as_records(stack.run(600))
     assert set(flown["delay_us"]) == {1000 * lag + round(1000 * (1.0 - phase))}
     assert set(flown["frame_age_us"]) == {-1 if lag else round(1000 * (1.0 - phase))}
     assert set(flown["delay_spread_us"][-256:]) == {0}
@@ -133,7 +130,7 @@ def test_delay_from_sample_to_force_is_measured_every_tick(phase, lag):
 def test_delay_is_unknown_until_a_force_has_its_sample_and_while_frames_are_missing():
     faults = (InjectionParams("drop_in", tick=50, count=3),)
     with LockStep(servo_params(), board_params(injections=faults)) as stack:
-        flown = records(stack.run(200))
+        flown = as_records(stack.run(200))
     unknown = np.flatnonzero(flown["delay_us"] < 0).tolist()
     assert unknown == [0, *np.flatnonzero(flown["arrival"] < 0).tolist()]
     assert np.count_nonzero(flown["arrival"] < 0) == 3
@@ -144,7 +141,7 @@ def test_spread_of_the_delay_shows_a_frame_that_was_latched_late():
     """Its force is sent as soon as it is read: 125 us earlier after the sample than others."""
     late = (InjectionParams("late", tick=400, value=0.0003),)
     with LockStep(servo_params(), board_params(injections=late)) as stack:
-        flown = records(stack.run(1100))
+        flown = as_records(stack.run(1100))
     # before: the first frame had waited for the first tick
     assert set(flown["delay_spread_us"][257:513]) == {2500}
     assert set(flown["delay_spread_us"][513:769]) == {125}
@@ -154,7 +151,7 @@ def test_spread_of_the_delay_shows_a_frame_that_was_latched_late():
 def test_damping_in_effect_is_what_the_board_says():
     with LockStep(servo_params(), board_params()) as stack:
         stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
-        flown = records(stack.run(300))
+        flown = as_records(stack.run(300))
     assert flown["damping_effect_ns_per_m"][-1] == pytest.approx(1.74, abs=COUNT_NS_PER_M)
     asked = flown["added_damping_ns_per_m"]
     assert flown["damping_effect_ns_per_m"][1:] == pytest.approx(asked[:-1], abs=1e-6)
@@ -166,7 +163,7 @@ def test_link_fault_is_survived_without_a_jump(kind, count, value):
     with LockStep(servo_params(), board_params(injections=injections)) as stack:
         enable(stack, FIG_4)
         perturbed(stack)
-        flown = records(stack.run(1500))
+        flown = as_records(stack.run(1500))
         counts = stack.device.counts
     assert flown["state"][-1] == State.ENABLED
     assert kind == "late" or any(counts.values())
@@ -181,7 +178,7 @@ def test_probe_stream_says_what_it_lost(kind, count, value):
     with LockStep(servo_params(), board_params(injections=injections)) as stack:
         enable(stack, FIG_7)
         perturbed(stack)
-        flown = records(stack.run(600))
+        flown = as_records(stack.run(600))
     fresh = flown[(flown["flags"] & (Flag.MISSING_IN)) == 0]
     frames = [codec.decode_in(bytes(frame)) for frame in fresh["in_frame"]]
     indices = [frame.probe_index + n for frame in frames for n in range(len(frame.pairs))]
@@ -206,7 +203,7 @@ def test_serious_fault_stops_safely_and_can_be_reset(kind, value, code):
     with LockStep(servo_params(), board_params(injections=injections)) as stack:
         enable(stack, FIG_4)
         perturbed(stack)
-        flown = records(stack.run(3000))
+        flown = as_records(stack.run(3000))
         assert flown["state"][-1] == State.FAULT
         assert flown["fault"][-1] == BY_CODE[code].number
         first = int(np.argmax(flown["state"] == State.FAULT))
@@ -218,7 +215,7 @@ def test_serious_fault_stops_safely_and_can_be_reset(kind, value, code):
             assert stack.do(Command.ENABLE).result is Result.REFUSED_NOT_HOMED
             assert stack.do(Command.ZERO).result is Result.APPLIED
         assert stack.do(Command.ENABLE).result is Result.APPLIED
-        after = records(stack.run(600))
+        after = as_records(stack.run(600))
     assert after["state"][-1] == State.ENABLED
     assert not after["flags"][-10:].any()
 
@@ -230,7 +227,7 @@ def test_packets_of_zero_length_behind_every_frame_change_nothing():
         with LockStep(servo_params(), board_params(injections=injections)) as stack:
             enable(stack, FIG_4)
             perturbed(stack)
-            flown.append(records(stack.run(1000)))
+            flown.append(as_records(stack.run(1000)))
             counted = stack.device.counts["empty"]
     plain, odd = flown
     assert counted > 900
@@ -243,7 +240,7 @@ def test_replug_seeds_at_rest_and_comes_up_without_torque():
     with LockStep(servo_params(), board_params(injections=injections)) as stack:
         enable(stack, FIG_4)
         perturbed(stack)
-        flown = records(stack.run(3000))
+        flown = as_records(stack.run(3000))
         counters = stack.gateway.counters()
     seeded = np.flatnonzero(flown["flags"] & Flag.SEEDED)
     assert len(seeded) == 1
@@ -256,7 +253,7 @@ def test_missing_frames_beyond_the_limit_are_a_fault():
     injections = (InjectionParams("drop_in", tick=1000, count=30),)
     with LockStep(servo_params(), board_params(injections=injections)) as stack:
         enable(stack, FIG_4)
-        flown = records(stack.run(1500))
+        flown = as_records(stack.run(1500))
     assert flown["fault"][-1] == BY_CODE["frames_lost"].number
 
 
@@ -264,7 +261,7 @@ def test_lost_gateway_heartbeat_faults_within_a_second():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
         stack.gateway_alive = False
-        flown = records(stack.run(1500))
+        flown = as_records(stack.run(1500))
     first = int(np.argmax(flown["state"] == State.FAULT))
     assert flown["fault"][first] == BY_CODE["gateway_lost"].number
     assert 700 <= first <= 1001
@@ -277,7 +274,7 @@ def test_gateway_is_alive_exactly_as_long_as_its_last_beat_is_young():
         beat_ns = stack.clock.now_ns() + 400_000_000
         stack.gateway.beat(beat_ns)  # of a clock that is 0.4 s ahead
         stack.loop.run(1800)
-        flown = records(stack.gateway.records(stack.loop.tick - 1800, 1800)[0])
+        flown = as_records(stack.gateway.records(stack.loop.tick - 1800, 1800)[0])
     alive = (flown["host"] & 2) > 0
     assert np.array_equal(alive, np.abs(flown["time_ns"] - beat_ns) < 1_000_000_000)
     assert 1300 < alive.sum() < 1500
@@ -296,12 +293,12 @@ def test_stop_word_latches_without_a_gateway_and_reset_clears_it():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
         press_stop(stack.mailbox.folder)
-        flown = records(stack.run(50))
+        flown = as_records(stack.run(50))
         assert flown["state"][-1] == State.STOPPED
         assert flown["actor"][-1] == 2
         stack.run(1000)  # for which nobody else resets it
         assert stack.do(Command.RESET).result is Result.APPLIED
-        assert records(stack.run(10))["state"][-1] == State.DISABLED
+        assert as_records(stack.run(10))["state"][-1] == State.DISABLED
 
 
 def test_homing_against_the_simulated_stop_finds_its_position():
@@ -318,7 +315,7 @@ def test_homing_against_the_simulated_stop_finds_its_position():
         stack.run(5)
         assert stack.do(Command.ENABLE).result is Result.REFUSED_NOT_HOMED
         assert stack.do(Command.HOME).result is Result.APPLIED
-        flown = records(stack.run(2500))
+        flown = as_records(stack.run(2500))
         assert flown["state"][-1] == State.DISABLED
         assert flown["homed"][-1] == 1
         assert np.abs(flown["force_n"]).max() <= 0.5 + 8.0 / 32767
@@ -332,7 +329,7 @@ def test_perturbation_arrives_whole_and_keeps_the_fifo_level():
         enable(stack, FREE)
         stack.load_waveform(wave.tolist())
         stack.do(Command.PERTURB_START, {Value.SAMPLES: 4000.0, Value.LOOP: 0.0})
-        flown = records(stack.run(1100))
+        flown = as_records(stack.run(1100))
     frames = [codec.decode_in(bytes(frame)) for frame in flown["in_frame"]]
     torque = np.array([pair[0] for frame in frames for pair in frame.pairs])
     start = int(np.argmax(torque != 0))
@@ -357,7 +354,7 @@ def test_probe_pairs_give_the_exact_work_of_the_perturbation():
         enable(stack, FREE)
         stack.load_waveform([8000] * 40)
         stack.do(Command.PERTURB_START, {Value.SAMPLES: 40.0, Value.LOOP: 0.0})
-        flown = records(stack.run(40))
+        flown = as_records(stack.run(40))
     frames = [codec.decode_in(bytes(frame)) for frame in flown["in_frame"]]
     board = board_params()
     pairs = np.array([pair for frame in frames for pair in frame.pairs], float)
@@ -374,7 +371,7 @@ def test_every_rate_flies_the_same_environment(rate_hz):
     with LockStep(params, board_params(rate_hz=rate_hz)) as stack:
         enable(stack, FIG_4)
         perturbed(stack)
-        flown = records(stack.run(int(rate_hz)))
+        flown = as_records(stack.run(int(rate_hz)))
         settled = flown[flown["gain"] == 1.0]
     assert not (settled["flags"] & ~np.uint32(Flag.RAMPING)).any()
     assert np.abs(np.diff(flown["board_us"]) - 1e6 / rate_hz).max() <= 1.0
@@ -384,7 +381,7 @@ def test_end_of_the_process_is_recorded_as_a_stop_without_force():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
         stack.loop.finish()
-        last = records(stack.gateway.records(stack.loop.tick - 1, 1)[0])[0]
+        last = as_records(stack.gateway.records(stack.loop.tick - 1, 1)[0])[0]
     assert (last["state"], last["actor"]) == (State.STOPPED, 0)
     assert last["force_n"] == 0.0
 
@@ -406,7 +403,7 @@ def test_passive_environment_never_gains_energy():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
         perturbed(stack)
-        flown = records(stack.run(20_000))
+        flown = as_records(stack.run(20_000))
     total = flown["work_j"]
     assert total[-1] < total[0]
     assert total[-1] < -1e-3
@@ -417,11 +414,11 @@ def test_stop_page_survives_a_reset_in_the_same_tick():
         enable(stack, FIG_4)
         stack.command(Command.RESET)  # refused while enabled
         press_stop(stack.mailbox.folder)
-        assert records(stack.run(50))["state"][-1] == State.STOPPED
+        assert as_records(stack.run(50))["state"][-1] == State.STOPPED
         stack.gateway.answers()
         stack.command(Command.RESET)
         press_stop(stack.mailbox.folder)
-        assert records(stack.run(50))["state"][-1] == State.STOPPED
+        assert as_records(stack.run(50))["state"][-1] == State.STOPPED
         stack.gateway.answers()
         stack.run(1000)
         assert stack.do(Command.RESET).result is Result.APPLIED
@@ -439,7 +436,7 @@ def test_stop_is_not_undone_by_a_reset_that_waits_for_the_board(page):
             press_stop(stack.mailbox.folder)
         else:
             stack.command(Command.STOP)
-        flown = records(stack.run(50))
+        flown = as_records(stack.run(50))
         results = {answer.seq: answer.result for answer in stack.gateway.answers()}
     assert flown["state"][-1] in (State.STOPPED, State.FAULT)
     assert len(results) == 1 + (not page)  # each has its answer
@@ -450,7 +447,7 @@ def test_pause_beyond_what_a_record_holds_is_survived(pause_s):
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
         stack.clock.time_ns += pause_s * 10**9
-        flown = records(stack.run(100))
+        flown = as_records(stack.run(100))
         lost = stack.gateway.counters()["lost_slots"]
     assert flown["wake_ns"].max() == 2**31 - 1
     assert lost == pytest.approx(pause_s * 1000, abs=5)
@@ -460,9 +457,9 @@ def test_pause_beyond_what_a_record_holds_is_survived(pause_s):
 def test_late_tick_drops_whole_slots_and_never_catches_up():
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FIG_4)
-        before = records(stack.run(600))  # the first second is counted apart
+        before = as_records(stack.run(600))  # the first second is counted apart
         stack.clock.time_ns += 7_400_000
-        flown = records(stack.run(20))
+        flown = as_records(stack.run(20))
     since_ns = flown["time_ns"].astype(np.int64) - int(before["time_ns"][-1])
     late_ns, *later_ns = since_ns.tolist()
     assert 7_400_000 <= late_ns < 8_400_000
@@ -479,7 +476,7 @@ def test_too_many_lost_slots_are_a_fault(lost, state):
         stack.run(600)  # the first second is not counted
         for _ in range(lost):
             stack.clock.time_ns += 2_300_000
-            flown = records(stack.run(30))
+            flown = as_records(stack.run(30))
         assert int(flown["lost_slots"][-1]) == lost
     assert flown["state"][-1] == state
     assert state is State.ENABLED or flown["fault"][-1] == BY_CODE["lost_slots"].number
@@ -495,8 +492,8 @@ def test_replug_needs_homing_again():
     ) as stack:
         stack.run(5)
         stack.do(Command.HOME)
-        assert records(stack.run(2500))["homed"][-1] == 1
-        flown = records(stack.run(1500))
+        assert as_records(stack.run(2500))["homed"][-1] == 1
+        flown = as_records(stack.run(1500))
         assert flown["homed"][-1] == 0
         assert stack.do(Command.RESET).result is Result.APPLIED
         assert stack.do(Command.ENABLE).result is Result.REFUSED_NOT_HOMED

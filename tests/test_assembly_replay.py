@@ -7,9 +7,10 @@ import json
 import msgpack
 import numpy as np
 import pytest
-from flight import Flight
-from models import board_params, device_params, servo_params
-from recorded import RecordedFlight
+from support.boards import board_params
+from support.flight import Flight
+from support.models import device_params, servo_params
+from support.recorded import RecordedFlight
 
 from hapticd.assembly import replay
 from hapticd.mailbox.layout import Command, Result, State, Value

@@ -1,16 +1,12 @@
 """The attack of `make bench`: it commands, strikes and judges as it says, on a few flights."""
 
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from models import board_params, servo_params
+from support.boards import board_params
+from support.models import servo_params
 
 from benchmarks.attack import KINDS, RARE, TRAITS, fly
 from benchmarks.attack_watch import DTYPE, Given, Watch

@@ -16,15 +16,15 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from attacks import documents, peers, signals, surroundings
-from attacks.late import Block, detectable, judged
-from attacks.live import DTYPE, LiveDaemon, Watch, until
-from attacks.peers import KINDS, Peers
-from attacks.rows import Losses, Row
-from attacks.signals import DEADLY
-from attacks.stage import Stage, Stop, settings, shared_stage
-from attacks.table import ROWS
-from firmware_board import FirmwareBoard
+from support.attacks import documents, peers, signals, surroundings
+from support.attacks.late import Block, detectable, judged
+from support.attacks.live import DTYPE, LiveDaemon, Watch, until
+from support.attacks.peers import KINDS, Peers
+from support.attacks.rows import Losses, Row
+from support.attacks.signals import DEADLY
+from support.attacks.stage import Stage, Stop, settings, shared_stage
+from support.attacks.table import ROWS
+from support.firmware_board import FirmwareBoard
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import GatewayLine
@@ -411,9 +411,9 @@ def test_no_whole_row_is_patient(row: str, monkeypatch: pytest.MonkeyPatch) -> N
         begun.append(text)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("attacks.stage.LiveDaemon", refused)
+    monkeypatch.setattr("support.attacks.stage.LiveDaemon", refused)
     for module in ("stage", "surroundings"):  # the short form's stage may stand beside this
-        monkeypatch.setattr(f"attacks.{module}.shared", [])
+        monkeypatch.setattr(f"support.attacks.{module}.shared", [])
     with pytest.raises(KeyboardInterrupt):
         next(one for one in ROWS if one.name == row).attack(3, 2)
     assert begun == [settings(patient=False)]

@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from models import environment_tuple
+from support.models import environment_tuple
+from support.tree import ROOT
 
 from benchmarks import run, targets
 from benchmarks.bare import BareLoop, EmptyBoard
@@ -201,7 +199,7 @@ def test_every_promised_name_is_measured() -> None:
 
 
 def test_page_repeats_the_table() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "benchmarks.md").read_text()
+    page = (ROOT / "docs" / "benchmarks.md").read_text()
     assert targets.page() in page  # python benchmarks/run.py --page
 
 

@@ -6,13 +6,13 @@ import ast
 import functools
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
-from blind_rig import REFUSED, STEPS, BlindRig, first_day
-from blind_truth import drawn
+from support.blind_rig import REFUSED, STEPS, BlindRig, first_day
+from support.blind_truth import drawn
+from support.tree import ROOT
 
-PACKAGE = Path(__file__).resolve().parents[1] / "hapticd"
+PACKAGE = ROOT / "hapticd"
 # seeds of the benchmark begin at 1000
 SEED = 3  # both signs are wrong in the template, and the motor is weaker
 MORE_SEEDS = (2, 5)

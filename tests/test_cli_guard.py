@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from guard_device import change, shipped_judge
-from test_cli_daemon import ClientDouble
-from test_cli_process import Daemon, until
+from support.client_double import ClientDouble
+from support.daemon import Daemon, until
+from support.guard_device import change, shipped_judge
 
 from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main

@@ -36,7 +36,7 @@ GUARD = {
 }
 
 
-def records(count: int, first: int = 0, **fields: Any) -> Any:
+def rows_of_ticks(count: int, first: int = 0, **fields: Any) -> Any:
     block = np.zeros(count, np.dtype([tuple(field) for field in TELEMETRY]))  # type: ignore[arg-type]
     block["tick"] = np.arange(first, first + count)
     block["time_ns"] = block["tick"] * NS_PER_MS
@@ -82,7 +82,7 @@ def test_strip_of_a_constant_is_one_line() -> None:
 def test_history_holds_ten_seconds() -> None:
     history = History()
     for block in range(700):
-        history.add(records(20, 20 * block))
+        history.add(rows_of_ticks(20, 20 * block))
     assert history.length == 10_000
     assert 10_000 <= len(history.column("tick")) < 10_020
     assert history.newest["tick"] == 13_999
@@ -91,7 +91,9 @@ def test_history_holds_ten_seconds() -> None:
 def test_screen_shows_state_and_simulated_badge() -> None:
     history = History()
     history.add(
-        records(1000, state=State.ENABLED, stiffness_n_per_m=100.0, position_m=0.002, force_n=-0.2)
+        rows_of_ticks(
+            1000, state=State.ENABLED, stiffness_n_per_m=100.0, position_m=0.002, force_n=-0.2
+        )
     )
     text = drawn(history, True, 0.0)
     assert text.startswith(" SIMULATED   ENABLED   Space/Esc: STOP")
@@ -110,7 +112,7 @@ def full(**fields: Any) -> History:
         "force_n": -0.2,
         "winding_c": 43.21,
     }
-    history.add(records(10_000, state=State.ENABLED, revision=12345, **moving, **fields))
+    history.add(rows_of_ticks(10_000, state=State.ENABLED, revision=12345, **moving, **fields))
     history.delivered = DELIVERED
     history.guard = GUARD
     history.force_limit_n = 8.0
@@ -159,24 +161,24 @@ def test_screen_counts_what_was_late_lost_or_at_the_limit() -> None:
 
 def test_stretches_of_a_state_carry_its_name() -> None:
     history = History()
-    history.add(records(5000))
-    history.add(records(4900, 5000, state=State.ENABLED))
-    history.add(records(100, 9900, state=State.FAULT))
+    history.add(rows_of_ticks(5000))
+    history.add(rows_of_ticks(4900, 5000, state=State.ENABLED))
+    history.add(rows_of_ticks(100, 9900, state=State.FAULT))
     text = drawn(history, True, 0.0, (101, 24))
     assert f"DISABLED{42 * '-'}ENABLED{42 * '-'}F" in text
 
 
 def test_screen_names_who_holds_what() -> None:
     history = History()
-    history.add(records(10))
+    history.add(rows_of_ticks(10))
     assert "leased" not in drawn(history, True, 0.0)
-    history.add(records(10, lease_control=17))
+    history.add(rows_of_ticks(10, lease_control=17))
     assert "leased: environment by actor 17" in drawn(history, True, 0.0)
 
 
 def test_screen_of_a_real_board_says_so() -> None:
     history = History()
-    history.add(records(10))
+    history.add(rows_of_ticks(10))
     text = drawn(history, False, 0.0)
     assert "REAL BOARD" in text
     assert "SIMULATED" not in text
@@ -185,13 +187,13 @@ def test_screen_of_a_real_board_says_so() -> None:
 def test_screen_names_fault_and_remedy() -> None:
     history = History()
     fault = BY_CODE["usb_lost"]
-    history.add(records(10, state=State.FAULT, fault=fault.number))
+    history.add(rows_of_ticks(10, state=State.FAULT, fault=fault.number))
     assert f"usb_lost: {fault.cause}; {fault.remedy}" in drawn(history, True, 0.0)
 
 
 def test_silence_replaces_every_value() -> None:
     history = History()
-    history.add(records(100, state=State.ENABLED, position_m=0.002))
+    history.add(rows_of_ticks(100, state=State.ENABLED, position_m=0.002))
     assert "NO DATA" not in drawn(history, True, 0.49)
     text = drawn(history, True, 0.5)
     assert "NO DATA for 0.5 s" in text
@@ -259,7 +261,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
 
 def block(first: int, life: int = 1, **fields: Any) -> bytes:
     """20 records as the gateway sends them."""
-    found = records(20, first, **fields)
+    found = rows_of_ticks(20, first, **fields)
     return raw_message(RingBlock(life, first, 0, found.tobytes(), found), Origin(life, 0, True))
 
 
@@ -316,7 +318,7 @@ def test_screen_shows_what_is_delivered_beside_what_is_commanded(
     delivered: dict[str, Any], words: str
 ) -> None:
     history = History()
-    history.add(records(20))
+    history.add(rows_of_ticks(20))
     history.delivered = delivered
     (line,) = [
         one for one in drawn(history, True, 0.0).splitlines() if one.startswith("active damping")
@@ -326,7 +328,7 @@ def test_screen_shows_what_is_delivered_beside_what_is_commanded(
 
 def test_screen_shows_policy_and_verdict() -> None:
     history = History()
-    history.add(records(20))
+    history.add(rows_of_ticks(20))
     assert "guard: unknown" in drawn(history, True, 0.0)
     history.guard = GUARD
     text = drawn(history, True, 0.0)

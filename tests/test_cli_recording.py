@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, Self
 
 import pytest
-from models import board_params
-from recorded import RecordedFlight, Source
-from test_cli_process import DEADLINE_S, Daemon, until
+from support.boards import board_params
+from support.daemon import DEADLINE_S, Daemon, until
+from support.recorded import RecordedFlight, Source
 
 from hapticd.assembly import process
 from hapticd.cli import daemon, recording

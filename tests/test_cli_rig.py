@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from models import COUNT_N
-from rig_hand import Hand
+from support.models import COUNT_N
+from support.rig_hand import Hand
 
 from hapticd.cli.app import main
 from hapticd.cli.rig import guided, steps

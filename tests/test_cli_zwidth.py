@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 
 import numpy as np
 import pytest
-from measured_scenes import GRID_OF_27
+from support.measured_scenes import GRID_OF_27
 
 from hapticd.cli.app import main
 

@@ -3,9 +3,9 @@ is refused by name.
 """
 
 import json
-from pathlib import Path
 
 import pytest
+from support.tree import ROOT
 
 from hapticd.cli.app import main
 from hapticd.errors import AnalysisError, ConfigError
@@ -13,7 +13,7 @@ from hapticd.zwidth.portable import compare
 
 pytest.importorskip("matplotlib")
 
-OLD = Path(__file__).parent / "data" / "as-of-0.1" / "report" / "weir2008.zwidth"
+OLD = ROOT / "tests/support/data" / "as-of-0.1" / "report" / "weir2008.zwidth"
 
 
 def changed(path, factor=1.0, device="B", **conditions):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from measured_scenes import GRID_OF_27, RIGID
+from support.measured_scenes import GRID_OF_27, RIGID
 
 from hapticd.cli.app import main
 from hapticd.cli.zwidth.common import scene_of

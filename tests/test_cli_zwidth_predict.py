@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from analysis_devices import rigid
+from support.analysis_devices import rigid
 
 from hapticd.analysis.coupled import Hand, held_by
 from hapticd.analysis.linearise import Perturbation

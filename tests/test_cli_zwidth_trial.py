@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from spectral_trials import exact_trial, mass_damper, record
+from support.spectral_trials import exact_trial, mass_damper, record
 from typer.main import get_command
 
 from hapticd.analysis.findings import Finding

@@ -12,7 +12,7 @@ import msgpack
 import numpy as np
 import pytest
 import zmq
-from gateway_rig import GatewayRig, running
+from support.gateway_rig import GatewayRig, running
 
 from hapticd.client import Client, Receipt
 from hapticd.client.conversation import Conversation, TimedOut, accepted, receipt_of

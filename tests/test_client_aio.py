@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gateway_rig import GatewayRig, running
+from support.gateway_rig import GatewayRig, running
 
 from hapticd.client import AsyncClient, Client, Receipt
 from hapticd.errors import CommandError, DaemonDown

@@ -5,7 +5,8 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from models import board_params, servo_params
+from support.boards import board_params
+from support.models import servo_params
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.design import Condition, Table, blocks, joined, pairs, sweep

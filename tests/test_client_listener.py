@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import zmq
 import zmq.auth
-from gateway_rig import GatewayRig, running
-from test_gateway_relay import RelayRig
+from support.gateway_rig import GatewayRig, running
+from support.relay_rig import RelayRig
 
 from hapticd.cli.app import main
 from hapticd.client import CommandError, DaemonDown, Listener

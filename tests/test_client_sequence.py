@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gateway_rig import GatewayRig, decoded, packed, running
-from guard_stub import StubWorker, stage, verdict
+from support.gateway_rig import GatewayRig, decoded, packed, running
+from support.guard_stub import StubWorker, stage, verdict
 
 from hapticd.client import AsyncClient, Client, SequenceError, Step, StepReceipt, step
 from hapticd.client.conversation import accepted

@@ -19,7 +19,7 @@ import msgpack
 import numpy as np
 import pytest
 from starlette.datastructures import Headers
-from test_cli_process import until
+from support.daemon import until
 
 from hapticd.client import CommandError
 from hapticd.client.blocks import Block, BlockDecoder

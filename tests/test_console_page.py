@@ -16,7 +16,9 @@ import h5py
 import numpy as np
 import pytest
 from conftest import fresh_runtime
-from console_page import (
+from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_playwright
+from playwright.sync_api import TimeoutError as PageTimeoutError
+from support.console_page import (
     ARGUMENTS,
     CHROMIUM,
     PATIENCE_MS,
@@ -27,9 +29,7 @@ from console_page import (
     picture,
     wait_text,
 )
-from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_playwright
-from playwright.sync_api import TimeoutError as PageTimeoutError
-from test_cli_process import QUIET, Daemon, last_record, until
+from support.daemon import QUIET, Daemon, last_record, until
 
 from hapticd.client import Client, CommandError
 from hapticd.client.blocks import Block

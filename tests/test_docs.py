@@ -17,8 +17,9 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 import typer.main
-from console_page import ARGUMENTS, CHROMIUM
 from playwright.sync_api import sync_playwright
+from support.console_page import ARGUMENTS, CHROMIUM
+from support.tree import ROOT, path_of_test
 
 from hapticd.cli.app import command_line
 from hapticd.client import Client
@@ -35,7 +36,6 @@ from hapticd.settings.toml import shipped
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
 from hapticd.units import unit_of
 
-ROOT = Path(__file__).parents[1]
 SCENE_TABLES = ("SceneFile", "ExcitationTable", "DampingStepTable", "Start")
 CODES = [fault.code for fault in FAULTS if fault.number]
 
@@ -476,13 +476,13 @@ def test_simulated_board_page_lists_every_trait_and_injection(site: Path) -> Non
     assert missing == ["injections", "touch", "hands"]
 
 
-SAFETY = (Path(__file__).parents[1] / "docs" / "safety.md").read_text()
+SAFETY = (ROOT / "docs" / "safety.md").read_text()
 SHOWN = re.findall(r"`(test_\w+\.py)::(test_\w+)`", SAFETY)
 
 
 @pytest.mark.parametrize(("file", "test"), sorted(set(SHOWN)))
 def test_every_promise_is_shown_by_a_test_that_exists(file: str, test: str) -> None:
-    source = (Path(__file__).parent / file).read_text()
+    source = path_of_test(file).read_text()
     assert re.search(rf"^def {test}\(", source, re.MULTILINE)
 
 

@@ -8,7 +8,7 @@ from math import isinf
 
 import numpy as np
 import pytest
-from devices import COUNTS, DRY, LIMIT, RIGID, STAR, device, rigid
+from support.devices import COUNTS, DRY, LIMIT, RIGID, STAR, device, rigid
 
 from hapticd.engine import batch, simulate
 from hapticd.engine.source import VELOCITY_MAX_M_PER_S

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from devices import COUNTS, DRY, LIMIT, RIGID, TWO_MASSES, device
-from models import environment_tuple
+from support.devices import COUNTS, DRY, LIMIT, RIGID, TWO_MASSES, device
+from support.models import environment_tuple
 
 from hapticd.engine import simulate
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams

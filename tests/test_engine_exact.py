@@ -4,7 +4,7 @@ for what is not.
 
 import numpy as np
 import pytest
-from devices import (
+from support.devices import (
     COGS,
     COUNTS,
     DRY,
@@ -18,7 +18,7 @@ from devices import (
     device,
     rigid,
 )
-from straight import Straight
+from support.straight import Straight
 
 from hapticd.engine import simulate
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams

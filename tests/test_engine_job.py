@@ -4,7 +4,7 @@ to the force.
 
 import numpy as np
 import pytest
-from devices import MOTOR, WARMING, device
+from support.devices import MOTOR, WARMING, device
 
 from hapticd.engine import simulate
 from hapticd.plant.effects import (

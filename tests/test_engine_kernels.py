@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from devices import COGS, COUNTS, DRY, ENDS, HAND, LIMIT, STAR, TWO_MASSES, WARMING, device
 from numba import njit
+from support.devices import COGS, COUNTS, DRY, ENDS, HAND, LIMIT, STAR, TWO_MASSES, WARMING, device
+from support.tree import ROOT, TESTS
 
 from hapticd.analysis.arrays import aligned
 from hapticd.engine import kernels, simulate
@@ -21,7 +22,6 @@ from hapticd.errors import ConfigError
 from hapticd.params import EnvironmentParams, WallParams
 from hapticd.plant.effects import AntiAlias, Coulomb, ForceDac
 
-HERE = Path(__file__).parent
 ALL = device(*TWO_MASSES, DRY, COUNTS, LIMIT)
 LARGE = device(
     *STAR,
@@ -164,15 +164,16 @@ def replace_coupling(stiffness):
 def test_kernel_is_found_again_by_another_process(tmp_path):
     """The second process loads what the first compiled: numba counts a hit and no miss."""
     code = (
-        "from devices import *; from hapticd.engine import kernels, simulate; from"
+        "from support.devices import *; from hapticd.engine import kernels, simulate; from"
         " test_engine_kernels import shape, ALL\nsimulate(ALL, [[1, 0, 0]], 0.01); run ="
         " kernels.kernel(shape(ALL)).run\nprint(sum(run.stats.cache_hits.values()),"
         " sum(run.stats.cache_misses.values()))"
     )
+    path = f"{Path(__file__).parent}:{TESTS}:{ROOT}"
     found = [
         subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HERE,
-            env={"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": f"{HERE}:{HERE.parent}"},
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=TESTS,
+            env={"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": path},
         ).stdout.split()
         for _ in range(2)
     ]  # fmt: skip

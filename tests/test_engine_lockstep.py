@@ -10,8 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from devices import COUNTS, DRY, STAR, device
-from models import COUNT_N, board_params, servo_params
+from support.boards import board_params
+from support.devices import COUNTS, DRY, STAR, device
+from support.models import COUNT_N, servo_params
 
 from hapticd.assembly import lockstep
 from hapticd.assembly.lockstep import LockStep

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from devices import COUNTS, DRY, LIMIT, STAR, device, rigid
+from support.devices import COUNTS, DRY, LIMIT, STAR, device, rigid
 
 from hapticd.analysis.spectra import spa
 from hapticd.engine import simulate

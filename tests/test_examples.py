@@ -1,11 +1,11 @@
 """Examples run as they stand; those that need a daemon are in the process tests."""
 
 import importlib.util
-from pathlib import Path
 
 import pytest
+from support.tree import ROOT
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+EXAMPLES = ROOT / "examples"
 
 
 def loaded(name):

@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
-from gateway_rig import GatewayRig, running
+from support.gateway_rig import GatewayRig, running
 
 from hapticd.cli.app import main as command_line
 from hapticd.client import fast_stop

@@ -1,11 +1,6 @@
 """From the physical cause of a fault to no force at the motor: what its page promises holds."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from benchmarks.fault_ticks import CASES, RAMP_TICKS, stated_ticks, ticks_of
 from hapticd.faults import FAULTS

@@ -15,8 +15,9 @@ import test_force_path
 import test_servo_end
 import test_sim_axis
 import test_sim_board
-from firmware_board import FirmwareBoard
-from firmware_trial import fig7_trial
+from support.firmware_board import FirmwareBoard
+from support.firmware_trial import fig7_trial
+from support.tree import ROOT
 from test_force_path import (
     test_a_restarted_board_is_another_life,
     test_an_emergency_stop_that_no_frame_tells_of_brings_no_force_back_at_once,
@@ -67,7 +68,7 @@ from test_sim_board import (
 
 from hapticd.sim.board import BoardModel
 
-SAFETY = (Path(__file__).parents[1] / "docs" / "safety.md").read_text()
+SAFETY = (ROOT / "docs" / "safety.md").read_text()
 # rows of what the board promises, alone or with another
 ROW = r"^\| [^|]+ \| [^|]*\bboard \| [^|]+ \| `\w+\.py::(\w+)` \|$"
 PROMISED = re.findall(ROW, SAFETY, re.MULTILINE)

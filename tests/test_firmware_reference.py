@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import wire_header
-from boards import TICK_NS, board_params, out_packet
-from firmware_board import FirmwareBoard
-from firmware_build import COVERED, REFERENCE, SANITIZED, WARNINGS, fuzz, reached, sources
-from hostile import Tally, compare_boards
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from programs import compiler
+from support import wire_header
+from support.boards import TICK_NS, board_params, out_packet
+from support.firmware_board import FirmwareBoard
+from support.firmware_build import COVERED, REFERENCE, SANITIZED, WARNINGS, fuzz, reached, sources
+from support.hostile import Tally, compare_boards
+from support.programs import compiler
 
 from hapticd.settings.build import board_params as simulated
 from hapticd.settings.load import load

@@ -4,26 +4,21 @@ board that starts anew. Everything runs in lock-step and is judged at the simula
 
 import numpy as np
 import pytest
-from boards import BOARD
-from flight import HEALTHY, Flight
-from models import COUNT_M, board_params, device_params, servo_params
+from support.boards import BOARD, board_params
+from support.flight import HEALTHY, Flight
+from support.models import COUNT_M, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.faults import BY_CODE
-from hapticd.mailbox import layout
+from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import HandParams, HomeParams, InjectionParams, ScaleParams, TouchParams
 from hapticd.servo.plan import AMPLIFIER_TOLD
 from hapticd.servo.safety import State
 from hapticd.wire.frames import StatusBit
 
-DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 FIG_WALL = {Value.STIFFNESS: 200.0, Value.DAMPING: 3.0, Value.RAMP_S: 0.0}
 SPRING = {Value.STIFFNESS: 500.0, Value.DAMPING: 2.0, Value.RAMP_S: 0.0}
-
-
-def records(block):
-    return np.frombuffer(block, DTYPE)
 
 
 def enable(stack, settings):
@@ -49,9 +44,9 @@ def test_one_late_delivery_does_not_leave_the_link_behind(depth):
     with LockStep(servo_params(), board) as stack:
         enable(stack, FIG_WALL)
         perturbed(stack)
-        before = records(stack.run(900))
+        before = as_records(stack.run(900))
         stack.run(100)
-        after = records(stack.run(2000))
+        after = as_records(stack.run(2000))
     assert set(after["state"]) == {State.ENABLED}
     assert set(after["delay_us"]) == {125}
     assert set(after["arrival"]) == {0}
@@ -80,7 +75,7 @@ def test_a_link_behind_a_slow_bus_catches_up(faults, depth, way_us):
     )
     with LockStep(servo_params(), board) as stack:
         enable(stack, {Value.STIFFNESS: 0.0})
-        flown = records(stack.run(1500))
+        flown = as_records(stack.run(1500))
         assert set(flown["arrival"][-1000:]) == {0}
         assert stack.do(Command.RESET).result in (Result.APPLIED, Result.REFUSED_STATE)
 
@@ -89,7 +84,7 @@ def test_catching_up_costs_no_slot():
     late = (InjectionParams("burst_in", tick=1500, value=0.0031),)
     with LockStep(servo_params(), board_params(in_queue_depth=4, injections=late)) as stack:
         enable(stack, FIG_WALL)
-        flown = records(stack.run(2000))
+        flown = as_records(stack.run(2000))
         slots = np.diff(flown["time_ns"]) / 1e6
         late_slots = int(flown["lost_slots"][-1])
     caught = np.flatnonzero(flown["arrival"] > 0)
@@ -123,7 +118,7 @@ def motor_force_n(flown):
 def test_authority_that_comes_back_brings_the_force_back_along_the_gain_ramp(bounce_ms):
     with held_off(0.004, bounce_ms) as stack:
         enable(stack, SPRING)
-        flown = records(stack.run(2000))
+        flown = as_records(stack.run(2000))
     force_n = motor_force_n(flown)
     pressed = np.flatnonzero(flown["status"] & StatusBit.EMERGENCY_STOP)
     assert pressed.size >= 3
@@ -139,7 +134,7 @@ def test_authority_that_comes_back_brings_the_force_back_along_the_gain_ramp(bou
 def test_authority_that_stays_away_is_a_fault_and_no_force_comes_back():
     with held_off(0.5) as stack:
         enable(stack, SPRING)
-        flown = records(stack.run(1000))
+        flown = as_records(stack.run(1000))
         assert stack.do(Command.RESET).result is Result.REFUSED_CAUSE
         stack.run(300)
         assert stack.do(Command.RESET).result is Result.APPLIED
@@ -148,7 +143,7 @@ def test_authority_that_stays_away_is_a_fault_and_no_force_comes_back():
     fault = np.flatnonzero(flown["state"] == State.FAULT)
     assert fault[0] - pressed[0] == servo_params().safety.no_authority_limit
     assert flown["fault"][-1] == BY_CODE["no_authority"].number
-    everything = records(b"".join(stack.blocks))
+    everything = as_records(b"".join(stack.blocks))
     after = everything[everything["tick"] >= flown["tick"][pressed[0]]]
     assert motor_force_n(after) == pytest.approx(0.0, abs=1e-3)
 
@@ -179,7 +174,7 @@ def test_a_perturbation_does_not_come_back_with_the_authority():
     with held_off(0.004) as stack:
         enable(stack, {Value.STIFFNESS: 0.0})
         perturbed(stack)
-        flown = records(stack.run(1000))
+        flown = as_records(stack.run(1000))
     pressed = np.flatnonzero(flown["status"] & StatusBit.EMERGENCY_STOP)
     assert flown["perturbing"][pressed[0] - 1]
     assert not flown["perturbing"][pressed[0] :].any()
@@ -213,7 +208,7 @@ def forces_about(silence, press_s, stop_at=0, ticks=560):
                 stack.command(Command.STOP)
             flown += stack.run(1)
             forces.append(axis.force_n)
-    return np.array(forces), records(flown)
+    return np.array(forces), as_records(flown)
 
 
 @pytest.mark.parametrize(("press_s", "silence"), SILENCES)
@@ -250,7 +245,7 @@ def test_a_restarted_board_is_another_life(board_time_s):
     with LockStep(servo_params(), board) as stack:
         enable(stack, SPRING)
         stack.do(Command.ZERO)
-        flown = records(stack.run(1500))
+        flown = as_records(stack.run(1500))
     struck = int(np.flatnonzero(flown["tick"] >= 1200)[0])
     assert set(flown["state"][:struck]) == {State.ENABLED}
     assert flown["state"][-1] == State.FAULT
@@ -272,7 +267,7 @@ def test_nothing_is_rendered_from_the_origin_of_another_life(stopped):
         stack.run(1196 - stack.loop.tick)
         if stopped:
             stack.command(Command.STOP)
-        flown = records(stack.run(60))
+        flown = as_records(stack.run(60))
     assert stack.device.counts["lives"] == 1
     assert motor_force_n(flown) == pytest.approx(0.0, abs=1e-3)
 
@@ -285,7 +280,7 @@ def test_a_gap_ends_the_fading_of_what_came_before_it():
     board = board_params(injections=gap, touch=TouchParams(hands=(HOLD,)))
     with LockStep(servo_params(device=device_params(position=OFF)), board) as stack:
         enable(stack, {**SPRING, Value.RAMP_S: 0.0})
-        flown = records(stack.run(1250 - stack.loop.tick))
+        flown = as_records(stack.run(1250 - stack.loop.tick))
     back = np.flatnonzero(flown["arrival"] > 8)
     assert back.size == 1
     assert flown["fault"][-1] == BY_CODE["frames_lost"].number

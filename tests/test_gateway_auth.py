@@ -6,8 +6,8 @@ import stat
 from pathlib import Path
 
 import pytest
-from gateway_rig import GatewayRig
-from gateway_stand_in import setup
+from support.gateway_rig import GatewayRig
+from support.gateway_stand_in import setup
 
 from hapticd.cli.app import main
 from hapticd.clock import VirtualClock

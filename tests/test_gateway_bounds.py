@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gateway_rig import GatewayRig, decoded, packed
-from raw_peer import PING, RawPeer, short
+from support.gateway_rig import GatewayRig, decoded, packed
+from support.raw_peer import PING, RawPeer, short
 
 from hapticd.gateway import flight
 from hapticd.gateway.peers import HANDSHAKE_NS, MOST_PEERS

@@ -5,8 +5,8 @@ servo's own.
 from pathlib import Path
 
 import pytest
-from gateway_rig import DeskRig
-from gateway_stand_in import NEXT_STATE
+from support.gateway_rig import DeskRig
+from support.gateway_stand_in import NEXT_STATE
 
 from hapticd.errors import CommandError
 from hapticd.gateway import commands

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from guard_device import shipped_setup
-from guard_stub import StubWorker, verdict
-from models import board_params, device_params, servo_params
-from recorded import RecordedFlight
+from support.boards import board_params
+from support.guard_device import shipped_setup
+from support.guard_stub import StubWorker, verdict
+from support.models import device_params, servo_params
+from support.recorded import RecordedFlight
+from support.tree import ROOT
 
 from hapticd.analysis.judge import Judge
 from hapticd.assembly.lockstep import LockStep, scene_params
@@ -35,7 +37,7 @@ GAIN = 1.0 + 0.05820105820105820  # of the multiplier of weir2008
 N_PER_A = 0.016492422502470644 / 0.01
 LEFT_OHM = 1.6 * 0.00393 * 13.67318908684  # of the winding, that is not compensated
 FREE = (0.0, 0.0, 0.0)
-SCENES = Path(__file__).resolve().parents[1] / "config" / "scenes"
+SCENES = ROOT / "config" / "scenes"
 DISPLAY = (100.0, 1.0, 0.01)
 HAND = HandParams("hold", stiffness_n_per_m=300.0, damping_ns_per_m=3.0, tremor_m=2e-3)
 

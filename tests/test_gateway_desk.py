@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gateway_rig import DeskRig, decoded, packed
-from gateway_stand_in import StandInServo
+from support.gateway_rig import DeskRig, decoded, packed
+from support.gateway_stand_in import StandInServo
 
 from hapticd.client.events import event_words
 from hapticd.faults import BY_CODE

@@ -8,8 +8,8 @@ from pathlib import Path
 import msgpack
 import numpy as np
 import pytest
-from models import board_params
-from recorded import RecordedFlight
+from support.boards import board_params
+from support.recorded import RecordedFlight
 
 from hapticd.assembly import replay
 from hapticd.errors import CommandError, ConfigError

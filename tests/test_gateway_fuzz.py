@@ -9,10 +9,10 @@ from typing import Any
 
 import msgpack
 import pytest
-from attacks.commands import CODES as EVERY_CODE
-from gateway_rig import DeskRig, decoded
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.attacks.commands import CODES as EVERY_CODE
+from support.gateway_rig import DeskRig, decoded
 
 from hapticd.gateway.schemas import MODELS
 from hapticd.mailbox.layout import Value, value_limits

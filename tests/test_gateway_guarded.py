@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gateway_rig import DeskRig, decoded, packed
-from gateway_stand_in import StandInServo
-from guard_stub import StubWorker, applies, refuses, stage, verdict
+from support.gateway_rig import DeskRig, decoded, packed
+from support.gateway_stand_in import StandInServo
+from support.guard_stub import StubWorker, applies, refuses, stage, verdict
 
 from hapticd.gateway.in_force import WallSide
 from hapticd.mailbox.layout import Command, Flag, State, Value

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gateway_rig import DeskRig, decoded, packed
-from gateway_stand_in import StandInServo
-from guard_stub import StubWorker, stage, verdict
+from support.gateway_rig import DeskRig, decoded, packed
+from support.gateway_stand_in import StandInServo
+from support.guard_stub import StubWorker, stage, verdict
 
 from hapticd.errors import CommandError
 from hapticd.gateway.leases import LATE_NS, Leases

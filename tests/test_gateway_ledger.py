@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from models import board_params, servo_params
+from support.boards import board_params
+from support.models import servo_params
 
 from hapticd.analysis.ledger import book
 from hapticd.assembly.lockstep import LockStep, scene_params

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgpack
 import pytest
 import zmq
-from gateway_rig import GatewayRig, packed
+from support.gateway_rig import GatewayRig, packed
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.units import NS_PER_S

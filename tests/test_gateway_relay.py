@@ -5,17 +5,15 @@ costs the gateway anything.
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import zmq
 import zmq.auth
-from gateway_rig import PATIENCE, GatewayRig
-from raw_peer import HELLO
+from support.raw_peer import HELLO
+from support.relay_rig import RelayRig
 
-from hapticd.cli.app import main
 from hapticd.gateway.keys import SERVER_PUBLIC
 from hapticd.gateway.relay import MOST_DESCRIPTORS, MOST_REASONS, Connections, address_of
 from hapticd.units import NS_PER_S
@@ -24,56 +22,6 @@ pytestmark = pytest.mark.process
 
 NO_KEY = "it offers no key"
 ENDED = "it ended, or was silent, before it had shown a key"
-
-
-class RelayRig(GatewayRig):
-    """A gateway that listens at every address, with keys, and one listener that it knows."""
-
-    def __init__(self, folder: Path) -> None:
-        self.keys = folder / "keys"
-        self.away = folder / "away"
-        assert main(["keys", "server", str(self.keys)]) == 0
-        self.know("friend")
-        super().__init__(folder / "run", tcp_host="0.0.0.0", curve_keys=str(self.keys))
-        self.until(lambda: self.outside()["relay"] == "up")
-
-    def know(self, name: str) -> None:
-        """Make a pair for `name` and let it in."""
-        assert main(["keys", "client", str(self.keys), name, "--out", str(self.away)]) == 0
-
-    @property
-    def port(self) -> int:
-        endpoints: Any = self.gateway.endpoints
-        return int(endpoints["telemetry"][1].rsplit(":", 1)[1])
-
-    def listener(self, name: str, topic: str = "servo.raw") -> "zmq.Socket[bytes]":
-        """A SUB socket with the pair in the file of `name`."""
-        public, secret = zmq.auth.load_certificate(self.away / f"{name}.key_secret")
-        server, _ = zmq.auth.load_certificate(self.keys / SERVER_PUBLIC)
-        return self.with_keys(server, public, secret or b"", topic)
-
-    def with_keys(
-        self, server: bytes, public: bytes, secret: bytes, topic: str = "servo.raw"
-    ) -> "zmq.Socket[bytes]":
-        keys = {"CURVE_SERVERKEY": server, "CURVE_PUBLICKEY": public, "CURVE_SECRETKEY": secret}
-        options = {**keys, "SUBSCRIBE": topic.encode()}
-        return self.socket(zmq.SUB, f"tcp://127.0.0.1:{self.port}", **options)
-
-    def outside(self) -> dict[str, Any]:
-        found: dict[str, Any] = self.gateway._status()["gateway"]["outside"]
-        return found
-
-    def warnings(self) -> list[dict[str, Any]]:
-        return [event for event in self.gateway._journal.recent if event["kind"] == "warning"]
-
-    def until(self, true: Callable[[], Any]) -> Any:
-        """Go on until `true()` is; what it is then."""
-        for _ in range(PATIENCE):
-            if found := true():
-                return found
-            self.gateway._selector.select(0.001)
-            self.step()
-        raise AssertionError(f"never came; {self.outside()}, {self.warnings()}")
 
 
 @pytest.fixture

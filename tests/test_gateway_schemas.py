@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from gateway_stand_in import setup
+from support.gateway_stand_in import setup
 
 from hapticd.errors import CommandError
 from hapticd.gateway.limits import PLACES, CommandLimits, flat

@@ -14,9 +14,10 @@ import msgpack
 import numpy as np
 import pytest
 import zmq
-from gateway_rig import PATIENCE, START_NS, UNIX_NS, GatewayRig, decoded, packed
-from gateway_stand_in import setup
-from raw_peer import RawPeer
+from support.gateway_rig import PATIENCE, START_NS, UNIX_NS, GatewayRig, decoded, packed
+from support.gateway_stand_in import setup
+from support.raw_peer import RawPeer
+from support.tree import ROOT
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.clock import VirtualClock
@@ -212,7 +213,7 @@ def test_plotjuggler_plots_servo_as_it_is(rig: GatewayRig) -> None:
 
 
 def test_plotjuggler_layout_names_only_what_is_sent(rig: GatewayRig) -> None:
-    layout = ElementTree.parse(Path(__file__).parents[1] / "examples" / "plotjuggler.xml")
+    layout = ElementTree.parse(ROOT / "examples" / "plotjuggler.xml")
     names = [curve.get("name") for curve in layout.iter("curve")]
     sample = plotjuggler_decodes(rig.receive(rig.subscriber("servo")))[0]
     assert len(names) == 6

@@ -12,8 +12,8 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-from gateway_rig import START_NS, UNIX_NS, DeskRig
-from gateway_stand_in import StandInServo
+from support.gateway_rig import START_NS, UNIX_NS, DeskRig
+from support.gateway_stand_in import StandInServo
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.gateway.publisher import Publisher
@@ -456,7 +456,7 @@ def test_foreign_prefixes_are_not_kept() -> None:
 BIN = 10 ** (1 / PER_DECADE)
 
 
-def records(times_ns: np.ndarray, start_ns: int = 0) -> np.ndarray:
+def timed_records(times_ns: np.ndarray, start_ns: int = 0) -> np.ndarray:
     found = np.zeros(len(times_ns), RECORD_DTYPE)
     found["time_ns"] = start_ns + 1_000_000 * np.arange(len(times_ns))
     for place, stage in enumerate(STAGES):
@@ -468,7 +468,7 @@ def test_percentiles_are_exact_to_one_bin() -> None:
     times_ns = np.random.default_rng(1).lognormal(9.0, 1.0, 50_000).astype(np.int32)
     histograms = StageHistograms(grace_s=0.0)
     for part in np.array_split(times_ns, 1003):
-        histograms.add(records(part))
+        histograms.add(timed_records(part))
     for place, stage in enumerate(STAGES):
         found = histograms.summary()[stage]
         for name, share in (("p50_us", 50), ("p99_us", 99), ("p999_us", 99.9)):
@@ -481,13 +481,13 @@ def test_percentiles_are_exact_to_one_bin() -> None:
 def test_grace_is_left_out() -> None:
     histograms = StageHistograms(grace_s=0.5)
     histograms.begin(7)
-    histograms.add(records(np.full(1000, 100), start_ns=7))
+    histograms.add(timed_records(np.full(1000, 100), start_ns=7))
     assert histograms.summary()["wake"]["count"] == 500
 
 
 def test_extremes_stay_in_the_table() -> None:
     histograms = StageHistograms(grace_s=0.0)
-    histograms.add(records(np.array([-5, 0, 3, 400_000_000])))
+    histograms.add(timed_records(np.array([-5, 0, 3, 400_000_000])))
     found = histograms.summary()["wake"]
     assert (found["count"], found["max_us"]) == (4, 400_000.0)
     assert found["p50_us"] == EDGES_NS[0] / 1000
@@ -506,6 +506,6 @@ def test_empty_histogram_is_zero() -> None:
 @pytest.mark.parametrize("stage", STAGES)
 def test_another_servo_life_begins_anew(stage: str) -> None:
     histograms = StageHistograms(grace_s=0.0)
-    histograms.add(records(np.full(10, 100)))
+    histograms.add(timed_records(np.full(10, 100)))
     histograms.begin(0)
     assert histograms.summary()[stage]["count"] == 0

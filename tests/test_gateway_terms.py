@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gateway_rig import DeskRig, packed
-from guard_stub import StubWorker
+from support.gateway_rig import DeskRig, packed
+from support.guard_stub import StubWorker
 
 from hapticd.gateway.terms import Terms, keep, kept, no_laxer
 from hapticd.mailbox.files import GUARD_TERMS

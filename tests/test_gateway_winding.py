@@ -4,8 +4,8 @@ from dataclasses import replace
 from math import nan
 
 import pytest
-from gateway_stand_in import setup
-from test_servo_compensation import TABLE
+from support.gateway_stand_in import setup
+from support.winding_table import TABLE
 
 from hapticd.gateway.winding import compensation
 

@@ -5,7 +5,7 @@ import contextlib
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from raw_peer import HELLO, PING, ready, short
+from support.raw_peer import HELLO, PING, ready, short
 
 from hapticd.errors import WireError
 from hapticd.gateway.zmtp import GREETING, MOST_PARTS, Message, Session, message

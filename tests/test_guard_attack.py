@@ -2,17 +2,12 @@
 in ours. Then ways to get past it, one by one.
 """
 
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from whole_tick import SETTLED, Display, Point, radius
+from support.whole_tick import SETTLED, Display, Point, radius
 
 from benchmarks.guard_attack import SHIPPED, WEIR, Found, attack, chunks, device, fly_one
 from benchmarks.guard_flight import plain_servo

@@ -2,18 +2,13 @@
 desk of the gateway, the guard's judge, the servo, the board and the plant, on virtual time.
 """
 
-import sys
 from functools import lru_cache
-from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from whole_tick import SETTLED, Display, Point, gripping, radius
+from support.whole_tick import SETTLED, Display, Point, gripping, radius
 
 from benchmarks.guard_attack import shipped_judge
 from benchmarks.guard_desk import GuardedStack

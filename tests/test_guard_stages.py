@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gateway_rig import UNIX_NS, decoded, packed
-from guard_stub import StubWorker
+from support.gateway_rig import UNIX_NS, decoded, packed
+from support.guard_stub import StubWorker
 
 from hapticd.analysis.judge import Judge
 from hapticd.assembly.lockstep import LockStep

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from support.tree import ROOT
 
-ROOT = Path(__file__).parents[1]
 PINS = ROOT / "constraints.txt"
 PYTHONS = ("3.11.2", "3.12.1", "3.13.5")  # bookworm, a Python between, trixie
 GROUPS = ("test", "lint", "docs")

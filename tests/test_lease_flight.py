@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gateway_rig import UNIX_NS, decoded, packed
-from models import board_params, device_params, servo_params
+from support.boards import board_params
+from support.gateway_rig import UNIX_NS, decoded, packed
+from support.models import device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.gateway.desk import Desk

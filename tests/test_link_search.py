@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from boards import board_params
-from gateway_rig import GatewayRig, running
-from gateway_stand_in import setup
-from models import servo_params
+from support.boards import board_params
+from support.gateway_rig import GatewayRig, running
+from support.gateway_stand_in import setup
+from support.models import servo_params
 
 from hapticd.assembly import servo_main
 from hapticd.assembly.lockstep import LockStep

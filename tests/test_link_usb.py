@@ -9,7 +9,7 @@ from array import array
 
 import pytest
 import usb.backend.libusb1
-from boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
+from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.clock import VirtualClock
 from hapticd.errors import ConfigError, LinkAccess, LinkLost, LinkStalled, LinkTimeout

@@ -3,16 +3,16 @@
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support.tree import ROOT
 
 from hapticd.errors import MailboxError
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import GatewayMailbox
 
-HAMMER = Path(__file__).with_name("hammer.py")
+HAMMER = ROOT / "tests/support/hammer.py"
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 ENOUGH = 1 << 41
 DERIVED = (

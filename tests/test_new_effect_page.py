@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 from scipy.special import ellipk
+from support.tree import ROOT
 
-ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "new-effect.md").read_text()
 FENCE = re.compile(r"```(?:python|toml)\n# ([^\s,]+)(?:, after class (\w+))?\n(.*?)```", re.DOTALL)
 BLOCKS = {name: text for name, _, text in FENCE.findall(PAGE)}

@@ -12,12 +12,11 @@ by their base.
 import ast
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from support.tree import ROOT
 
-ROOT = Path(__file__).parents[1]
 PACKAGE = "hapticd"
 USERS = ("examples", "benchmarks", "docs")
 PLAIN = {"staticmethod", "classmethod", "property", "abstractmethod", "dataclass", "cache"}

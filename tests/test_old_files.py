@@ -2,16 +2,16 @@
 
 import json
 import shutil
-from pathlib import Path
 
 import pytest
+from support.tree import ROOT
 
 from hapticd.cli.app import main
 from hapticd.zwidth import outcomes
 
 pytest.importorskip("matplotlib")
 
-OLD = Path(__file__).parent / "data" / "as-of-0.1"
+OLD = ROOT / "tests/support/data" / "as-of-0.1"
 
 
 @pytest.mark.parametrize("kind", ["map", "trial"])

@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from programs import program
+from support.programs import program
+from support.tree import ROOT
 
 pytestmark = [pytest.mark.process, pytest.mark.timeout(600)]
 
-ROOT = Path(__file__).parents[1]
 LOCK = ROOT / "requirements.lock"
 MOST_MB = 120  # of a base installation, numpy and what Python compiles included
 PATIENCE_S = 120.0

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gateway_rig import START_NS, GatewayRig, packed
-from gateway_stand_in import StandInServo, setup
-from models import board_params, device_params, servo_params
+from support.boards import board_params
+from support.gateway_rig import START_NS, GatewayRig, packed
+from support.gateway_stand_in import StandInServo, setup
+from support.models import device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.clock import VirtualClock

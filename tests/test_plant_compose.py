@@ -4,7 +4,7 @@ from math import pi, tau
 
 import numpy as np
 import pytest
-from plant_devices import EFFECTS, FULL, N_PER_A, device
+from support.plant_devices import EFFECTS, FULL, N_PER_A, weir_device
 
 from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose_device
@@ -56,7 +56,7 @@ def dc_force(model, level, command=1.0, velocity=0.0):
 
 
 def test_nothing_else_is_built():
-    model = device("probe", "viscous")
+    model = weir_device("probe", "viscous")
     assert names(model) == ["rotor_position", "rotor_velocity"]
     assert (model.contacts, model.ends, model.rotor_forces, model.noise, model.winding) == (
         (),
@@ -76,7 +76,7 @@ def test_nothing_else_is_built():
 
 def test_whole_device_is_the_equations():
     """x_m, v_m, x_e, v_e, F_r, F_a, v_hat as written in the docstrings of bodies and electrical."""
-    model = device(*FULL)
+    model = weir_device(*FULL)
     mm = 0.0055
     me = 0.0025
     kc = 4e4
@@ -108,10 +108,10 @@ def test_whole_device_is_the_equations():
 
 
 def test_encoder_sits_on_the_slider():
-    model = device(*FULL)
+    model = weir_device(*FULL)
     assert model.outputs.encoder.row()[model.index("slider_position")] == 1.0
     assert model.outputs.velocity.row()[model.index("rotor_velocity")] == 1.0
-    rigid = device("probe")
+    rigid = weir_device("probe")
     assert rigid.outputs.encoder.row().tolist() == [1.0, 0.0]
 
 
@@ -120,7 +120,7 @@ def test_encoder_sits_on_the_slider():
 )
 @pytest.mark.parametrize("hot_c", [0.0, 20.0, 33.7, 60.0])
 def test_alpha_scales_command_and_damping(lags, hot_c):
-    model = device(
+    model = weir_device(
         "probe",
         "smoothing",
         *lags,
@@ -137,7 +137,7 @@ def test_alpha_scales_command_and_damping(lags, hot_c):
 def test_multiplier_offsets_step_the_force():
     wrong = Multiplier(gain_error=0.1, scale_offset_ns_per_m=0.05, velocity_offset_m_per_s=0.02)
     for lags in ((), ("amplifier", "damping_circuit")):
-        model = device("probe", *lags, multiplier=wrong)
+        model = weir_device("probe", *lags, multiplier=wrong)
         column = model.inputs.estimate
         force = model.outputs.motor_force
         assert model.estimate_offset_m_per_s == 0.02
@@ -176,11 +176,11 @@ def test_multiplier_offsets_step_the_force():
 )
 def test_contradicting_effects_are_refused(effects, message):
     with pytest.raises(ConfigError, match=message):
-        device(**effects)
+        weir_device(**effects)
 
 
 def test_inductance_error_differentiates_the_current():
-    model = device("amplifier", "damping_circuit", inductance=InductanceError(error_h=1e-4))
+    model = weir_device("amplifier", "damping_circuit", inductance=InductanceError(error_h=1e-4))
     wa = tau * 5e3
     wd = tau * 1e3
     lam = 1e-4 / N_PER_A**2
@@ -193,14 +193,14 @@ def test_inductance_error_differentiates_the_current():
 
 
 def test_crowbar_excludes_torque():
-    model = device("probe", crowbar=Crowbar())
+    model = weir_device("probe", crowbar=Crowbar())
     for level in (0.0, LEVEL):
         assert not model.b(level)[:, model.inputs.command].any()
         assert model.a(level)[1, 1] == pytest.approx(-(N_PER_A**2) / 1.6 / 0.008)
 
 
 def test_quanta_and_noise_are_handed_on():
-    model = device(
+    model = weir_device(
         encoder=Encoder(quantum_m=5e-7),
         probe_adc=ProbeAdc(velocity_quantum_m_per_s=1e-5, torque_quantum_n=1e-4),
         sensor_noise=SensorNoise(velocity_m_per_s=1e-4),
@@ -222,7 +222,7 @@ def transfer(model, row, column, hz):
 
 @pytest.mark.parametrize("hz", [0.05, 1.0, 100.0, 1500.0])
 def test_record_filters_are_first_and_second_order(hz):
-    model = device(
+    model = weir_device(
         "probe",
         "viscous",
         velocity_highpass=VelocityHighpass(corner_hz=0.1),
@@ -246,7 +246,7 @@ def test_record_filters_are_first_and_second_order(hz):
 
 
 def test_plain_record_is_the_motion():
-    model = device(*FULL)
+    model = weir_device(*FULL)
     assert model.outputs.recorded_travel.row().tolist() == model.outputs.position.row().tolist()
     assert model.outputs.recorded_impulse is None
 
@@ -261,7 +261,7 @@ def test_hand_and_load_add_their_impedance(hz):
         grip_damping_ns_per_m=2.5,
     )
     load = Load(mass_kg=0.01, damping_ns_per_m=0.5, stiffness_n_per_m=20.0)
-    model = device("probe", "viscous", hand=hand, load=load)
+    model = weir_device("probe", "viscous", hand=hand, load=load)
     s = 1j * tau * hz
     arm = 0.006 * s + 1.0 + 30.0 / s
     grip = 2.5 + 1500.0 / s
@@ -273,8 +273,8 @@ def test_hand_and_load_add_their_impedance(hz):
 
 def test_friction_of_one_body_is_one_contact():
     both = Coulomb(rotor_n=0.02, slider_n=0.01)
-    rigid = device("probe", coulomb=both)
-    flexible = device("probe", "coupling", coulomb=both)
+    rigid = weir_device("probe", coulomb=both)
+    flexible = weir_device("probe", "coupling", coulomb=both)
     assert [(c.body, c.level_n) for c in rigid.contacts] == [("rotor", pytest.approx(0.03))]
     assert [(c.body, c.level_n) for c in flexible.contacts] == [("rotor", 0.02), ("slider", 0.01)]
     assert flexible.b()[
@@ -305,7 +305,7 @@ def test_residual_may_change_afterwards(lags):
     heating = WindingHeating(thermal_resistance_k_per_w=8.0, time_constant_s=10.0, ambient_c=20.0)
 
     def at(celsius):
-        return device(
+        return weir_device(
             "probe",
             *lags,
             heating=heating,
@@ -320,18 +320,18 @@ def test_residual_may_change_afterwards(lags):
         assert moved.b(level) == pytest.approx(hot.b(level), rel=1e-12)
     assert moved.resistance_ohm == pytest.approx(hot.resistance_ohm)
     with pytest.raises(ValueError, match="no winding whose resistance changes"):
-        device(*FULL).at_residual(0.1)
+        weir_device(*FULL).at_residual(0.1)
 
 
 def test_arrays_are_read_only():
-    model = device(*FULL)
+    model = weir_device(*FULL)
     for array in (model.a0, model.b1, model.outputs.encoder.c0):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1.0
 
 
 def test_notes_tell_states_constants_and_tags():
-    notes = {note.effect: note for note in device(*FULL).notes}
+    notes = {note.effect: note for note in weir_device(*FULL).notes}
     assert notes["smoothing"].states == ("smoothed_force",)
     assert notes["smoothing"].time_constants_s == (pytest.approx(1 / (2 * pi * 31.8)),)
     assert notes["coulomb"].nonlinearity

@@ -9,8 +9,8 @@ from random import Random
 
 import numpy as np
 import pytest
-from boards import board_params
-from plant_devices import EFFECTS, FULL, N_PER_A, device
+from support.boards import board_params
+from support.plant_devices import EFFECTS, FULL, N_PER_A, weir_device
 
 from hapticd.errors import ConfigError
 from hapticd.params import from_plain, to_plain
@@ -45,17 +45,17 @@ HAND = PassiveHand(
 )
 
 MODELS = {
-    "whole": device(*FULL, dac=DampingDac(quantum_ns_per_m=QUANTUM)),
-    "linear": device("probe", "viscous", "coupling", "amplifier"),
-    "rigid": device("probe", "viscous"),
-    "slider": device("coupling", coulomb=Coulomb(rotor_n=0.0, slider_n=0.02)),
-    "both": device("coupling", "viscous", coulomb=Coulomb(rotor_n=0.02, slider_n=0.01)),
-    "hand": device(*FULL, hand=HAND),
-    "hand on a rigid one": device("probe", coulomb=Coulomb(rotor_n=0.03), hand=HAND),
-    "offset": device(
+    "whole": weir_device(*FULL, dac=DampingDac(quantum_ns_per_m=QUANTUM)),
+    "linear": weir_device("probe", "viscous", "coupling", "amplifier"),
+    "rigid": weir_device("probe", "viscous"),
+    "slider": weir_device("coupling", coulomb=Coulomb(rotor_n=0.0, slider_n=0.02)),
+    "both": weir_device("coupling", "viscous", coulomb=Coulomb(rotor_n=0.02, slider_n=0.01)),
+    "hand": weir_device(*FULL, hand=HAND),
+    "hand on a rigid one": weir_device("probe", coulomb=Coulomb(rotor_n=0.03), hand=HAND),
+    "offset": weir_device(
         "probe", "coulomb", "amplifier", multiplier=Multiplier(velocity_offset_m_per_s=0.02)
     ),
-    "filters": device(
+    "filters": weir_device(
         "probe",
         "viscous",
         highpass=VelocityHighpass(corner_hz=0.1),
@@ -169,7 +169,7 @@ def test_level_may_change_between_pieces():
 
 def test_ends_hold_and_release():
     for extra in ((), ("coulomb",)):
-        model = device(
+        model = weir_device(
             "probe", "coupling", "viscous", *extra, ends=WorkspaceEnds(lower_m=-0.02, upper_m=0.01)
         )
         plant = make_plant(board(model))
@@ -188,7 +188,9 @@ def test_cogging_holds_a_detent_and_conserves_energy():
     """Undamped mass in A sin(2 pi x / p): energy m v^2 / 2 + (A p / 2 pi) cos(2 pi x / p)
     stays, for 1,000 swings.
     """
-    model = device("probe", cogging=MagnetCogging(amplitude_n=0.5, pitch_m=0.005, phase_rad=pi))
+    model = weir_device(
+        "probe", cogging=MagnetCogging(amplitude_n=0.5, pitch_m=0.005, phase_rad=pi)
+    )
     plant = make_plant(board(model))
     state = (1e-4, 0.0)
     k = tau / 0.005
@@ -214,7 +216,7 @@ def test_winding_heats_up_and_weakens_the_motor():
     heating = WindingHeating(
         thermal_resistance_k_per_w=per_w, time_constant_s=seconds, ambient_c=20.0
     )
-    model = device(
+    model = weir_device(
         "amplifier", "damping_circuit", "probe", heating=heating, coulomb=Coulomb(rotor_n=5.0),
         winding=WindingTemperature(temperature_c=20.0, compensated_c=20.0),
     )  # fmt: skip
@@ -233,7 +235,7 @@ def test_winding_heats_up_and_weakens_the_motor():
 
 def test_heating_follows_its_time_constant():
     heating = WindingHeating(thermal_resistance_k_per_w=0.0, time_constant_s=0.1, ambient_c=20.0)
-    model = device(
+    model = weir_device(
         "amplifier",
         "probe",
         heating=heating,
@@ -250,7 +252,7 @@ def test_noise_of_the_estimate_has_its_density():
     """Velocity noise of the estimate times 10 Ns/m on a mass: a random walk of velocity, S/2 (b
     / m)^2 per second.
     """
-    model = device("probe", multiplier=Multiplier(noise_psd=1e-6))
+    model = weir_device("probe", multiplier=Multiplier(noise_psd=1e-6))
     plant = make_plant(board(model, (10.0,), seed=5))
     squares = []
     for _ in range(400):
@@ -353,7 +355,9 @@ def test_passive_device_never_creates_energy():
 
 
 def test_phase_of_cogging_is_where_the_file_says():
-    model = device("probe", cogging=MagnetCogging(amplitude_n=0.1, pitch_m=0.005, phase_rad=pi / 2))
+    model = weir_device(
+        "probe", cogging=MagnetCogging(amplitude_n=0.1, pitch_m=0.005, phase_rad=pi / 2)
+    )
     state = make_plant(board(model)).step((0.0, 0.0), 0.0, 0.0, 0.0, 1)
     assert state[1] == pytest.approx(0.1 * sin(pi / 2) / 0.008 * H, rel=1e-9)
     assert sqrt(2 * state[0] * 0.1 / 0.008) == pytest.approx(state[1], rel=1e-6)

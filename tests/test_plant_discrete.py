@@ -7,7 +7,7 @@ from math import cos, exp, pi, sin, sqrt
 
 import numpy as np
 import pytest
-from plant_devices import FULL, device
+from support.plant_devices import FULL, weir_device
 
 from hapticd.plant.discrete import delay_steps, discretise, expm, late_command
 from hapticd.plant.effects import Amplifier, Coupling, DampingCircuit, Masses
@@ -44,7 +44,7 @@ def block(model, level, h):
 @pytest.mark.parametrize("level", [0.0, 1.74, 10.0])
 @pytest.mark.parametrize("h", [1e-3 / 16, 1e-3])
 def test_stiff_electronics_to_the_last_digits(level, h):
-    stiff = device(
+    stiff = weir_device(
         *FULL,
         amplifier=Amplifier(bandwidth_hz=5e4),
         damping_circuit=DampingCircuit(bandwidth_hz=2e4),
@@ -57,7 +57,7 @@ def test_stiff_electronics_to_the_last_digits(level, h):
 
 
 def test_every_entry_is_accurate():
-    matrix = block(device("probe", "coupling", "viscous"), 0.0, 1e-3)
+    matrix = block(weir_device("probe", "coupling", "viscous"), 0.0, 1e-3)
     reference = decimal_expm(matrix)
     found = expm(matrix)
     there = abs(reference) > 1e-12 * abs(reference).max(axis=1, keepdims=True)
@@ -84,7 +84,7 @@ def test_not_finite_is_refused():
 
 
 def test_rigid_mass_is_the_closed_form():
-    model = device("probe", "viscous")
+    model = weir_device("probe", "viscous")
     found = discretise(model, 1e-3, 1.74)
     decay, gain, reach, push = held_force_response(0.008, 0.358 + 1.74, 1e-3)
     assert found.a == pytest.approx(np.array([[1.0, reach], [0.0, decay]]), rel=1e-15)
@@ -94,7 +94,7 @@ def test_rigid_mass_is_the_closed_form():
 
 @pytest.mark.parametrize("pieces", [2, 16, 100])
 def test_pieces_compose_to_the_whole(pieces):
-    model = device(*FULL)
+    model = weir_device(*FULL)
     whole = discretise(model, 1e-3, 1.74)
     piece = discretise(model, 1e-3 / pieces, 1.74)
     x = np.linspace(-1.0, 1.0, 7) * 1e-3
@@ -107,7 +107,7 @@ def test_pieces_compose_to_the_whole(pieces):
 
 @pytest.mark.parametrize("fraction", [0.0, 0.125, 1 / 3, 0.9, 1.0])
 def test_late_command_is_two_exact_pieces(fraction):
-    model = device(*FULL)
+    model = weir_device(*FULL)
     h = 1e-3
     whole = discretise(model, h, 1.74)
     old, new = late_command(model, whole, fraction)
@@ -143,7 +143,7 @@ def test_lightly_damped_coupling_decays_as_it_should():
     damping = 0.02
     m1 = 0.0055
     m2 = 0.0025
-    model = device(
+    model = weir_device(
         masses=Masses(rotor_kg=m1 + 0.0, slider_kg=m2),
         coupling=Coupling(stiffness_n_per_m=stiffness, damping_ns_per_m=damping),
     )

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plant_devices import FULL, alpha, device
-from straight import Straight
+from support.plant_devices import FULL, alpha, weir_device
+from support.straight import Straight
 
 from hapticd.engine import simulate
 from hapticd.engine.shape import reduced
@@ -55,7 +55,7 @@ def added(model, hz, level=LEVEL):
 
 def ideal(highpass_hz=0.0, lowpass_hz=0.0):
     """A rigid device whose circuit has no lags but the shape."""
-    return device(
+    return weir_device(
         "probe",
         "viscous",
         shaped_damping=ShapedDamping(highpass_hz=highpass_hz, lowpass_hz=lowpass_hz),
@@ -94,7 +94,7 @@ def test_both_corners_make_a_band(hz):
 
 @pytest.mark.parametrize("hz", [1.0, 10.0, 100.0])
 def test_corners_far_away_are_plain_damping_or_none(hz):
-    plain = device("probe", "viscous")
+    plain = weir_device("probe", "viscous")
     assert added(ideal(highpass_hz=1e-6), hz) == pytest.approx(added(plain, hz), rel=1e-5)
     assert added(ideal(lowpass_hz=1e6), hz) == pytest.approx(added(plain, hz), rel=2e-4)
     assert abs(added(ideal(highpass_hz=1e6), hz)) < 2e-4
@@ -135,7 +135,7 @@ def test_shaped_damper_alone_is_passive(hz, highpass_hz, lowpass_hz):
 def test_lowpass_beside_the_circuits_own_lag_is_active_above_their_geometric_mean():
     """Z = b / ((1 + s/w_h)(1 + s/w_d)): Re Z = 0 at w = sqrt(w_h w_d)."""
     circuit = DampingCircuit(bandwidth_hz=1e3)
-    model = device(
+    model = weir_device(
         "probe", "viscous", damping_circuit=circuit, shaped_damping=ShapedDamping(lowpass_hz=100.0)
     )
     turn = np.sqrt(100.0 * 1e3)
@@ -145,7 +145,7 @@ def test_lowpass_beside_the_circuits_own_lag_is_active_above_their_geometric_mea
 @pytest.mark.parametrize("hz", [0.1, 10.0, 300.0, 1e4])
 def test_highpass_beside_one_lag_stays_passive(hz):
     circuit = DampingCircuit(bandwidth_hz=1e3)
-    model = device(
+    model = weir_device(
         "probe", "viscous", damping_circuit=circuit, shaped_damping=ShapedDamping(highpass_hz=100.0)
     )
     assert added(model, hz).real > 0.0
@@ -165,8 +165,8 @@ def held_force(model, level):
 
 def test_highpass_keeps_a_hot_winding_out_of_the_static_force():
     hot = {"winding": WindingTemperature(temperature_c=60.0, compensated_c=20.0)}
-    plain = device("probe", "amplifier", "damping_circuit", **hot)
-    shaped = device(
+    plain = weir_device("probe", "amplifier", "damping_circuit", **hot)
+    shaped = weir_device(
         "probe",
         "amplifier",
         "damping_circuit",
@@ -178,25 +178,25 @@ def test_highpass_keeps_a_hot_winding_out_of_the_static_force():
 
 
 def test_without_the_effect_nothing_is_built():
-    names = [state.name for state in device(*FULL).states]
+    names = [state.name for state in weir_device(*FULL).states]
     assert "slow_estimate" not in names
     assert "smooth_estimate" not in names
-    empty = device(*FULL, shaped_damping=ShapedDamping())
+    empty = weir_device(*FULL, shaped_damping=ShapedDamping())
     for attribute in ("a0", "a1", "b0", "b1"):
-        assert (getattr(empty, attribute) == getattr(device(*FULL), attribute)).all()
+        assert (getattr(empty, attribute) == getattr(weir_device(*FULL), attribute)).all()
 
 
 def test_undamped_engine_computes_no_shape():
     """At level 0 the states that only the damping would need are left out of the kernel."""
-    shaped = device(*FULL, shaped_damping=ShapedDamping(highpass_hz=10.0, lowpass_hz=100.0))
-    off, plain = (reduced(model, damped=False)[0] for model in (shaped, device(*FULL)))
+    shaped = weir_device(*FULL, shaped_damping=ShapedDamping(highpass_hz=10.0, lowpass_hz=100.0))
+    off, plain = (reduced(model, damped=False)[0] for model in (shaped, weir_device(*FULL)))
     assert [state.name for state in off.states] == [state.name for state in plain.states]
     damped = reduced(shaped, damped=True)[0]
-    assert len(damped.states) == len(reduced(device(*FULL), damped=True)[0].states) + 2
+    assert len(damped.states) == len(reduced(weir_device(*FULL), damped=True)[0].states) + 2
 
 
 def test_engine_plays_it_exactly():
-    model = device(
+    model = weir_device(
         *(name for name in FULL if name != "coulomb"),
         shaped_damping=ShapedDamping(highpass_hz=10.0, lowpass_hz=300.0),
     )
@@ -212,7 +212,7 @@ def test_engine_plays_it_exactly():
 
 def test_level_may_be_switched_while_the_shape_keeps_its_state():
     """The filter sits before the multiplier: its own equation does not know the level."""
-    model = device(*FULL, shaped_damping=ShapedDamping(highpass_hz=10.0))
+    model = weir_device(*FULL, shaped_damping=ShapedDamping(highpass_hz=10.0))
     assert not model.a1[model.index("slow_estimate")].any()
     assert model.a1[model.index("motor_force"), model.index("slow_estimate")] == pytest.approx(
         tau * 5e3 * 1.05
@@ -225,7 +225,7 @@ def test_crowbar_and_shape_exclude_each_other():
         r" and 'inductance'"
     )
     with pytest.raises(ConfigError, match=message):
-        device(crowbar=Crowbar(), shaped_damping=ShapedDamping(highpass_hz=10.0))
+        weir_device(crowbar=Crowbar(), shaped_damping=ShapedDamping(highpass_hz=10.0))
 
 
 def test_scene_names_it_with_corner_and_reason():

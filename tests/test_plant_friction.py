@@ -5,10 +5,10 @@ from math import pi, sqrt
 
 import numpy as np
 import pytest
-from dry_friction import stop_time_s, turning_points_m
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plant_devices import device
+from support.dry_friction import stop_time_s, turning_points_m
+from support.plant_devices import weir_device
 
 from hapticd.plant.discrete import discretise
 from hapticd.plant.effects import Coulomb, Load, Masses
@@ -76,7 +76,7 @@ def play(model, x, steps, h, force=0.0, level=LEVEL):
 
 @pytest.mark.parametrize("substeps", [1, 2, 4, 16, 64])
 def test_sliding_mass_stops_within_a_substep(substeps):
-    model = device("probe", coulomb=Coulomb(rotor_n=LEVEL))
+    model = weir_device("probe", coulomb=Coulomb(rotor_n=LEVEL))
     h = 1e-3 / substeps
     x = play(model, np.array([0.0, 0.05]), 40 * substeps, h)
     exact_s = stop_time_s(0.008, 0.05, LEVEL)
@@ -92,7 +92,7 @@ def test_sliding_mass_stops_within_a_substep(substeps):
 
 
 def test_friction_holds_below_its_level_and_yields_above():
-    model = device("probe", coulomb=Coulomb(rotor_n=LEVEL))
+    model = weir_device("probe", coulomb=Coulomb(rotor_n=LEVEL))
     assert (play(model, np.zeros(2), 200, 1e-4, force=0.999 * LEVEL) == 0.0).all()
     slid = play(model, np.zeros(2), 200, 1e-4, force=1.5 * LEVEL)
     assert slid[-1, 1] == pytest.approx(0.5 * LEVEL / 0.008 * 0.02, rel=1e-9)
@@ -104,7 +104,9 @@ def test_stick_slip_loses_two_bands_each_half_cycle():
     """
     stiffness = 200.0
     start = 2.1e-3
-    model = device("probe", load=Load(stiffness_n_per_m=stiffness), coulomb=Coulomb(rotor_n=LEVEL))
+    model = weir_device(
+        "probe", load=Load(stiffness_n_per_m=stiffness), coulomb=Coulomb(rotor_n=LEVEL)
+    )
     exact = turning_points_m(start, stiffness, LEVEL)
     assert len(exact) == 8
     h = 1e-3 / 64
@@ -124,7 +126,7 @@ def test_stuck_rotor_lets_the_slider_ring(slider_kg):
     """Friction at the rotor alone: the rotor stands exactly still while the slider swings on
     the coupling.
     """
-    model = device(
+    model = weir_device(
         "coupling",
         masses=Masses(rotor_kg=0.0055, slider_kg=slider_kg),
         coulomb=Coulomb(rotor_n=LEVEL),

@@ -3,7 +3,7 @@
 from math import tau
 
 import pytest
-from plant_devices import EFFECTS, FULL, N_PER_A, device
+from support.plant_devices import EFFECTS, FULL, N_PER_A, weir_device
 
 from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose
@@ -33,7 +33,7 @@ def overcompensated(loop_gain, level=LEVEL):
 @pytest.mark.parametrize(("loop_gain", "sign"), [(-0.5, -1), (-0.99, -1), (-1.01, 1), (-1.2, 1)])
 def test_resistance_over_compensated_beyond_minus_one_grows(loop_gain, sign):
     effects = overcompensated(loop_gain)
-    found = stability(device(*LOOP, winding=effects["winding"]), LEVEL)
+    found = stability(weir_device(*LOOP, winding=effects["winding"]), LEVEL)
     assert found.loop_gain == pytest.approx(loop_gain)
     assert found.growth_per_s * sign > 0
     assert found.stable is (sign < 0)
@@ -65,14 +65,14 @@ def test_unstable_device_is_refused_unless_asked_for():
 
 def test_undamped_device_is_not_called_unstable():
     for names in (("probe",), ("probe", "coupling"), ("probe", "amplifier")):
-        found = stability(device(*names))
+        found = stability(weir_device(*names))
         assert found.stable, found
         assert abs(found.growth_per_s) < 1e-6
 
 
 def test_translation_is_divided_out():
-    assert len(modes(device("probe", "viscous"))) == 1
-    assert modes(device("probe", "viscous"))[0] == pytest.approx(-0.358 / 0.008)
+    assert len(modes(weir_device("probe", "viscous"))) == 1
+    assert modes(weir_device("probe", "viscous"))[0] == pytest.approx(-0.358 / 0.008)
 
 
 def test_ceiling_is_the_routh_limit():
@@ -88,23 +88,23 @@ def test_ceiling_is_the_routh_limit():
     a1 = wa * wd + (wa + wd) * b / m
     a0 = wa * wd * b / m
     limit = (a2 * a1 - a0) * m / (wa * wd)
-    assert damping_ceiling(device(*rigid)) == pytest.approx(limit, rel=1e-6)
-    assert stability(device(*rigid), 0.999 * limit).stable
-    assert "damping circuit oscillates" in stability(device(*rigid), 1.001 * limit).reason
+    assert damping_ceiling(weir_device(*rigid)) == pytest.approx(limit, rel=1e-6)
+    assert stability(weir_device(*rigid), 0.999 * limit).stable
+    assert "damping circuit oscillates" in stability(weir_device(*rigid), 1.001 * limit).reason
 
 
 @pytest.mark.parametrize(("bandwidth_hz", "ceiling"), [(1e3, 219.0), (2e4, 876.0)])
 def test_ceiling_of_the_display(bandwidth_hz, ceiling):
     names = ("probe", "coupling", "viscous", "smoothing", "amplifier")
-    model = device(*names, damping_circuit=DampingCircuit(bandwidth_hz=bandwidth_hz))
+    model = weir_device(*names, damping_circuit=DampingCircuit(bandwidth_hz=bandwidth_hz))
     assert damping_ceiling(model) == pytest.approx(ceiling, rel=0.01)
 
 
 def test_hot_winding_raises_the_ceiling_cold_lowers_it():
     rigid = ("probe", "viscous", "amplifier", "damping_circuit")
-    exact = damping_ceiling(device(*rigid))
+    exact = damping_ceiling(weir_device(*rigid))
     hot, cold = (
-        device(*rigid, winding=WindingTemperature(temperature_c=c, compensated_c=20.0))
+        weir_device(*rigid, winding=WindingTemperature(temperature_c=c, compensated_c=20.0))
         for c in (21.0, 19.0)
     )
     assert damping_ceiling(cold) < exact < damping_ceiling(hot)
@@ -119,14 +119,14 @@ def test_inductance_error_has_a_closed_limit(side):
     wd = tau * 1e3
     error_h = -side * (1 / wa + 1 / wd) / LEVEL * N_PER_A**2
     heavy = {"masses": EFFECTS["masses"].__class__(rotor_kg=50.0)}
-    model = device(
+    model = weir_device(
         "amplifier", "damping_circuit", inductance=InductanceError(error_h=error_h), **heavy
     )
     assert stability(model, LEVEL).stable is (side < 1)
 
 
 def test_explanation_names_modes_and_alpha():
-    found = explain(device(*FULL), (0.0, LEVEL))
+    found = explain(weir_device(*FULL), (0.0, LEVEL))
     coupling = next(mode for mode in found.levels[0].modes if mode.frequency_hz > 0)
     assert coupling.frequency_hz == pytest.approx(762, abs=5)
     assert coupling.time_constant_s == pytest.approx(coupling.damping_ratio and 1.646e-3, rel=0.01)
@@ -139,13 +139,13 @@ def test_explanation_names_modes_and_alpha():
 
 
 def test_drifting_mass_has_an_endless_mode():
-    found = explain(device("probe"))
+    found = explain(weir_device("probe"))
     assert found.levels[0].modes[0].time_constant_s == float("inf")
     assert found.fastest_s == float("inf")
 
 
 def test_motor_without_winding_effect_is_compensated():
-    model = device(
+    model = weir_device(
         "probe",
         amplifier=Amplifier(bandwidth_hz=1e3),
         motor=Motor(torque_constant_nm_per_a=0.02, lever_m=0.01, resistance_ohm=2.0),

@@ -7,9 +7,9 @@ from decimal import Decimal, getcontext
 from math import inf, nan
 
 import pytest
-from boards import board_params
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.boards import board_params
 
 import hapticd.plant.step as plant_step
 from hapticd.errors import ConfigError

@@ -8,8 +8,8 @@ from math import cos, exp, inf, pi, sin, sqrt
 
 import numpy as np
 import pytest
-from boards import board_params
-from models import servo_params
+from support.boards import board_params
+from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.errors import ConfigError

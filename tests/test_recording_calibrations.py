@@ -6,8 +6,9 @@ import json
 from contextlib import contextmanager
 
 import pytest
-from models import board_params, device_params, servo_params
-from recorded import RecordedFlight, recorded_into
+from support.boards import board_params
+from support.models import device_params, servo_params
+from support.recorded import RecordedFlight, recorded_into
 
 from hapticd.cli import change
 from hapticd.cli.app import main

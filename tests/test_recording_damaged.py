@@ -8,8 +8,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from attacks.documents import crashed_recording, damaged_bytes, pack_damaged
-from recorded import RecordedFlight
+from support.attacks.documents import crashed_recording, damaged_bytes, pack_damaged
+from support.recorded import RecordedFlight
 
 from hapticd.errors import ConfigError, HapticdError
 from hapticd.recording import pack

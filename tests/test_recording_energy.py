@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import RecordedFlight, recorded_into
+from support.recorded import RecordedFlight, recorded_into
+from support.tree import ROOT
 
 from hapticd.gateway.ledger import NAMES, Ledger
 from hapticd.recording.energy import DATASETS, GROUP, energies, total_j
 from hapticd.recording.file import open_recording
 
-OLD = Path(__file__).parent / "data" / "as-of-0.1" / "recording.h5"
+OLD = ROOT / "tests/support/data" / "as-of-0.1" / "recording.h5"
 
 
 @pytest.fixture(scope="module")

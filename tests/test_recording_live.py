@@ -5,7 +5,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from recorded import RecordedFlight
+from support.recorded import RecordedFlight
 
 from hapticd.errors import HapticdError
 from hapticd.recording import live

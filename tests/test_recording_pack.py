@@ -8,8 +8,8 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
-from programs import program
-from recorded import RecordedFlight
+from support.programs import program
+from support.recorded import RecordedFlight
 
 from hapticd.errors import HapticdError
 from hapticd.recording import pack

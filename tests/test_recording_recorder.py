@@ -14,7 +14,7 @@ import h5py
 import msgpack
 import numpy as np
 import pytest
-from recorded import RecordedFlight, Source, recorded_into, room
+from support.recorded import RecordedFlight, Source, recorded_into, room
 
 from hapticd.assembly import replay
 from hapticd.client.blocks import BlockDecoder

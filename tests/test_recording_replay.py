@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorded import RecordedFlight, recorded_into
+from support.recorded import RecordedFlight, recorded_into
 
 from hapticd.errors import ConfigError
 from hapticd.mailbox.layout import Value

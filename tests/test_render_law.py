@@ -7,9 +7,9 @@ import types
 
 import numpy as np
 import pytest
-from models import environment_tuple
 from numba import njit
 from scipy import signal
+from support.models import environment_tuple
 
 from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
 from hapticd.render import law

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from held_force import exact_work
+from support.held_force import exact_work
 
 from hapticd.render.energy import EMPTY, EXCESS, at_rest, book
 from hapticd.render.ramp import Ramp, approach, constant

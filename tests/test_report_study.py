@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from measured_scenes import scene
+from support.measured_scenes import scene
 
 from hapticd.errors import ConfigError
 from hapticd.plant.scene import Excitation

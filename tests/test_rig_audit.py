@@ -5,8 +5,8 @@ the winding, against the closed form alpha = 1 / (1 + g dR / K^2).
 from math import pi, sin
 
 import pytest
-from models import COUNT_M
-from rig_hand import Hand
+from support.models import COUNT_M
+from support.rig_hand import Hand
 
 from hapticd.errors import AnalysisError, HapticdError
 from hapticd.gateway.view import as_records

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shaken_handle import Truth, shaken
+from support.shaken_handle import Truth, shaken
 
 from hapticd.analysis.verdict import student_quantile
 from hapticd.errors import AnalysisError

@@ -8,8 +8,8 @@ from math import exp, log
 
 import numpy as np
 import pytest
-from models import COUNT_M, COUNT_N, COUNT_NS_PER_M
-from rig_hand import Hand
+from support.models import COUNT_M, COUNT_N, COUNT_NS_PER_M
+from support.rig_hand import Hand
 
 from hapticd.cli.app import main
 from hapticd.cli.rig import steps

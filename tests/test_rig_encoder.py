@@ -4,8 +4,8 @@ import struct
 
 import numpy as np
 import pytest
-from models import COUNT_M
-from rig_hand import Hand
+from support.models import COUNT_M
+from support.rig_hand import Hand
 
 from hapticd.errors import AnalysisError
 from hapticd.params import ScaleParams

@@ -3,11 +3,12 @@
 import shutil
 from dataclasses import asdict, replace
 from datetime import date
-from pathlib import Path
 
 import numpy as np
 import pytest
-from models import board_params, device_params, servo_params
+from support.boards import board_params
+from support.models import device_params, servo_params
+from support.tree import ROOT
 
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import spectral_radius
@@ -24,7 +25,7 @@ from hapticd.settings.scene import load_scene
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.scenes import device_scene, display
 
-DEVICES = Path(__file__).resolve().parents[1] / "config" / "devices"
+DEVICES = ROOT / "config" / "devices"
 STOPS = {"lower_stop_m": -0.05, "upper_stop_m": 0.05}
 MASS_KG = 0.0093
 VISCOUS = 0.41

@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from models import board_params, servo_params
+from support.boards import board_params
+from support.models import servo_params
 
 from hapticd.errors import CommandError
 from hapticd.params import InjectionParams

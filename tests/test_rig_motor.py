@@ -2,12 +2,12 @@
 
 from dataclasses import asdict
 from datetime import date
-from pathlib import Path
 
 import numpy as np
 import pytest
-from models import COUNT_M, COUNT_N
-from rig_hand import Hand
+from support.models import COUNT_M, COUNT_N
+from support.rig_hand import Hand
+from support.tree import ROOT
 
 from hapticd.errors import AnalysisError, CommandError, HapticdError
 from hapticd.gateway.view import as_records
@@ -25,7 +25,7 @@ from hapticd.rig.push import push
 from hapticd.settings.build import device_params as device_params_of
 from hapticd.settings.load import load_device
 
-DEVICES = Path(__file__).resolve().parents[1] / "config" / "devices"
+DEVICES = ROOT / "config" / "devices"
 
 FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rig_hand import Hand
+from support.rig_hand import Hand
 
 from hapticd.errors import AnalysisError, CommandError
 from hapticd.params import ScaleParams, TouchParams

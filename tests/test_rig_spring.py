@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from blind_rig import BlindRig
-from models import COUNT_N
-from rig_hand import Hand
+from support.blind_rig import BlindRig
+from support.models import COUNT_N
+from support.rig_hand import Hand
 
 from hapticd.errors import AnalysisError
 from hapticd.params import TouchParams

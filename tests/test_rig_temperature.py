@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rig_hand import Hand
+from support.rig_hand import Hand
 
 from hapticd.errors import AnalysisError, CommandError
 from hapticd.rig import back_emf

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig_hand import Hand
+from support.rig_hand import Hand
 
 from hapticd.analysis.impedance import Impedance
 from hapticd.cli.app import main

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from blind_rig import BlindRig
-from blind_truth import NOMINAL
-from models import device_params
+from support.blind_rig import BlindRig
+from support.blind_truth import NOMINAL
+from support.models import device_params
 
 from hapticd.params import to_plain
 from hapticd.rig import encoder, motor

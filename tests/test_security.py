@@ -6,11 +6,10 @@ import ast
 import re
 from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
 import pytest
+from support.tree import ROOT
 
-ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "hapticd"
 # what can make a program of data, and where it is let in: all inside one user's own processes
 RUNS_DATA = {

@@ -7,8 +7,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from flight import Flight
-from models import COUNT_M, COUNT_N, board_params, device_params, servo_params
+from support.boards import board_params
+from support.flight import Flight
+from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.faults import BY_CODE

@@ -3,7 +3,6 @@ board do. The winding itself is integrated here, by its differential equation al
 """
 
 import marshal
-import sys
 from dataclasses import replace
 from math import expm1, pi, sin
 from pathlib import Path
@@ -11,10 +10,9 @@ from random import Random
 
 import numpy as np
 import pytest
-from flight import HEALTHY, Flight
-from models import device_params, servo_params
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.flight import HEALTHY, Flight
+from support.models import device_params, servo_params
+from support.winding_table import TABLE
 
 from benchmarks.thermal import DAMPING_NS_PER_M, RECORD, deviation_pct, device, flown
 from hapticd.assembly.lockstep import LockStep
@@ -26,7 +24,6 @@ from hapticd.mailbox.layout import Command, Value
 from hapticd.params import (
     HandParams,
     InjectionParams,
-    ResistanceParams,
     ScaleParams,
     TouchParams,
 )
@@ -46,23 +43,6 @@ from hapticd.settings.toml import shipped
 from hapticd.wire import codec
 from hapticd.wire.frames import Capability
 
-TABLE = ResistanceParams(
-    trim=ScaleParams(0.8 / 32767),
-    full_scale_ohm=0.8,
-    base_ohm=1.5,
-    winding_ohm=1.6,
-    reference_c=20.0,
-    per_k=0.00393,
-    tolerance_ohm=0.03,
-    slew_ohm_per_s=0.1,
-    force_n_per_a=1.65,
-    heat_from="current",
-    thermal_resistance_k_per_w=8.0,
-    time_constant_s=10.0,
-    ambient_low_c=15.0,
-    ambient_high_c=25.0,
-    model_error=0.1,
-)
 CEILING = 10.0  # N s/m
 ABLE = HEALTHY | COMPENSATES
 COUNT_OHM = 0.8 / 32767

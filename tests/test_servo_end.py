@@ -7,7 +7,8 @@ from itertools import pairwise, zip_longest
 from typing import NamedTuple
 
 import pytest
-from models import COUNT_NS_PER_M, board_params, servo_params
+from support.boards import board_params
+from support.models import COUNT_NS_PER_M, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.errors import LinkLost

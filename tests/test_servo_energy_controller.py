@@ -10,11 +10,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-from boards import BOARD
-from flight import HEALTHY
-from leaking import CREDITED_NS_PER_M, DEVICE_NS_PER_M, Hand, LeakFlight, T, wander
-from models import board_params, device_params, servo_params
-from recorded import RecordedFlight
+from support.boards import BOARD, board_params
+from support.flight import HEALTHY
+from support.leaking import CREDITED_NS_PER_M, DEVICE_NS_PER_M, Hand, LeakFlight, T, wander
+from support.models import device_params, servo_params
+from support.recorded import RecordedFlight
 
 from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from flight import Flight, enabled
-from models import COUNT_M, board_params, device_params, servo_params
-from recorded import RecordedFlight
+from support.boards import board_params
+from support.flight import Flight, enabled
+from support.models import COUNT_M, device_params, servo_params
+from support.recorded import RecordedFlight
 
 from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep

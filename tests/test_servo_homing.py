@@ -8,13 +8,14 @@ from math import inf
 
 import numpy as np
 import pytest
-from flight import HEALTHY
-from homing_rig import HOME, Rig, seeded
-from models import COUNT_M, COUNT_N, board_params, device_params, servo_params
+from support.boards import board_params
+from support.flight import HEALTHY
+from support.homing_rig import HOME, Rig, seeded
+from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.faults import BY_CODE, BY_NUMBER
-from hapticd.mailbox import layout
+from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import Ends, HandParams, InjectionParams, ScaleParams, TouchParams
 from hapticd.plant.composed import POSITION, VELOCITY
@@ -22,14 +23,9 @@ from hapticd.servo.homing import FASTEST
 from hapticd.servo.plan import flatten, unflatten
 from hapticd.servo.safety import State
 
-DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 STOP_M = -0.005
 INDEX = replace(HOME, method="index")
 CARRIED = replace(HOME, current_n_per_a=1.65)
-
-
-def records(block):
-    return np.frombuffer(block, DTYPE)
 
 
 def damped(stiffness_n_per_m, ratio=0.05, mass_kg=0.008, **friction):
@@ -126,7 +122,7 @@ def test_calibrated_device_homes_in_lock_step():
     with LockStep(replace(servo, device=device), board) as stack:
         stack.run(5)
         assert stack.do(Command.HOME).result is Result.APPLIED
-        flown = records(stack.run(6000))
+        flown = as_records(stack.run(6000))
     assert flown["state"][-1] == State.DISABLED
     assert flown["homed"][-1] == 1
     stopped = flown["position_m"][np.argmax(flown["homed"] == 1)]
@@ -325,7 +321,7 @@ def test_emergency_stop_in_the_middle_of_homing_is_no_stop():
     with LockStep(params, board) as stack:
         stack.run(5)
         assert stack.do(Command.HOME).result is Result.APPLIED
-        flown = records(stack.run(1500))
+        flown = as_records(stack.run(1500))
         assert flown["fault"][-1] == BY_CODE["no_authority"].number
         assert not flown["homed"].any()
         assert stack.do(Command.RESET).result is Result.APPLIED
@@ -337,7 +333,7 @@ def test_held_handle_is_told_on_the_whole_stack():
     with LockStep(params, board_params(lower_stop_m=-0.02, touch=held(2000.0))) as stack:
         stack.run(5)
         assert stack.do(Command.HOME).result is Result.APPLIED
-        flown = records(stack.run(10_100))
+        flown = as_records(stack.run(10_100))
     assert flown["state"][-1] == State.FAULT
     assert BY_NUMBER[flown["fault"][-1]].code == "home_failed"
     assert not flown["homed"].any()

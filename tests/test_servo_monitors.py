@@ -4,8 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from flight import Flight
-from models import COUNT_M, board_params, device_params, servo_params
+from support.boards import board_params
+from support.flight import Flight
+from support.models import COUNT_M, device_params, servo_params
 
 from hapticd.analysis.theorem import required_damping
 from hapticd.assembly import replay
@@ -264,7 +265,7 @@ def test_nan_erases_no_history():
 
 def test_fault_of_a_limit_cycle_is_replayed_bit_by_bit():
     """A checkpoint of any tick before it carries what the signs have come to."""
-    from recorded import RecordedFlight
+    from support.recorded import RecordedFlight
 
     params = watched()
     with RecordedFlight(params) as flight:

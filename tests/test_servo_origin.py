@@ -4,16 +4,16 @@ nobody chose.
 
 import numpy as np
 import pytest
-from homing_rig import HOME, Rig
-from models import board_params, servo_params
+from support.boards import board_params
+from support.homing_rig import HOME, Rig
+from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.mailbox import layout
+from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import HandParams, InjectionParams, TouchParams
 from hapticd.servo.safety import State
 
-DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 AWAY = TouchParams(hands=(HandParams("push", 0.01, 0.1, 0.05),))
 SPRING = {Value.STIFFNESS: 200.0, Value.RAMP_S: 0.0}
 LOSSES = [
@@ -25,10 +25,6 @@ LOSSES = [
 ]
 
 
-def records(block):
-    return np.frombuffer(block, DTYPE)
-
-
 def lost_at(tick, kind, value):
     return board_params(touch=AWAY, injections=(InjectionParams(kind, tick=tick, value=value),))
 
@@ -37,21 +33,21 @@ def lost_at(tick, kind, value):
 def test_zero_that_was_lost_is_asked_for_again(kind, value):
     """Zeroed some 10 mm away from where the board was powered up."""
     with LockStep(servo_params(), lost_at(600, kind, value)) as stack:
-        away = records(stack.run(400))["position_m"][-1]
+        away = as_records(stack.run(400))["position_m"][-1]
         assert away > 0.008
         assert stack.do(Command.ZERO).result is Result.APPLIED
         assert stack.do(Command.SET, SPRING).result is Result.APPLIED
         stack.do(Command.ENABLE)
-        lost = records(stack.run(1500))
+        lost = as_records(stack.run(1500))
         assert lost["state"][-1] == State.FAULT
         assert lost["homed"][-1] == 0
         assert stack.do(Command.RESET).result is Result.APPLIED
         stack.run(50)
         assert stack.do(Command.ENABLE).result is Result.REFUSED_NOT_HOMED
-        assert not records(stack.run(100))["force_n"].any()
+        assert not as_records(stack.run(100))["force_n"].any()
         assert stack.do(Command.ZERO).result is Result.APPLIED
         assert stack.do(Command.ENABLE).result is Result.APPLIED
-        again = records(stack.run(600))
+        again = as_records(stack.run(600))
     assert again["state"][-1] == State.ENABLED
     assert np.abs(again["force_n"]).max() < 0.01
 
@@ -73,7 +69,7 @@ def test_origin_of_the_power_up_that_was_used_is_asked_for_again(kind, value):
 def test_origin_that_nobody_used_may_come_anew(kind):
     """A device that is plugged in again before it was ever enabled starts as one that starts."""
     with LockStep(servo_params(), lost_at(300, kind, 0.2)) as stack:
-        assert records(stack.run(1500))["state"][-1] == State.FAULT
+        assert as_records(stack.run(1500))["state"][-1] == State.FAULT
         assert stack.do(Command.RESET).result is Result.APPLIED
         stack.run(50)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
@@ -85,7 +81,7 @@ def test_loss_while_disabled_is_remembered():
         stack.do(Command.ENABLE)
         stack.run(300)
         stack.do(Command.DISABLE)
-        assert records(stack.run(1500))["state"][-1] == State.DISABLED
+        assert as_records(stack.run(1500))["state"][-1] == State.DISABLED
         assert stack.do(Command.ENABLE).result is Result.REFUSED_NOT_HOMED
 
 

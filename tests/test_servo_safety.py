@@ -3,8 +3,8 @@
 from itertools import pairwise
 
 import pytest
-from flight import Flight, enabled
-from models import device_params, servo_params
+from support.flight import Flight, enabled
+from support.models import device_params, servo_params
 
 from hapticd.faults import BY_CODE, FAULTS
 from hapticd.mailbox.layout import Command, Result, Value

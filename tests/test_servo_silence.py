@@ -1,7 +1,8 @@
 """Frames are withheld only while nothing acts, for a bounded time, and whatever happens ends it."""
 
 import pytest
-from models import board_params, servo_params
+from support.boards import board_params
+from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.gateway.view import as_records

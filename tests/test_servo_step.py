@@ -4,8 +4,8 @@ import math
 from itertools import pairwise
 
 import pytest
-from flight import Flight, enabled, masked
-from models import COUNT_M, COUNT_N, device_params, servo_params
+from support.flight import Flight, enabled, masked
+from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.faults import BY_CODE
 from hapticd.link.device import SEED

@@ -5,8 +5,9 @@ else was asked for in the same tick.
 from itertools import pairwise, product
 
 import pytest
-from flight import Flight, enabled
-from models import COUNT_N, board_params, device_params, servo_params
+from support.boards import board_params
+from support.flight import Flight, enabled
+from support.models import COUNT_N, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.faults import BY_CODE

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from models import board_params, device_params, servo_params
-from recorded import RecordedFlight
+from support.boards import board_params
+from support.models import device_params, servo_params
+from support.recorded import RecordedFlight
 from usb.core import USBTimeoutError
 
 from hapticd.assembly import replay

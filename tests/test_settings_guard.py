@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from guard_device import change, setup_of, shipped_setup
+from support.guard_device import change, setup_of, shipped_setup
 
 from hapticd.analysis.judge import Judge
 from hapticd.params import GuardSetup, MeasuredParams, ServoParams

@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from attacks.documents import CONFIG, DEVICES, SCENES, mutated_toml, read_settings
+from support.attacks.documents import CONFIG, DEVICES, SCENES, mutated_toml, read_settings
 
 from hapticd.errors import ConfigError
 

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from plant_devices import alpha
+from support.plant_devices import alpha
 
 from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose

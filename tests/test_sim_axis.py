@@ -5,7 +5,7 @@ perturbation FIFO and the interval-mean pairs of the 4 kHz clock.
 from itertools import pairwise
 
 import pytest
-from boards import ENABLE, PERTURB, TICK_NS, board_params, exchange, out_packet
+from support.boards import ENABLE, PERTURB, TICK_NS, board_params, exchange, out_packet
 
 from hapticd.plant.step import held_force_response
 from hapticd.sim.axis import PAIRS_MAX, Axis, i16_count

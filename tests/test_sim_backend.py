@@ -6,7 +6,7 @@ from array import array
 import pytest
 import usb.core
 import usb.util
-from boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
+from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.clock import MonotonicClock, VirtualClock
 from hapticd.sim.backend import ENDLESS_MS, LIBUSB_ERRORS, SPIN_NS, SimulatedBackend, usb_error

@@ -3,8 +3,8 @@ plant that runs away.
 """
 
 import pytest
-from boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, out_packet
-from plant_devices import FULL, device
+from support.boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, out_packet
+from support.plant_devices import FULL, weir_device
 
 from hapticd.plant.discrete import discretise
 from hapticd.plant.effects import (
@@ -29,7 +29,7 @@ def board_of(model: Model, **changes):
 
 
 def test_frames_tell_slider_current_and_estimate():
-    model = device(*LINEAR)
+    model = weir_device(*LINEAR)
     params = board_of(model)
     board = BoardModel(params)
     frame = exchange(board, 0, flags=ENABLE, torque=20000, damping=65535)
@@ -58,7 +58,7 @@ def test_torque_takes_effect_after_its_lag(phase, lag):
     """The device of physics with 1.4375 periods of delay latches at 0.5625 T and lags one
     period.
     """
-    axis = Axis(board_of(device("probe"), sample_phase=phase, lag_periods=lag))
+    axis = Axis(board_of(weir_device("probe"), sample_phase=phase, lag_periods=lag))
     axis.obey(ENABLE, 1000, 0, ())
     axis.run_to(16 * lag)
     assert axis.state == (0.0, 0.0)
@@ -67,7 +67,7 @@ def test_torque_takes_effect_after_its_lag(phase, lag):
 
 
 def test_torque_on_its_way_is_cut_with_the_rest():
-    axis = Axis(board_of(device("probe"), lag_periods=1))
+    axis = Axis(board_of(weir_device("probe"), lag_periods=1))
     axis.obey(ENABLE, 1000, 0, ())
     axis.run_to(8)
     axis.obey(0, 0, 0, ())
@@ -76,7 +76,7 @@ def test_torque_on_its_way_is_cut_with_the_rest():
 
 
 def test_torques_on_their_way_keep_their_order():
-    axis = Axis(board_of(device("probe", "viscous"), lag_periods=2))
+    axis = Axis(board_of(weir_device("probe", "viscous"), lag_periods=2))
     seen = []
     for tick in range(5):
         axis.obey(ENABLE, 100 * (tick + 1), 0, ())
@@ -89,7 +89,7 @@ def test_record_is_the_filtered_channel():
     """A step of torque on a free mass: high-passed velocity, and both channels through the same
     low-pass.
     """
-    model = device(
+    model = weir_device(
         "probe", highpass=VelocityHighpass(corner_hz=0.1), alias=AntiAlias(corner_hz=1000.0)
     )
     params = board_of(model, probe_velocity_m_per_s_per_count=1e-5, probe_torque_n_per_count=1e-5)
@@ -116,12 +116,14 @@ def test_record_is_the_filtered_channel():
 
 def test_noise_of_the_velocity_channel_is_seeded():
     params = board_of(
-        device("probe", noise=SensorNoise(velocity_m_per_s=1e-3)),
+        weir_device("probe", noise=SensorNoise(velocity_m_per_s=1e-3)),
         probe_velocity_m_per_s_per_count=1e-6,
     )
 
     def record(seed):
-        axis = Axis(board_of(device("probe", noise=SensorNoise(velocity_m_per_s=1e-3)), seed=seed))
+        axis = Axis(
+            board_of(weir_device("probe", noise=SensorNoise(velocity_m_per_s=1e-3)), seed=seed)
+        )
         axis.run_to(4 * 60)
         return axis.probe.pairs[1::2]
 
@@ -138,7 +140,7 @@ def test_frames_tell_a_winding_that_warms_up():
     heating = WindingHeating(thermal_resistance_k_per_w=50.0, time_constant_s=0.05, ambient_c=20.0)
     cold = WindingTemperature(temperature_c=20.0, compensated_c=20.0)
     board = BoardModel(
-        board_of(device("probe", "amplifier", "coulomb", winding=cold, heating=heating))
+        board_of(weir_device("probe", "amplifier", "coulomb", winding=cold, heating=heating))
     )
     first = exchange(board, 0, flags=ENABLE, torque=32767)
     for tick in range(1, 5):
@@ -148,7 +150,7 @@ def test_frames_tell_a_winding_that_warms_up():
 
 
 def test_a_runaway_is_a_fault_not_a_nan():
-    axis = Axis(board_of(device("probe"), force_n_per_count=10.0, force_limit_n=1e9))
+    axis = Axis(board_of(weir_device("probe"), force_n_per_count=10.0, force_limit_n=1e9))
     axis.obey(ENABLE, 32767, 0, ())
     axis.run_to(16 * 200)
     assert axis.diverged_at is not None
@@ -160,7 +162,7 @@ def test_a_runaway_is_a_fault_not_a_nan():
 
 
 def test_power_up_rests_where_it_stood():
-    axis = Axis(board_of(device(*FULL)))
+    axis = Axis(board_of(weir_device(*FULL)))
     axis.obey(ENABLE, 20000, 0, ())
     axis.run_to(160)
     where = axis.plant.encoder(axis.state, 0.0, 0.0)
@@ -172,7 +174,8 @@ def test_power_up_rests_where_it_stood():
 def test_ends_stop_the_slider_on_the_board():
     board = BoardModel(
         board_of(
-            device(*LINEAR, ends=WorkspaceEnds(lower_m=-0.001, upper_m=0.001)), force_limit_n=8.0
+            weir_device(*LINEAR, ends=WorkspaceEnds(lower_m=-0.001, upper_m=0.001)),
+            force_limit_n=8.0,
         )
     )
     for tick in range(40):

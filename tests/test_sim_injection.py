@@ -4,7 +4,7 @@ import errno
 from pathlib import Path
 
 import pytest
-from boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
+from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.errors import ConfigError, FrameError
 from hapticd.params import InjectionParams

@@ -1,7 +1,7 @@
 """A board whose endpoint queues IN frames instead of replacing them."""
 
 import pytest
-from boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
+from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.params import BoardParams
 from hapticd.sim.board import BoardModel, QueueingBoard, make_board

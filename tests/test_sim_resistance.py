@@ -4,9 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from boards import ENABLE, TICK_NS, exchange, out_packet
-from boards import board_params as rigid_board
-from plant_devices import N_PER_A, alpha, device
+from support.boards import ENABLE, TICK_NS, exchange, out_packet
+from support.boards import board_params as rigid_board
+from support.plant_devices import N_PER_A, alpha, weir_device
 
 from hapticd.params import BoardParams
 from hapticd.plant.effects import Coulomb, WindingHeating, WindingTemperature
@@ -28,7 +28,7 @@ def stuck(celsius: float, **changes: object) -> BoardParams:
     """A board whose rotor does not move and whose winding keeps its temperature: the motor's force
     is alpha times the commanded one. At count 0 it compensates 20 degC.
     """
-    model = device(
+    model = weir_device(
         "amplifier",
         "damping_circuit",
         coulomb=Coulomb(rotor_n=10.0),

@@ -5,7 +5,7 @@ from array import array
 
 import pytest
 import usb.core
-from boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
+from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.clock import VirtualClock
 from hapticd.params import InjectionParams

@@ -14,8 +14,8 @@ from typing import Any
 from unittest import mock
 
 import pytest
-from boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
-from usbip_client import DEVICE_BYTES, DEVICES, VENDOR_IN, Client, exactly
+from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
+from support.usbip_client import DEVICE_BYTES, DEVICES, VENDOR_IN, Client, exactly
 
 from hapticd.cli import sim_board
 from hapticd.cli.app import main

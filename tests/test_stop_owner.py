@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 
 import pytest
-from models import board_params, servo_params
+from support.boards import board_params
+from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox import files

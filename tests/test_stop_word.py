@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gateway_rig import GatewayRig
-from models import board_params, servo_params
+from support.boards import board_params
+from support.gateway_rig import GatewayRig
+from support.models import servo_params
 
 from hapticd.assembly import resolve
 from hapticd.assembly.lockstep import LockStep

@@ -4,7 +4,7 @@ from math import inf, nan
 
 import numpy as np
 import pytest
-from measured_scenes import DRY, scene, stopwatch
+from support.measured_scenes import DRY, scene, stopwatch
 
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.errors import AnalysisError

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, scene, stopwatch
+from support.measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, scene, stopwatch
 
 from hapticd.engine import BatchResult, simulate
 from hapticd.errors import AnalysisError, ConfigError

@@ -7,7 +7,7 @@ from math import exp, inf
 
 import numpy as np
 import pytest
-from measured_scenes import MASS_KG, PARTS, VISCOUS_NS_PER_M, scene
+from support.measured_scenes import MASS_KG, PARTS, VISCOUS_NS_PER_M, scene
 
 from hapticd.errors import ConfigError
 from hapticd.plant.effects import (

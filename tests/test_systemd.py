@@ -17,7 +17,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from programs import program
+from support.programs import program
+from support.tree import ROOT
 
 from hapticd.assembly import process, resolve, system_files, watchdog
 from hapticd.assembly.supervisor import PATIENCE_NS, RESTARTS_MAX, WINDOW_NS
@@ -35,7 +36,6 @@ from hapticd.units import NS_PER_S
 
 UNITS = ("hapticd-servo.service", "hapticd-gateway.service", "hapticd.target")
 SERVICES = UNITS[:2]
-ROOT = Path(__file__).parents[1]
 EXPOSURE = {"hapticd-servo.service": 0.9, "hapticd-gateway.service": 1.1}
 DEADLINE_S = 60.0
 SYSTEMD = "/lib/systemd/systemd"

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from usb_kernel import kernel
-from usb_machine import Outcome, run
+from support.tree import ROOT
+from support.usb_kernel import kernel
+from support.usb_machine import Outcome, run
 
-ROOT = Path(__file__).parents[1]
-GUEST = Path(__file__).with_name("usb_guest")
+GUEST = ROOT / "tests/support/usb_guest"
 EVERYWHERE = ("link_cases.py", "daemon_cases.py")
 ONCE = ("rights_cases.py",)
 # a run with udevd, and one without it in a network namespace, where none of its messages would come

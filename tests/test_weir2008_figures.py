@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import reproduced
+from support import reproduced
 
 from hapticd.analysis.envelope import Edge
 from hapticd.report.envelope import NOBODY, Drawn, weighty

@@ -3,7 +3,7 @@
 from math import isfinite
 
 import pytest
-from reproduced import future_work_by_prediction
+from support.reproduced import future_work_by_prediction
 
 from hapticd.report import style
 from hapticd.weir2008.future_page import PART, restored

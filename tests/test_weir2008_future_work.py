@@ -7,8 +7,8 @@ from math import log
 
 import numpy as np
 import pytest
-from measured_scenes import DRY, scene
-from reproduced import future_work_by_prediction
+from support.measured_scenes import DRY, scene
+from support.reproduced import future_work_by_prediction
 
 from hapticd.analysis.predict import predict
 from hapticd.analysis.theorem import lift, lifted_margin, paper_equation_2

@@ -13,7 +13,8 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-import reproduced
+from support import reproduced
+from support.tree import ROOT
 
 from hapticd.cli.app import main
 from hapticd.cli.zwidth import report as verb
@@ -23,7 +24,7 @@ from hapticd.weir2008.rows import PaperRow, rows
 from hapticd.weir2008.run import SCENES, ReproduceResult
 from hapticd.weir2008.table import from_json
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = ROOT / "docs"
 FIGURES = {"fig03", "fig04", "fig07", "fig08", "fig09", "fig10", "fig11", "limits", "band_edge"} | {
     f"beyond_{name}" for name in ("lower_edge", "free_motion", "shaped", "levels")
 }

@@ -5,11 +5,11 @@ mismatch.
 import json
 from dataclasses import replace
 from math import isnan
-from pathlib import Path
 
 import numpy as np
 import pytest
-import reproduced
+from support import reproduced
+from support.tree import ROOT
 
 from hapticd.weir2008.paper import MAIN, PAPER
 from hapticd.weir2008.rows import PaperRow, arithmetic, by_quantity, rows
@@ -19,7 +19,7 @@ from hapticd.weir2008.run import (  # fmt: skip
 )
 from hapticd.weir2008.table import from_json
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = ROOT / "docs"
 
 
 NAMES = ("K_max_off", "B_max_off", "M_min_off", "K_max_on", "B_max_on", "M_min_on")

@@ -4,11 +4,11 @@ trials.
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from stand_in import StandIn
+from support.stand_in import StandIn
+from support.tree import ROOT
 
 from hapticd.weir2008 import run
 from hapticd.weir2008.paper import FIG_7, LEVELS, LITERAL, MAIN, PAPER
@@ -26,7 +26,7 @@ from hapticd.zwidth.map import MapPlan
 from hapticd.zwidth.outcomes import Conditions, Outcome, kept_frequencies, run_trials
 from hapticd.zwidth.store import TrialStore
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = ROOT / "docs"
 NAMES = ("K_max_off", "B_max_off", "M_min_off", "K_max_on", "B_max_on", "M_min_on")
 
 

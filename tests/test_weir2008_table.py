@@ -4,7 +4,7 @@ import json
 import re
 
 import pytest
-import reproduced
+from support import reproduced
 
 from hapticd.weir2008.page import parts
 from hapticd.weir2008.rows import PaperRow, rows

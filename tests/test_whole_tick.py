@@ -4,10 +4,10 @@ devices and of hands.
 
 import numpy as np
 import pytest
-from analysis_devices import display
-from passive_hands import random_hands
 from scipy.linalg import expm
-from whole_tick import (
+from support.analysis_devices import display
+from support.passive_hands import random_hands
+from support.whole_tick import (
     Display,
     PlainHand,
     Point,

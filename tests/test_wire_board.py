@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 import pytest
-import wire_header as header
+from support import wire_header as header
 
 from hapticd.params import BoardParams
 from hapticd.sim.board import BoardModel

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import wire_header as header
+from support import wire_header as header
 
 from hapticd.wire import frames
 from hapticd.wire.frames import protocol_hash

@@ -6,10 +6,10 @@ import json
 import re
 import struct
 from math import prod
-from pathlib import Path
 
 import pytest
-import wire_header as header
+from support import wire_header as header
+from support.tree import ROOT
 
 from hapticd.wire import codec
 
@@ -142,4 +142,4 @@ def test_page_explains_every_bit(name: str) -> None:
 
 def test_page_shows_the_tested_crc() -> None:
     snippet = section("CRC").split("```c\n")[1].split("```")[0]
-    assert snippet in (Path(__file__).parent / "wire_check.c").read_text()
+    assert snippet in (ROOT / "tests/support/wire_check.c").read_text()

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import wire_header as header
+from support import wire_header as header
+from support.tree import ROOT
 
 from hapticd.errors import FrameError
 from hapticd.wire import codec, frames
@@ -48,7 +49,7 @@ def frame_of(vector: dict[str, Any]) -> Any:
 def answers(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     """What the C program says about every vector."""
     source: Path = tmp_path_factory.mktemp("vectors") / "wire_check.c"
-    source.write_text((Path(__file__).parent / "wire_check.c").read_text())
+    source.write_text((ROOT / "tests/support/wire_check.c").read_text())
     text = "".join(f"{vector['kind']} {vector['hex']}\n" for vector in VECTORS)
     return [json.loads(line) for line in header.run(header.build(source), text).splitlines()]
 

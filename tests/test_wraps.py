@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gateway_rig import DeskRig
-from models import board_params, servo_params
+from support.boards import board_params
+from support.gateway_rig import DeskRig
+from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox.layout import TELEMETRY, Command, Result, Value

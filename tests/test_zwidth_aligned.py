@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from foreign import BEFORE, SETTLE, played, recorded, without
-from measured_scenes import RIGID
-from recorded import RecordedFlight, Source, room
+from support.foreign import BEFORE, SETTLE, played, recorded, without
+from support.measured_scenes import RIGID
+from support.recorded import RecordedFlight, Source, room
 
 from hapticd.analysis.alignment import find_marks
 from hapticd.assembly.lockstep import scene_params

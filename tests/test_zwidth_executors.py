@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from measured_scenes import MOTOR, scene
-from stand_in import StandIn
+from support.measured_scenes import MOTOR, scene
+from support.stand_in import StandIn
 
 from hapticd import errors
 from hapticd.engine.batch import at_most, workers

@@ -5,7 +5,7 @@ been.
 from typing import Any
 
 import pytest
-from stand_in import StandIn
+from support.stand_in import StandIn
 
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.limits import LimitsParams, Scan, plan_limits, run_limits

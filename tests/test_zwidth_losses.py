@@ -7,7 +7,7 @@ from dataclasses import replace
 import msgpack
 import numpy as np
 import pytest
-from measured_scenes import RIGID
+from support.measured_scenes import RIGID
 
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.spectra import spa
@@ -187,7 +187,7 @@ def test_bridge_spoils_the_impedance_less_than_closing_up():
     """A mass of 8 g on 500 N/m in numbers: what is named of a trial that lost a hundredth by
     sixes.
     """
-    from spectral_trials import mass_damper, record
+    from support.spectral_trials import mass_damper, record
 
     force, velocity = record(mass_damper(0.008, 1.0, 500.0), 1, 120_000)
     came = np.repeat(np.random.default_rng(2).random(20_000) >= 0.01, 6)

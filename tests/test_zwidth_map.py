@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stand_in import StandIn
+from support.stand_in import StandIn
 
 from hapticd.analysis.passive_set import grid, passive_set, set_limits
 from hapticd.analysis.search import first_trials, predicted_passive

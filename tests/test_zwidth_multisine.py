@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measured_scenes import RIGID
+from support.measured_scenes import RIGID
 
 from hapticd.assembly.lockstep import scene_params
 from hapticd.errors import AnalysisError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from measured_scenes import MOTOR, scene
+from support.measured_scenes import MOTOR, scene
 
 from hapticd.analysis.arrays import Floats, Values
 from hapticd.analysis.spectra import spa

@@ -11,7 +11,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from recorded import RecordedFlight, Source, room
+from support.recorded import RecordedFlight, Source, room
+from support.tree import ROOT
 
 from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
@@ -26,7 +27,7 @@ from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import given
 from hapticd.zwidth.store import RenderedEnvironment
 
-OLD = Path(__file__).parent / "data" / "as-of-0.1"
+OLD = ROOT / "tests/support/data" / "as-of-0.1"
 SECONDS = 8
 
 

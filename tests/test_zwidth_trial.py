@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measured_scenes import RIGID
+from support.measured_scenes import RIGID
 
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.predict import predicted_impedance

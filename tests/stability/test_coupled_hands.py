@@ -13,8 +13,8 @@ import re
 
 import numpy as np
 import pytest
-from analysis_devices import rigid
-from passive_hands import random_hands
+from support.analysis_devices import rigid
+from support.passive_hands import random_hands
 
 from hapticd.analysis.coupled import Hand, coupled_radius, held_by, reach, shaking_hand, withstands
 from hapticd.analysis.linearise import Perturbation

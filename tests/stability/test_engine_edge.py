@@ -7,7 +7,7 @@ no step of the engine in it): 1 % inside a trial must decay, 1 % outside it must
 
 import numpy as np
 import pytest
-from devices import STAR, device, rigid
+from support.devices import STAR, device, rigid
 
 from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
 from hapticd.engine import simulate

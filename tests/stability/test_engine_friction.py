@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from devices import COUNTS, MOTOR, RIGID, STAR, device, rigid
-from dry_friction import stop_time_s, turning_points_m
-from engine_state import final
+from support.devices import COUNTS, MOTOR, RIGID, STAR, device, rigid
+from support.dry_friction import stop_time_s, turning_points_m
+from support.engine_state import final
 
 from hapticd.engine import simulate
 from hapticd.plant.effects import Coulomb, Encoder, Load, Masses, Saturation, Viscous

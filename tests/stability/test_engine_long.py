@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from devices import RIGID, STAR, device, rigid
-from engine_state import final
+from support.devices import RIGID, STAR, device, rigid
+from support.engine_state import final
 
 from hapticd.engine import simulate
 from hapticd.plant.effects import Viscous

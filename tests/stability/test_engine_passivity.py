@@ -7,9 +7,9 @@ perturbation is.
 
 import numpy as np
 import pytest
-from devices import COUNTS, DRY, LIMIT, STAR, device, rigid
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.devices import COUNTS, DRY, LIMIT, STAR, device, rigid
 
 from hapticd.analysis.theorem import required_damping
 from hapticd.engine import simulate

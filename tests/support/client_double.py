@@ -1,0 +1,63 @@
+"""A client that speaks for a daemon which accepts everything."""
+
+from typing import Any, Self
+
+from hapticd.client import Receipt
+from hapticd.errors import HapticdError
+
+EFFECTIVE = {
+    "K": 100.0,
+    "B": 1.0,
+    "M": 0.01,
+    "wall": {"side": 0},
+    "damping": 1.74,
+    "damping_level": 1.74,
+}
+RECEIPT = Receipt("applied", "enabled", 7, 1200, 1250, EFFECTIVE)
+
+
+class ClientDouble:
+    """Speaks for a daemon that accepts everything, or raises `error`; remembers what it was
+    asked.
+    """
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[str, Any]] = []
+        self.error: HapticdError | None = None
+        self.states = [{"state": "disabled", "homed": 1, "cause": "", "remedy": ""}]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.asked.append(("closed", None))
+
+    def _ask(self, verb: str, what: Any = None) -> Receipt:
+        self.asked.append((verb, what))
+        if self.error:
+            raise self.error
+        return RECEIPT
+
+    def __getattr__(self, verb: str) -> Any:
+        return lambda: self._ask(verb)
+
+    def set(self, **what: Any) -> Receipt:
+        return self._ask("set", {name: value for name, value in what.items() if value is not None})
+
+    def damping(self, value: Any) -> Receipt:
+        return self._ask("damping", value)
+
+    def perturb_start(self, loop: bool) -> Receipt:
+        return self._ask("perturb_start", loop)
+
+    def perturb_load(self, samples_n: Any) -> int:
+        self._ask("perturb_load", list(samples_n))
+        return len(samples_n)
+
+    def get(self) -> dict[str, Any]:
+        self._ask("get")
+        return {"parameters": EFFECTIVE, "in_force": {"tick": 5}}
+
+    def status(self) -> dict[str, Any]:
+        self._ask("status")
+        return self.states.pop(0) if len(self.states) > 1 else self.states[0]

@@ -1,0 +1,135 @@
+"""A daemon in processes of its own, and what can be seen of it."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from hapticd.cli.app import main
+from hapticd.mailbox import layout
+
+DEADLINE_S = 60.0
+QUIET = "[realtime]\nmode = 'off'\nspin_us = 0.0\n"  # tests share the machine
+
+
+def until(condition: Callable[[], Any], what: str) -> Any:
+    """The first true value of `condition`."""
+    deadline = time.monotonic() + DEADLINE_S
+    while not (found := condition()):
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+    return found
+
+
+class Daemon:
+    """`hapticd run` of an instance of its own, and what can be seen of it."""
+
+    def __init__(
+        self,
+        runtime: Path,
+        ignore_interrupt: bool = False,
+        settings: str = QUIET,
+        console: bool = False,
+        name: str = "",
+    ) -> None:
+        self.instance = f"test-{os.getpid()}{name}"
+        self.folder = runtime / "hapticd" / f"instance-{self.instance}"
+        config = runtime / f"hapticd{name}.toml"
+        config.write_text(settings)
+        self.log = runtime / f"log{name}"
+        self.seen: set[int] = set()
+        command = [
+            sys.executable,
+            "-m",
+            "hapticd",
+            "run",
+            "--instance",
+            self.instance,
+            "--config",
+            str(config),
+            "--json",
+            *([] if console else ["--no-console"]),
+        ]
+        with self.log.open("wb") as log:
+            self.process = subprocess.Popen(
+                command,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                preexec_fn=(
+                    (lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
+                    if ignore_interrupt
+                    else None
+                ),
+            )
+
+    def __enter__(self) -> Self:
+        try:
+            until(lambda: self.events().count("ready") == 1, "ready")
+            self.children()
+        except BaseException:
+            self.process.kill()
+            self.process.wait(DEADLINE_S)
+            raise
+        return self
+
+    def events(self) -> list[str]:
+        assert self.process.poll() is None, self.log.read_text()
+        return self.told()
+
+    def told(self) -> list[str]:
+        lines = self.log.read_text().splitlines()
+        return [
+            json.loads(line)["event"]
+            for line in lines
+            if line.startswith("{") and line.endswith("}")
+        ]
+
+    def children(self) -> dict[str, int]:
+        """Process ids of servo and gateway."""
+        pid = self.process.pid
+        found = {}
+        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+            with contextlib.suppress(OSError):
+                words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+                found |= {
+                    name: int(child)
+                    for name in ("servo", "gateway")
+                    if f"hapticd.assembly.{name}_main".encode() in words
+                }
+        self.seen |= set(found.values())
+        return found
+
+    def cli(self, *words: str) -> int:
+        return main([*words, "--instance", self.instance])
+
+    def __exit__(self, *_: object) -> None:
+        """Leave nothing running, whatever the test found."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.terminate()
+            self.process.wait(DEADLINE_S)
+        for pid in self.seen:
+            with contextlib.suppress(OSError):
+                if (
+                    str(self.folder).encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
+                ):  # the number may be another's by now
+                    os.kill(pid, signal.SIGKILL)
+
+
+def last_record(ring: Path) -> Any:
+    """The newest record of a telemetry ring."""
+    content = ring.read_bytes()
+    head = int.from_bytes(
+        content[8 * layout.TELEMETRY_HEAD_WORD : 8 * layout.TELEMETRY_HEAD_WORD + 8], "little"
+    )
+    dtype = np.dtype([tuple(field) for field in layout.TELEMETRY])
+    records = np.frombuffer(content, dtype, layout.RING_RECORDS, layout.TELEMETRY_OFFSET)
+    return records[(head - 1) % layout.RING_RECORDS]

@@ -1,0 +1,38 @@
+"""Fly a million ticks of the whole stack with noise on; print by how many kB its own
+(anonymous) memory grew after the first, in the half in which it grew less: what leaks grows in
+both, while pages that the kernel took back before may return once.
+"""
+
+import numpy as np
+
+from hapticd.assembly.lockstep import LockStep
+from hapticd.mailbox.layout import Command, Value
+from support.boards import board_params
+from support.models import servo_params
+
+# the records of what is flown at once are kept until it has been
+WARM_UP = 100_000
+TICKS = 1_000_000
+AT_ONCE = 1000
+
+
+def anonymous_kb() -> int:
+    with open("/proc/self/smaps_rollup") as rollup:
+        return sum(int(line.split()[1]) for line in rollup if line.startswith("Anonymous"))
+
+
+with LockStep(servo_params(), board_params(), keep=False) as stack:
+    stack.run(5)
+    stack.do(Command.SET, {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.01})
+    stack.do(Command.ENABLE)
+    stack.load_waveform(np.random.default_rng(3).integers(-3000, 3001, 8000).tolist())
+    stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0})
+    for _ in range(WARM_UP // AT_ONCE):
+        stack.run(AT_ONCE)
+    grown = []
+    for _ in range(2):
+        before = anonymous_kb()
+        for _ in range(TICKS // 2 // AT_ONCE):
+            stack.run(AT_ONCE)
+        grown.append(anonymous_kb() - before)
+    print(min(grown), stack.loop.tick, stack.loop.state[0].plan.state.name)

@@ -1,0 +1,71 @@
+"""What the wire tests know of hapticd_wire.h: its declarations as text, and the way to a C
+compiler.
+"""
+
+import re
+import subprocess
+from pathlib import Path
+from typing import NamedTuple
+
+from support.programs import compiler
+from support.tree import ROOT
+
+FOLDER = ROOT / "firmware_iface"
+HEADER = (FOLDER / "hapticd_wire.h").read_text()
+FLAGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", f"-I{FOLDER}"]
+CODES = {
+    "uint8_t": "B",
+    "uint16_t": "H",
+    "int16_t": "h",
+    "uint32_t": "I",
+    "int32_t": "i",
+    "float": "f",
+    "char": "s",
+}
+
+_PLAIN = re.sub(r"/\*.*?\*/", "", HEADER, flags=re.DOTALL)
+CONSTANTS = dict(re.findall(r"^#define (HAPTICD_\w+)[ \t]+(\S+)", _PLAIN, re.MULTILINE))
+_STRUCTS = re.findall(r"struct (\w+) \{(.*?)\};", _PLAIN, re.DOTALL)
+
+
+class Member(NamedTuple):
+    """One struct member: C type, name, array dimensions."""
+
+    type: str
+    name: str
+    shape: tuple[int, ...]
+
+
+def _members(body: str) -> list[Member]:
+    found = re.findall(r"(\w+)\s+(\w+)((?:\[\w+\])*);", body)
+    assert len(found) == body.count(";"), (
+        "a member is written in a way that this parser does not read"
+    )
+    return [
+        Member(kind, name, tuple(map(_number, re.findall(r"\[(\w+)\]", shape))))
+        for kind, name, shape in found
+    ]
+
+
+def _number(text: str) -> int:
+    return int(CONSTANTS.get(text, text), 0)
+
+
+STRUCTS = {name: _members(body) for name, body in _STRUCTS}
+
+
+def build(source: Path) -> Path:
+    """Compile `source` with all warnings as errors; the program lies beside it."""
+    program = source.with_suffix("")
+    done = subprocess.run(
+        [*compiler(), *FLAGS, str(source), "-o", str(program)], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+def run(program: Path, text: str = "") -> str:
+    """What `program` writes when it reads `text`."""
+    return subprocess.run(
+        [str(program)], input=text, capture_output=True, text=True, check=True
+    ).stdout
