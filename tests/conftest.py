@@ -22,14 +22,6 @@ collect_ignore = ["support"]
 MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x86
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The server of USB/IP comes first: it waits by `select`, which takes descriptors below 1024,
-    and stand-ins of later tests leave more than that open.
-    """
-    items.sort(key=lambda item: "test_sim_usbip" not in item.nodeid)
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "a test that is skipped fails the run, except " + ", ".join(sorted(MAY_BE_SKIPPED))
     parser.addoption("--all-must-run", action="store_true", help=text)

@@ -2,6 +2,8 @@
 
 import errno
 import json
+import os
+import resource
 import signal
 import socket
 import struct
@@ -290,6 +292,19 @@ def test_transfer_of_a_foolish_length_ends_its_connection(
     bench.client.connection.sendall(head)
     with pytest.raises((EOFError, ConnectionError)):
         bench.client.answer()
+
+
+def test_server_works_beyond_a_thousand_descriptors(make: Callable[..., Bench]) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
+    occupied = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
+    try:
+        bench = make()
+        assert bench.out() == 0
+    finally:
+        for one in occupied:
+            os.close(one)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def test_idle_connections_do_not_pile_up(make: Callable[..., Bench]) -> None:

@@ -25,7 +25,8 @@ import socket
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from select import select
+from select import POLLIN, poll
+from time import sleep
 from typing import NamedTuple
 
 from hapticd.clock import Clock
@@ -65,6 +66,8 @@ LONGEST_BYTES = 16 * 1024  # of one transfer; the board's are one packet
 RECEIVE_BYTES = 64 * 1024
 HEARTBEAT_NS = 2 * NS_PER_MS
 IDLE_NS = 200 * NS_PER_MS
+POLL_STEP_S = 1e-3  # what poll() resolves
+SLEEP_S = 1e-4  # at a time below that: so long may input wait
 PATIENCE_S = 2.0
 MOST_WAITING = 256  # transfers; a kernel has a few for each endpoint
 MOST_PEERS = 8  # beyond that the oldest that has not imported the board goes
@@ -156,11 +159,10 @@ class UsbipServer:
         """Answer until `stop`."""
         try:
             while not self._stopping:
-                sockets = [self._listener, *(peer.connection for peer in self._peers)]
-                ready, _, _ = select(sockets, [], [], self._pause_s())
-                if self._listener in ready:
+                ready = self._readable()
+                if self._listener.fileno() in ready:
                     self._accept()
-                for peer in [peer for peer in self._peers if peer.connection in ready]:
+                for peer in [one for one in self._peers if one.connection.fileno() in ready]:
                     self._guarded(peer, self._serve_peer)
                 if self._importer is not None:
                     self._guarded(self._importer, self._complete)
@@ -169,8 +171,20 @@ class UsbipServer:
             for peer in self._peers:
                 peer.connection.close()
 
+    def _readable(self) -> set[int]:
+        """Wait for input until the next transfer is due; the descriptors that have some."""
+        # a new object each time: connections come and go; `select` takes no descriptor above 1023
+        poller = poll()
+        for one in (self._listener, *(peer.connection for peer in self._peers)):
+            poller.register(one, POLLIN)
+        pause_s = self._pause_s()
+        if pause_s < POLL_STEP_S:  # poll counts whole milliseconds
+            sleep(min(pause_s, SLEEP_S))
+            pause_s = 0.0
+        return {descriptor for descriptor, _ in poller.poll(int(pause_s / POLL_STEP_S))}
+
     def _pause_s(self) -> float:
-        """How long nothing has to be done unless somebody speaks."""
+        """How long nothing has to be done unless input arrives."""
         if self._importer is None:
             return IDLE_NS / NS_PER_S
         due_ns = self._device.next_in_ns() if self._importer.waiting else None
