@@ -1,8 +1,10 @@
 # Work with a checkout: make run | test | mutate | attack | bench | deps | clean. A fresh machine needs make and Python 3.11 or newer.
 #
 #   make run                start the daemon on the simulated board (ARGS="--rate-hz 2000" and other options of `hapticd run`)
+#   make lab                add the batch engine and figures: hapticd zwidth, sim
 #   make practice           a simulated rig with hidden truths, to try `hapticd rig` without hardware (docs/first-day.md)
-#   make test               format, lint, types, layers, tests: what continuous integration runs
+#   make test               format, lint, types, layers, unit and lock-step tests and the main job in real processes; minutes
+#   make check              that and all other tests: what continuous integration runs; half an hour
 #   make test-usb           of these the ones on a true Linux USB stack, in a user-mode kernel (docs/usb.md); with what was measured
 #   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; minutes
 #   make attack [ONLY=frames] [FACTOR=0.01]  hostile requests, frames and files at length; results in build/attack.json
@@ -25,7 +27,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run practice test test-usb mutate attack soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-bench pins lock test-lowest clean
+.PHONY: run lab practice test check test-usb mutate attack soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -39,47 +41,62 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; 
 run: $(VENV)/run.stamp
 	@exec $(BIN)/hapticd run $(ARGS)
 
+lab: $(VENV)/lab.stamp
+	@echo "simulated trials and figures are ready: source $(BIN)/activate"
+
 practice: $(VENV)/run.stamp
 	@exec $(BIN)/python tests/practice_rig.py build/practice $(if $(ARGS),$(ARGS),rig)
+
+# tests that need no clock run on all cores; those of real processes one after the other
+PYTEST := $(BIN)/python -m pytest
+PARALLEL := --numprocesses auto --dist worksteal
+MAIN_JOB := tests/process/test_main_job.py
 
 test: deps-test $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest $(ARGS)
+	$(PYTEST) $(PARALLEL) tests/unit tests/lockstep $(ARGS)
+	$(PYTEST) $(MAIN_JOB) $(ARGS)
 
-test-usb: deps-test $(VENV)/test.stamp
-	$(BIN)/python -m pytest -rP tests/test_usb_stack.py $(ARGS)
+check: ARGS += --all-must-run
+check: deps-check $(VENV)/check.stamp test
+	$(PYTEST) $(PARALLEL) -m "not process" tests/acceptance $(ARGS)
+	$(PYTEST) tests/process --ignore $(MAIN_JOB) $(ARGS)
+	$(PYTEST) -m process tests/acceptance $(ARGS)
 
-mutate: deps-test $(VENV)/test.stamp
+test-usb: deps-check $(VENV)/check.stamp
+	$(BIN)/python -m pytest -rP tests/acceptance/test_usb_stack.py $(ARGS)
+
+mutate: deps-check $(VENV)/check.stamp
 	$(BIN)/python tests/mutate.py $(ONLY)
 
-firmware: deps-test $(VENV)/test.stamp
+firmware: deps-check $(VENV)/check.stamp
 	$(BIN)/python tests/million_frames.py $(FIRMWARE)
 
-attack: deps-test $(VENV)/test.stamp
+attack: deps-check $(VENV)/check.stamp
 	ONLY="$(ONLY)" FACTOR="$(FACTOR)" $(BIN)/python tests/attack.py
 
-soak: deps-bench $(VENV)/test.stamp
+soak: deps-bench $(VENV)/bench.stamp
 	HOURS="$(HOURS)" $(BIN)/python tests/soak.py
 	HOURS="$(HOURS)" $(BIN)/python tests/soak_lockstep.py
 
-bench: deps-bench $(VENV)/test.stamp
+bench: deps-bench $(VENV)/bench.stamp
 	ONLY="$(ONLY)" $(BIN)/python benchmarks/run.py
 
 REPRODUCTION := build/reproduction$(if $(filter --quick,$(ARGS)),-quick)
 
-reproduce: $(VENV)/run.stamp
+reproduce: $(VENV)/lab.stamp
 	@$(BIN)/hapticd zwidth reproduce --out $(REPRODUCTION) $(ARGS)
 
 reproduction-docs: reproduce
 	$(BIN)/python docs/reproduce.py $(REPRODUCTION)
 
-pictures: deps-test $(VENV)/test.stamp
+pictures: deps-check $(VENV)/check.stamp
 	$(BIN)/python docs/pictures.py
 
-docs: $(VENV)/test.stamp
+docs: $(VENV)/docs.stamp
 	$(BIN)/python docs/generate.py
 	$(BIN)/python -m sphinx -W --keep-going -q -j auto -b html docs build/docs
 	@echo "open build/docs/index.html"
@@ -87,43 +104,67 @@ docs: $(VENV)/test.stamp
 deps:
 	@.ci/deps all
 
-deps-run deps-test deps-bench: deps-%:
+deps-run deps-test deps-check deps-bench: deps-%:
 	@PYTHON=$(PYTHON) .ci/deps $*
 
 # for every Python from the oldest on: what a checkout has, and the same for installations, with the hash of every file
 RESOLVED := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-header --no-annotate
-pins: $(VENV)/test.stamp
+pins: $(VENV)/check.stamp
 	@echo '# Written by `make pins`: what a checkout has. An installation has the ranges of pyproject.toml.' >$(VENV)/pins.txt
-	@$(RESOLVED) --upgrade --group test --group lint --group docs pyproject.toml >>$(VENV)/pins.txt
+	@$(RESOLVED) --upgrade --group bench --group test --group check --group lint --group docs pyproject.toml >>$(VENV)/pins.txt
 	@cp $(VENV)/pins.txt constraints.txt
 	@$(MAKE) --no-print-directory lock
 
-lock: $(VENV)/test.stamp
+lock: $(VENV)/check.stamp
 	@echo '# Written by `make pins`: the libraries of constraints.txt that an installation may have, by hash; docs/installing.md.' >$(VENV)/lock.txt
 	@$(RESOLVED) --generate-hashes --constraint constraints.txt pyproject.toml >>$(VENV)/lock.txt
 	@cp $(VENV)/lock.txt requirements.lock
 
 # with the lowest versions that pyproject.toml declares: what talks to a library
-LOWEST := $(addprefix tests/test_,settings_load.py settings_build.py gateway_server.py gateway_codec.py gateway_relay.py client.py \
-	client_aio.py console.py cli_terminal.py cli_daemon.py cli_bridge.py recording_file.py recording_live.py recording_pack.py \
-	report_trial.py report_envelope.py engine_compiled.py analysis_batch_spectra.py rig_device_file.py link_usb.py)
-test-lowest: deps-test $(VENV)/test.stamp
+LOWEST_NAMES := settings_load settings_build gateway_server gateway_codec gateway_relay client client_aio console cli_terminal \
+	cli_daemon cli_bridge recording_file recording_live recording_pack report_trial report_envelope engine_compiled \
+	analysis_batch_spectra rig_device_file link_usb
+LOWEST := $(foreach name,$(LOWEST_NAMES),$(wildcard tests/*/test_$(name).py))
+test-lowest: deps-check $(VENV)/check.stamp
 	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/lowest
-	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --resolution lowest-direct --editable '.[all]' --group test
+	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --resolution lowest-direct --editable '.[$(ALL)]' --group test --group check
 	build/lowest/bin/python -m pytest $(or $(ARGS),$(LOWEST))
 
 # --- the environment, made again when pyproject.toml or the pins change ---------------------------
+ENGINE := engine,plot
+ALL := engine,plot,mat,lsl,cluster
+
 $(VENV)/run.stamp: pyproject.toml $(PINS) | deps-run
 	@$(if $(PYTHON),,echo "hapticd needs Python 3.11 or newer; install it, or name it: make PYTHON=/path/to/python3"; exit 1)
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "installing hapticd and its libraries into $(VENV)"
 	@$(PIP) install 'pip>=25.1'
-	@$(PIP) install $(PINNED) --editable '.[all]'
+	@$(PIP) install $(PINNED) --editable .
+	@touch $@
+
+$(VENV)/lab.stamp: $(VENV)/run.stamp
+	@echo "installing the batch engine and figures into $(VENV)"
+	@$(PIP) install $(PINNED) --editable '.[$(ENGINE)]'
+	@touch $@
+
+$(VENV)/docs.stamp: $(VENV)/lab.stamp
+	@echo "installing the documentation tools into $(VENV)"
+	@$(PIP) install $(PINNED) --group docs
 	@touch $@
 
 $(VENV)/test.stamp: $(VENV)/run.stamp
-	@echo "installing test, lint and documentation tools into $(VENV)"
-	@$(PIP) install $(PINNED) --group test --group lint --group docs
+	@echo "installing all libraries and the tools of tests and lint into $(VENV)"
+	@$(PIP) install $(PINNED) --editable '.[$(ALL)]' --group test --group lint
+	@touch $@
+
+$(VENV)/check.stamp: $(VENV)/test.stamp
+	@echo "installing the tools of make check into $(VENV)"
+	@$(PIP) install $(PINNED) --group check --group docs
+	@touch $@
+
+$(VENV)/bench.stamp: $(VENV)/check.stamp
+	@echo "installing the programs that benchmarks race against into $(VENV)"
+	@$(PIP) install $(PINNED) --group bench
 	@touch $@
 
 clean:

@@ -71,7 +71,7 @@ def mujoco_run(torque: Torque, ticks: int) -> Callable[[], float]:
     try:
         import mujoco
     except ImportError as error:
-        raise BenchError(f"{error}: install hapticd[peers]") from error
+        raise BenchError(f"{error}: `make bench` installs it") from error
     world = mujoco.MjModel.from_xml_string(WORLD)
     steps = torque.tolist()
 
@@ -98,7 +98,7 @@ def solve_ivp_run(torque: Torque, ticks: int) -> Callable[[], float]:
     try:
         from scipy.integrate import solve_ivp
     except ImportError as error:
-        raise BenchError(f"{error}: install hapticd[reference]") from error
+        raise BenchError(f"{error}: `make bench` installs it") from error
 
     def rates(_: float, state: Torque, force: float) -> list[float]:
         x, v, y, u = state

@@ -71,7 +71,7 @@ def _cluster(stack: ExitStack) -> str:
             LocalCluster(n_workers=workers(), threads_per_worker=1, dashboard_address=":0")
         )
     except ImportError as error:
-        raise BenchError(f"Dask is missing ({error}): pip install hapticd[cluster]") from error
+        raise BenchError(f"Dask is missing ({error}): `make bench` installs it") from error
     except RuntimeError as error:
         raise BenchError(f"no Dask cluster here: {error}") from error
     return str(cluster.scheduler_address).replace("tcp://", "dask://")

@@ -50,7 +50,7 @@ def fisher_p(ours: int, ours_of: int, theirs: int, theirs_of: int) -> float:
     try:
         from scipy.stats import fisher_exact
     except ImportError as error:
-        raise BenchError(f"{error}: install hapticd[reference]") from error
+        raise BenchError(f"{error}: `make bench` installs it") from error
     table = [[ours, ours_of - ours], [theirs, theirs_of - theirs]]
     return float(fisher_exact(table, alternative="greater").pvalue)
 

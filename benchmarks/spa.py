@@ -37,7 +37,7 @@ def measure() -> Iterator[Figure]:
     note = (
         ""
         if kernels().compiled
-        else "numba is missing: the plain kernels ran; install hapticd[fast]"
+        else "numba is missing: the plain kernels ran; `make lab` installs it"
     )
     if missing["scipy"]:
         yield refused("spa_scipy", TARGETS["spa_scipy"], missing["scipy"])

@@ -4,6 +4,7 @@ it.
 HapticdError               (exit 1; `exit_code` of a class is what a process ends with when nobody
                            caught it)
 ├── ConfigError            a file or argument is wrong: fix it where the message points (exit 78)
+│   └── MissingLibrary     an optional library is not installed: the message has the command
 ├── WireError              bytes that break the protocol
 │   ├── FrameError         one frame: length, CRC, range
 │   └── ProtocolMismatch   the board speaks another version: flash or install the one named
@@ -37,6 +38,18 @@ class ConfigError(HapticdError):
     """
 
     exit_code = 78  # EX_CONFIG of sysexits.h: a restart will not help
+
+
+class MissingLibrary(ConfigError):
+    """An optional library is not installed.
+
+    `requirement` is what pip would be asked for, `command` what to type.
+    """
+
+    def __init__(self, purpose: str, requirement: str, command: str) -> None:
+        super().__init__(f"{purpose} needs {requirement}, which is not installed; type: {command}")
+        self.requirement = requirement
+        self.command = command
 
 
 class WireError(HapticdError):

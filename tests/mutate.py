@@ -4,7 +4,7 @@ A patch of tests/mutations is one defect that was found and mended, or that test
 Its header, before the diff, says what is no longer true and which tests must notice:
 
     Claim: an old frame is known to be old
-    Killed by: tests/test_link_device.py::test_frames_of_a_queue_are_read_past_down_to_the_newest
+    Killed by: test_link_device.py::test_frames_of_a_queue_are_read_past_down_to_the_newest
 
 Every test that a header names first passes on an untouched copy of the tree. Then each patch goes
 into a copy of its own, its tests run, and the verdict is

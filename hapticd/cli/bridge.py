@@ -15,6 +15,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.errors import ConfigError
+from hapticd.extras import need
 from hapticd.units import NS_PER_S
 
 CHANNELS = {  # fields of a tick, and their units
@@ -43,11 +44,9 @@ def lsl(
 
     Channels: position, velocity, force, active damping, K, B, M, state, revision.
     """
-    try:
-        import numpy as np
-        import pylsl
-    except ImportError as error:
-        raise ConfigError(f"{error}; install the extra: pip install hapticd[lsl]") from error
+    import numpy as np
+
+    pylsl = need("pylsl", "the Lab Streaming Layer")
     apart_s = abs(pylsl.local_clock() - time.monotonic())
     if apart_s > CLOCKS_AGREE_S:
         raise ConfigError(

@@ -218,6 +218,7 @@ def replay(
 
     corners = ("filters.velocity_hz", "filters.acceleration_hz") if filter_hz is not None else ()
     words = [*(held or []), *(f"{name}={filter_hz:g}" for name in corners)]
+    terminal.need_figures(bool(words or plot))
     with open_recording(file) as recording:
         begin = time.process_time()
         result = replay_recording(recording, _instead(words))

@@ -62,6 +62,7 @@ def sim_run(
     from hapticd.settings.scene import load_scene
     from hapticd.study.scene import plan_scene, run_scene
 
+    terminal.need_engine()
     terminal.need_figures(plot)
     plan = plan_scene(load_scene(scene), seconds)
     with progress(as_json) as tell:
@@ -165,6 +166,7 @@ def sim_effects(
     from hapticd.study.effects import EffectsParams, plan_effects, run_effects
     from hapticd.zwidth.store import to_json
 
+    terminal.need_engine()
     terminal.need_figures(plot)
     loaded = load_scene(scene)
     plan = plan_effects(EffectsParams(loaded, question.value, share(tolerance), seconds))
@@ -246,6 +248,7 @@ def accuracy(
     from hapticd.study.scene import compare_integrators
     from hapticd.zwidth.store import to_json
 
+    terminal.need_engine()
     terminal.need_figures(plot)
     loaded = load_scene(scene)
     explicit = compare_integrators(loaded)

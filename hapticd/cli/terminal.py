@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.errors import CommandError, ConfigError, HapticdError
+from hapticd.extras import need
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 
 if TYPE_CHECKING:
@@ -198,13 +199,15 @@ HERE = Path()
 def need_figures(wanted: bool) -> None:
     """Fail before the work rather than after it.
 
-    ConfigError if figures are wanted and matplotlib is missing.
+    MissingLibrary if figures are wanted and matplotlib is missing.
     """
     if wanted:
-        from hapticd.report import style
+        need("matplotlib", "a figure")
 
-        with style.styled():
-            pass
+
+def need_engine() -> None:
+    """Fail before a prediction rather than after it. MissingLibrary if numba is missing."""
+    need("numba", "the batch engine")
 
 
 def figure_width_mm(text: str) -> float:

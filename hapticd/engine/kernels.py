@@ -20,6 +20,7 @@ from hapticd import __version__
 from hapticd.engine.shape import Shape
 from hapticd.engine.source import kernel_source
 from hapticd.errors import ConfigError
+from hapticd.extras import need
 from hapticd.render import law
 
 
@@ -28,7 +29,7 @@ def kernel(shape: Shape) -> ModuleType:
     """The module of `shape`: `run`, `plant`, `tally`, ROWS. ConfigError without numba or a
     folder to write to.
     """
-    _need_numba()
+    need_numba()
     text = kernel_source(shape)
     name = f"k_{_digest(text)}"
     folder = cache_folder()
@@ -54,13 +55,9 @@ def cache_folder() -> Path:
     return Path(base) / "hapticd" / f"kernels-{__version__}"
 
 
-def _need_numba() -> None:
-    try:
-        importlib.import_module("numba")
-    except ImportError as error:
-        raise ConfigError(
-            f"the batch engine compiles its kernels with numba ({error}): install hapticd[fast]"
-        ) from error
+def need_numba() -> None:
+    """MissingLibrary: the batch engine cannot compile its kernels."""
+    need("numba", "the batch engine")
 
 
 @cache

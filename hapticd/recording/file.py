@@ -46,7 +46,7 @@ from hapticd.recording.live import (
     texts,
     udunits,
 )
-from hapticd.recording.provenance import SCHEMA, needed
+from hapticd.recording.provenance import SCHEMA
 from hapticd.recording.superblock import Unattended
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
@@ -292,7 +292,8 @@ def is_recording(path: Path) -> bool:
 
 
 def _hdf5(path: Path) -> Recording:
-    h5py = needed("h5py", "record")
+    import h5py
+
     regular(path)
     with ExitStack() as opened, _damage(path):
         file = _opened(h5py, path, opened)

@@ -33,7 +33,6 @@ from hapticd.gateway.telemetry import PROBE_DESCR as PROBE
 from hapticd.gateway.telemetry import TICK_DESCR as TICKS
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import COMMAND_VALUES, VALUE_LIMITS, Command, Value
-from hapticd.recording.provenance import needed
 from hapticd.units import NS_PER_S, unit_of
 
 Columns = dict[str, NDArray[Any]]
@@ -174,7 +173,8 @@ def _selections(begin: int, shape: tuple[int, ...]) -> tuple[Any, Any]:
     """Where a block of `shape` lies in memory, and where it goes in its dataset, which was just
     extended to hold it, from row `begin` on; the same for most columns of a group.
     """
-    spaces = needed("h5py", "record").h5s
+    from h5py import h5s as spaces
+
     there = spaces.create_simple((begin + shape[0], *shape[1:]), (spaces.UNLIMITED, *shape[1:]))
     there.select_hyperslab((begin, *(0,) * (len(shape) - 1)), shape)
     return spaces.create_simple(shape), there
@@ -188,7 +188,8 @@ class LiveFile:
     def __init__(
         self, path: Path, attributes: Mapping[str, Any], groups: Mapping[str, Iterable[Channel]]
     ) -> None:
-        h5py = needed("h5py", "record")
+        import h5py
+
         try:
             self._file = h5py.File(path, "x", libver=("v110", "v110"))
         except OSError as error:

@@ -25,10 +25,10 @@ from typing import Any
 import numpy as np
 
 from hapticd.errors import AnalysisError, ConfigError, HapticdError
+from hapticd.extras import need
 from hapticd.recording.energy import DATASETS, GROUP, energies
 from hapticd.recording.file import Recording, open_recording
 from hapticd.recording.live import SUFFIX, of_fixed_length
-from hapticd.recording.provenance import needed
 from hapticd.recording.stretch import remark, stretch
 from hapticd.units import NS_PER_S
 
@@ -46,7 +46,8 @@ def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
     """Write `final` from `source`, whole or not at all; returns {file, records, seconds, missing,
     bytes} and the rest of `summary`. HapticdError: it cannot be written, and `source` stays.
     """
-    h5py = needed("h5py", "record")
+    import h5py
+
     if final.exists():
         raise HapticdError(f"{final} exists; move it away or choose another name")
     fresh = final.with_name(f".{final.name}.{os.getpid()}")
@@ -139,7 +140,7 @@ def to_mat(recording: Recording, path: Path) -> Path:
     """One structure per group, and `info` with the attributes. HapticdError: it cannot be
     written.
     """
-    io = needed("scipy.io", "record")
+    io = need("scipy.io", "a .mat file")
     content: dict[str, Any] = {
         group: {name: recording.column(group, name) for name in names}
         for group in GROUPS

@@ -3,7 +3,7 @@ machine, rights, clocks.
 
 Whatever a run or a recording leaves on the disk carries this, so that its numbers can be traced to
 the code, the libraries and the machine that made them. Libraries that an extra brings are imported
-when they are first used (`needed`), for the package must import without them.
+when they are first used, for the package must import without them.
 
 What would break it: an attribute that is read from this machine while the daemon runs on another
 one. What belongs to the daemon is therefore taken from its own messages.
@@ -18,13 +18,11 @@ import time
 import uuid
 from contextlib import suppress
 from datetime import UTC, date, datetime
-from importlib import import_module
 from math import nan
 from pathlib import Path
 from typing import Any
 
 import hapticd
-from hapticd.errors import ConfigError
 from hapticd.recording.calibrations import doubts
 from hapticd.recording.certificate import certificate_of
 from hapticd.units import NS_PER_S
@@ -148,13 +146,3 @@ def processor() -> str:
         (line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
         platform.machine(),
     )
-
-
-def needed(module: str, extra: str) -> Any:
-    """Import `module`, which the extra `extra` installs. ConfigError: it is not installed."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise ConfigError(
-            f"this needs {module.partition('.')[0]} ({error}); install hapticd[{extra}]"
-        ) from error

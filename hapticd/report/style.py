@@ -31,6 +31,7 @@ import numpy as np
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.errors import ConfigError
+from hapticd.extras import need
 from hapticd.params import ADDED_DAMPING_NS_PER_M
 from hapticd.zwidth.store import FIGURE_KINDS
 
@@ -119,16 +120,10 @@ LEAST_RANGE = 2.5  # of a logarithmic axis
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Within it, or in a function that it decorates, figures look like ours. ConfigError without
+    """Within it, or in a function that it decorates, figures look like ours. MissingLibrary without
     matplotlib.
     """
-    try:
-        import matplotlib as mpl
-    except ImportError as error:
-        raise ConfigError(
-            f"figures are drawn with matplotlib ({error}): install hapticd[plot]"
-        ) from error
-    with mpl.rc_context(STYLE):
+    with need("matplotlib", "a figure").rc_context(STYLE):
         yield
 
 

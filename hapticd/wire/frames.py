@@ -1,10 +1,10 @@
 """The frames of firmware_iface/hapticd_wire.h as Python sees them, and the fingerprint of that
 header.
 
-The C header is the authoritative definition; tests/test_wire_header.py compiles it and compares
-every size, offset and constant with this file. PROTOCOL_HASH is what the board must report: a board
-built against another header is refused. What counts for the fingerprint are declarations: comments,
-white space and the line that carries the result do not, so the header can be explained better or
+The C header is the authoritative definition; test_wire_header.py compiles it and compares every
+size, offset and constant with this file. PROTOCOL_HASH is what the board must report: a board built
+against another header is refused. What counts for the fingerprint are declarations: comments, white
+space and the line that carries the result do not, so the header can be explained better or
 formatted anew without forcing anyone to flash a board.
 
 What would break it: a field added here and not in the header, or a changed header with the old

@@ -29,7 +29,6 @@ from concurrent.futures import (
 )
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
-from importlib import import_module
 from multiprocessing import get_context
 from socket import create_connection
 from typing import Any, ParamSpec, TypeVar
@@ -37,6 +36,7 @@ from urllib.parse import urlsplit
 
 from hapticd.engine.batch import at_most, workers
 from hapticd.errors import ConfigError, HapticdError
+from hapticd.extras import need
 
 PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
 GREETING_MOST = 1 << 20  # bytes
@@ -131,12 +131,7 @@ def _leave_interrupts() -> None:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
-    try:
-        distributed = import_module("distributed")
-    except ImportError as error:
-        raise ConfigError(
-            f"executor dask:// needs Dask ({error}): pip install hapticd[cluster]"
-        ) from error
+    distributed = need("distributed", "executor dask://")
     try:
         _greeted(address)
         client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)

@@ -28,8 +28,8 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats, Integers
 from hapticd.errors import AnalysisError, ConfigError
+from hapticd.extras import need
 from hapticd.recording.file import is_recording, open_recording
-from hapticd.recording.provenance import needed
 from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.units import PROBE_RATE_HZ
@@ -475,7 +475,7 @@ def _read_npz(path: Path) -> dict[str, Any]:
 
 def _read_mat(path: Path) -> dict[str, Any]:
     """The variables of a MATLAB file, old or new, by name."""
-    io = needed("scipy.io", "reference")
+    io = need("scipy.io", "a .mat file")
     try:
         return {
             name: values for name, values in io.loadmat(path).items() if not name.startswith("__")
@@ -488,7 +488,8 @@ def _read_mat(path: Path) -> dict[str, Any]:
 
 def _read_hdf5(path: Path) -> dict[str, Any]:
     """The datasets at its root."""
-    h5py = needed("h5py", "record")
+    import h5py
+
     with h5py.File(path) as file:
         return {
             name: values[()] for name, values in file.items() if isinstance(values, h5py.Dataset)

@@ -75,6 +75,8 @@ def command(
     from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
     from hapticd.zwidth.store import TrialStore
 
+    terminal.need_engine()
+    terminal.need_figures(results.plot)
     if not axis or set(axis) - set(AXES):
         raise typer.BadParameter(f"--axis {axis!r}: use one or more of the letters K, B, M")
     conditions = common.conditions(

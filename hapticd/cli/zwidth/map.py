@@ -78,6 +78,8 @@ def command(
     from hapticd.zwidth.map import MapParams, plan_map, run_map
     from hapticd.zwidth.store import TrialStore, to_json
 
+    terminal.need_engine()
+    terminal.need_figures(results.plot)
     conditions = common.conditions(common.scene_of(scene), trials.seconds, trials.seed, trials.band)
     axes = _axes(stiffness, viscous, mass)
     folder = common.folder(results.out, "map")

@@ -69,10 +69,12 @@ def report(
     """
     from hapticd.zwidth.store import to_json
 
+    terminal.need_figures(True)
     folder = Path(what)
     if (folder / "run.json").is_file():
         drawn = _of_run(folder, out or folder, figure_width)
     else:
+        terminal.need_engine()
         drawn = _of_device(what, damping, seconds, seed, out, figure_width)
     if as_json:
         files = [str(path) for path in drawn.files]
@@ -255,6 +257,8 @@ def reproduce(
     from hapticd.weir2008.run import plan_reproduce, run_reproduce
     from hapticd.weir2008.table import as_json as table_json
 
+    terminal.need_engine()
+    terminal.need_figures(out is not None or not as_json)
     plan = plan_reproduce(quick, seeds)
     files = []
     further = plan_future_work(quick)

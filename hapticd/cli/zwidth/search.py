@@ -61,6 +61,8 @@ def command(
     from hapticd.zwidth.search import SearchParams, plan_search, run_search
     from hapticd.zwidth.store import TrialStore, to_json
 
+    terminal.need_engine()
+    terminal.need_figures(results.plot)
     conditions = common.conditions(common.scene_of(scene), trials.seconds, trials.seed, trials.band)
     folder = common.folder(results.out, "search")
     store = TrialStore(folder / "trials.jsonl")

@@ -203,6 +203,9 @@ def trial(
     from hapticd.zwidth.recorded import read_file
 
     _check(asked)
+    if asked.source == "engine":
+        terminal.need_engine()
+    terminal.need_figures(results.plot)
     recorded = None
     if asked.source not in LIVE:
         recorded = read_file(Path(asked.source), file.force, file.velocity, file.rate_hz)

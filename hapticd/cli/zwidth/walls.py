@@ -49,6 +49,8 @@ def command(
     from hapticd.zwidth.store import to_json
     from hapticd.zwidth.walls import WallMapParams, plan_walls, run_walls
 
+    terminal.need_engine()
+    terminal.need_figures(plot)
     stiffnesses, dampings = _grid(stiffness, viscous)
     params = WallMapParams(
         common.scene_of(scene), stiffnesses, dampings, common.levels(damping), settle_s, still

@@ -55,7 +55,7 @@ def device(board: Board) -> Iterator[Device]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """One line for each case, and for each thing that was measured, as tests/test_usb_stack.py
+    """One line for each case, and for each thing that was measured, as test_usb_stack.py
     reads them.
     """
     for outcome in ("passed", "failed", "error", "skipped"):

@@ -1,6 +1,6 @@
 """The whole daemon, started before its board, with a network of its own as the shipped unit has it.
 One daemon lives through all cases, in their order. Run by `make test-usb` in a user-mode kernel
-(tests/test_usb_stack.py).
+(tests/acceptance/test_usb_stack.py).
 """
 
 import json

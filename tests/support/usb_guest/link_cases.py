@@ -1,5 +1,5 @@
 """The link above the true usbcore, usbfs, libusb and udev: transfers and the cable. Run by `make
-test-usb` in a user-mode kernel (tests/test_usb_stack.py).
+test-usb` in a user-mode kernel (tests/acceptance/test_usb_stack.py).
 """
 
 import gc

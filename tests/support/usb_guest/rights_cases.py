@@ -1,5 +1,5 @@
 """Who finds the board, and who gets it: late plugs, udev's rule, other owners, the kernel's own
-drivers. Run by `make test-usb` in a user-mode kernel (tests/test_usb_stack.py).
+drivers. Run by `make test-usb` in a user-mode kernel (tests/acceptance/test_usb_stack.py).
 """
 
 import stat

@@ -1,0 +1,74 @@
+"""Figures at the width of a column: type, panels, words, ticks; the same bytes each time."""
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+from support.report_paper import drawn
+
+from hapticd.report.paper import LEAST_PT, WIDTHS_MM, fit
+from hapticd.report.style import save, styled
+
+
+def seen(figure: Any) -> list[Any]:
+    """Boxes of all words that are seen, whole figure in pixels."""
+    figure.draw_without_rendering()
+    renderer = figure._get_renderer()
+    words = (one for one in figure.findobj(Text) if one.get_visible() and one.get_text().strip())
+    boxes = (one.get_window_extent(renderer) for one in words)
+    return [box for box in boxes if box.width > 0.0]
+
+
+@pytest.fixture(scope="module")
+def column() -> Any:
+    figure = drawn()
+    with styled():
+        fit(figure, WIDTHS_MM["column"])
+    return figure
+
+
+def test_same_figure_gives_the_same_files(tmp_path: Path) -> None:
+    first, second = (save(drawn(), tmp_path / name, "x", 88.9) for name in "ab")
+    assert [one.read_bytes() for one in first] == [other.read_bytes() for other in second]
+
+
+def test_no_type_is_smaller_than_7_pt(column: Any) -> None:
+    assert min(one.get_fontsize() for one in column.findobj(Text)) >= LEAST_PT
+
+
+def test_all_words_are_inside(column: Any) -> None:
+    width, height = column.bbox.size
+    for box in seen(column):
+        assert box.x0 > -1.0
+        assert box.y0 > -1.0
+        assert box.x1 < width + 1.0
+        assert box.y1 < height + 1.0
+
+
+def test_no_words_lie_on_each_other(column: Any) -> None:
+    for one, other in combinations(seen(column), 2):
+        assert not one.padded(-1.0).overlaps(other.padded(-1.0))
+
+
+def test_panels_go_to_the_next_line_in_their_order(column: Any) -> None:
+    column.draw_without_rendering()
+    places = [axis.get_position() for axis in column.axes]
+    lines = sorted({round(place.y0, 2) for place in places}, reverse=True)
+    assert [lines.index(round(place.y0, 2)) for place in places] == [0, 0, 1, 1, 2, 2]
+    assert all(axis.get_ylabel() == "force (N)" for axis in column.axes[::2])
+
+
+def test_round_ticks_stay_where_labels_would_touch(column: Any) -> None:
+    column.draw_without_rendering()
+    shown = [one.get_text() for one in column.axes[4].get_xticklabels() if one.get_text()]
+    assert {"1", "10", "100"} <= set(shown)
+    assert len(shown) < 10
+
+
+def test_data_stay_what_they_were(column: Any) -> None:
+    for before, after in zip(drawn().axes, column.axes, strict=True):
+        assert np.array_equal(before.lines[0].get_xydata(), after.lines[0].get_xydata())
+        assert (before.get_xlim(), before.get_ylim()) == (after.get_xlim(), after.get_ylim())

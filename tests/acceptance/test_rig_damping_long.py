@@ -1,0 +1,165 @@
+"""`rig damping`: the balance of momentum against closed forms, intervals, and a board whose damping
+is another than its device file's.
+"""
+
+import json
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from support.models import COUNT_M, COUNT_N
+from support.rig_damping import FREE, FRICTION, RATE_HZ, nothing
+from support.rig_hand import Hand
+
+from hapticd.cli.app import main
+from hapticd.cli.rig import steps
+from hapticd.gateway.view import as_records
+from hapticd.params import ScaleParams
+from hapticd.plant.compose import compose_device
+from hapticd.plant.effects import (
+    Amplifier,
+    Coulomb,
+    DampingCircuit,
+    Masses,
+    Motor,
+    Viscous,
+    WindingTemperature,
+)
+from hapticd.plant.tables import board_fields
+from hapticd.rig.damping import measure
+from hapticd.rig.result import relative_half
+from hapticd.settings.load import load
+from hapticd.settings.toml import shipped
+from hapticd.units import COPPER_PER_K
+
+LIMIT_N = 0.8
+
+
+def values_of(result):
+    return {one.name: one for one in result.values}
+
+
+def holds(value, truth):
+    return value.low <= truth <= value.high
+
+
+def test_gain_and_physical_damping_lie_in_their_intervals():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        hand.axis.damping_gain = 1.17
+        result = measure(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+        hand.settle()
+        assert hand.bench.newest["added_damping_ns_per_m"] == 0.0
+    found = values_of(result)
+    gain = found["damping.full_scale_ns_per_m"]
+    assert result.settled
+    assert holds(gain, 11.7)
+    assert gain.high - gain.low < 0.06 * gain.value
+    assert holds(found["physical damping"], 0.4)
+    assert holds(found["friction seen"], 0.03)
+    assert holds(found["residual resistance"], 0.0)
+    least = {(one.table, one.key): one.value for one in result.changes}
+    assert least["limits", "physical_damping_ns_per_m"] <= 2.0 / 3.0 * 0.4
+    assert np.abs(result.arrays["force_n"]).max() <= LIMIT_N + COUNT_N
+
+
+def test_the_verb_writes_the_table_with_its_record(tmp_path, monkeypatch, capsys):
+    """A gain below the file's brings the limit down with it: no converter makes more."""
+    (tmp_path / "devices").mkdir()
+    text = (shipped("config") / "devices" / "simulated.toml").read_text()
+    (tmp_path / "devices" / "own.toml").write_text(text)
+    config = tmp_path / "hapticd.toml"
+    config.write_text('device = "own"\n')
+    with Hand({"emf_velocity": ScaleParams(2.0 / 32767)}, touch=FRICTION, **FREE) as hand:
+        hand.axis.damping_gain = 0.9
+        monkeypatch.setattr(steps, "connect", lambda instance: nullcontext(hand.bench))
+        monkeypatch.setattr(steps, "PAUSE_S", 0.0)
+        assert main(["rig", "damping", "--yes", "--json", "--config", str(config)]) == 0
+    assert json.loads(capsys.readouterr().out)["ok"]
+    device = load(config).device
+    assert device.damping.full_scale_ns_per_m == pytest.approx(9.0, rel=0.02)
+    assert device.limits.damping_ns_per_m == device.damping.full_scale_ns_per_m
+    assert 0.2 < device.limits.physical_damping_ns_per_m <= 2.0 / 3.0 * 0.4
+    (record,) = (tmp_path / "devices" / "rig").iterdir()
+    assert record.name in device.damping.source
+    half = relative_half(device.damping.source, "damping.full_scale_ns_per_m", 1.0)
+    assert 0.003 < half < 0.03
+
+
+def composed(residual_ohm):
+    """A board whose winding is warmer than its compensation believes."""
+    ohm = 1.6
+    colder_k = residual_ohm / (ohm * COPPER_PER_K)
+    effects = (
+        Masses(rotor_kg=0.007),
+        Viscous(rotor_ns_per_m=0.3),
+        Coulomb(rotor_n=0.04),
+        Amplifier(bandwidth_hz=5000.0),
+        DampingCircuit(bandwidth_hz=1000.0),
+        Motor(torque_constant_nm_per_a=1.65, lever_m=1.0, resistance_ohm=ohm),
+        WindingTemperature(temperature_c=20.0, compensated_c=20.0 - colder_k),
+    )
+    return board_fields(compose_device("made", effects, RATE_HZ), (), 12.0)
+
+
+def test_a_warm_winding_is_told_from_weak_damping():
+    """Whatever the sign of the current is."""
+    wrong = {"current": ScaleParams(10.0 / 32767, -1)}
+    with Hand(wrong, **composed(0.08)) as hand:
+        result = measure(hand.bench, nothing)
+    found = values_of(result)
+    assert holds(found["damping.full_scale_ns_per_m"], 10.0)
+    assert holds(found["residual resistance"], 0.08)
+    assert found["residual resistance"].low > 0.0
+    assert holds(found["force per ampere"], 1.65)
+
+
+def test_a_board_without_current_is_measured_by_friction():
+    deaf = ScaleParams(1e3)
+    with Hand({"current": deaf}, **composed(0.08) | {"current_a_per_count": 1e3}) as hand:
+        result = measure(hand.bench, nothing)
+    found = values_of(result)
+    assert "force per ampere" not in found
+    assert holds(found["damping.full_scale_ns_per_m"], 10.0)
+    assert holds(found["residual back-EMF"], 0.08 / 1.65**2)
+
+
+def test_wrong_polarity_is_refused_before_it_can_grow():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        hand.axis.damping_gain = -1.0
+        result = measure(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.newest["added_damping_ns_per_m"] == 0.0
+    assert not result.settled
+    assert not result.changes
+    assert "polarity" in result.findings[0].what
+    on = result.arrays["damping_effect_ns_per_m"] > 0.0
+    moving = np.abs(np.diff(result.arrays["position_m"], prepend=0.0)) > 2 * COUNT_M
+    lengths = np.diff(np.flatnonzero(np.diff((on & moving).astype(int))))[::2]
+    assert 0 < lengths.max() <= 20
+    assert result.arrays["damping_effect_ns_per_m"].max() < 0.4  # the physical damping
+
+
+def test_damping_that_does_nothing_is_refused():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        hand.axis.damping_gain = 0.0
+        result = measure(hand.bench, nothing)
+    assert not result.settled
+    assert "no damping is seen" in result.findings[0].what
+
+
+def test_ctrl_c_ends_force_and_damping():
+    with Hand(touch=FRICTION, **FREE) as hand:
+
+        def interrupted(topics, look_s=0.05):
+            if hand.bench.newest["added_damping_ns_per_m"] > 0.0:
+                raise KeyboardInterrupt
+            return type(hand.bench).messages(hand.bench, topics, look_s)
+
+        hand.bench.messages = interrupted
+        with pytest.raises(KeyboardInterrupt):
+            measure(hand.bench, nothing)
+        records = as_records(hand.bench.run(200))
+        assert hand.bench.status()["state"] == "disabled"
+        assert not records["force_n"].any()
+        assert not records["added_damping_ns_per_m"][-1]

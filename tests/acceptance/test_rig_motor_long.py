@@ -1,0 +1,46 @@
+"""`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
+
+from support.models import COUNT_N
+from support.rig_hand import Hand
+from support.rig_motor import FREE, FRICTION, HUNG, nothing
+
+from hapticd.params import TouchParams
+from hapticd.rig.motor import (
+    measure_gain,
+    measure_sign,
+)
+
+
+def test_a_board_without_authority_is_refused_by_name():
+    """The amplifier does nothing though the board says that it is ready."""
+    with Hand({"commissioning": True}, touch=TouchParams(coulomb_n=5.0, static_n=5.0)) as hand:
+        result = measure_sign(hand.bench, nothing)
+    assert not result.settled
+    assert not result.changes
+    assert "authority" in result.findings[0].remedy
+
+
+def hanging(hand):
+    """A person who hangs what is asked."""
+
+    def ask(request):
+        hand.pull_n = -9.80665 * request.amount
+        hand.settle(2.0)
+
+    return ask
+
+
+def test_gain_and_offset_lie_in_their_intervals():
+    """A motor of 20 % more than the file says, and one that pushes with 10 mN at a count of 0."""
+    with Hand(touch=FRICTION, viscous_ns_per_m=2.0, **FREE) as hand:
+        hand.gain = 1.2
+        hand.offset_n = 0.01
+        result = measure_gain(hand.bench, hanging(hand), HUNG)
+    values = {one.name: one for one in result.values}
+    gain = values["force.full_scale_n"]
+    assert gain.low <= 1.2 * 32767 * COUNT_N <= gain.high
+    assert gain.high - gain.low < 0.02 * gain.value
+    offset = values["force.offset_count"]
+    assert offset.low <= -0.01 / 1.2 / COUNT_N <= offset.high
+    assert result.settled
+    assert hand.bench.status()["state"] == "disabled"

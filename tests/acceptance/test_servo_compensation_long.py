@@ -1,0 +1,76 @@
+"""The compensation of the winding's resistance follows it from below, whatever sensor, current and
+board do. The winding itself is integrated here, by its differential equation alone.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.servo_compensation import CEILING, Warm, copper, params
+
+from benchmarks.thermal import DAMPING_NS_PER_M, RECORD, deviation_pct, device, flown
+from hapticd.assembly.lockstep import LockStep
+from hapticd.mailbox.layout import Command, Value
+from hapticd.params import (
+    HandParams,
+    TouchParams,
+)
+from hapticd.servo.plan import (
+    SETTLED,
+)
+from hapticd.wire import codec
+
+
+def test_board_without_the_dac_gets_0_and_loses_what_theory_says():
+    moments = list(flown(*device(("resistance",)), 6))
+    for one in moments:
+        gain = 1.0 / (1.0 + DAMPING_NS_PER_M * (copper(one.winding_c) - 1.5) / 1.65**2)
+        assert one.damping_ns_per_m == pytest.approx(DAMPING_NS_PER_M * gain, rel=0.01)
+    assert deviation_pct(moments) > 15.0
+    with LockStep(*device(("resistance",))) as stack:
+        ticks = np.frombuffer(stack.run(500), dtype=RECORD)
+        assert "has no resistance DAC" in stack.loop.board.report()["uncompensated"]
+    assert set(ticks["resistance_count"]) == {0}
+    assert {codec.decode_out(bytes(one)).resistance for one in ticks["out_frame"]} == {0}
+
+
+@pytest.mark.parametrize("reads_c", [80.0, -20.0])
+def test_sensor_that_breaks_in_flight_never_over_compensates_the_circuit(reads_c):
+    """4 N heat the winding; from 3 s on the sensor stands still, then the winding cools down. The
+    circuit's own ohm are looked at in the simulated board.
+    """
+    servo, board = device()
+    hand = HandParams("push", 0.5, 6.0, 4.0)
+    with LockStep(servo, replace(board, touch=TouchParams(hands=(hand,)))) as stack:
+        axis = stack.backend._port._axis
+        honest = stack.backend._port._celsius
+        stack.do(Command.SET, {Value.STIFFNESS: 600.0, Value.RAMP_S: 0.0})
+        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: CEILING, Value.ADDED_DAMPING_ON: 1.0})
+        stack.do(Command.ENABLE)
+        gains = []
+        for step in range(200):
+            if step == 30:
+                stack.backend._port._celsius = lambda _state: reads_c
+            stack.run(100)
+            residual_ohm = copper(honest(axis.state)) - axis.believed_ohm
+            gains.append(CEILING * residual_ohm / 1.65**2)
+        assert stack.loop.state[SETTLED].plan.fault == 0
+    assert honest(axis.state) < 45.0
+    assert min(gains[:30]) > 0.0
+    assert min(gains) > (-0.3 if reads_c == 80.0 else 0.0)
+
+
+def test_a_day_of_heating_cycles_leaves_no_trace():
+    """24 h of 2.4 A for 20 s and 40 s of rest: the last hour is as the second one."""
+    warm = Warm(params())
+    found = {}
+    while warm.tick < 86_400_000:
+        left = warm.look(2.4 if warm.tick % 60_000 < 20_000 else 0.0)
+        hour = found.setdefault(warm.tick // 3_600_000, [9.9, 0.0, 0.0])
+        hour[0] = min(hour[0], left)
+        hour[1] = max(hour[1], left) if warm.tick > 60_000 else 0.0
+        hour[2] = max(hour[2], warm.plan.winding.high_c)
+    assert found[23] == pytest.approx(found[1], rel=0.02)
+    assert warm.least > 0.02
+    assert found[23][1] < 0.06
+    assert max(hour[2] for hour in found.values()) <= 120.0

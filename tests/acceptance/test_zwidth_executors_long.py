@@ -1,0 +1,70 @@
+"""Where trials run: names and what is wrong with them, the same outcomes everywhere, errors
+that come home, one core a task.
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import CancelledError
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from support.zwidth_executors import made, refuse, same_error
+
+from hapticd.engine.batch import workers
+from hapticd.errors import CommandError, HapticdError
+from hapticd.zwidth.executors import executor
+
+
+@pytest.fixture(scope="module")
+def reference() -> dict[str, Any]:
+    """All outcomes of the map, made on threads here."""
+    return made(None)
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """A Dask cluster within this process: two workers of one thread; its address as an executor."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=":0"
+    ) as it:
+        yield it.scheduler_address.replace("tcp://", "dask://")
+
+
+def test_dask_gives_the_same_bytes(reference: dict[str, Any], scheduler: str) -> None:
+    with executor(scheduler) as pool:
+        assert made(pool) == reference
+
+
+def test_error_of_a_dask_worker_comes_home(scheduler: str) -> None:
+    with executor(scheduler) as pool:
+        assert pool is not None
+        assert same_error(pool)
+
+
+def test_command_error_comes_home_from_dask(scheduler: str) -> None:
+    with executor(scheduler) as pool:
+        assert pool is not None
+        error = pool.submit(refuse).exception()
+    assert isinstance(error, CommandError)
+    assert (error.code, str(error), error.detail, error.exit_code) == ("stopped", "no", 3, 5)
+
+
+def test_tasks_on_dask_keep_to_one_core(scheduler: str) -> None:
+    with executor(scheduler) as pool:
+        assert pool is not None
+        assert pool.submit(workers).result() == 1
+
+
+@pytest.mark.parametrize("what", ["killed", "cancelled"])
+def test_lost_dask_workers_are_told(what: str, scheduler: str) -> None:
+    distributed = pytest.importorskip("distributed")
+    last = SimpleNamespace(address="tcp://w:1")
+    lost = distributed.KilledWorker("run_trials", last, 3) if what == "killed" else CancelledError()
+    why = "Attempted to run task .*" if what == "killed" else "tasks were given up"
+    told = (
+        rf"lost its scheduler or too many workers \({why}\); begun again, a map goes on from what"
+        r" it has kept"
+    )
+    with pytest.raises(HapticdError, match=told), executor(scheduler):
+        raise lost

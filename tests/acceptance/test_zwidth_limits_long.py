@@ -1,0 +1,36 @@
+"""Axis limits and their store: what was interrupted goes on, and comes out as if it had not
+been.
+"""
+
+from typing import Any
+
+import pytest
+from support.stand_in import StandIn
+from support.zwidth_limits import PLAN, Flown, environments
+
+from hapticd.zwidth.limits import Scan, run_limits
+from hapticd.zwidth.outcomes import Conditions, Outcome
+from hapticd.zwidth.store import TrialStore
+
+
+def test_limits_go_on_where_they_were_interrupted(tmp_path: Any) -> None:
+    uninterrupted = TrialStore(tmp_path / "whole.jsonl")
+    whole = run_limits(PLAN, uninterrupted)
+    rounds: list[int] = []
+
+    def interrupted(scan: Scan, conditions: Conditions, new: list[Outcome]) -> None:
+        rounds.append(len(new))
+        if len(rounds) == 4:
+            raise KeyboardInterrupt
+
+    path = tmp_path / "trials.jsonl"
+    with pytest.raises(KeyboardInterrupt):
+        run_limits(PLAN, TrialStore(path), on_outcomes=interrupted)
+    had = environments(TrialStore(path))
+    flown = Flown()
+    resumed = run_limits(PLAN, TrialStore(path), executor=StandIn(flown))
+    assert repr(resumed.limits) == repr(whole.limits)
+    assert 0 < len(had) < len(environments(uninterrupted))
+    assert not had & set(flown.points)
+    assert resumed.made == len(flown.points)
+    assert TrialStore(path).known == TrialStore(tmp_path / "whole.jsonl").known

@@ -1,0 +1,41 @@
+"""What the probe's amplifier adds is that of the trial, wherever and with whatever it is made.
+
+The device is linear and narrow: some verdicts need the record, which is then made once more.
+"""
+
+from concurrent.futures import Executor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from support.zwidth_noisy_probe import GIVEN, POINTS
+
+from hapticd.analysis.arrays import Floats
+from hapticd.zwidth.executors import executor
+from hapticd.zwidth.outcomes import Outcome, run_trials
+from hapticd.zwidth.store import to_json
+
+
+def told(found: list[Outcome]) -> list[str]:
+    """Every number of every outcome."""
+    return [str(to_json(vars(one))) for one in found]
+
+
+@pytest.mark.parametrize("spec", ["thread", "process"])
+def test_an_outcome_is_the_same_alone_and_among_others(spec: str) -> None:
+    """Alone, in a task of 8 and in tasks of 3, in this process and in others."""
+    whole = told(run_trials(GIVEN, 0.0, POINTS))
+    alone = [told(run_trials(GIVEN, 0.0, point[None]))[0] for point in POINTS]
+    parts = np.array_split(POINTS, 3)
+    with executor(spec) as pool:
+        cut = spread(pool, parts)
+    assert alone == whole
+    assert cut == whole
+
+
+def spread(pool: Executor | None, parts: list[Floats]) -> list[str]:
+    """Outcomes of tasks that are cut as `parts`."""
+    if pool is None:
+        with ThreadPoolExecutor(2) as threads:
+            return spread(threads, parts)
+    tasks = [pool.submit(run_trials, GIVEN, 0.0, part) for part in parts]
+    return told([one for task in tasks for one in task.result()])

@@ -1,0 +1,95 @@
+"""A limit cycle or a hum between 2 and 12 Hz is named, and nothing else is: not the device's own
+resonance, however narrow, not friction, counts or noise of the probe.
+"""
+
+import numpy as np
+import pytest
+from support import analysis_devices
+from support.analysis_low_lines import (
+    DRY,
+    HEAVY,
+    NOISE,
+    RATE_HZ,
+    display,
+    named,
+    trial_records,
+    with_line,
+)
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.findings import Finding
+from hapticd.analysis.low_lines import hinted
+from hapticd.analysis.spectra import spa
+from hapticd.zwidth.outcomes import Conditions, run_trials
+from hapticd.zwidth.sources import Trial
+from hapticd.zwidth.store import TrialRecord
+from hapticd.zwidth.trial import TrialParams, TrialResult, judged, plan_trial
+
+
+@pytest.mark.parametrize("line_hz", [3.0, 5.0, 8.0])
+def test_a_line_that_wanders_is_named(line_hz):
+    for force, velocity in trial_records(HEAVY, 100.0, 2):
+        (found,) = named(force, with_line(velocity, line_hz, 0.1, width_hz=0.1))
+        assert found.code == "line"
+
+
+def test_a_broad_motion_that_nothing_explains_is_no_line(monkeypatch):
+    """Half of the velocity's power is noise from 1 to 14 Hz, 4 % of it in each half hertz."""
+    monkeypatch.setattr("hapticd.analysis.low_lines.hinted", lambda trial: True)
+    random = np.random.default_rng(3)
+    for force, velocity in trial_records(DRY, 100.0, 4):
+        spectrum = np.fft.rfft(random.standard_normal(velocity.size))
+        f = np.fft.rfftfreq(velocity.size, 1.0 / RATE_HZ)
+        noise = np.fft.irfft(spectrum * ((f > 1.0) & (f < 14.0)), velocity.size)
+        assert named(force, velocity + noise * velocity.std() / noise.std()) == ()
+
+
+@pytest.mark.parametrize("seconds", [5.0, 10.0, 20.0])
+@pytest.mark.parametrize(("device", "stiffness"), [(HEAVY, 50.0), (DRY, 20.0), (DRY, 0.0)])
+def test_a_short_record_has_lines_only_where_they_are(device, stiffness, seconds):
+    for force, velocity in trial_records(device, stiffness, 8, seconds):
+        assert named(force, velocity) == ()
+        if seconds > 5.0:
+            (found,) = named(force, with_line(velocity, 5.0, 0.25))
+            assert found.code == "line"
+
+
+def test_only_what_hints_at_a_line_costs_a_look_at_the_record():
+    dry = analysis_devices.display()
+    ((force, velocity),) = trial_records(dry, 0.0, 1)
+    assert not hinted(spa(force, velocity))
+    assert hinted(spa(force, with_line(velocity, 5.0, 0.05)))
+
+
+def of_trial(velocity: Floats, force: Floats) -> TrialResult:
+    plan = plan_trial(TrialParams(Trial((20.0, 0.0, 0.0), seconds=90.0), DRY))
+    return judged(plan, TrialRecord(force, velocity, RATE_HZ, "test", True))
+
+
+def test_a_verdict_names_it_and_calls_a_strong_one_unstable():
+    ((force, velocity),) = trial_records(DRY, 20.0, 1)
+    assert of_trial(velocity, force).verdict.stability == "stable"
+    weak = of_trial(with_line(velocity, 5.0, 0.1), force).verdict
+    assert "line at 5" in str(weak)
+    assert weak.stability == "stable"
+    strong = of_trial(with_line(velocity, 5.0, 0.6), force).verdict
+    assert "oscillation at 5" in str(strong)
+    assert strong.answer == "not_passive"
+
+
+def test_a_batch_looks_at_its_records_where_they_hint(monkeypatch):
+    """As a trial alone does, on the record of the same trial."""
+    looked = []
+    cycle = Finding("oscillation", "a limit cycle", unstable=True)
+
+    def kept(force, velocity, spectra):
+        looked.append(force.size)
+        return (cycle,) if hinted(spectra) else ()
+
+    monkeypatch.setattr("hapticd.zwidth.outcomes.low_line", kept)
+    points = np.array([[50.0, 0.0, 0.0], [400.0, 0.0, 0.0]])
+    given = Conditions(display(0.3, mass_kg=0.023), 90.0, NOISE)
+    slow, fast = run_trials(given, 0.0, points)
+    assert set(looked) == {360_000}
+    assert slow.answer == "not_passive"
+    assert fast.answer == "passive"

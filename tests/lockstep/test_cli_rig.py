@@ -1,0 +1,212 @@
+"""`hapticd rig` from the command line, on a simulated rig in place of a daemon."""
+
+import datetime
+import json
+import socket
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.cli_rig import at_the_rig
+from support.models import COUNT_N
+
+from hapticd.cli.app import main
+from hapticd.cli.rig import guided, steps
+from hapticd.errors import AnalysisError, DaemonDown
+from hapticd.params import ScaleParams
+from hapticd.rig.device_file import write
+from hapticd.rig.hand import Request
+from hapticd.rig.result import Change
+from hapticd.settings.load import load
+from hapticd.settings.toml import shipped
+
+DAY = datetime.date(2026, 3, 4)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    (tmp_path / "devices").mkdir()
+    text = (shipped("config") / "devices" / "simulated.toml").read_text()
+    text = text.replace("[force]\n", "[force]\nsign = -1\n")  # which is wrong
+    (tmp_path / "devices" / "own.toml").write_text(text + "\n[commissioning]\n# not yet\n")
+    file = tmp_path / "hapticd.toml"
+    file.write_text('device = "own"\n')
+    return file
+
+
+@pytest.fixture
+def hand(monkeypatch: pytest.MonkeyPatch):
+    yield from at_the_rig(monkeypatch, {"force": ScaleParams(COUNT_N, -1), "commissioning": True})
+
+
+def test_motor_writes_sign_and_verification_with_their_record(config, hand, capsys):
+    assert load(config).device.commissioning.signs_verified is False
+    assert main(["rig", "motor", "--yes", "--json", "--config", str(config)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["ok"]
+    device = load(config).device
+    assert device.force.sign == 1
+    assert device.commissioning.signs_verified
+    assert device.commissioning.serial == device.serial
+    assert (device.commissioning.firmware, device.commissioning.life) == (
+        "1.0",
+        hand.life,
+    )
+    assert "# not yet" in load(config).device_file.read_text()
+    (record,) = (config.parent / "devices" / "rig").iterdir()
+    assert record.name in device.commissioning.source
+    assert device.force.source == load(shipped("config") / "hapticd.toml").device.force.source
+    with np.load(record) as kept:
+        assert len(kept["position_m_0"]) > 100
+
+
+def test_ctrl_c_leaves_the_device_file_and_ends_the_force(config, hand, monkeypatch):
+    before = load(config).device_file.read_bytes()
+
+    def interrupted(text):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(steps, "asking", lambda yes: interrupted)
+    assert main(["rig", "motor", "--yes", "--config", str(config)]) != 0
+    assert load(config).device_file.read_bytes() == before
+    assert hand.bench.status()["state"] == "disabled"
+
+
+def test_whoever_says_no_writes_nothing(config, hand, monkeypatch):
+    before = load(config).device_file.read_bytes()
+    monkeypatch.setattr(steps, "answer", lambda question: "no")
+    assert main(["rig", "motor", "--config", str(config)]) == 0
+    assert load(config).device_file.read_bytes() == before
+
+
+def test_a_file_of_another_device_is_refused_before_anything_moves(config, hand, capsys):
+    file = config.parent / "devices" / "own.toml"
+    file.write_text(file.read_text().replace('"SIM0001"', '"SIM0002"'))
+    assert main(["rig", "motor", "--yes", "--config", str(config)]) == 78
+    assert "SIM0002" in capsys.readouterr().err
+    assert not (config.parent / "devices" / "rig").exists()
+
+
+def test_what_a_step_wrote_has_to_be_read_before_the_next_one(config, hand, capsys):
+    """With the daemon's old sign of the position the pushes would verify the wrong sign of the
+    force.
+    """
+    file = config.parent / "devices" / "own.toml"
+    file.write_text(file.read_text().replace("[position]\n", "[position]\nsign = -1\n"))
+    assert main(["rig", "motor", "--yes", "--config", str(config)]) == 78
+    assert "another position than the daemon" in capsys.readouterr().err
+    assert not hand.bench.newest["force_n"]
+    assert not (config.parent / "devices" / "rig").exists()
+
+
+def test_a_shipped_device_file_is_not_measured_into(hand, capsys):
+    config = shipped("config") / "hapticd.toml"
+    assert main(["rig", "motor", "--yes", "--config", str(config)]) == 78
+    assert "copy it" in capsys.readouterr().err
+
+
+def test_link_says_a_verdict_for_each_thing(hand, capsys, monkeypatch):
+    monkeypatch.setattr("hapticd.rig.link.SECONDS", 1.0)
+    assert main(["rig", "link"]) == 0
+    told = capsys.readouterr().out
+    assert "ok: missing_in: 0" in told
+    assert "ok: watchdog of the board: trips after" in told
+
+
+def test_the_guided_path_does_each_step_that_is_wanted(config, hand, monkeypatch, capsys):
+    """No link, no encoder, the motor's sign; and the file is written once yes was said."""
+    monkeypatch.setenv("HAPTICD_CONFIG", str(config))
+    monkeypatch.setattr(guided, "connect", steps.connect)
+    said = iter(["no", "no", "yes", "", "yes"])
+    monkeypatch.setattr(steps, "answer", lambda question: next(said))
+    assert main(["rig"]) == 0
+    assert load(config).device.commissioning.signs_verified
+    assert "start it again" in capsys.readouterr().err
+    assert not list(said)
+
+
+def test_what_is_measured_says_how_old_it_is(config):
+    """A date that somebody typed is no measurement; neither is a table that is not there."""
+    file = load(config).device_file
+    assert guided.measured("position", load(config).device) == ""
+    assert guided.measured("commissioning", load(config).device) == ""
+    week_ago = datetime.date.today() - datetime.timedelta(7)
+    write(file, [Change("position", "m_per_count", 0.5e-6)], "rig encoder: 0.5 um", week_ago)
+    told = guided.measured("position", load(config).device)
+    assert told == f"measured {week_ago.isoformat()}, 7 days ago"
+
+
+def test_a_table_that_outlived_its_newton_is_offered_again(config):
+    file = load(config).device_file
+    real = {"simulated": False}
+    for full_scale_n, doubted in ((7.4, True), (8.0, False)):
+        written = [
+            Change("damping", "full_scale_ns_per_m", 10.0),
+            Change("damping", "with_force_full_scale_n", full_scale_n),
+        ]
+        write(file, written, "rig damping: x", datetime.date.today())
+        said = guided.in_doubt("damping", load(config).device.model_copy(update=real))
+        assert said.startswith("it was found with a scale of force of 7.4 N") == doubted
+
+
+def test_refused_signs_are_not_called_verified(config, hand, monkeypatch, capsys):
+    monkeypatch.setenv("HAPTICD_CONFIG", str(config))
+    monkeypatch.setattr(guided, "connect", steps.connect)
+    said = iter(["no", "no", "yes", "", "no"])  # the last: write this? no
+    monkeypatch.setattr(steps, "answer", lambda question: next(said))
+    assert main(["rig"]) == 0
+    told = capsys.readouterr().err
+    assert "Signs are not verified yet" in told
+    assert "start it again" not in told
+
+
+def test_the_path_waits_until_the_daemon_has_read_what_was_written(config, hand, monkeypatch):
+    where = guided.Where("default", config)
+    monkeypatch.setattr(guided, "connect", steps.connect)
+    write(load(config).device_file, [Change("force", "full_scale_n", 9.0)], "rig motor", DAY)
+    assert "force" in guided._stale(where)
+    reasons = iter(["no daemon runs", "the device file has a new force", ""])
+    monkeypatch.setattr(guided, "_stale", lambda where: next(reasons))
+    asked = []
+    monkeypatch.setattr(steps, "answer", asked.append)
+    guided._await_restart(where)
+    assert len(asked) == 2
+    assert all("start the daemon again" in one for one in asked)
+
+
+def test_a_program_can_be_the_hand(tmp_path, monkeypatch):
+    """It gets the action with its amount, and what it cannot do ends the step."""
+    seen = []
+    door = socket.socket(socket.AF_UNIX)
+    door.bind(str(tmp_path / "hand"))
+    door.listen()
+
+    def hand():
+        for answer in ({"done": True}, {"error": "no such mass"}):
+            line, _ = door.accept()
+            with line:
+                seen.append(json.loads(line.makefile("rb").readline()))
+                line.sendall(json.dumps(answer).encode() + b"\n")
+
+    thread = threading.Thread(target=hand)
+    thread.start()
+    monkeypatch.setenv("HAPTICD_HAND", str(tmp_path / "hand"))
+    ask = steps.asking(False)
+    ask(Request("hang", "hang 50 g", 0.05))
+    with pytest.raises(AnalysisError, match="no such mass"):
+        ask(Request("hang", "hang 60 g", 0.06))
+    thread.join()
+    door.close()
+    assert [(one["action"], one["amount"]) for one in seen] == [("hang", 0.05), ("hang", 0.06)]
+    with pytest.raises(DaemonDown, match="HAPTICD_HAND"):
+        ask(Request("let go", "let go"))
+
+
+def test_temperature_writes_the_count_of_0_degrees(config, hand):
+    stated = ["rig", "temperature", "--at", "22", "--no-shake", "--config", str(config)]
+    assert main([*stated, "--yes", "--json"]) == 0
+    device = load(config).device
+    assert abs(device.temperature.offset_count) < 1.0
+    assert "temperature.offset_count" in device.temperature.source
+    assert "rig" not in device.emf_velocity.source

@@ -1,0 +1,223 @@
+"""`hapticd zwidth`: what a person types, gets printed, and finds in the run folder; slips are
+named and nothing is started.
+"""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from support.cli_zwidth import OUTCOME, SHORT, run, small_map, trials
+
+from hapticd.cli.app import main
+
+
+def test_trial_in_json_is_one_object(tmp_path, capsys):
+    code, out, _ = run(["trial", *SHORT, "--out", str(tmp_path), "--json", "--seed", "5"], capsys)
+    found = json.loads(out)
+    assert code == 0
+    assert found["ok"] is True
+    assert found["seed"] == 5
+    assert found["verdict"]["answer"] in ("passive", "undecided")
+
+
+def test_trial_in_lockstep_is_the_whole_stack(tmp_path, capsys):
+    code, out, _ = run(["trial", "lockstep", "--seconds", "8", "--out", str(tmp_path)], capsys)
+    assert code == 0
+    assert out.startswith("SIMULATED lock-step, scene fig4")
+
+
+def test_undecided_trial_says_what_would_decide(tmp_path, capsys):
+    _, out, _ = run(["trial", "--seconds", "6", "--out", str(tmp_path)], capsys)
+    assert "undecided in band" in out
+    assert re.search(r"^a record like it of some \d{1,2}0? s would decide$", out, re.MULTILINE)
+
+
+def test_interrupted_map_says_how_to_go_on(tmp_path, capsys, monkeypatch):
+    from hapticd.zwidth import map
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(map, "run_map", interrupted)
+    code, _, err = run(["map", "--out", str(tmp_path / "m"), *SHORT], capsys)
+    assert code == 130
+    assert f"the same command with --out {tmp_path / 'm'} goes on there" in err
+
+
+def test_map_tells_outcomes_as_they_arrive(tmp_path, capsys):
+    code, out, _ = run(small_map(tmp_path, "--json"), capsys)
+    *outcomes, last = map(json.loads, out.splitlines())
+    assert code == 0
+    assert [set(outcome) for outcome in outcomes] == [OUTCOME] * 27
+    assert {outcome["type"] for outcome in outcomes} == {"outcome"}
+    kept = {tuple(line["environment"]): line for line in map(json.loads, trials(tmp_path))}
+    for outcome in outcomes:
+        assert {
+            name: kept[tuple(outcome["environment"])][name] for name in OUTCOME - {"type"}
+        }.items() <= outcome.items()
+    assert (last["ok"], last["made"], last["levels"][0]["tried"]) == (True, 27, 27)
+    _, again, _ = run(small_map(tmp_path, "--json"), capsys)
+    assert json.loads(again)["made"] == 0  # one line: what was kept is not told again
+
+
+def test_interrupted_map_has_told_what_it_kept(tmp_path, capsys, monkeypatch):
+    from hapticd.cli.zwidth import common
+
+    def left(new):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(common, "print_outcomes", left)
+    code, _, err = run(small_map(tmp_path, "--json"), capsys)
+    assert code == 130
+    assert (
+        f"{len(trials(tmp_path))} trials are kept in {tmp_path}; the same command with --out"
+        f" {tmp_path} goes on there" in err
+    )
+
+
+def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
+    from hapticd.errors import HapticdError
+    from hapticd.zwidth import map
+
+    assert run(small_map(tmp_path), capsys)[0] == 0
+
+    def died(*_):
+        raise HapticdError("a worker process died")
+
+    monkeypatch.setattr(map, "run_map", died)
+    code, out, err = run(small_map(tmp_path, "--json"), capsys)
+    assert code == 1
+    assert json.loads(out)["error"]["message"] == "a worker process died"
+    assert f"27 trials are kept in {tmp_path}; the same command" in err
+    assert "hapticd: a worker process died" in err
+
+
+def test_levels_are_still_taken_for_amplitudes_of_limits(capsys):
+    """The option was called --levels, a word that means active damping everywhere else."""
+    code, _, err = run(["limits", "--levels", "0"], capsys)
+    assert code == 2
+    assert "Invalid value for '--amplitudes'" in " ".join(err.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["trial", "--estimator", "h"], 2, "use spa or h_force"),
+        (["trial", "x.csv", "--stepped-sine"], 2, "a record that exists cannot be perturbed again"),
+        (["trial", "--seconds", "1"], 65, "a trial of 1 s: a verdict takes 3.84 s or more"),
+        (["trial", "--scene", "fgi4"], 78, "did you mean 'fig4'?"),
+        (["trial", "nothing.csv"], 78, "no such file"),
+        (["trial", "--band", "1", "500", "--seconds", "8"], 65, "band from 1 Hz"),
+        (["limits", "--axis", "X"], 2, "use one or more of the letters K, B, M"),
+        (["limits", "--damping", "on"], 2, "numbers in N s/m"),
+        (["limits", "--damping", "-1"], 2, "levels must be finite and not negative"),
+        (
+            ["map", "--executor", "ray"],
+            78,
+            "executor 'ray': use auto, thread, process or dask://HOST:PORT",
+        ),
+        (
+            ["limits", "--executor", "dask://here"],
+            78,
+            "executor 'dask://here': use auto, thread, process or dask://HOST:PORT",
+        ),
+        (
+            ["search", "--executor", "dask:8786"],
+            78,
+            "executor 'dask:8786': use auto, thread, process or dask://HOST:PORT",
+        ),
+        (["walls", "--scene", "fig4"], 65, "it has no wall to hit"),
+    ],
+)
+def test_mistakes_are_answered_in_words(words, code, said, tmp_path, capsys):
+    found, _, err = run([*words, "--out", str(tmp_path / "x")], capsys)
+    assert found == code
+    assert said in " ".join(err.replace("│", " ").split())
+
+
+def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
+    from hapticd.cli.zwidth import map as verb
+    from hapticd.settings.scene import load_scene
+    from hapticd.zwidth.outcomes import Conditions, run_trials
+    from hapticd.zwidth.scenes import noise
+    from hapticd.zwidth.store import write_run
+
+    scene = load_scene("theory")
+    conditions = Conditions(scene, 20.0, noise(scene))
+    monkeypatch.setattr(verb, "REDRAW_S", -1.0)
+    redrawn = verb._Redrawn(conditions, tmp_path, None)
+    failed, passed = run_trials(conditions, 0.0, np.array([[9000.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+    redrawn([failed])
+    assert not list(tmp_path.iterdir())
+    redrawn([passed])
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "envelope_so_far.png",
+        "envelope_so_far.svg",
+        "envelope_so_far.pdf",
+    }
+    write_run(tmp_path, {"kind": "map"})
+    assert {path.name for path in tmp_path.iterdir()} == {"run.json"}
+
+
+TRIAL = ["trial", "--seconds", "8"]
+MAP = ["map", "--no-plot", "--seconds", "8", "--damping", "0"]
+WALLS = ["walls", "--no-plot", "--damping", "0"]
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ([*TRIAL, "--psd", "-1"], 2, "not in the range x>=0"),
+        ([*TRIAL, "--psd", "0"], 65, "perturbation of 0 N^2/Hz"),
+        ([*TRIAL, "--psd", "inf"], 65, "perturbation of inf N^2/Hz"),
+        ([*TRIAL, "--behind-mass", "inf"], 65, "mass behind the port of inf kg"),
+        ([*TRIAL, "--hottest", "nan"], 65, "winding limit of nan degC"),
+        ([*TRIAL, "--damping", "inf"], 65, "active damping of inf N s/m"),
+        ([*TRIAL, "--viscous", "inf"], 65, "damping of inf N s/m"),
+        ([*TRIAL, "-K", "nan"], 65, "stiffness of nan N/m"),
+        ([*TRIAL, "--band", "2", "5000"], 65, "say nothing above 2000 Hz"),
+        ([*MAP, "--damping", "nan"], 2, "levels must be finite and not negative"),
+        ([*MAP, "--damping", "0,inf"], 2, "levels must be finite and not negative"),
+        ([*MAP, "--band", "500", "2"], 65, "band of 500..2 Hz"),
+        ([*MAP, "--band", "2", "nan"], 65, "band of 2..nan Hz"),
+        ([*MAP, "--stiffness", "0", "1000", "-1"], 2, "--stiffness 0 1000 -1"),
+        ([*MAP, "--stiffness", "0", "1000", "2000000000"], 2, "--stiffness 0 1000 2000000000"),
+        ([*MAP, "--stiffness", "1000", "0", "4"], 2, "--stiffness 1000 0 4"),
+        ([*MAP, "--mass", "nan", "0", "4"], 2, "--mass nan 0 4"),
+        (
+            [
+                *MAP,
+                "--stiffness",
+                "0",
+                "1",
+                "1000",
+                "--viscous",
+                "0",
+                "1",
+                "1000",
+                "--mass",
+                "0",
+                "1",
+                "11",
+            ],
+            65,
+            "11000000 environ",
+        ),
+        ([*MAP, "--seconds", "0.2"], 78, "more than the window of 2048"),
+        (["limits", "--no-plot", "--damping", "0", "--band", "500", "2"], 65, "band of 500..2 Hz"),
+        (["search", "--no-plot", "--damping", "0", "--band", "500", "2"], 65, "band of 500..2 Hz"),
+        ([*WALLS, "--stiffness", "0", "100", "3"], 65, "above 0 N/m"),
+        ([*WALLS, "--stiffness", "10", "nan", "3"], 2, "--stiffness 10 nan 3"),
+        ([*WALLS, "--viscous", "0", "1", "0"], 2, "--viscous 0 1 0"),
+        ([*WALLS, "--settle-s", "nan"], 65, "to settle nan s"),
+        ([*WALLS, "--settle-s", "-1"], 65, "to settle -1 s"),
+        ([*WALLS, "--still", "nan"], 65, "rest at nan m/s"),
+    ],
+)
+def test_slip_is_named(words, code, said, tmp_path, capsys):
+    found = main(["zwidth", *words, "--out", str(tmp_path / "x")])
+    told = capsys.readouterr()
+    assert said in " ".join(told.err.replace("│", " ").split())
+    assert found == code
+    assert not (tmp_path / "x").exists()

@@ -1,0 +1,126 @@
+"""Every environment called passive and stable stays stable in 1,000 random passive hands (Colgate
+and Hogan 1988).
+
+Not pair by pair: 1,701 environments in 1,000 hands are a minute of eigenvalues (made once,
+docs/adr/0035). Instead, as `analysis.coupled` says, a circle at each angle that no hand leaves (all
+1,000 are tried, by the exact pulse transfer of device and hand), and which no called environment's
+-1/C enters (all are tried). Eigenvalues then check that this is so: of environments at the edge in
+all hands, and of random pairs, inside and outside. And it can fail: 5 % outside a hand shakes the
+display.
+"""
+
+import re
+
+import numpy as np
+import pytest
+from support.analysis_devices import rigid
+from support.coupled_hands import HANDS, LEVEL, ROUNDING, called
+
+from hapticd.analysis.coupled import Hand, coupled_radius, held_by, withstands
+from hapticd.analysis.loop import (
+    responses,
+    spectral_radius,
+)
+from hapticd.analysis.theorem import lift
+from hapticd.errors import AnalysisError
+from hapticd.weir2008.paper import ADDED_NS_PER_M, MAIN
+from hapticd.weir2008.run import conditions
+
+
+def test_random_hands_are_positive_real():
+    """The definition: Re Z(s) >= 0 for every s in the right half-plane, not by the network's
+    matrices but by Z itself.
+    """
+    random = np.random.default_rng(0)
+    angle = random.uniform(-0.5, 0.5, 60) * np.pi
+    size = 10.0 ** random.uniform(-1, 5, 60)
+    for hand in HANDS:
+        z = hand.impedance(size * np.exp(1j * angle))
+        assert (z.real >= -ROUNDING * np.abs(z)).all()
+
+
+def test_random_hands_are_of_many_kinds():
+    size = [abs(hand.impedance(np.array([20j * np.pi]))[0]) for hand in HANDS]
+    assert max(size) / min(size[place] for place in range(1000) if size[place] > 0.0) > 1e9
+    assert sum(not hand.damping_ns_per_m.any() for hand in HANDS) > 20
+    assert sum(not hand.stiffness_n_per_m.sum(axis=0).any() for hand in HANDS) > 50
+    assert sum(bool(hand.loose.any()) for hand in HANDS) > 300
+    assert max(hand.mass_kg.size for hand in HANDS) >= 9
+
+
+@LEVEL
+def test_held_device_has_both_impedances(level):
+    """1/Y of the composed model, states and all, is the device's 1/Y and Z_h."""
+    model = conditions(MAIN).display.model
+    f = np.geomspace(0.1, 3000.0, 40)
+    alone = 1.0 / responses(model, f, level).velocity[0, 1]
+    for hand in HANDS[:100]:
+        together = 1.0 / responses(held_by(model, hand), f, level).velocity[0, 1]
+        parts = alone, hand.impedance(2j * np.pi * f)
+        assert (
+            np.max(np.abs(together - parts[0] - parts[1]) / (np.abs(parts[0]) + np.abs(parts[1])))
+            < 1e-6
+        )
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "count"),
+    [
+        (MAIN, 0.0, 20),
+        (MAIN, 1.74, 1500),
+        ("weir2008_probe_hp", 1.74, 800),
+        ("weir2008_literal", 1.74, 500),
+    ],
+)
+def test_no_called_environment_enters_it(name, level, count):
+    """By the lifted requirement, which safety decides on: all of them, no exception."""
+    _, _, lifted, points = called(name, level)
+    assert len(points) > count
+    assert withstands(lifted, points).all()
+
+
+def test_whatever_a_hand_shakes_was_not_called():
+    """Ten times the set: many pairs are unstable only because of the hand, and none of them was
+    said to withstand it.
+    """
+    device = conditions(MAIN).display
+    random = np.random.default_rng(8)
+    points = random.uniform((0.0, -1.0, -0.03), (3000.0, 12.0, 0.05), (60, 3))
+    points = points[spectral_radius(device.model, points, ADDED_NS_PER_M, device.filters) < 1.0]
+    holds = withstands(lift(device.model, ADDED_NS_PER_M, device.filters), points)
+    shaken = (
+        coupled_radius(device.model, points, HANDS[:150], ADDED_NS_PER_M, device.filters)
+        > 1.0 + ROUNDING
+    )
+    assert shaken.sum() > 100
+    assert not shaken[:, holds].any()
+
+
+def test_nothing_is_withstood_without_damping():
+    assert not withstands(lift(rigid(viscous=0.0)), [[10.0, 0.0, 0.0]])[0]
+    assert withstands(lift(rigid(viscous=0.0)), [[0.0, 0.0, 0.0]])[0]
+
+
+@pytest.mark.parametrize(
+    ("mass", "damping", "stiffness", "why"),
+    [
+        ([-0.1], [[1.0]], [[1.0]], "mass matrix has the eigenvalue -0.1 is"),
+        ([0.1], [[-1.0]], [[1.0]], "damping matrix has the eigenvalue -1 is"),
+        (
+            [0.1, 0.1],
+            np.eye(2),
+            [[1.0, 2.0], [2.0, 1.0]],
+            "stiffness matrix has the eigenvalue -1 is",
+        ),
+        ([0.1, 0.1], np.eye(2), [[1.0, 0.5], [0.0, 1.0]], "not passive; it takes symmetric, >= 0"),
+        (
+            [0.1, 0.0],
+            np.diag([1.0, 0.0]),
+            np.eye(2),
+            "without mass and without damper; give it one of them",
+        ),
+    ],
+)
+def test_active_hand_is_refused(mass, damping, stiffness, why):
+    with pytest.raises(AnalysisError, match=re.escape(why)):
+        Hand(np.array(mass), np.array(damping), np.array(stiffness))

@@ -1,0 +1,228 @@
+"""The documentation repeats the program's tables, all of them; the table of faults is complete;
+the site builds.
+"""
+
+import ast
+import importlib.util
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from support.docs import CODES, broken
+from support.tree import ROOT, path_of_test
+
+from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS
+from hapticd.gateway.telemetry import TOPICS
+from hapticd.settings.load import load
+from hapticd.settings.tables import leaves
+
+
+@pytest.fixture
+def layers(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The module that draws the layers."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    return importlib.import_module("pages.layers")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the documentation's sources with its generated pages."""
+    root = tmp_path_factory.mktemp("site")
+    for folder in ("docs", "examples", "firmware_iface"):
+        shutil.copytree(
+            ROOT / folder, root / folder, ignore=shutil.ignore_patterns("generated", "__pycache__")
+        )
+    for file in ("CHANGELOG.md", "CITATION.cff", "SECURITY.md", "pyproject.toml"):
+        shutil.copy(ROOT / file, root)
+    subprocess.run([sys.executable, "-B", "docs/generate.py"], cwd=root, check=True)
+    return root / "docs"
+
+
+# --- the table of faults --------------------------------------------------------------------------
+
+
+def raised_codes() -> set[str]:
+    """Keys of BY_CODE that the package names."""
+    found = set()
+    for path in (ROOT / "hapticd").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if (
+                isinstance(node, ast.Subscript)
+                and isinstance(node.value, ast.Name)
+                and node.value.id == "BY_CODE"
+            ):
+                found.add(ast.literal_eval(node.slice))
+    return found
+
+
+def test_every_fault_is_raised_and_every_raise_is_a_fault() -> None:
+    assert raised_codes() == set(CODES)
+
+
+def test_numbers_and_codes_are_unique() -> None:
+    assert len(BY_CODE) == len(BY_NUMBER) == len(FAULTS)
+    numbers = [fault.number for fault in FAULTS]
+    assert numbers == sorted(numbers)
+
+
+def test_every_fault_says_what_to_do() -> None:
+    assert not [
+        fault.code for fault in FAULTS if not (fault.cause and fault.action and fault.remedy)
+    ]
+    assert not [fault.code for fault in FAULTS[1:] if "reset" not in fault.remedy]
+
+
+def test_no_note_is_left_of_a_fault_that_is_gone() -> None:
+    assert sorted(path.stem for path in (ROOT / "docs" / "faults").glob("*.md")) == sorted(CODES)
+
+
+def test_link_that_leads_nowhere_is_found(tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text('<p id="x"><a href="#x"></a><a href="b.html#y"></a>')
+    (tmp_path / "b.html").write_text('<a href="a.html#x"></a><img src="c.png">')
+    assert broken(tmp_path) == ["a.html: b.html#y", "b.html: c.png"]
+
+
+def test_links_between_files_of_a_checkout_lead_somewhere() -> None:
+    for name in ("README.md", "examples/README.md", "firmware_iface/README.md"):
+        page = ROOT / name
+        for target in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
+            assert "://" in target or (page.parent / target).exists(), (name, target)
+
+
+# --- names of modules -----------------------------------------------------------------------------
+
+MODULES = {
+    ".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): file
+    for file in (ROOT / "hapticd").rglob("*.py")
+}
+PACKAGES = {name.split(".")[1] for name in MODULES if "." in name} | {"measure"}  # one that was
+FILE_ENDINGS = {"conf", "h5", "json", "limits", "rules", "schema", "service", "sysusers"} | {
+    "target", "tmpfiles", "toml",
+}  # fmt: skip
+STATUS_KEYS = {"servo.realtime", "servo.report"}  # of `hapticd status --json`
+
+
+def names_that_do_not_exist(text: str, settings: set[str]) -> list[str]:
+    """Dotted names behind `hapticd.`, those in backticks that begin with a package, and paths, of
+    which nothing is there; `settings`: dotted names that mean something else.
+    """
+    found = re.findall(r"(?<![\w/.-])hapticd\.([a-z]\w*(?:\.\w+)*)", text)
+    quoted = re.findall(rf"`((?:{'|'.join(PACKAGES)})(?:\.\w+)+)`", text)
+    found += [name for name in quoted if name not in settings]
+    for first, more in re.findall(r"`(?:hapticd\.)?([\w.]+)\.\w+`((?:, `\.\w+`)+)", text):
+        found += [f"{first}{rest}" for rest in re.findall(r"\.\w+", more)]
+    paths = re.findall(r"(?<![\w/])hapticd/[\w/]+\.py", text)
+    return [name for name in found if not exists(name)] + [
+        path for path in paths if not (ROOT / path).exists()
+    ]
+
+
+def exists(name: str) -> bool:
+    """Whether `name` is a module, or is written in the module that its beginning names."""
+    parts = re.sub(r"\.(__\w+|NAME)$", "", f"hapticd.{name}").split(".")
+    if parts[-1] in FILE_ENDINGS or parts[1] in FILE_ENDINGS - {"limits"}:
+        return True
+    for count in range(len(parts), 1, -1):
+        file = MODULES.get(".".join(parts[:count]))
+        if file is not None:
+            # the docstring of a package names much that is one layer further down
+            code = file.read_text(encoding="utf-8").removeprefix('"""').partition('"""')[2]
+            return count == len(parts) or bool(re.search(rf"\b{parts[count]}\b", code))
+    return False
+
+
+def test_every_module_that_is_named_anywhere_exists() -> None:
+    """In pages, docstrings, comments and settings; CHANGELOG.md alone names what was."""
+    settings = {".".join(map(str, path)) for path, _ in leaves(load(None).plain())}
+    settings |= STATUS_KEYS | {topic.name for topic in TOPICS}
+    pages = [ROOT / "README.md", ROOT / "pyproject.toml", ROOT / "Makefile"]
+    for folder, pattern in (
+        ("docs", "**/*.md"), ("docs", "pages/*.py"), ("hapticd", "**/*.py"), ("tests", "*.py"),
+        ("benchmarks", "*.py"), ("examples", "*"), ("config", "**/*.toml"), ("systemd", "*"),
+    ):  # fmt: skip
+        pages += sorted(ROOT.joinpath(folder).glob(pattern))
+    missing = [
+        f"{page.relative_to(ROOT)}:{number}: {name}"
+        for page in pages
+        if page != Path(__file__) and page.is_file()
+        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1)
+        for name in names_that_do_not_exist(line, settings)
+    ]
+    assert missing == []
+
+
+def test_every_module_that_moved_is_where_the_changelog_says() -> None:
+    table = (ROOT / "CHANGELOG.md").read_text().partition("### Moved")[2].partition("\n#")[0]
+    rows = [line.split(" | ") for line in table.splitlines() if line.startswith("| `")]
+    assert len(rows) > 80
+    assert [name for _, place in rows for name in names_that_do_not_exist(place, set())] == []
+
+
+@pytest.mark.parametrize(
+    ("line", "missing"),
+    [
+        ("from `hapticd.analysis.spa`", ["analysis.spa"]),
+        ("| `hapticd.zwidth.trial`, `.limits`, `.campaign` | |", ["zwidth.campaign"]),
+        ("see `measure.trial` and `zwidth.trial`", ["measure.trial"]),
+        ("`plant.stability.damping_floor`", ["plant.stability.damping_floor"]),
+        ("in hapticd/sim/engine/job.py, not hapticd/engine/job.py", ["hapticd/sim/engine/job.py"]),
+        ("`servo.realtime` of 70-hapticd.rules and hapticd.toml", []),
+    ],
+)
+def test_name_of_a_module_that_is_gone_is_found(line: str, missing: list[str]) -> None:
+    assert names_that_do_not_exist(line, STATUS_KEYS) == missing
+
+
+def test_overview_names_only_files_that_are_there() -> None:
+    """Whole paths in its tables, and paths below `hapticd/` in the ways through the files."""
+    page = (ROOT / "docs" / "OVERVIEW.md").read_text()
+    whole = re.findall(r"`(hapticd/[\w/]+(?:\.py|/))`", page)
+    ways = re.findall(r"(?<![\w/`.])([a-z][a-z0-9_]*/[a-z0-9_/]+\.py)\b", page)
+    assert len(whole) > 30
+    assert len(ways) > 30
+    missing = [name for name in whole if not (ROOT / name).exists()]
+    missing += [
+        name for name in ways if not any((top / name).exists() for top in (ROOT, ROOT / "hapticd"))
+    ]
+    assert not missing
+
+
+def test_every_package_stands_in_the_overview(layers: ModuleType) -> None:
+    page = (ROOT / "docs" / "OVERVIEW.md").read_text()
+    assert not [name for name in layers.imports() if f"`{name}`" not in page]
+
+
+def test_drawing_of_the_layers_is_that_of_the_imports(layers: ModuleType) -> None:
+    """When this fails: `python docs/generate.py` draws it anew."""
+    assert layers.DRAWING.read_text() == layers.drawing()
+
+
+def test_drawing_leaves_out_what_a_longer_way_implies(
+    layers: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = {"cli": {"client", "errors"}, "client": {"errors"}, "errors": set()}
+    monkeypatch.setattr(layers, "imports", lambda: {k: frozenset(v) for k, v in found.items()})
+    layers.below.cache_clear()
+    assert layers.nearest("cli") == ["client"]
+    assert "imports client<" in layers.drawing()
+    layers.below.cache_clear()
+
+
+SAFETY = (ROOT / "docs" / "safety.md").read_text()
+SHOWN = re.findall(r"`(test_\w+\.py)::(test_\w+)`", SAFETY)
+
+
+@pytest.mark.parametrize(("file", "test"), sorted(set(SHOWN)))
+def test_every_promise_is_shown_by_a_test_that_exists(file: str, test: str) -> None:
+    source = path_of_test(file).read_text()
+    assert re.search(rf"^def {test}\(", source, re.MULTILINE)
+
+
+def test_every_promise_names_a_test() -> None:
+    rows = [line for line in SAFETY.splitlines() if line.startswith("| ") and "---" not in line][1:]
+    assert rows
+    assert all(re.search(r"`test_\w+\.py::test_\w+` \|$", row) for row in rows)

@@ -1,0 +1,104 @@
+"""The reference firmware (firmware_iface/reference): what it takes and refuses, and that it does
+frame by frame what the simulated board does, whatever a host does to both.
+"""
+
+import json
+import random
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support import wire_header
+from support.boards import TICK_NS, board_params, out_packet
+from support.firmware_board import FirmwareBoard
+from support.firmware_build import COVERED, REFERENCE, SANITIZED, WARNINGS, fuzz, reached, sources
+from support.firmware_reference import CASE_BYTES
+from support.hostile import Tally, compare_boards
+from support.programs import compiler
+
+from hapticd.settings.build import board_params as simulated
+from hapticd.settings.load import load
+from hapticd.sim.board import compensates, hello
+from hapticd.wire import codec, session
+from hapticd.wire.frames import OutFlag, Request, StatusBit
+
+VECTORS = [
+    json.loads(line) for line in (wire_header.FOLDER / "vectors.jsonl").read_text().splitlines()
+]
+OUT_VECTORS = [vector for vector in VECTORS if vector["kind"] == "out"]
+VENDOR_IN = 0xC0
+
+
+@pytest.mark.parametrize("source", sources(REFERENCE), ids=lambda one: one.name)
+def test_source_is_strict_c99_without_a_library(source: Path) -> None:
+    """No warning, and no header but those that a compiler has without libc, and string.h."""
+    command = [*compiler(), *WARNINGS, "-ffreestanding", "-fsyntax-only"]
+    includes = [f"-I{REFERENCE}", f"-I{wire_header.FOLDER}"]
+    done = subprocess.run([*command, *includes, str(source)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    texts = [path.read_text() for path in REFERENCE.glob("*.[ch]")]
+    included = {
+        line.split("<")[1].rstrip(">")
+        for text in texts
+        for line in text.splitlines()
+        if line.startswith("#include <")
+    }
+    assert included == {"stdbool.h", "stddef.h", "stdint.h", "string.h"}
+
+
+@pytest.mark.parametrize("vector", OUT_VECTORS, ids=[vector["name"] for vector in OUT_VECTORS])
+def test_firmware_takes_or_refuses_vector(vector: dict[str, Any]) -> None:
+    board = FirmwareBoard(board_params())
+    board.on_out(memoryview(bytes.fromhex(vector["hex"])), 0)
+    reply = board.poll_in(TICK_NS)
+    assert (reply is None) == ("error" in vector)
+    if reply is not None:
+        frame = codec.decode_in(reply)
+        assert (frame.echo, frame.status & StatusBit.BAD_FRAME) == (vector["fields"]["seq"], 0)
+
+
+def test_firmware_is_greeted() -> None:
+    params = board_params()
+    reply = FirmwareBoard(params).control(VENDOR_IN, Request.HELLO, 0, 80)
+    assert reply is not None
+    assert session.greet(reply) == codec.decode_hello(codec.encode_hello(hello(params)))
+
+
+def test_firmware_sets_the_trim_of_a_winding_as_the_simulated_board_does(tmp_path: Path) -> None:
+    (tmp_path / "hapticd.toml").write_text('device = "warming"\n')
+    params = simulated(load(tmp_path / "hapticd.toml"))
+    assert params is not None
+    assert compensates(params)
+    compare_boards(random.Random(1).randbytes(4 * CASE_BYTES), FirmwareBoard, Tally(), params)
+
+
+@pytest.mark.parametrize(("sample", "mean"), [(45, 32), (-45, -31), (100, 70), (-32768, -22938)])
+def test_mean_of_a_silenced_sample_is_rounded_up_at_the_half(sample: int, mean: int) -> None:
+    """Output for seven tenths of the second interval: 31.5 counts of 45."""
+    board = FirmwareBoard(board_params(rate_hz=2500.0))
+    play = OutFlag.ENABLE | OutFlag.PERTURB
+    board.on_out(out_packet(0, flags=int(play), perturbation=(sample,)), 0)
+    board.poll_in(350_000)
+    board.on_out(out_packet(1), 425_000)
+    packet = board.poll_in(775_000)
+    assert packet is not None
+    assert codec.decode_in(packet).pairs[0][0] == mean
+
+
+FUZZ_STEPS = 100_000
+# a machine that is not little-endian, and a compiler that computes another CRC
+NEVER_TAKEN = {"hapticd_board.c": 2, "hapticd_probe.c": 0}
+
+
+def test_fuzzed_firmware_keeps_its_promises(tmp_path: Path) -> None:
+    """Whatever hardware, host and clock do, beyond what the simulated board can: no broken promise,
+    no access out of bounds, no undefined behaviour.
+    """
+    fuzz(tmp_path, FUZZ_STEPS, SANITIZED)
+
+
+def test_fuzzer_reaches_every_line_of_the_firmware(tmp_path: Path) -> None:
+    fuzz(tmp_path, FUZZ_STEPS, COVERED)
+    for source, found in reached(tmp_path).items():
+        assert (found.lines_percent, found.missed) == (100.0, NEVER_TAKEN[source])

@@ -1,0 +1,88 @@
+"""Figures at the width of a column: type, panels, words, ticks; the same bytes each time."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+from support.report_paper import drawn
+
+from hapticd.cli.app import main
+from hapticd.errors import ConfigError
+from hapticd.report.paper import WIDTHS_MM, fit, width_mm
+from hapticd.report.style import mosaic, save, styled
+
+
+@pytest.fixture(scope="module")
+def column() -> Any:
+    figure = drawn()
+    with styled():
+        fit(figure, WIDTHS_MM["column"])
+    return figure
+
+
+def test_widths_have_names_and_are_millimetres() -> None:
+    assert [width_mm(text) for text in ("column", "text", "120")] == [88.9, 181.0, 120.0]
+
+
+@pytest.mark.parametrize("text", ["0", "-90", "nan", "inf", "59", "401", "wide", ""])
+def test_nonsense_width_is_refused_with_value_unit_limits_and_remedy(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"60 to 400 mm are possible.*write column \(88.9 mm\)"):
+        width_mm(text)
+
+
+def test_command_line_refuses_before_it_works(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["zwidth", "trial", "--figure-width", "5000", "--out", str(tmp_path / "new")]
+    assert main(words) == 2
+    assert "60 to 400 mm" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "new").exists()
+
+
+def test_picture_is_as_wide_as_asked_at_300_dpi(tmp_path: Path) -> None:
+    png, _, pdf = save(drawn(), tmp_path, "x", WIDTHS_MM["column"])
+    (pixels,) = struct.unpack(">I", png.read_bytes()[16:20])
+    assert pixels == 1050  # 3.5 in
+    assert b"/MediaBox [ 0 0 252 " in pdf.read_bytes()  # 3.5 in of 72 pt
+
+
+@pytest.fixture(scope="module")
+def mixed() -> Any:
+    """In a column: a solid beside a plane with a bar of colours; below, words along an axis, and a
+    title over axes that long labels make narrow.
+    """
+    with styled():
+        rows = [["solid", "plane"], ["words", "narrow"]]
+        solid = {"solid": {"projection": "3d"}}
+        figure, panels = mosaic(rows, 6.7, 6.0, "SIMULATED", per_subplot_kw=solid)
+        painted = panels["plane"].pcolormesh(np.eye(4))
+        figure.colorbar(painted, ax=panels["plane"], label="K (N/m)")
+        panels["words"].set_xticks(range(3), ["without\nany", "with\nactive", "damping"])
+        panels["narrow"].set(title="damping below the corner", ylabel="a long label " * 6)
+        fit(figure, WIDTHS_MM["column"])
+        figure.draw_without_rendering()
+    return figure, panels
+
+
+def test_bar_of_colours_stays_at_its_panel(mixed: Any) -> None:
+    figure, panels = mixed
+    (bar,) = (one.get_position() for one in figure.axes if one.get_label() == "<colorbar>")
+    plane, solid = (panels[name].get_position(original=True) for name in ("plane", "solid"))
+    assert plane.y1 < solid.y0  # one below the other: beside each other they would be narrow
+    assert plane.x1 < bar.x0
+    assert (bar.y0, bar.y1) == pytest.approx((plane.y0, plane.y1), abs=1e-6)
+
+
+def test_no_word_of_an_axis_is_left_out(mixed: Any) -> None:
+    _, panels = mixed
+    shown = [one.get_text() for one in panels["words"].get_xticklabels()]
+    assert shown == ["without\nany", "with\nactive", "damping"]
+
+
+def test_title_ends_where_its_panel_does(mixed: Any) -> None:
+    figure, _ = mixed
+    (title,) = (one for one in figure.findobj(Text) if "corner" in one.get_text())
+    assert title.get_window_extent(figure._get_renderer()).x1 <= figure.bbox.x1

@@ -1,0 +1,202 @@
+"""`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
+
+from dataclasses import asdict
+from datetime import date
+
+import numpy as np
+import pytest
+from support.models import COUNT_M, COUNT_N
+from support.rig_hand import Hand
+from support.rig_motor import FREE, FRICTION, HUNG, nothing
+from support.tree import ROOT
+
+from hapticd.errors import AnalysisError, CommandError, HapticdError
+from hapticd.gateway.view import as_records
+from hapticd.params import ScaleParams, TouchParams
+from hapticd.rig.device_file import write
+from hapticd.rig.motor import (
+    Masses,
+    concluded,
+    fitted,
+    measure_gain,
+    measure_sign,
+    most_of,
+)
+from hapticd.rig.push import push
+from hapticd.settings.build import device_params as device_params_of
+from hapticd.settings.load import load_device
+
+DEVICES = ROOT / "config" / "devices"
+LIMIT_N = 0.8
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_sign_is_found_and_the_force_stays_below_a_tenth(sign):
+    file = {"force": ScaleParams(COUNT_N, sign), "commissioning": True}
+    with Hand(file, touch=FRICTION, **FREE) as hand:
+        result = measure_sign(hand.bench, nothing)
+        assert result.settled
+        assert {(one.table, one.key): one.value for one in result.changes} == {
+            ("force", "sign"): 1,
+            ("commissioning", "signs_verified"): True,
+            ("commissioning", "serial"): "SIM0001",
+            ("commissioning", "firmware"): "1.0",
+            ("commissioning", "life"): hand.life,
+        }
+        worst_n = max(np.abs(result.arrays[f"force_n_{one}"]).max() for one in (0, 1))
+        assert 0.0 < worst_n <= LIMIT_N + COUNT_N
+        assert hand.bench.status()["state"] == "disabled"
+
+
+def test_the_sign_waits_for_the_encoder():
+    """The position's sign is still that of the template: a push would be seen the wrong way."""
+    file = {"position": ScaleParams(COUNT_M, serial="CHANGE-ME"), "commissioning": True}
+    with Hand(file, **FREE) as hand, pytest.raises(AnalysisError, match="first `hapticd rig enc"):
+        measure_sign(hand.bench, nothing)
+
+
+def test_a_handle_that_goes_the_same_way_both_times_is_refused():
+    """A hand on it pushes down with 0.2 N whenever it feels something."""
+    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
+        hand.reflex_n = -0.2
+        result = measure_sign(hand.bench, nothing)
+        assert not result.settled
+        assert not result.changes
+        assert "same way" in result.findings[-1].what
+
+
+def test_a_handle_that_is_moved_is_not_pushed():
+    with Hand({"commissioning": True}) as hand:
+        hand.pull_n = 0.001
+        with pytest.raises(AnalysisError, match="take your hand off"):
+            measure_sign(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+
+
+def test_ctrl_c_ends_the_force():
+    with Hand({"commissioning": True}, touch=FRICTION) as hand:
+
+        def interrupted(topics, look_s=0.05):
+            if hand.bench.status()["state"] == "enabled":
+                raise KeyboardInterrupt
+            return type(hand.bench).messages(hand.bench, topics, look_s)
+
+        hand.bench.messages = interrupted
+        with pytest.raises(KeyboardInterrupt):
+            measure_sign(hand.bench, nothing)
+        assert hand.bench.status()["state"] == "disabled"
+
+
+def test_a_device_that_is_enabled_is_left_alone():
+    with Hand() as hand:
+        hand.bench.enable()
+        with pytest.raises(CommandError, match="disabled"):
+            measure_sign(hand.bench, nothing)
+
+
+def test_gain_waits_for_the_signs():
+    with Hand({"commissioning": True}) as hand, pytest.raises(AnalysisError, match="signs"):
+        measure_gain(hand.bench, nothing, HUNG)
+
+
+def test_a_mass_in_grams_is_refused_before_it_hangs():
+    with Hand() as hand, pytest.raises(AnalysisError, match="grams"):
+        measure_gain(hand.bench, nothing, Masses((0.0, 50.0, 100.0)))
+
+
+def readings(weights_n, scale=1.0, offset_n=0.0):
+    forces = (weights_n - offset_n) / scale
+    return np.stack([forces + 0.02, forces - 0.02], axis=1)
+
+
+SCALE = {"per_count": COUNT_N, "sign": 1, "offset_count": 0.0}
+
+
+def test_one_mass_typed_ten_times_wrong_is_refused():
+    masses = Masses((0.0, 0.05, 0.1, 0.15))
+    truth = 9.80665 * np.array([0.0, 0.05, 0.01, 0.15])
+    result = concluded(masses.weights_n, readings(truth), masses, SCALE)
+    assert not result.settled
+    assert not result.changes
+    assert "typed wrong" in result.findings[0].remedy
+
+
+def test_all_masses_typed_ten_times_wrong_are_refused():
+    masses = Masses((0.0, 0.5, 1.0))
+    result = concluded(masses.weights_n, readings(masses.weights_n / 10), masses, SCALE)
+    assert not result.settled
+    assert "kg" in result.findings[1].remedy
+
+
+@pytest.mark.parametrize("home_n", [0.5, 1.9])
+def test_a_weaker_motor_leaves_the_device_file_valid(tmp_path, home_n):
+    file = tmp_path / "device.toml"
+    text = (DEVICES / "example-board.toml").read_text()
+    file.write_text(text.replace("force_n = 0.5 ", f"force_n = {home_n} "))
+    device = device_params_of(load_device(file))
+    force = {**SCALE, "per_count": device.force.per_count}
+    masses = Masses((0.0, 0.05, 0.1))
+    told = readings(masses.weights_n, scale=0.7)
+    result = concluded(masses.weights_n, told, masses, force, most_of(asdict(device)))
+    written = write(file, result.changes, "rig motor", date(2026, 11, 22))
+    assert written.limits.force_n < 0.7 * device.force_limit_n
+    assert written.home.force_n == min(home_n, written.limits.force_n)
+
+
+def test_intervals_of_a_line_hold_nineteen_times_in_twenty():
+    random = np.random.default_rng(3)
+    x = np.linspace(0.0, 1.0, 5)
+    slopes = intercepts = 0
+    for _ in range(1000):
+        line = fitted(x, 2.0 * x + 0.5 + 0.01 * random.standard_normal(5))
+        slopes += abs(line.slope - 2.0) <= line.slope_half
+        intercepts += abs(line.intercept - 0.5) <= line.intercept_half
+    assert 930 <= slopes <= 970
+    assert 930 <= intercepts <= 970
+
+
+def test_a_push_ends_though_nobody_is_there_any_more():
+    """The process is killed as soon as it has asked for the push."""
+    with Hand({"commissioning": True}, touch=TouchParams(coulomb_n=5.0, static_n=5.0)) as hand:
+        bench = hand.bench
+        asked = []
+
+        def killed(cmd, **fields):
+            asked.append(cmd)
+            if asked.count("set") == 2:  # the end, then the begin
+                answer = type(bench).call(bench, cmd, **fields)
+                del bench.call
+                raise SystemExit(answer)
+            return type(bench).call(bench, cmd, **fields)
+
+        bench.enable()
+        bench.call = killed
+        with pytest.raises(SystemExit):
+            push(bench, 0.5, 0.02)
+        records = as_records(bench.run(600))
+        pushed = np.flatnonzero(records["force_n"])
+        assert len(pushed) == 20
+        assert np.ptp(pushed) == 19
+
+
+def test_a_cable_that_is_pulled_ends_the_step_and_can_be_plugged_again():
+    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
+        board = hand.bench.stack.backend
+
+        def out(cmd, **fields):
+            if cmd == "set" and fields.get("at_tick"):
+                board.unplug()
+            return type(hand.bench).call(hand.bench, cmd, **fields)
+
+        hand.bench.call = out
+        with pytest.raises(HapticdError):
+            measure_sign(hand.bench, nothing)
+        records = as_records(hand.bench.run(50))
+        assert not records["force_n"].any()
+        assert hand.bench.status()["state"] in ("fault", "disabled")
+        del hand.bench.call
+        board.plug()
+        hand.bench.run(3000)
+        hand.bench.reset()
+        hand.bench.zero()
+        assert measure_sign(hand.bench, nothing).settled

@@ -1,0 +1,289 @@
+"""What leaks is ended by damping and by less stiffness, in time and only then.
+
+The balance is that of the simulated motor: work on the device + change of stored energy - credited
+damping x int v^2 dt - what changes brought in.
+"""
+
+import json
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+from support.boards import BOARD, board_params
+from support.flight import HEALTHY
+from support.leaking import CREDITED_NS_PER_M, Hand, LeakFlight, T, wander
+from support.models import device_params, servo_params
+from support.recorded import RecordedFlight
+from support.servo_energy_controller import (
+    BALANCE_J,
+    CASES,
+    CEILING,
+    HANDS,
+    SMOOTHED_HZ,
+    against_a_wall,
+    flight,
+    passive_limit,
+    wall,
+)
+
+from hapticd.assembly import replay
+from hapticd.assembly.lockstep import LockStep
+from hapticd.gateway.view import as_records
+from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.params import ENERGY_LIMIT_J, HandParams, SafetyParams, TouchParams
+from hapticd.render.energy import EXCESS, at_rest
+from hapticd.render.ramp import Ramp
+from hapticd.servo.energy_controller import SHARE, halved, lag
+from hapticd.servo.plan import GATEWAY_ALIVE, SETTLED, Control, flatten, unflatten
+from hapticd.servo.safety import State
+
+
+@pytest.mark.parametrize(("lag_hz", "delay", "hand"), CASES)
+def test_without_the_controller_it_diverges(lag_hz, delay, hand):
+    """Up to the clamp of the law, which alone ends the growth."""
+    free = against_a_wall(False, 0, lag_hz, delay, hand, ticks=2000)
+    assert max(free.leaks) > 4.0 * BALANCE_J
+    assert any(flags & Flag.CLAMPED for flags in free.flags)
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_whole_stack_leans_on_a_wall_at_five_times_its_limit(on):
+    """The simulated board, whose damping circuit reports what it does; 1 N on the handle."""
+    device = device_params(physical_damping_ns_per_m=CREDITED_NS_PER_M)
+    safety = SafetyParams(limit_cycle_faults=on, energy_controller=on)
+    touch = TouchParams(hands=(HandParams("push", 1.0, force_n=1.0),))
+    with LockStep(servo_params(device=device, safety=safety), board_params(touch=touch)) as stack:
+        stack.run(5)
+        asked = wall(5.0 * passive_limit(0.125, 0.0)) | {Value.RAMP_S: 0.0}
+        stack.do(Command.SET, asked)
+        stack.do(Command.ENABLE)
+        records = as_records(stack.run(2500))
+    assert records["state"][-1] == State.ENABLED
+    moves = np.ptp(records["position_m"][-300:])
+    if not on:
+        assert moves > 0.01
+        return
+    assert moves < 2e-6
+    assert np.abs(records["position_m"]).max() < 2e-3
+    assert records["excess_j"].max() < 2e-3
+    assert records["damping_effect_ns_per_m"][-1] == pytest.approx(CEILING)
+
+
+@pytest.mark.parametrize(("delay", "hand"), list(product((0.125, 0.5, 1.125), HANDS)))
+def test_device_without_active_damping_gives_up_stiffness(delay, hand):
+    """Its ceiling is 0: the cut comes at once."""
+    for seed in range(2):
+        held = against_a_wall(True, seed, 0.0, delay, hand, damps=False, damping_limit_ns_per_m=0.0)
+        assert held.plan.state is State.ENABLED
+        assert max(held.leaks) <= BALANCE_J
+        assert held.blob["wall_stiffness_n_per_m"] < 1.3 * passive_limit(delay, 0.0)
+
+
+@pytest.mark.parametrize(("lag_hz", "delay", "hand"), CASES)
+def test_board_that_does_not_report_its_damping_is_cut_after_a_trial(lag_hz, delay, hand):
+    """More leaks meanwhile, but not so much that the fault has to end it."""
+    held = against_a_wall(True, 0, lag_hz, delay, hand, damps=False)
+    assert held.plan.state is State.ENABLED
+    assert max(held.leaks) < 0.9 * ENERGY_LIMIT_J
+    assert held.blob["wall_stiffness_n_per_m"] < 1.3 * passive_limit(delay, lag_hz)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_long_good_credit_does_not_delay_it(seed):
+    """Ten seconds of free motion with 1.74 N s/m of active damping, then that damping off and a
+    wall at five times its limit.
+    """
+    swung = Hand(0.008, 30.0, 0.5, wander_n=1.0)
+    late = flight(True, swung)
+    late.begun({Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+    late.pushed(wander(swung, 10_000, seed))
+    credit_j = -late.leaks[-1]
+    assert credit_j > 0.02
+    assert not late.acted
+    late.do(Command.DAMPING, {Value.ADDED_DAMPING_ON: 0.0})
+    late.pushed([0.0] * 1000)  # at rest
+    before = len(late.leaks)
+    late.do(Command.SET, wall(5.0 * passive_limit(0.125, 0.0)) | {Value.RAMP_S: 0.0})
+    late.hand = HANDS["bare"]
+    late.pushed(wander(late.hand, 1200, seed))
+    assert late.acted
+    fresh = np.array(late.leaks[before:])
+    assert (fresh - np.minimum.accumulate(fresh)).max() <= BALANCE_J
+
+
+def leaking(**others):
+    """A flight in which the controller has just acted."""
+    found = flight(**others)
+    found.begun(wall(5.0 * passive_limit(found.delay, found.lag_hz)))
+    for push in wander(found.hand, 1200, 0):
+        found.pushed([push])
+        if found.acted:
+            return found
+    raise AssertionError("it did not act")
+
+
+def test_it_is_a_change_that_the_servo_gives_itself():
+    found = leaking()
+    before = found.plan
+    blob = found.blob
+    assert blob["actor"] == 0
+    assert (blob["revision"], blob["environment_revision"]) == (before.revision, 2)
+    assert blob["added_damping_asked_ns_per_m"] == pytest.approx(CEILING)
+    found.fly(3)
+    assert found.blob["added_damping_ns_per_m"] >= 3 * 500.0 * T  # a slew of its own
+    assert found.out[9] & Flag.CONTROLLED
+
+
+def test_what_it_did_stays_until_a_change_asks_for_it_again():
+    found = against_a_wall(True, 0, 0.0, 0.125, "bare", damps=False)
+    cut = found.blob["wall_stiffness_n_per_m"]
+    found.push_n = 0.0
+    found.do(Command.DISABLE)
+    found.fly(50)
+    assert found.out[9] & Flag.CONTROLLED
+    assert found.blob["wall_stiffness_n_per_m"] == cut
+    assert found.do(Command.SET, {Value.WALL_STIFFNESS: 100.0}) is Result.APPLIED
+    assert found.out[9] & Flag.CONTROLLED  # the damping
+    assert found.do(Command.DAMPING, {Value.ADDED_DAMPING_ON: 0.0}) is Result.APPLIED
+    assert not found.fly()[9] & Flag.CONTROLLED
+
+
+def test_it_does_not_act_in_a_measurement():
+    found = flight(True)
+    found.begun(wall(5.0 * passive_limit(0.125, 0.0)) | {Value.LIMIT_CYCLE_FAULTS: 0.0})
+    found.pushed(wander(found.hand, 600, 0))
+    assert max(found.leaks) > 4.0 * BALANCE_J
+    assert not found.acted
+
+
+def test_a_stiffness_that_is_held_back_on_its_way_up_is_cut_from_where_it_is():
+    """One tick is left of its ramp: a half of where that would lead is more than acted."""
+    tick = 700
+    plan = flight().plan
+    values = plan.values | {Value.STIFFNESS: Ramp(100.0, 1000.0, tick - 1, 1)}
+    cut = halved(plan._replace(values=values), Control((), tick, 0.0), tick - 1)
+    assert cut.values[Value.STIFFNESS].value(tick) == 50.0
+
+
+def test_it_is_off_by_default_and_without_a_known_damping():
+    assert not SafetyParams().energy_controller
+    found = flight(True, physical_damping_ns_per_m=None)
+    found.begun(wall(5.0 * passive_limit(0.125, 0.0)))
+    found.pushed(wander(found.hand, 100, 0))
+    assert not found.acted
+
+
+def test_damping_at_its_ceiling_already_leaves_only_the_cut():
+    found = flight(True, damps=False)
+    level = {Value.ADDED_DAMPING: CEILING, Value.ADDED_DAMPING_ON: 1.0}
+    found.begun(wall(5.0 * passive_limit(0.125, 0.0)) | level)
+    found.pushed(wander(found.hand, 1200, 0))
+    assert max(found.leaks) <= BALANCE_J
+    assert Value.ADDED_DAMPING not in found.plan.control.places
+    assert found.blob["wall_stiffness_n_per_m"] < passive_limit(0.125, 0.0)
+
+
+def test_stop_in_the_middle_ends_force_as_ever():
+    found = leaking()
+    found.do(Command.STOP)
+    found.fly(21)
+    assert found.plan.state is State.STOPPED
+    assert found.out[8] == 0.0
+    entry = found.plan.added_entry
+    stiffness = found.blob["wall_stiffness_n_per_m"]
+    found.fly(1000)
+    assert found.blob["added_damping_ns_per_m"] == pytest.approx(entry, abs=1e-3)
+    assert found.blob["wall_stiffness_n_per_m"] == stiffness
+
+
+def test_it_needs_no_gateway():
+    """Where the loss of the gateway is no fault."""
+    safety = SafetyParams(energy_controller=True, on_gateway_loss="hold")
+    device = device_params(physical_damping_ns_per_m=CREDITED_NS_PER_M)
+    found = LeakFlight(servo_params(device=device, safety=safety), HANDS["bare"])
+    found.begun(wall(5.0 * passive_limit(0.125, 0.0)))
+    for push in wander(found.hand, 1200, 0):
+        found.push_n = push
+        found.fly(1, host=HEALTHY & ~GATEWAY_ALIVE)
+    assert max(found.leaks) <= BALANCE_J
+    assert found.acted
+
+
+def test_lost_slots_count_as_time():
+    """The damping goes as far in one tick behind two lost slots as in three ticks."""
+    found = leaking()
+    level = found.blob["added_damping_ns_per_m"]
+    found.tick += 2
+    found.fly()
+    assert found.blob["added_damping_ns_per_m"] - level == pytest.approx(6.0, rel=0.01)
+
+
+def test_excess_that_is_not_a_number_is_a_fault_and_is_forgotten():
+    found = flight(True)
+    found.begun(wall(100.0))
+    settled, law, ledger, held, signs = found.state
+    broken = (*ledger[:EXCESS], math.nan, *ledger[EXCESS + 1 :])
+    found.state = settled, law, broken, held, signs
+    found.fly(3)
+    assert found.plan.state is State.FAULT
+    assert not found.acted
+    assert at_rest(broken)[EXCESS] == 0.0
+
+
+def test_what_damping_and_cuts_do_not_end_is_still_a_fault():
+    """A motion that is forced and gives away energy whatever K is: at twice the delay reported."""
+    found = flight(True)
+    found.begun({Value.STIFFNESS: 50.0})
+    settled, law, ledger, held, signs = found.state
+    found.state = settled, law, (ledger[0], 1.01 * ENERGY_LIMIT_J, *ledger[2:]), held, signs
+    found.fly(2)
+    assert found.plan.state is State.FAULT
+
+
+def test_lag_of_the_force_is_booked_as_it_is():
+    """A force that goes on and off behind 31.8 Hz: mean of each period against integration."""
+    found = lag(flight(True, lag_hz=SMOOTHED_HZ).params)
+    commands = np.repeat([0.0, 3.0, -2.0, 1.0], 7)
+    parts = 2000
+    corner = math.tau * SMOOTHED_HZ
+    force = 0.0
+    mean = 0.0
+    last = 0.0
+    for command in commands:
+        sums = 0.0
+        for _ in range(parts):
+            after = command + (force - command) * math.exp(-corner * T / parts)
+            sums += 0.5 * (force + after) / parts
+            force = after
+        mean = found.before * mean + found.newest * command + found.last * last
+        last = command
+        assert mean == pytest.approx(sums, abs=1e-6)
+
+
+def test_checkpoint_carries_what_it_did():
+    found = leaking(damps=False)
+    found.pushed(wander(found.hand, 20, 1))
+    again = unflatten(json.loads(json.dumps(flatten(found.state))))
+    assert again == found.state
+    assert isinstance(again[SETTLED].plan.control, Control)
+    assert again[SETTLED].flags & Flag.CONTROLLED
+
+
+def test_what_it_did_is_replayed_bit_by_bit_and_told_once():
+    """The whole stack: K = 800 N/m without damping, which a push sets off."""
+    device = device_params(physical_damping_ns_per_m=CREDITED_NS_PER_M)
+    params = servo_params(device=device, safety=SafetyParams(energy_controller=True))
+    with RecordedFlight(params, board_params()) as flown:
+        flown.set_off(1500.0, [3000] * 40)
+        flown.fly(1000)
+        records = flown.records
+        leg = flown.leg()
+        told = [event for event in flown.journal.recent if event["kind"] == "controlled"]
+    assert BOARD.mass_kg < 0.01
+    assert records["state"][-1] == State.ENABLED
+    assert records["flags"][-1] & Flag.CONTROLLED
+    assert records["excess_j"].max() < 2.0 * SHARE * ENERGY_LIMIT_J + BALANCE_J
+    changes = np.diff(records["environment_revision"])[-1000:].sum()
+    assert len(told) == changes >= 1
+    assert replay.difference(leg.records, replay.replay(params, leg)) is None

@@ -1,0 +1,319 @@
+"""Homing finds the stop or the index, or says that it did not: over stiffness, friction, hands, a
+motor without power, and 50 seeds of all of them.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+from math import inf
+
+import numpy as np
+import pytest
+from support.boards import board_params
+from support.flight import HEALTHY
+from support.homing_rig import HOME, Rig
+from support.models import COUNT_M, COUNT_N, device_params, servo_params
+
+from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.faults import BY_CODE, BY_NUMBER
+from hapticd.gateway.view import as_records
+from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.params import Ends, HandParams, InjectionParams, ScaleParams, TouchParams
+from hapticd.plant.composed import POSITION, VELOCITY
+from hapticd.servo.homing import FASTEST
+from hapticd.servo.plan import flatten, unflatten
+from hapticd.servo.safety import State
+
+STOP_M = -0.005
+INDEX = replace(HOME, method="index")
+CARRIED = replace(HOME, current_n_per_a=1.65)
+
+
+def damped(stiffness_n_per_m, ratio=0.05, mass_kg=0.008, **friction):
+    damping = 2.0 * ratio * (stiffness_n_per_m * mass_kg) ** 0.5
+    return TouchParams(stiffness_n_per_m, damping, **friction)
+
+
+def held(stiffness_n_per_m, start_s=0.0, duration_s=1e9, **friction):
+    hand = HandParams(
+        "hold",
+        start_s,
+        duration_s,
+        stiffness_n_per_m=stiffness_n_per_m,
+        damping_ns_per_m=3.0,
+    )
+    return TouchParams(1e5, 5.0, hands=(hand,), **friction)
+
+
+def why(found):
+    return BY_NUMBER[found.fault].code
+
+
+# --- what is found --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("mass_kg", "ratio"), [(0.005, 0.0), (0.008, 0.3)])
+@pytest.mark.parametrize("stiffness_n_per_m", [1e4, 1e5, 5e5, 2e6])
+def test_stop_of_any_stiffness_is_found(stiffness_n_per_m, ratio, mass_kg):
+    touch = damped(stiffness_n_per_m, ratio, mass_kg)
+    found = Rig(HOME, touch, mass_kg=mass_kg, lower_stop_m=STOP_M).home(STOP_M)
+    assert found.homed
+    assert found.error_m == pytest.approx(0.5 / stiffness_n_per_m, abs=2 * COUNT_M)
+
+
+def test_inelastic_stop_is_found_to_a_count():
+    found = Rig(HOME, lower_stop_m=STOP_M).home(STOP_M)
+    assert found.error_m == pytest.approx(0.0, abs=COUNT_M)
+
+
+@pytest.mark.parametrize(("coulomb_n", "static_n"), [(0.0293, 0.04), (0.1, 0.2), (0.15, 0.3)])
+def test_push_is_kept_through_stick_slip(coulomb_n, static_n):
+    """22 mm at 10 mm/s, twice the load and the way back, within the ten seconds of the default."""
+    touch = damped(1e5, coulomb_n=coulomb_n, static_n=static_n)
+    found = Rig(HOME, touch, lower_stop_m=-0.022).home(-0.022)
+    assert found.homed
+    assert found.error_m == pytest.approx(0.0, abs=10e-6)
+
+
+@pytest.mark.parametrize("static_n", [0.0, 0.15])
+def test_start_at_the_stop_is_found(static_n):
+    touch = damped(1e5, coulomb_n=static_n, static_n=static_n)
+    found = Rig(HOME, touch, lower_stop_m=0.0).home(0.0)
+    assert found.homed
+    assert found.error_m == pytest.approx(0.0, abs=10e-6)
+
+
+def test_stop_is_found_in_the_other_direction_and_with_the_other_sign():
+    home = replace(HOME, direction=1, position_m=0.004)
+    found = Rig(home, damped(1e5), upper_stop_m=0.005).home(0.005)
+    assert found.error_m == pytest.approx(-5e-6, abs=2 * COUNT_M)
+    # x rises as counts fall: the same stop lies at the other end of x
+    device = device_params(home=replace(HOME, position_m=-0.004), position=ScaleParams(COUNT_M, -1))
+    rig = Rig(HOME, damped(1e5), gain=-1.0, upper_stop_m=0.005, device=device)
+    assert rig.home(0.005).homed
+    assert -COUNT_M * (0.005 / COUNT_M - rig.plan.origin) == pytest.approx(-0.004 + 5e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("mark_m", [-0.003, 0.003])
+def test_index_is_found_on_either_side_and_confirmed(mark_m):
+    """Towards the stop, or behind the start: then the search turns round at the stop."""
+    found = Rig(INDEX, damped(1e5), mark_m=mark_m, lower_stop_m=STOP_M).home(mark_m)
+    assert found.homed
+    assert found.error_m == pytest.approx(0.0, abs=2 * COUNT_M)
+
+
+def test_index_that_is_elsewhere_the_second_time_is_not_taken():
+    rig = Rig(INDEX, mark_m=-0.003, lower_stop_m=STOP_M)
+    rig.fly()
+    rig.fly(Command.HOME)
+    while rig.plan.homing.phase == 0:
+        rig.fly()
+    rig.mark_m = -0.0035
+    while rig.plan.state is State.HOMING:
+        rig.fly()
+    assert rig.plan.fault == BY_CODE["home_not_confirmed"].number
+
+
+def test_calibrated_device_homes_in_lock_step():
+    """0.0293 N of friction, 5 ms of lag, two masses; its stops yield."""
+    servo, board = scene_params("fig4")
+    ends = Ends(-0.012, 0.022, POSITION, VELOCITY)
+    board = replace(board, plant=replace(board.plant, ends=ends), touch=damped(1e5))
+    device = replace(servo.device, home=replace(HOME, position_m=-0.012))
+    with LockStep(replace(servo, device=device), board) as stack:
+        stack.run(5)
+        assert stack.do(Command.HOME).result is Result.APPLIED
+        flown = as_records(stack.run(6000))
+    assert flown["state"][-1] == State.DISABLED
+    assert flown["homed"][-1] == 1
+    stopped = flown["position_m"][np.argmax(flown["homed"] == 1)]
+    assert stopped == pytest.approx(-0.012, abs=10e-6)
+
+
+# --- what is not --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("friction_n", [0.0, 0.1])
+@pytest.mark.parametrize("stiffness_n_per_m", [30, 100, 300, 1000, 1e4])
+def test_held_handle_is_never_taken_for_the_stop(stiffness_n_per_m, friction_n):
+    touch = held(stiffness_n_per_m, coulomb_n=friction_n, static_n=2 * friction_n)
+    found = Rig(replace(HOME, timeout_s=4.0), touch, lower_stop_m=-0.02).home(-0.02)
+    assert found.state is State.FAULT
+    assert not found.homed
+    assert why(found) in ("home_failed", "home_blocked", "home_not_confirmed")
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "stiffness_n_per_m", "damping_ns_per_m", "coulomb_n", "static_n"),
+    [
+        (5.835811715e-3, 377.25678, 1.738204, 0.0379010, 0.1390681),
+        (7.533794e-3, 166.42729, 1.087613, 0.0434102, 0.3338141),
+    ],
+)
+def test_soft_hand_that_friction_hides_is_felt_by_the_work(
+    mass_kg, stiffness_n_per_m, damping_ns_per_m, coulomb_n, static_n
+):
+    """The handle stands in the hand, slips back to the very same place, and lets the back-off
+    pass: only the mean force beside friction tells.
+    """
+    hand = HandParams(
+        "hold", stiffness_n_per_m=stiffness_n_per_m, damping_ns_per_m=damping_ns_per_m
+    )
+    touch = TouchParams(1e5, 5.0, coulomb_n, static_n, (hand,))
+    found = Rig(HOME, touch, mass_kg=mass_kg, lower_stop_m=-0.02).home(-0.02)
+    assert (found.homed, why(found)) == (False, "home_not_confirmed")
+
+
+def test_hand_that_lets_go_between_the_two_finds_is_told():
+    found = Rig(HOME, held(1e4, duration_s=1.1), lower_stop_m=STOP_M).home(STOP_M)
+    assert not found.homed
+    assert why(found) == "home_not_confirmed"
+
+
+def test_friction_beyond_the_force_is_no_stop():
+    found = Rig(HOME, damped(1e5, coulomb_n=0.3, static_n=0.6), lower_stop_m=STOP_M).home(STOP_M)
+    assert (found.homed, why(found)) == (False, "home_blocked")
+
+
+@pytest.mark.parametrize("since", [0, 400, 1300])
+def test_board_without_authority_ends_homing(since):
+    """From the start, on the way, and while the stop is pressed."""
+    rig = Rig(HOME, damped(1e5), granted=lambda tick: tick < since, lower_stop_m=STOP_M)
+    found = rig.home(STOP_M)
+    assert (found.homed, why(found)) == (False, "no_authority")
+
+
+def test_authority_that_flickers_starts_the_push_anew():
+    rig = Rig(HOME, damped(1e5), granted=lambda tick: tick not in (900, 901), lower_stop_m=STOP_M)
+    rig.fly()
+    rig.fly(Command.HOME)
+    while rig.tick < 902:
+        rig.fly()
+    assert rig.force_n == 0.0
+    while rig.plan.state is State.HOMING:
+        rig.fly()
+    assert max(abs(b - a) for a, b in pairwise(rig.forces[903:-1])) < 0.05
+    assert rig.plan.homed
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.4])
+def test_motor_without_its_current_finds_no_stop(gain):
+    found = Rig(CARRIED, damped(1e5), gain=gain, lower_stop_m=STOP_M).home(STOP_M)
+    assert (found.homed, why(found)) == (False, "home_no_current")
+    assert Rig(CARRIED, damped(1e5), lower_stop_m=STOP_M).home(STOP_M).homed
+
+
+def test_amplifier_of_wrong_polarity_is_told_within_milliseconds():
+    found = Rig(HOME, damped(1e5), gain=-1.0, lower_stop_m=-0.02, upper_stop_m=0.02).home(-0.02)
+    assert (found.homed, why(found)) == (False, "home_wrong_way")
+    assert abs(found.where_m) < 3 * HOME.back_off_m
+
+
+def test_search_without_end_is_a_fault_in_time():
+    found = Rig(replace(HOME, timeout_s=2.0)).home(STOP_M)
+    assert (found.homed, why(found)) == (False, "home_failed")
+    assert found.ticks == pytest.approx(2000, abs=5)
+
+
+def test_index_that_never_comes_fails_after_both_stops():
+    found = Rig(INDEX, damped(1e5), lower_stop_m=STOP_M, upper_stop_m=0.005, mark_m=0.1).home(0.1)
+    assert (found.homed, why(found)) == (False, "home_failed")
+    assert found.ticks < 5000
+
+
+# --- force and speed ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "touch",
+    [
+        damped(1e5, coulomb_n=0.1, static_n=0.3),
+        held(1e4, duration_s=1.0),
+        held(100.0, duration_s=3.0),
+    ],
+)
+def test_force_and_speed_are_bounded_whatever_is_in_the_way(touch):
+    """Let go at once at the whole push: `FASTEST` times the speed, and what the force does to the
+    mass within two ticks.
+    """
+    found = Rig(HOME, touch, lower_stop_m=-0.02).home(-0.02)
+    assert found.worst_n <= HOME.force_n + COUNT_N
+    limit = FASTEST * HOME.speed_m_per_s + HOME.force_n / 0.008 * 2e-3
+    assert found.fastest_m_per_s < limit
+
+
+def test_failed_homing_lets_go_in_twenty_ticks():
+    rig = Rig(replace(HOME, timeout_s=2.0), held(500.0))
+    assert not rig.home(STOP_M).homed
+    end = len(rig.forces)
+    for _ in range(25):
+        rig.fly()
+    assert abs(rig.forces[end - 2]) > 0.2
+    assert max(abs(b - a) for a, b in pairwise(rig.forces[end - 2 :])) < 0.5 / 20 + 2 * COUNT_N
+    assert rig.forces[-1] == 0.0
+
+
+def test_stop_after_a_flicker_of_authority_renders_nothing_but_the_fading_push():
+    """The law's gain has no part in homing: with K = 500 N/m and 3 mm, 1.5 N would act."""
+    rig = Rig(HOME, granted=lambda tick: tick not in (400, 401))
+    values = [0.0] * 20
+    values[Value.MASK] = float(1 << Value.STIFFNESS | 1 << Value.RAMP_S)
+    values[Value.STIFFNESS] = 500.0
+    rig.fly()
+    command = ((1, int(Command.SET), 9, 0, tuple(values)),)
+    rig.state, _ = rig.step(rig.state, command, (0, 0, 2500, 0, HEALTHY, 0, 0.1, 0, 0), rig.tick)
+    rig.tick += 1
+    rig.fly(Command.HOME)
+    while rig.tick < 700:
+        rig.fly()
+    assert abs(rig.body[0]) > 2e-3
+    pushed_n = abs(rig.force_n)
+    rig.fly(Command.STOP)
+    for _ in range(30):
+        rig.fly()
+    assert max(map(abs, rig.forces[700:])) <= pushed_n + COUNT_N
+
+
+def test_filter_that_a_client_has_set_does_not_reach_homing():
+    slow = replace(servo_params().environment.velocity_filter, frequency_hz=0.1)
+    rig = Rig(HOME, damped(1e5), lower_stop_m=STOP_M)
+    settled = rig.state[0]
+    plan = settled.plan._replace(filters=(slow, settled.plan.filters[1]))
+    rig.state = (replace(settled, plan=plan), *rig.state[1:])
+    assert rig.home(STOP_M).error_m == pytest.approx(5e-6, abs=2 * COUNT_M)
+
+
+def test_checkpoint_in_the_middle_goes_on_bit_by_bit():
+    rig = Rig(HOME, damped(1e5), lower_stop_m=STOP_M)
+    rig.fly()
+    rig.fly(Command.HOME)
+    while rig.tick < 1500:
+        rig.fly()
+    assert unflatten(flatten(rig.state)) == rig.state
+
+
+# --- the whole stack ------------------------------------------------------------------------------
+
+
+def test_emergency_stop_in_the_middle_of_homing_is_no_stop():
+    injections = (InjectionParams("emergency_stop", tick=300, value=0.5),)
+    params = servo_params(device=device_params(home=replace(HOME, required=True)))
+    board = board_params(lower_stop_m=-0.02, upper_stop_m=inf, injections=injections)
+    with LockStep(params, board) as stack:
+        stack.run(5)
+        assert stack.do(Command.HOME).result is Result.APPLIED
+        flown = as_records(stack.run(1500))
+        assert flown["fault"][-1] == BY_CODE["no_authority"].number
+        assert not flown["homed"].any()
+        assert stack.do(Command.RESET).result is Result.APPLIED
+        assert stack.do(Command.ENABLE).result is Result.REFUSED_NOT_HOMED
+
+
+def test_held_handle_is_told_on_the_whole_stack():
+    params = servo_params(device=device_params(home=HOME))
+    with LockStep(params, board_params(lower_stop_m=-0.02, touch=held(2000.0))) as stack:
+        stack.run(5)
+        assert stack.do(Command.HOME).result is Result.APPLIED
+        flown = as_records(stack.run(10_100))
+    assert flown["state"][-1] == State.FAULT
+    assert BY_NUMBER[flown["fault"][-1]].code == "home_failed"
+    assert not flown["homed"].any()

@@ -1,0 +1,251 @@
+"""What `reproduce` leaves behind: table, report, figures and the documentation's page; all or
+nothing when it is interrupted.
+"""
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from support import reproduced
+from support.tree import ROOT
+
+from hapticd.cli.app import main
+from hapticd.cli.zwidth import report as verb
+from hapticd.errors import ConfigError
+from hapticd.weir2008.page import Drawing, Section, keep, page, parts, sections, terminal
+from hapticd.weir2008.rows import PaperRow, rows
+from hapticd.weir2008.run import SCENES, ReproduceResult
+from hapticd.weir2008.table import from_json
+
+DOCS = ROOT / "docs"
+AXIS_LIMITS = {"K_max": "N/m", "B_max": "Ns/m", "M_min": "kg"}
+
+
+@pytest.fixture(scope="module")
+def quick() -> ReproduceResult:
+    return reproduced.by_prediction()
+
+
+@pytest.fixture
+def flown(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The verb finds the run already done."""
+    from hapticd.weir2008 import future_work, run
+
+    monkeypatch.setattr(run, "run_reproduce", lambda plan, tell: reproduced.by_prediction())
+    monkeypatch.setattr(
+        future_work, "run_future_work", lambda plan, tell: reproduced.future_work_by_prediction()
+    )
+
+
+@pytest.fixture(scope="module")
+def found(quick: ReproduceResult) -> tuple[PaperRow, ...]:
+    return rows(quick)
+
+
+@pytest.fixture(scope="module")
+def pages() -> ModuleType:
+    """docs/pages/reproduction.py, which is no part of the package."""
+    spec = importlib.util.spec_from_file_location(
+        "reproduction_page", DOCS / "pages" / "reproduction.py"
+    )
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.usefixtures("flown")
+def test_json_names_axis_limits_as_agreed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["zwidth", "reproduce", "--quick", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["quick"] is True
+    assert "files" not in told
+    for stem, unit in AXIS_LIMITS.items():
+        for mode in ("off", "on"):
+            named = [row for row in told["table"] if row["quantity"] == f"{stem}_{mode}"]
+            assert [row["device"] for row in named] == list(SCENES)
+            assert {row["unit"] for row in named} == {unit}
+
+
+def test_page_is_made_of_sections(found: tuple[PaperRow, ...]) -> None:
+    more = Section(
+        "Beyond the paper",
+        "What it left to the future.",
+        tuple(replace(row, part="beyond") for row in found[:1]),
+    )
+    text = page("Title", "Head.", [*parts(found).values(), more])
+    assert text.startswith("# Title\n\nHead.\n\n## Limits on their axes\n")
+    assert "## Beyond the paper\n\nWhat it left to the future.\n\n| quantity" in text
+    assert "Beyond the paper\n\nquantity" in terminal([more])
+
+
+def test_interrupted_run_keeps_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hapticd.weir2008 import run
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "run_reproduce", interrupted)
+    assert main(["zwidth", "reproduce", "--out", str(tmp_path / "x")]) == 130
+    assert "interrupted: nothing of this run was kept" in capsys.readouterr().err
+    assert not (tmp_path / "x").exists()
+
+
+def test_interrupted_drawing_leaves_the_run_before(
+    quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib")
+    from hapticd.report import style
+
+    (tmp_path / "table.json").write_text("before")
+    saved: list[str] = []
+
+    def save(figure: object, folder: Path, name: str, width_mm: float | None) -> None:
+        if saved:
+            raise KeyboardInterrupt
+        saved.append(name)
+        (folder / f"{name}.png").write_text("drawn")
+
+    monkeypatch.setattr(style, "save", save)
+    with pytest.raises(KeyboardInterrupt):
+        keep(sections(quick), tmp_path, {})
+    assert saved
+    assert [path.name for path in tmp_path.iterdir()] == ["table.json"]
+    assert (tmp_path / "table.json").read_text() == "before"
+
+
+def test_smaller_run_leaves_no_figure_of_the_run_before(
+    quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hapticd.report import style
+
+    def save(figure: object, folder: Path, name: str, width_mm: float | None) -> None:
+        for kind in ("png", "svg", "pdf"):
+            (folder / f"{name}.{kind}").write_text("drawn")
+
+    monkeypatch.setattr(style, "save", save)
+    told = {"quick": True, "seeds": 1, "provenance": {"libraries": {}, "date": "", "hapticd": ""}}
+    one, *more = (replace(section, drawings=()) for section in sections(quick))
+    drawn = [Drawing(name, "caption", lambda: None) for name in ("fig02", "fig03")]  # type: ignore[arg-type,return-value]
+    keep([replace(one, drawings=tuple(drawn)), *more], tmp_path, told)
+    for foreign in ("fig02_mine.png", "notes.txt", "fig12.svg"):
+        (tmp_path / foreign).write_text("mine")
+    assert (tmp_path / "fig02.svg").is_file()
+    keep([replace(one, drawings=tuple(drawn[1:])), *more], tmp_path, told)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "REPORT.md",
+        "table.json",
+        "table.csv",
+        "table.md",
+        "fig03.png",
+        "fig03.svg",
+        "fig03.pdf",
+        "fig02_mine.png",
+        "notes.txt",
+        "fig12.svg",
+    }
+
+
+@pytest.mark.parametrize(
+    ("words", "folder"), [("", "build/reproduction"), ("--quick", "build/reproduction-quick")]
+)
+def test_make_keeps_quick_runs_apart(words: str, folder: str) -> None:
+    planned = subprocess.run(
+        ["make", "--dry-run", "reproduce", f"ARGS={words}"],
+        cwd=DOCS.parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert f"zwidth reproduce --out {folder} {words}\n" in planned.stdout
+
+
+def test_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(
+        ConfigError, match=r"file: File exists; name a folder that you may write to with --out"
+    ):
+        keep((), tmp_path / "file", {})
+
+
+def test_log_is_told_every_ten_seconds(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = iter((0.0, 0.0, 3.0, 9.9, 10.0, 10.0))
+    monkeypatch.setattr(verb, "monotonic", lambda: next(now_s))
+    with verb.watched() as tell:
+        for done in range(4):
+            tell("flying", done, 4)
+    assert capsys.readouterr().err.splitlines() == ["flying, 0 of 4", "flying, 3 of 4"]
+
+
+# --- figures --------------------------------------------------------------------------------------
+
+
+# --- the documentation ----------------------------------------------------------------------------
+
+
+def committed() -> tuple[PaperRow, ...]:
+    return from_json(json.loads((DOCS / "figures/reproduction/table.json").read_text())["table"])
+
+
+def test_documentation_says_what_its_table_says(pages: ModuleType) -> None:
+    text = (DOCS / "reproduction.md").read_text()
+    assert pages.filled(text, committed()) == text, "run `make reproduction-docs`"
+    assert len(pages.NUMBER.findall(text)) > 20
+
+
+def test_documentation_has_every_figure(quick: ReproduceResult) -> None:
+    text = (DOCS / "reproduction.md").read_text()
+    shown = re.findall(r"\]\((figures/reproduction/\w+\.png)\)", text)
+    drawn = {drawing.name for section in sections(quick) for drawing in section.drawings}
+    assert {Path(name).stem for name in shown} >= drawn | {"fig02"}
+    assert all((DOCS / name).stat().st_size < 100_000 for name in shown)
+
+
+def test_stale_number_and_table_are_mended(pages: ModuleType) -> None:
+    row = PaperRow(
+        "K_max_off", 100.0, 105.46, "N/m", "calibrated", "weir2008", sd=5.5, seeds=8, part="limits"
+    )
+    numbers = (
+        "<!--= K_max_off weir2008 .0f -->99<!--/--> <!--= K_max_off:sd weir2008 .1f x10"
+        " --><!--/-->\n"
+    )
+    text = pages.filled(f"{numbers}<!-- table limits -->\nold\n<!-- /table -->\n", [row])
+    assert text.startswith(
+        "<!--= K_max_off weir2008 .0f -->105<!--/--> <!--= K_max_off:sd weir2008 .1f x10"
+        " -->55.0<!--/-->\n"
+    )
+    assert "old" not in text
+    assert "| K_max_off | N/m | 100 | 105 ± 5.5 (+5.5 %) | 8 | calibrated |" in text
+    assert pages.filled(text, [row]) == text
+
+
+def test_mark_without_its_row_is_refused(pages: ModuleType) -> None:
+    row = PaperRow("K_max_off", 100.0, 105.46, "N/m", "calibrated", "weir2008", part="limits")
+    with pytest.raises(ConfigError, match=r"the table has no K_max of weir2008; correct the mark"):
+        pages.filled("<!--= K_max weir2008 .0f -->99<!--/-->", [row])
+    with pytest.raises(
+        ConfigError, match=r"table sets -->: the table has no part of that name; it has limits"
+    ):
+        pages.filled("<!-- table sets -->\n<!-- /table -->", [row])
+
+
+def test_page_of_trials_refuses_a_prediction(tmp_path: Path) -> None:
+    (tmp_path / "table.json").write_text('{"quick": true, "table": []}')
+    before = (DOCS / "reproduction.md").read_text()
+    done = subprocess.run(
+        [sys.executable, str(DOCS / "reproduce.py"), str(tmp_path)], capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "predicted with --quick; the page tells of trials: run it without" in done.stderr
+    assert (DOCS / "reproduction.md").read_text() == before

@@ -1,0 +1,127 @@
+"""What this package writes it reads: a recording, its exports and a trial's record, with rate,
+units, badge and environment.
+"""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.tree import ROOT
+
+from hapticd.cli.app import main
+from hapticd.errors import AnalysisError, ConfigError
+from hapticd.settings.scene import load_scene
+from hapticd.zwidth.recorded import read_file
+from hapticd.zwidth.sources import given
+from hapticd.zwidth.store import RenderedEnvironment
+
+OLD = ROOT / "tests/support/data" / "as-of-0.1"
+
+
+def test_old_recording_says_that_it_is_too_short(tmp_path, capsys):
+    file = shutil.copy(OLD / "recording.h5", tmp_path / "old.h5")
+    assert main(["zwidth", "import", str(file)]) == 65
+    told = capsys.readouterr().err
+    assert "as recorded in K 100 N/m, B 1 N s/m, M 0 kg, active damping 1.74 N s/m" in told
+    assert "old.h5 of simulated display, 1.242 to 3 s: 1.76 s are too short for a verdict" in told
+
+
+@pytest.mark.parametrize("name", ["trial", "trial/record.h5"])
+def test_run_folder_and_its_record_come_back_as_they_were(name, tmp_path, capsys):
+    assert main(["zwidth", "import", str(OLD / name), "--out", str(tmp_path), "--json"]) == 0, (
+        capsys.readouterr().err
+    )
+    told = json.loads(capsys.readouterr().out)
+    before = json.loads((OLD / "trial" / "run.json").read_text())
+    assert told["environment"] == before["environment"]
+    assert told["simulated"] is True
+    assert told["verdict"]["answer"] == before["verdict"]["answer"]
+
+
+@pytest.mark.parametrize("hdf5", [True, False])
+def test_record_of_a_trial_keeps_its_badge_far_from_its_folder(hdf5, tmp_path, monkeypatch, capsys):
+    if not hdf5:
+        monkeypatch.setitem(sys.modules, "h5py", None)
+    words = [
+        "zwidth",
+        "trial",
+        "-K",
+        "30",
+        "-B",
+        "1",
+        "--seconds",
+        "8",
+        "--out",
+        str(tmp_path / "run"),
+    ]
+    assert main(words) == 0, capsys.readouterr().err
+    name = "record.h5" if hdf5 else "record.npz"
+    moved = shutil.copy(tmp_path / "run" / name, tmp_path / f"moved{Path(name).suffix}")
+    found = read_file(Path(moved))
+    assert found.simulated
+    assert found.rendered == RenderedEnvironment((30.0, 1.0, 0.0), 0.0)
+    assert found.max_command_n is not None
+
+
+def test_counts_are_not_taken_for_newtons(tmp_path):
+    np.savez(
+        tmp_path / "a.npz", index=range(9), time_ns=range(9), torque=range(9), velocity=range(9)
+    )
+    with pytest.raises(AnalysisError, match="counts of a recording that was not finished"):
+        read_file(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("kind", [".csv", ".npz", ".mat", ".h5"])
+def test_file_that_is_not_there_is_named(kind, tmp_path):
+    with pytest.raises(ConfigError, match=rf"absent\{kind}: no such file"):
+        read_file(tmp_path / f"absent{kind}")
+
+
+def test_what_is_not_given_is_that_of_the_scene_that_was_named_else_0():
+    scene = load_scene("fig4")
+    for named in (False, True):
+        assert given((None, None, None), None, scene, named) == RenderedEnvironment(
+            (100.0, 1.0, 0.01), 0.0
+        )
+    assert given((500.0, None, None), None, scene, False) == RenderedEnvironment(
+        (500.0, 0.0, 0.0), 0.0
+    )
+    assert given((500.0, None, None), None, scene, True) == RenderedEnvironment(
+        (500.0, 1.0, 0.01), 0.0
+    )
+    assert given((None, 0.0, None), 1.74, scene, False) == RenderedEnvironment(
+        (0.0, 0.0, 0.0), 1.74
+    )
+    assert given((500.0, None, None), None, None, False) == RenderedEnvironment(
+        (500.0, 0.0, 0.0), 0.0
+    )
+
+
+@pytest.mark.parametrize("source", ["engine", "lockstep"])
+def test_environment_is_printed_before_the_trial_and_not_into_json(source, tmp_path, capsys):
+    words = [
+        "zwidth",
+        "trial",
+        source,
+        "-K",
+        "50",
+        "--seconds",
+        "4",
+        "--json",
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert (
+        f"simulates K 50 N/m, B 0 N s/m, M 0 kg, active damping 0 N s/m by the {source},"
+        " device weir2008 of scene fig4" in told.err
+    )
+    assert json.loads(told.out)["environment"] == {
+        "stiffness_n_per_m": 50.0,
+        "damping_ns_per_m": 0.0,
+        "mass_kg": 0.0,
+    }

@@ -1,0 +1,13 @@
+"""Every check of the doctor in every branch, on machines made of a few files."""
+
+import pytest
+
+from hapticd.doctor import wake
+
+
+@pytest.mark.process
+def test_worker_reports_rights_and_histogram() -> None:
+    found = wake.measure(0.05, None)
+    assert sum(found["histogram_us"].values()) == 50
+    assert found["granted"]["garbage_collector"] == "granted"
+    assert found["p50_us"] <= found["max_us"]

@@ -1,0 +1,22 @@
+"""The verdict as a measurement sees it: through the probe's velocity channel. The rival
+device's is AC-coupled at 0.1 Hz.
+"""
+
+import pytest
+
+from hapticd.analysis.linearise import Perturbation
+from hapticd.analysis.predict import DEFAULT_BAND_HZ, predict
+from hapticd.weir2008.paper import LEVELS
+from hapticd.weir2008.run import conditions
+
+WHITE = Perturbation()
+RIVAL = "weir2008_probe_hp"
+LEVEL = pytest.mark.parametrize("level", LEVELS)
+
+
+def both(name, points, level, band_hz=DEFAULT_BAND_HZ):
+    device = conditions(name).display
+    return [
+        predict(device.model, points, level, device.filters, WHITE, band_hz, recorded=seen)
+        for seen in (False, True)
+    ]

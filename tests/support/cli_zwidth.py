@@ -1,0 +1,51 @@
+"""`hapticd zwidth`: what a person types, gets printed, and finds in the run folder; slips are
+named and nothing is started.
+"""
+
+from hapticd.cli.app import main
+from support.measured_scenes import GRID_OF_27
+
+SHORT = ["--seconds", "20"]
+
+
+def run(arguments, capsys):
+    """(exit code, stdout, stderr)"""
+    code = main(["zwidth", *arguments])
+    told = capsys.readouterr()
+    return code, told.out, told.err
+
+
+def small_map(folder, *more):
+    """A map of 27 points at one damping level."""
+    return [
+        "map",
+        *SHORT,
+        "--out",
+        str(folder),
+        "--damping",
+        "1.74",
+        *GRID_OF_27,
+        "--everywhere",
+        "--no-plot",
+        *more,
+    ]
+
+
+def trials(folder):
+    """Lines of a store, in no order."""
+    return sorted((folder / "trials.jsonl").read_text().splitlines())
+
+
+OUTCOME = {
+    "type",
+    "environment",
+    "damping_ns_per_m",
+    "answer",
+    "passes",
+    "margin_ns_per_m",
+    "margin_lower",
+    "margin_upper",
+    "worst_hz",
+    "first_judged_hz",
+    "last_judged_hz",
+}

@@ -1,0 +1,13 @@
+"""The attack on the guard, on a few sequences: what it finds in guards that are none, and nothing
+in ours. Then ways to get past it, one by one.
+"""
+
+from typing import Any
+
+FEW = [0, 2, 3, 6, 7, 8, 10, 11]  # on the shipped display, its delay known
+
+
+def answering(action: str, request: dict[str, Any]) -> dict[str, Any]:
+    stage = {"change": request["change"], "damping_at_least": None, "after_ramps": False}
+    stages = [stage] if action == "apply" else []
+    return {"action": action, "stages": stages, "verdict": {"clamped": False, "text": "blind"}}

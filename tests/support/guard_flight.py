@@ -1,0 +1,72 @@
+"""K = 500 N/m, B = 2 N s/m in the hand that shakes them, active damping toggled twenty times: the
+desk of the gateway, the guard's judge, the servo, the board and the plant, on virtual time.
+"""
+
+from functools import lru_cache
+from random import Random
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.guard_attack import shipped_judge
+from benchmarks.guard_desk import GuardedStack
+from benchmarks.guard_flight import (
+    GRIPPING,
+    Balance,
+    plain_servo,
+    records,
+    rigid_board,
+    striking,
+)
+from hapticd.assembly.lockstep import LockStep
+
+STIFFNESS = 500.0
+DAMPING = 2.0
+TOGGLES = 20
+STRIKES_S = tuple(np.arange(0.4, 12.0, 0.37).tolist())
+HELD = ("refuse", "clamp", "follow")
+NEAR = 1.5  # a passive display at the edge of its set, little damped, may add so much
+
+
+class Flight(NamedTuple):
+    """What a flight left."""
+
+    replies: list[tuple[str, dict[str, Any], dict[str, Any] | None]]  # asked, reply, later event
+    balance: Balance
+    records: np.ndarray
+    hands: list[dict[str, Any]]
+
+
+@lru_cache(maxsize=4)
+def flight(policy: str, rendered: bool = True) -> Flight:
+    """Toggled twenty times at random under `policy`."""
+    random = Random("toggles")
+    asked = []
+    with LockStep(plain_servo(), rigid_board(GRIPPING)) as stack:
+        balance = Balance(stack, striking(STRIKES_S))
+        desk = GuardedStack(stack, shipped_judge().answer, policy)
+        if rendered:
+            assert desk.ask(cmd="damping", value=1.74)["ok"]
+            desk.run(200)
+            assert desk.ask(cmd="set", K=STIFFNESS, B=DAMPING)["ok"]
+            desk.run(100)
+        assert desk.ask(cmd="enable")["ok"]
+        desk.run(400)
+        for _ in range(TOGGLES if rendered else 0):
+            wanted = random.choice(("on", "off"))
+            asked.append((wanted, desk.send(cmd="damping", value=wanted)))
+            desk.run(random.randrange(20, 300))
+        desk.run(300 if rendered else 4000)
+        replies = [(word, desk.replies[number], desk.ended(number)) for word, number in asked]
+        hands = [one for one in desk.events if one["kind"] == "guard"]
+        return Flight(replies, balance, records(stack), hands)
+
+
+def passive_m() -> float:
+    """How far the hand goes where nothing is rendered."""
+    return flight("refuse", rendered=False).balance.furthest_m
+
+
+def verdict(reply: dict[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = reply["guard"] if reply["ok"] else reply["error"]["guard"]
+    return found

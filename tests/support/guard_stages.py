@@ -1,0 +1,78 @@
+"""The guard with the judge it has, in front of the real servo, on virtual time: at every tick of a
+change in stages the board reports the damping that the environment in force needs.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from hapticd.analysis.judge import Judge
+from hapticd.assembly.lockstep import LockStep
+from hapticd.assembly.resolve import resolve
+from hapticd.gateway.desk import Desk
+from hapticd.gateway.guard import Guard
+from hapticd.gateway.journal import Journal
+from hapticd.gateway.view import Records, ServoView, as_records
+from hapticd.mailbox import files
+from hapticd.params import GuardParams, GuardSetup, from_plain
+from hapticd.settings.build import board_params, servo_params
+from hapticd.settings.load import load
+from support.gateway_rig import UNIX_NS, decoded, packed
+from support.guard_stub import StubWorker
+
+LEVEL_NS_PER_M = 1.74
+STIFF = {"K": 500.0, "B": 2.0}  # passive with that damping, not without
+
+
+class Flight:
+    """A servo, its simulated board, and the gateway's desk with a judge behind it."""
+
+    def __init__(self) -> None:
+        settings = load(None)
+        setup = resolve(settings, "flight")[files.GUARD_JSON]
+        self.judge = Judge(from_plain(GuardSetup, json.loads(json.dumps(setup))))
+        params = servo_params(settings, "flight")
+        board = board_params(settings)
+        assert board is not None
+        self.stack = LockStep(params, board)
+        self.worker = StubWorker(self.judge.answer)
+        self.view = ServoView(Path(self.stack.mailbox.folder), params, lambda: UNIX_NS)
+        self.journal = Journal(lambda: UNIX_NS)
+        self.guard = Guard(self.view, self.journal, GuardParams(), self.worker)
+        self.desk = Desk(self.view, self.journal, lambda cmd: {}, self.guard)
+        self.replies: list[dict[str, Any]] = []
+        self.fly(20)
+
+    def fly(self, ticks: int) -> Records:
+        """Ticks, each with a pass of the gateway; their records."""
+        flown = []
+        for _ in range(ticks):
+            flown.append(self.stack.run(1))
+            now_ns = self.stack.clock.now_ns()
+            self.view.refresh(now_ns)
+            self.replies += [decoded(reply) for reply in self.desk.collect(now_ns)]
+        return as_records(b"".join(flown))
+
+    def ask(self, **fields: Any) -> dict[str, Any]:
+        """One request and its reply."""
+        found = self.desk.serve([[b"a", packed(**fields)]], self.stack.clock.now_ns())
+        self.replies = [decoded(reply) for reply in found]
+        while not self.replies:
+            self.fly(1)
+        (reply,) = self.replies
+        return reply
+
+    def ends(self) -> list[str]:
+        """How changes in stages ended since the last look."""
+        return [one["result"] for one in self.journal.drain() if one["kind"] == "answer"]
+
+
+def rendering(flight: Flight, policy: str) -> None:
+    """Force on, a stiff environment, and the damping that it needs."""
+    assert flight.ask(cmd="guard", policy=policy)["ok"]
+    assert flight.ask(cmd="damping", value=LEVEL_NS_PER_M)["ok"]
+    flight.fly(300)
+    assert flight.ask(cmd="enable")["ok"]
+    flight.fly(600)
+    assert flight.ask(cmd="set", **STIFF)["receipt"]["result"] == "applied"
+    flight.fly(200)

@@ -1,0 +1,33 @@
+"""What the processes really load. import-linter (in `make test`) holds the declared layers;
+this looks at what runs.
+"""
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+# logging is not among them: pyusb brings it along; nothing of ours may import it (import-linter)
+NEVER_IN_SERVO = {
+    "numpy",
+    "scipy",
+    "numba",
+    "zmq",
+    "msgpack",
+    "pydantic",
+    "typer",
+    "rich",
+    "asyncio",
+    "tomllib",
+}
+
+
+def modules_after(program: str, *arguments: str) -> Any:
+    done = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout)
+
+
+def packages(modules: list[str]) -> set[str]:
+    return {name.partition(".")[0] for name in modules}

@@ -1,0 +1,23 @@
+"""The balance of forces: its closed forms, and made-up records of a handle whose truth is known."""
+
+import numpy as np
+
+from hapticd.rig.excitation import noise
+from hapticd.rig.mechanics import Facts, Motor, Scales
+from support.shaken_handle import shaken
+
+FACTS = Facts(
+    1000.0,
+    Scales(0.0, 0.0, 0.0),
+    (None, None),
+    Motor(1.65, 1.6, 20.0),
+)
+
+
+def runs_of(truth, seed=0):
+    """The handle shaken softly and hard under a weak spring, and hard under a stiff one."""
+    free = np.concatenate((noise(5.0, 0.3, 3 * seed), noise(5.0, 0.7, 3 * seed + 1)))
+    return (
+        shaken(truth, free, 20.0, 0.3, seed),
+        shaken(truth, noise(6.0, 0.7, 3 * seed + 2), 200.0, 0.2, seed + 1000),
+    )

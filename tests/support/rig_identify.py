@@ -1,0 +1,23 @@
+"""`rig identify` on simulated boards whose mass, friction and delay the step does not know."""
+
+from hapticd.params import TouchParams
+from hapticd.zwidth.lockstep import LockStepBench
+from support.boards import board_params
+from support.models import device_params, servo_params
+
+STOPS = {"lower_stop_m": -0.05, "upper_stop_m": 0.05}
+MASS_KG = 0.0093
+VISCOUS = 0.41
+COULOMB_N = 0.045
+
+
+def nothing(request):
+    """Nobody is there who would do what is asked."""
+
+
+def bench(device=None, **board):
+    touch = TouchParams(coulomb_n=COULOMB_N, static_n=1.1 * COULOMB_N)
+    given = {"mass_kg": MASS_KG, "viscous_ns_per_m": VISCOUS, "touch": touch, **STOPS, **board}
+    return LockStepBench(
+        servo_params(device=device_params(**(device or {}))), board_params(**given)
+    )

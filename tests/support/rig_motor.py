@@ -1,0 +1,14 @@
+"""`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
+
+from hapticd.params import TouchParams
+from hapticd.rig.motor import (
+    Masses,
+)
+
+FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
+FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}
+HUNG = Masses((0.0, 0.025, 0.05, 0.075, 0.1))
+
+
+def nothing(request):
+    """Nobody is there who would do what is asked."""

@@ -1,0 +1,14 @@
+"""One bad encoder sample moves less than 1 N; a struck handle is no glitch; a burst is a fault."""
+
+from hapticd.mailbox.layout import Value
+from hapticd.params import SafetyParams
+from support.models import device_params, servo_params
+
+FELT = {Value.STIFFNESS: 200.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
+LIMIT = 500.0  # m/s^2, as a device file has it unless it says otherwise
+SPEED = 5.0  # m/s
+
+
+def params_with(limit=LIMIT, **safety):
+    device = device_params(acceleration_limit_m_per_s2=limit, speed_limit_m_per_s=SPEED)
+    return servo_params(device=device, safety=SafetyParams(**safety))

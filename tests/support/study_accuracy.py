@@ -1,0 +1,13 @@
+"""What accuracy costs: the knee, both comparisons against closed forms, and trials in lock-step."""
+
+from math import nan
+
+from hapticd.study.accuracy import (
+    AccuracyRow,
+)
+
+# --- the knee -------------------------------------------------------------------------------------
+
+
+def row(seconds: float, total: float, sweep: str = "s") -> AccuracyRow:
+    return AccuracyRow(sweep, "", seconds, nan, total)

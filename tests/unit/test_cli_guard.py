@@ -1,0 +1,214 @@
+"""What the command line says of the guard: refusals and warnings with what is allowed and the hand,
+and, with real processes, that a refused change moves nothing while a worker that dies comes back.
+"""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.client_double import ClientDouble
+from support.daemon import Daemon
+from support.guard_device import change, shipped_judge
+
+from hapticd.cli import guard as guard_verb
+from hapticd.cli.app import main
+from hapticd.client import Receipt
+from hapticd.client.words import guard_line, receipt_text, thoughts, verdict_lines
+from hapticd.errors import CommandError
+
+VERDICT = {
+    "safe": False,
+    "policy": "refuse",
+    "basis": "theorem",
+    "number": 4,
+    "margin_ns_per_m": -1.01,
+    "allowed": {"K": [0.0, 320.0], "B": [-0.5, 1.25], "M": None},
+    "least_damping_ns_per_m": 1.43,
+    "clamped": False,
+    "text": "1.01 N s/m short at 112 Hz; ask for less",
+}
+EVENT = {
+    "hand": {"text": "a mass of 120 g, at 34 Hz", "mass_kg": 0.12},
+    "text": "a hand that would shake the device: a mass of 120 g, at 34 Hz",
+}
+WRONG, REMEDY = str(VERDICT["text"]).split("; ")
+SAYS = [
+    "allowed, each with the others as asked: K 0 to 320 N/m, B -0.5 to 1.25 N s/m",
+    "least level of active damping tried that would do: 1.43 N s/m",
+    EVENT["text"],
+]
+GUARD = {
+    "policy": "clamp",
+    "basis": "theorem",
+    "margin_ns_per_m": 0.1,
+    "mode": "auto",
+    "measuring": False,
+    "delay_periods": 0.1875,
+    "worker": "up",
+    "trouble": "",
+    "verdict": VERDICT,
+}
+
+
+class GuardDouble(ClientDouble):
+    """A daemon whose guard has an opinion."""
+
+    def hand(self, verdict: dict[str, Any]) -> dict[str, Any] | None:
+        return {**EVENT, "number": verdict["number"]}
+
+    def guard(self, *what: Any, **more: Any) -> dict[str, Any]:
+        self._ask("guard", (what, more))
+        return GUARD
+
+
+@pytest.fixture
+def double(monkeypatch: pytest.MonkeyPatch) -> GuardDouble:
+    double = GuardDouble()
+    for module in ("change", "guard"):
+        monkeypatch.setattr(f"hapticd.cli.{module}.connect", lambda instance: double)
+    return double
+
+
+def test_refusal_says_what_is_allowed_and_which_hand_would_shake(
+    double: GuardDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    double.error = CommandError("guard", f"damping: {VERDICT['text']}", None, dict(VERDICT))
+    assert main(["damping", "off"]) == 4
+    told = capsys.readouterr().err.splitlines()
+    lines = (f"damping: {WRONG}", *SAYS, REMEDY)
+    assert told == [f"hapticd: {line}" for line in lines]
+
+
+def test_refusal_carries_verdict_and_hand_in_json(
+    double: GuardDouble, capsys: pytest.CaptureFixture[str]
+) -> None:
+    double.error = CommandError("guard", "no", None, dict(VERDICT))
+    assert main(["damping", "off", "--json"]) == 4
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert error["guard"] == {**VERDICT, "hand": EVENT["hand"]}
+
+
+def test_warning_goes_to_stderr_beside_the_receipt(
+    double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    warned = Receipt("applied", "enabled", 7, 3, 3, {"K": 9.0}, {**VERDICT, "policy": "warn"})
+    monkeypatch.setattr(double, "_ask", lambda verb, what=None: warned)
+    assert main(["set", "K=9"]) == 0
+    found = capsys.readouterr()
+    assert found.out == "enabled: applied at tick 3, revision 7: K 9 N/m\n"
+    assert found.err.splitlines() == [f"hapticd: {line}" for line in (WRONG, *SAYS, REMEDY)]
+
+
+def test_receipt_says_what_is_to_spare(
+    double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    verdict = {**VERDICT, "safe": True, "clamped": True, "margin_ns_per_m": 0.25}
+    done = Receipt("applied", "enabled", 7, 3, 3, {"K": 9.0}, verdict)
+    monkeypatch.setattr(double, "_ask", lambda verb, what=None: done)
+    assert main(["set", "K=99"]) == 0
+    found = capsys.readouterr()
+    assert found.out.endswith("; clamped to what is safe, 0.25 N s/m to spare, by theorem\n")
+    assert found.err == ""
+
+
+def test_more_damping_is_the_remedy_only_where_some_level_would_do() -> None:
+    judge = shipped_judge()
+    far, near = (
+        change(judge, asked, policy="warn")["verdict"]
+        for asked in ({"K": 5000.0, "B": 20.0}, {"K": 150.0, "B": 1.0})
+    )
+    told = thoughts(far["text"], verdict_lines(far))
+    assert "no active damping of this device would do" in told
+    assert "ask for less" in told
+    remedy = "ask for less, or for more active damping"
+    assert remedy in thoughts(near["text"], verdict_lines(near))
+
+
+def test_guard_changes_and_shows(double: GuardDouble, capsys: pytest.CaptureFixture[str]) -> None:
+    words = "guard clamp --basis theorem --margin 0.1 --mode auto"
+    assert main(words.split()) == 0
+    asked = {"basis": "theorem", "margin_ns_per_m": 0.1, "mode": "auto"}
+    assert double.asked[0] == ("guard", (("clamp",), asked))
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert first == (
+        "clamp, by theorem, at least 0.1 N s/m to spare; damping auto; delay 0.1875 periods"
+    )
+    assert rest == [VERDICT["text"], *SAYS[:2]]
+
+
+def test_guard_waits_for_the_verdict_on_what_is_in_force(
+    double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers = [GUARD | {"verdict": None}, GUARD | {"verdict": None}, GUARD]
+    monkeypatch.setattr(double, "guard", lambda *what, **more: answers.pop(0))
+    monkeypatch.setattr("hapticd.cli.guard.time.sleep", lambda seconds: None)
+    assert main(["guard"]) == 0
+    assert answers == []
+    assert VERDICT["text"] in capsys.readouterr().out
+
+
+def test_guard_without_a_worker_says_why_there_is_no_verdict(
+    double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = GUARD | {"verdict": None, "worker": "down", "trouble": "it died", "unjudged": "nothing"}
+    monkeypatch.setattr(double, "guard", lambda *what, **more: found)
+    assert main(["guard"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "nothing"
+
+
+@pytest.mark.parametrize(
+    ("counted", "measured", "says"),
+    [
+        (
+            (0.25, "measured"),
+            0.375,
+            "0.25 periods, measured (p99 of the last minute: 0.375, the model assumes 0.125)",
+        ),
+        (
+            (0.125, "assumed by the model"),
+            None,
+            "0.125 periods, assumed by the model (p99 of the last minute: not known yet, the model"
+            " assumes 0.125)",
+        ),
+    ],
+)
+def test_delays_are_named_and_which_one_is_counted_on(
+    counted: tuple[float, str], measured: float | None, says: str
+) -> None:
+    delays = {
+        "counted_periods": counted[0],
+        "counted": counted[1],
+        "measured_p99_periods": measured,
+        "model_periods": 0.125,
+    }
+    lines = guard_verb.guard_lines(GUARD | {"delays": delays})
+    assert f"delay counted on: {says}" in lines
+
+
+def test_measuring_is_shown() -> None:
+    line = guard_line({**GUARD, "measuring": True, "worker": "down", "trouble": "gone"})
+    assert line.startswith("off: somebody measures")
+    assert line.endswith("; gone")
+
+
+# --- real processes -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def daemon(runtime: Path) -> Iterator[Daemon]:
+    """With the rights that it gets, for without them a busy machine has delays of many periods."""
+    with Daemon(runtime, settings="") as daemon:
+        yield daemon
+
+
+def test_receipt_of_a_change_in_stages_says_where_it_leads() -> None:
+    given = {"K": 500.0, "B": 2.0, "M": 0.0, "damping": 1.74}
+    verdict = {**VERDICT, "safe": True, "margin_ns_per_m": 0.367, "given": given}
+    now = {"K": 100.0, "B": 1.0, "M": 0.0, "damping": 1.74}
+    receipt = Receipt("staged", "enabled", 5, 900, 900, now, verdict | {"stages": 2})
+    text = receipt_text(receipt)
+    assert text.startswith("enabled: stage 1 of 2 at tick 900")
+    assert "K 100 N/m" in text
+    assert text.index("on the way to K 500 N/m, B 2 N s/m") < text.index("0.367 N s/m to spare")
