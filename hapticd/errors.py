@@ -46,10 +46,13 @@ class MissingLibrary(ConfigError):
     `requirement` is what pip would be asked for, `command` what to type.
     """
 
-    def __init__(self, purpose: str, requirement: str, command: str) -> None:
-        super().__init__(f"{purpose} needs {requirement}, which is not installed; type: {command}")
+    def __init__(self, message: str, requirement: str = "", command: str = "") -> None:
+        super().__init__(message)
         self.requirement = requirement
         self.command = command
+
+    def __reduce__(self) -> tuple[type["MissingLibrary"], tuple[str, ...]]:
+        return type(self), (str(self), self.requirement, self.command)
 
 
 class WireError(HapticdError):

@@ -31,7 +31,9 @@ def need(module: str, purpose: str) -> Any:
         return import_module(module)
     except ImportError as error:
         library = module.partition(".")[0]
-        raise MissingLibrary(purpose, requirement(library), install_command(library)) from error
+        wanted, command = requirement(library), install_command(library)
+        message = f"{purpose} needs {wanted}, which is not installed; type: {command}"
+        raise MissingLibrary(message, wanted, command) from error
 
 
 def requirement(library: str) -> str:
