@@ -44,7 +44,7 @@ def requirement(library: str) -> str:
         lines = []
     for line in lines:
         stated = line.partition(";")[0].strip()
-        if re.match(r"[\w.-]+", stated)[0] == library:  # type: ignore[index]  # never empty
+        if re.match(r"[\w.-]+", stated)[0].replace("-", "_") == library:  # type: ignore[index]  # never empty
             return stated
     return library
 

@@ -102,20 +102,15 @@ ENGLISH_US = 0x0409
 def system_backend() -> Any:
     """The libusb of the system, else the one of libusb-package.
 
-    Raises ConfigError when there is neither.
+    MissingLibrary: there is neither. ConfigError: it cannot be loaded.
     """
     from usb.backend import libusb1  # loads ctypes and the library: not for a simulated board
 
     backend = libusb1.get_backend()
     if backend is None:
-        try:
-            from libusb_package import get_libusb1_backend
-        except ImportError:
-            raise ConfigError(
-                "libusb 1.0 is not installed: apt install libusb-1.0-0, or pip install"
-                " 'hapticd[usb]'"
-            ) from None
-        backend = get_libusb1_backend()
+        from hapticd.extras import need  # it reads metadata: not for a simulated board
+
+        backend = need("libusb_package", "a USB board").get_libusb1_backend()
     if backend is None:
         raise ConfigError("libusb 1.0 is there but cannot be loaded; reinstall libusb-1.0-0")
     return backend

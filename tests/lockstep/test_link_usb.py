@@ -12,7 +12,14 @@ import usb.backend.libusb1
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.clock import VirtualClock
-from hapticd.errors import ConfigError, LinkAccess, LinkLost, LinkStalled, LinkTimeout
+from hapticd.errors import (
+    ConfigError,
+    LinkAccess,
+    LinkLost,
+    LinkStalled,
+    LinkTimeout,
+    MissingLibrary,
+)
 from hapticd.link.base import backoff_s
 from hapticd.link.usb import FAILURES, UsbLink, link_error, system_backend
 from hapticd.params import InjectionParams, UsbParams
@@ -489,10 +496,9 @@ def test_packaged_libusb_comes_second(monkeypatch):
 def test_missing_libusb_names_what_to_install(monkeypatch):
     monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: None)
     monkeypatch.setitem(sys.modules, "libusb_package", None)
-    with pytest.raises(
-        ConfigError, match=r"apt install libusb-1\.0-0, or pip install 'hapticd\[usb\]'"
-    ):
+    with pytest.raises(MissingLibrary) as missing:
         UsbLink(UsbParams())
+    assert missing.value.requirement.startswith("libusb-package>=")
 
 
 class EventFed:

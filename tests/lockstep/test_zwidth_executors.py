@@ -21,12 +21,7 @@ from support.zwidth_executors import SHORT
 
 from hapticd import errors
 from hapticd.engine.batch import at_most, workers
-from hapticd.errors import (
-    CommandError,
-    ConfigError,
-    HapticdError,
-    SequenceError,
-)
+from hapticd.errors import CommandError, ConfigError, HapticdError, MissingLibrary, SequenceError
 from hapticd.plant.effects import Masses, ProbeMass, Viscous
 from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.executors import executor, threads
