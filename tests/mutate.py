@@ -1,27 +1,23 @@
 """Put known defects back, one at a time, and see that a test fails for each: `make mutate`.
 
-A patch of tests/mutations is one defect that was found and mended, or that tests once did not see.
-Its header, before the diff, says what is no longer true and which tests must notice:
-
-    Claim: an old frame is known to be old
-    Killed by: test_link_device.py::test_frames_of_a_queue_are_read_past_down_to_the_newest
-
-Every test that a header names first passes on an untouched copy of the tree. Then each patch goes
-into a copy of its own, its tests run, and the verdict is
+A mutant of tests/mutants is one defect that was found and corrected, or that tests once did not
+see; support.mutants says how one is written. Every test that a mutant names first passes on an
+untouched copy of the tree. Then each mutant goes into a copy of its own, its tests run, and the
+verdict is
 
     killed           a named test fails
-    survived         all of them pass: nothing guards the claim any more
-    does not apply   the code has moved on: make the patch anew, the claim stays
+    survived         all of them pass: no test guards the claim any more
+    does not apply   the code has moved on: write the mutant again, the claim stays
     does not run     the tests could not even be collected
 
 All but `killed` fail the run. Copies share bytecode that is checked by the hash of its source: by
 time and size, two texts of one length within one second would be the same.
 
     python tests/mutate.py                   all of them, two at a time
-    python tests/mutate.py old_frame stop    those whose file name holds one of the words
+    python tests/mutate.py old_frame stop    those whose name holds one of the words
 
-What would break it: a patch that kills by an import error (it would say `does not run`), a test
-that depends on files outside the tree.
+Limitations: a mutant that kills by an import error says `does not run`; a test that depends on
+files outside the tree cannot be named.
 """
 
 import os
@@ -37,8 +33,9 @@ from pathlib import Path
 from py_compile import PycInvalidationMode
 from typing import NamedTuple
 
-ROOT = Path(__file__).resolve().parents[1]
-FOLDER = ROOT / "tests" / "mutations"
+from support.mutants import FOLDER, DoesNotApply, Mutant, mutants, mutated
+from support.tree import ROOT, path_of_test
+
 LEFT_OUT = shutil.ignore_patterns(".*", "build", "dist", "__pycache__", "*.egg-info")
 WORKERS = 2
 TIMEOUT_S = 900.0
@@ -46,38 +43,12 @@ PASSED = 0  # exit codes of pytest
 FAILED = 1
 
 
-class Mutation(NamedTuple):
-    """One defect: its patch, what is then no longer true, and who must notice."""
-
-    path: Path
-    claim: str
-    tests: tuple[str, ...]
-
-
 class Outcome(NamedTuple):
-    """What became of a patch, and what was printed if it was not killed."""
+    """The verdict on a mutant, and what was printed if it was not killed."""
 
     verdict: str
     seconds: float
     text: str = ""
-
-
-def read(path: Path) -> Mutation:
-    """The patch at `path`. SystemExit if its header is not complete."""
-    fields: dict[str, str] = {}
-    key = ""
-    for line in path.read_text().splitlines():
-        if line.startswith(("diff ", "--- ")):
-            break
-        name, colon, value = line.partition(": ")
-        if colon and name in ("Claim", "Killed by"):
-            key = name
-            fields[key] = value
-        elif key:
-            fields[key] += f" {line.strip()}"
-    if set(fields) != {"Claim", "Killed by"}:
-        raise SystemExit(f"{path}: the header needs `Claim: ` and `Killed by: `")
-    return Mutation(path, fields["Claim"], tuple(fields["Killed by"].split()))
 
 
 def prepared(folder: Path) -> Path:
@@ -108,53 +79,58 @@ def pytest(tree: Path, tests: Iterable[str]) -> subprocess.CompletedProcess[str]
     )
 
 
-def tried(mutation: Mutation, original: Path) -> Outcome:
-    """Patch a copy, run the tests that must fail."""
+def paths(mutants: Iterable[Mutant]) -> list[str]:
+    """The tests that they name, each once, as pytest takes them in the tree."""
+    named = sorted({test.partition("::")[::2] for one in mutants for test in one.tests})
+    return [f"{path_of_test(file).relative_to(ROOT)}::{test}" for file, test in named]
+
+
+def tried(mutant: Mutant, original: Path) -> Outcome:
+    """Put the mutant into a copy, run the tests that must fail."""
     begin = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="hapticd-mutate-") as folder:
         tree = Path(shutil.copytree(original, Path(folder) / "tree", symlinks=True))
-        apply = ["git", "apply", "--whitespace=nowarn", str(mutation.path)]
-        patched = subprocess.run(apply, cwd=tree, capture_output=True, text=True, check=False)
-        if patched.returncode:
-            return Outcome("does not apply", time.monotonic() - begin, patched.stderr)
-        ran = pytest(tree, mutation.tests)
+        file = tree / mutant.file
+        try:
+            file.write_text(mutated(mutant, file.read_text()))
+        except DoesNotApply as reason:
+            return Outcome("does not apply", time.monotonic() - begin, str(reason))
+        ran = pytest(tree, paths([mutant]))
     verdict = {PASSED: "survived", FAILED: "killed"}.get(ran.returncode, "does not run")
     text = "" if verdict == "killed" else ran.stdout[-2000:] + ran.stderr[-1000:]
     return Outcome(verdict, time.monotonic() - begin, text)
 
 
-def untouched_fails(mutations: Sequence[Mutation], original: Path) -> str:
-    """What pytest says if a named test does not pass on the tree as it is; empty if all do."""
-    ran = pytest(original, sorted({test for one in mutations for test in one.tests}))
+def untouched_fails(chosen: Sequence[Mutant], original: Path) -> str:
+    """The output of pytest if a named test does not pass on the tree as it is; else nothing."""
+    ran = pytest(original, paths(chosen))
     return "" if ran.returncode == PASSED else ran.stdout[-3000:] + ran.stderr[-1000:]
 
 
-def told(mutation: Mutation, outcome: Outcome) -> bool:
+def show(mutant: Mutant, outcome: Outcome) -> bool:
     """Print the verdict; whether the defect was noticed."""
     verdict, seconds, text = outcome
-    why = f"  ({mutation.claim})\n{text}" if text else ""
-    print(f"{verdict:>14} {seconds:4.0f} s  {mutation.path.stem}{why}", flush=True)
+    why = f"  ({mutant.claim})\n{text}" if text else ""
+    print(f"{verdict:>14} {seconds:4.0f} s  {mutant.name}{why}", flush=True)
     return verdict == "killed"
 
 
 def main(words: Sequence[str]) -> int:
-    """Try the patches whose name holds one of `words`, all without; 1 if any was not killed."""
-    paths = sorted(FOLDER.glob("*.patch"))
-    chosen = [one for one in paths if not words or any(word in one.name for word in words)]
-    mutations = [read(path) for path in chosen]
-    if not mutations:
-        raise SystemExit(f"no patch in {FOLDER} has one of {', '.join(words)} in its name")
+    """Try the mutants whose name holds one of `words`, all without; 1 if any was not killed."""
+    chosen = [one for one in mutants() if not words or any(word in one.name for word in words)]
+    if not chosen:
+        raise SystemExit(f"no mutant of {FOLDER} has one of {', '.join(words)} in its name")
     with tempfile.TemporaryDirectory(prefix="hapticd-mutate-") as folder:
         original = prepared(Path(folder))
         with ThreadPoolExecutor(WORKERS) as pool:
-            untouched = pool.submit(untouched_fails, mutations, original)
-            outcomes = pool.map(lambda one: tried(one, original), mutations)
-            killed = sum(told(*pair) for pair in zip(mutations, outcomes, strict=True))
+            untouched = pool.submit(untouched_fails, chosen, original)
+            outcomes = pool.map(lambda one: tried(one, original), chosen)
+            killed = sum(show(*pair) for pair in zip(chosen, outcomes, strict=True))
         if text := untouched.result():
-            print(f"without any patch a named test does not pass:\n{text}")
+            print(f"without any mutant a named test does not pass:\n{text}")
             return 1
-    print(f"{killed} of {len(mutations)} killed")
-    return int(killed < len(mutations))
+    print(f"{killed} of {len(chosen)} killed")
+    return int(killed < len(chosen))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,175 @@
+"""Known defects as entries of tests/mutants/*.toml, and how one is put into the text of a file.
+
+    [[mutant]]
+    name = "zero_without_a_position"
+    claim = "zero is refused while no frame comes"
+    file = "hapticd/servo/commands.py"
+    function = "obey"              # qualified: Class.method, function.inner; "" is the module
+    old = "not state.lost"         # an expression, or consecutive statements
+    new = "True"                   # "" leaves the statements out
+    tests = ["test_servo_origin.py::test_zero_waits_for_a_frame"]
+
+A mutant of several places has them in `change = [{function = ..., old = ..., new = ...}, ...]`.
+`old` is compared as syntax, without positions, comments and layout, and has to occur just once in
+the function. So a mutant survives reformatting and what changes around it, and a renamed function
+is named in one line. In files of other languages `old` is exact text that occurs once, and there is
+no `function`.
+"""
+
+import ast
+import textwrap
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from support.tree import TESTS
+
+FOLDER = TESTS / "mutants"
+FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+
+
+class DoesNotApply(Exception):
+    """The code has moved on: the place of the mutant is gone, or is no longer one place."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One place of a mutant."""
+
+    function: str
+    old: str
+    new: str
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One defect: what is no longer true, where it is put, and the tests that must fail."""
+
+    name: str
+    claim: str
+    file: str
+    changes: tuple[Change, ...]
+    tests: tuple[str, ...]
+
+
+def mutants(folder: Path = FOLDER) -> list[Mutant]:
+    """All entries, by file and place. KeyError: one lacks a field. ValueError: a name is double."""
+    found = [_mutant(entry) for path in sorted(folder.glob("*.toml")) for entry in _entries(path)]
+    names = [one.name for one in found]
+    if len(set(names)) < len(names):
+        raise ValueError(
+            f"two mutants of one name: {sorted({n for n in names if names.count(n) > 1})}"
+        )
+    return found
+
+
+def mutated(mutant: Mutant, text: str) -> str:
+    """The file's `text` with the defect. DoesNotApply: a place is not found, or found twice."""
+    replace = _replaced if mutant.file.endswith(".py") else _replaced_text
+    for change in mutant.changes:
+        text = replace(text, change)
+    return text
+
+
+# --- entries --------------------------------------------------------------------------------------
+
+
+def _entries(path: Path) -> list[dict[str, object]]:
+    return tomllib.loads(path.read_text())["mutant"]
+
+
+def _mutant(entry: dict) -> Mutant:
+    places = entry.get("change", [entry])
+    changes = tuple(Change(one.get("function", ""), one["old"], one["new"]) for one in places)
+    return Mutant(entry["name"], entry["claim"], entry["file"], changes, tuple(entry["tests"]))
+
+
+# --- text -----------------------------------------------------------------------------------------
+
+
+def _replaced_text(text: str, change: Change) -> str:
+    if text.count(change.old) != 1:
+        raise DoesNotApply(f"{text.count(change.old)} times, not once:\n{change.old}")
+    return text.replace(change.old, change.new)
+
+
+# --- syntax ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Consecutive statements, or one expression, of the file."""
+
+    nodes: Sequence[ast.AST]
+    fills_body: bool = False  # nothing else is in the block
+
+
+def _replaced(text: str, change: Change) -> str:
+    scope = _scope(ast.parse(text), change.function)
+    wanted = ast.parse(textwrap.dedent(change.old)).body
+    places = list(_statements(scope, wanted))
+    expression = len(wanted) == 1 and isinstance(wanted[0], ast.Expr) and not places
+    if expression:
+        places = list(_expressions(scope, ast.dump(wanted[0].value)))
+    if len(places) != 1:
+        where = change.function or "the module"
+        raise DoesNotApply(f"{len(places)} times in {where}, not once:\n{change.old}")
+    return _written(text, places[0], change.new, expression)
+
+
+def _scope(tree: ast.AST, name: str) -> ast.AST:
+    """The definition of that qualified name."""
+    for part in name.split(".") if name else ():
+        inner = [one for one in _own(tree) if isinstance(one, FUNCTIONS) and one.name == part]
+        if len(inner) != 1:
+            raise DoesNotApply(f"{part} of {name} is defined {len(inner)} times, not once")
+        tree = inner[0]
+    return tree
+
+
+def _own(tree: ast.AST) -> Iterator[ast.AST]:
+    """Nodes below `tree` that are in no inner definition."""
+    for node in ast.iter_child_nodes(tree):
+        yield node
+        if not isinstance(node, FUNCTIONS):
+            yield from _own(node)
+
+
+def _statements(scope: ast.AST, wanted: list[ast.stmt]) -> Iterator[_Place]:
+    dumps = [ast.dump(one) for one in wanted]
+    for node in ast.walk(scope):
+        for _, block in ast.iter_fields(node):
+            if not (isinstance(block, list) and block and isinstance(block[0], ast.stmt)):
+                continue
+            for begin in range(len(block) - len(wanted) + 1):
+                run = block[begin : begin + len(wanted)]
+                if [ast.dump(one) for one in run] == dumps:
+                    yield _Place(run, len(run) == len(block))
+
+
+def _expressions(scope: ast.AST, wanted: str) -> Iterator[_Place]:
+    if isinstance(scope, ast.expr) and ast.dump(scope) == wanted:
+        yield _Place([scope])
+    if not isinstance(scope, ast.JoinedStr):  # what is in an f-string has no place of its own
+        for node in ast.iter_child_nodes(scope):
+            yield from _expressions(node, wanted)
+
+
+def _written(text: str, place: _Place, new: str, expression: bool) -> str:
+    """`text` with `new` at `place`."""
+    lines = [line.encode() for line in text.splitlines(keepends=True)]  # columns count bytes
+    first, last = place.nodes[0], place.nodes[-1]
+    row = min([first.lineno, *(one.lineno for one in getattr(first, "decorator_list", []))])
+    head = lines[row - 1][: first.col_offset]
+    tail = lines[last.end_lineno - 1][last.end_col_offset :]
+    if expression:
+        body = f"({new.strip()})"
+    else:
+        body = textwrap.dedent(new).strip("\n") or ("pass" if place.fills_body else "")
+        body = body.replace("\n", "\n" + " " * first.col_offset)
+        if not body:
+            head, tail = b"", b""
+    return b"".join(
+        [*lines[: row - 1], head, body.encode(), tail, *lines[last.end_lineno :]]
+    ).decode()
