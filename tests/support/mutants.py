@@ -57,10 +57,8 @@ def mutants(folder: Path = FOLDER) -> list[Mutant]:
     """All entries, by file and place. KeyError: one lacks a field. ValueError: a name is double."""
     found = [_mutant(entry) for path in sorted(folder.glob("*.toml")) for entry in _entries(path)]
     names = [one.name for one in found]
-    if len(set(names)) < len(names):
-        raise ValueError(
-            f"two mutants of one name: {sorted({n for n in names if names.count(n) > 1})}"
-        )
+    if double := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"several mutants of one name: {', '.join(double)}")
     return found
 
 
@@ -170,6 +168,5 @@ def _written(text: str, place: _Place, new: str, expression: bool) -> str:
         body = body.replace("\n", "\n" + " " * first.col_offset)
         if not body:
             head, tail = b"", b""
-    return b"".join(
-        [*lines[: row - 1], head, body.encode(), tail, *lines[last.end_lineno :]]
-    ).decode()
+    after = lines[last.end_lineno :]
+    return b"".join([*lines[: row - 1], head, body.encode(), tail, *after]).decode()
