@@ -136,7 +136,7 @@ def exists(name: str) -> bool:
 
 
 def test_every_module_that_is_named_anywhere_exists() -> None:
-    """In pages, docstrings, comments and settings; CHANGELOG.md alone names what was."""
+    """In pages, docstrings, comments and settings."""
     settings = {".".join(map(str, path)) for path, _ in leaves(load(None).plain())}
     settings |= STATUS_KEYS | {topic.name for topic in TOPICS}
     pages = [ROOT / "README.md", ROOT / "pyproject.toml", ROOT / "Makefile"]
@@ -153,13 +153,6 @@ def test_every_module_that_is_named_anywhere_exists() -> None:
         for name in names_that_do_not_exist(line, settings)
     ]
     assert missing == []
-
-
-def test_every_module_that_moved_is_where_the_changelog_says() -> None:
-    table = (ROOT / "CHANGELOG.md").read_text().partition("### Moved")[2].partition("\n#")[0]
-    rows = [line.split(" | ") for line in table.splitlines() if line.startswith("| `")]
-    assert len(rows) > 80
-    assert [name for _, place in rows for name in names_that_do_not_exist(place, set())] == []
 
 
 @pytest.mark.parametrize(
