@@ -185,14 +185,11 @@ class DeviceParams:
     # N s/m that the device has for certain, from its file; None: unknown, no fault `energy`
     physical_damping_ns_per_m: float | None = None
     energy_limit_j: float = ENERGY_LIMIT_J  # that may be given away without cover: fault `energy`
-    # largest step of force [N] in one tick by an enable or a change of parameters; infinite for
-    # recordings of versions that had no bound
+    # largest step of force [N] in one tick by an enable or a change of parameters; infinite: any
     force_step_n: float = math.inf
-    # faster change of speed is believed only when the next sample goes on from it (servo.glitch);
-    # infinite for recordings of versions that believed everything
+    # faster change of speed is believed only when the next sample goes on from it (servo.glitch)
     acceleration_limit_m_per_s2: float = math.inf
-    # that enables and changes of parameters may bring in within a second (servo.easing); infinite
-    # for recordings of versions that had no budget
+    # that enables and changes of parameters may bring in within a second (servo.easing)
     ramp_energy_j: float = math.inf
     resistance: ResistanceParams | None = None  # None: the board's compensation stays at count 0
     motor_n_per_a: float = 0.0  # force at the endpoint per ampere, from the device file; 0: unknown

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import (
     PLAN_FIELDS,
-    UNTOLD_DELAY,
     Command,
     Flag,
     Value,
@@ -119,7 +118,6 @@ def replay(
     for tick, arrival, host, frame, delay, slot in zip(*columns, heads, delays, slots, strict=True):
         if arrival >= 0:
             head = unpack(frame[:size])
-            # of the first protocol: 0, which stood in its place
             _, damping, _ = frames.IN_EFFECT.unpack_from(frame, _EFFECT_PLACE)
         sample = (
             head[codec.HEAD_ENCODER],
@@ -141,21 +139,14 @@ def replay(
 
 
 def _delays(records: Records, rate_hz: float) -> list[float]:
-    """Delay of the force in effect [periods] at each tick, as the loop gave it to step.
-
-    Records of boards that did not say it (protocol 903a2f9a7efad50f) were made with the delay
-    that the sample phase of 0.875 leaves.
-    """
-    if "delay_us" not in (records.dtype.names or ()):
-        return [UNTOLD_DELAY] * len(records)
+    """Delay of the force in effect [periods] at each tick, as the loop gave it to step."""
     periods_per_us = rate_hz / US_PER_S
     return [delay_us * periods_per_us for delay_us in records["delay_us"].tolist()]
 
 
 def _slots(records: Records) -> list[int]:
-    """The time of each record, as the loop gave it to step: older versions gave it the tick."""
-    told = "slot" in (records.dtype.names or ())
-    found: list[int] = records["slot" if told else "tick"].tolist()
+    """The time of each record, as the loop gave it to step."""
+    found: list[int] = records["slot"].tolist()
     return found
 
 
@@ -170,13 +161,8 @@ def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.vo
 
 
 def difference(records: Records, replayed: NDArray[np.void]) -> Difference | None:
-    """Where `replayed` differs from what was recorded, compared bit by bit; None if nowhere.
-    What an older version did not record is not compared.
-    """
-    there = {*(records.dtype.names or ()), "torque", "damping"}
+    """Where `replayed` differs from what was recorded, compared bit by bit; None if nowhere."""
     for name in (*PLAN_NAMES, *(str(field[0]) for field in COMPUTED)):
-        if name not in there:
-            continue
         recorded = recorded_column(records, name)
         again = replayed[name]
         places = np.flatnonzero(_bits(recorded) != _bits(again))

@@ -279,7 +279,6 @@ def _replay_verdict(found: dict[str, Any]) -> str:
 
 
 def _show_replay(found: dict[str, Any]) -> None:
-    from hapticd.recording.replay import REPLAYED_KEY
 
     speed = f"{found['times_real_time']:.0f} x real time"
     segments = "1 segment" if found["legs"] == 1 else f"{found['legs']} segments"
@@ -288,9 +287,9 @@ def _show_replay(found: dict[str, Any]) -> None:
         why = "a replay begins at the servo's first checkpoint, after the start and after a gap"
         terminal.data(f"left out: {left_out} ticks; {why}")
     if (first := found["first_difference"]) and not found["held"]:
-        difference = f"{first['field']} was {first['recorded']}, is {first[REPLAYED_KEY]}"
+        difference = f"{first['field']} was {first['recorded']}, is {first['replayed']}"
         terminal.data(f"from tick {first['tick']}: {difference}")
-    for name, word in (("recorded", "recorded"), (REPLAYED_KEY, "replayed")):
+    for name, word in (("recorded", "recorded"), ("replayed", "replayed")):
         rms_n = found["force_rms_n"][name]
         peak_n = found["force_peak_n"][name]
         terminal.data(f"force {word:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N")

@@ -7,9 +7,6 @@ push that is not of the law had asked for follows from the parts beside it. What
 read off the frames alone: by the sequence number that the board reports, and 0 where it grants no
 torque.
 
-Boards of the first protocol reported neither: their forces are taken to be in effect one after the
-other, each 0.125 periods after its sample, as it was then assumed.
-
 What would break it: records out of order, or a gap that is not told with `forget` (nothing is then
 known of the motion across it).
 """
@@ -19,7 +16,7 @@ from numpy.typing import NDArray
 
 from hapticd.analysis.ledger import BOOKED, LONGEST, SAMPLE, Table, book
 from hapticd.gateway.view import Records, joined
-from hapticd.mailbox.layout import UNTOLD_DELAY, Flag
+from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
 from hapticd.units import US_PER_S
 from hapticd.wire.codec import TORQUE_SEQUENCES
@@ -109,17 +106,10 @@ def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Tab
     rate_hz = servo.realtime.rate_hz
     found["periods"] = _periods(usable, rate_hz)
     _forces(found, usable, servo)
-    if "wall_side" in (records.dtype.names or ()):
-        found["wall_n_per_m"] = usable["gain"] * usable["wall_stiffness_n_per_m"]
-        found["wall_m"] = usable["wall_position_m"]
-        found["wall_side"] = usable["wall_side"]
-    if "delay_us" in (records.dtype.names or ()):
-        _reported(found, records, rows, rate_hz)
-    else:
-        found["delay"] = UNTOLD_DELAY
-        found["in_effect_n"] = records["force_n"][np.maximum(rows - 1, 0)]
-        found["since"] = 1.0 - UNTOLD_DELAY
-        found["added_ns_per_m"] = usable["added_damping_ns_per_m"]
+    found["wall_n_per_m"] = usable["gain"] * usable["wall_stiffness_n_per_m"]
+    found["wall_m"] = usable["wall_position_m"]
+    found["wall_side"] = usable["wall_side"]
+    _reported(found, records, rows, rate_hz)
     found["added_asked_ns_per_m"] = usable["added_damping_ns_per_m"]
     found["mass_kg"] = usable["gain"] * usable["mass_kg"]
     found["end_n_per_m"] = usable["gain"] * servo.soft_ends.stiffness_n_per_m

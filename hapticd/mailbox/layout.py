@@ -350,8 +350,6 @@ STEPPED = struct.Struct(f"Qqq{PLAN.size}s" + _codes(TELEMETRY[_PLAN_END:_MEASURE
 MEASURED = struct.Struct(_codes(TELEMETRY[_MEASURED:]))
 RECORD = struct.Struct(STEPPED.format + MEASURED.format)
 assert RECORD.size == STEPPED.size + MEASURED.size
-# periods from sample to force, taken for records without `delay_us` (first protocol)
-UNTOLD_DELAY = 0.125
 RING_RECORDS = 8192  # 8 s at 1 kHz
 TELEMETRY_HEAD_WORD = 0  # u64 index in telemetry.ring: records written
 TELEMETRY_EPOCH_WORD = 1

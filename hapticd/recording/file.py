@@ -58,24 +58,6 @@ _UNREADABLE = (
     *(OSError, RuntimeError, LookupError, ValueError, TypeError, MemoryError),
     OverflowError,  # an address beyond what a file has, where `Unattended` seeks it
 )
-# fields of a record since 0.2: an older recording lacks them, and `records` leaves them out
-ADDED = frozenset(
-    {
-        "delay_us",
-        "delay_spread_us",
-        "frame_age_us",
-        "damping_effect_ns_per_m",
-        "slot",
-        "work_j",
-        "excess_j",
-        "wall_stiffness_n_per_m",
-        "wall_position_m",
-        "wall_side",
-        "watches",
-        "environment_revision",
-        "resistance_count",
-    }
-)
 # the column that counts time, and its counts per second
 CLOCKS = {"servo": ("time_ns", NS_PER_S), "probe": ("index", PROBE_RATE_HZ)}
 # computed from recorded channels; a finished file has them as datasets, too
@@ -175,8 +157,6 @@ class Recording:
         """The servo's parameters."""
         with _damage(self.path, "recording"):
             plain = json.loads(self.attributes["configuration"])
-            # version 0.1 had none
-            plain["safety"] = {"limit_cycle_faults": False} | plain["safety"]
             return from_plain(ServoParams, plain, str(self.path))
 
     @property
@@ -187,16 +167,12 @@ class Recording:
         return {name: int(counts[streams == name.encode()].sum()) for name in ("servo", "probe")}
 
     def records(self, begin: int, end: int) -> Records:
-        """Rows as the records they were, without the fields that came later (ADDED). ConfigError:
-        another version recorded them and a field is missing.
+        """Rows as the records they were. ConfigError: another version recorded them and a field is
+        missing.
         """
-        known = RECORD_DTYPE.names or ()
-        lacking = {name for name in known if name in ADDED and name not in self._groups["servo"]}
-        found = np.empty(
-            end - begin, [(name, RECORD_DTYPE[name]) for name in known if name not in lacking]
-        )
-        self._check_fields(found.dtype.names or ())
-        for name in found.dtype.names or ():
+        found = np.empty(end - begin, RECORD_DTYPE)
+        self._check_fields(RECORD_DTYPE.names or ())
+        for name in RECORD_DTYPE.names or ():
             if RECORD_DTYPE[name].kind == "V":
                 found[name] = (
                     np.ascontiguousarray(self.column("servo", name, begin, end))

@@ -23,8 +23,6 @@ from hapticd.mailbox.layout import Value
 from hapticd.recording.file import Recording
 from hapticd.units import NS_PER_S
 
-REPLAYED_KEY = "flown"  # JSON name of version 0.1
-
 
 @dataclass(frozen=True, eq=False)
 class ReplayResult:
@@ -62,12 +60,12 @@ class ReplayResult:
             "first_difference": None if first is None else _named(first),
             "force_rms_n": {
                 "recorded": _rms(recorded),
-                REPLAYED_KEY: _rms(replayed),
+                "replayed": _rms(replayed),
                 "difference": _rms(replayed - recorded),
             },
             "force_peak_n": {
                 "recorded": float(np.abs(recorded).max()),
-                REPLAYED_KEY: float(np.abs(replayed).max()),
+                "replayed": float(np.abs(replayed).max()),
             },
         }
 
@@ -99,7 +97,7 @@ def _named(first: Difference) -> dict[str, Any]:
         "tick": first.tick,
         "field": first.field,
         "recorded": first.recorded,
-        REPLAYED_KEY: first.replayed,
+        "replayed": first.replayed,
     }
 
 

@@ -36,13 +36,13 @@ from hapticd.mailbox.layout import (
     value_limits,
 )
 from hapticd.params import FilterParams, ServoParams, WorkspaceParams
-from hapticd.render.energy import EMPTY, Ledger
+from hapticd.render.energy import Ledger
 from hapticd.render.law import Coefficients, Environment, LawState, design_coefficients
 from hapticd.render.ramp import Ramp, approach, constant
 from hapticd.render.winding import Winding, unheated
 from hapticd.servo.commissioning import Push
 from hapticd.servo.homing import Homing
-from hapticd.servo.monitors import CALM, Signs, watches
+from hapticd.servo.monitors import Signs, watches
 from hapticd.servo.safety import FAULT_EVENT, GRANTED, LATCHED, State, held_damping
 from hapticd.units import round_half_up
 from hapticd.wire.codec import U16_HIGHEST
@@ -96,7 +96,6 @@ class Plan(NamedTuple):
     homed: bool
     origin: int  # encoder count at x = 0
     wave: Wave  # the perturbation that plays
-    anchor: tuple[int, int]  # of homing in the first checkpoints; nothing looks at it
     gain: Ramp  # 0 to 1, of all that is rendered
     # N; what is left of the force of a latched state where there is no sample to believe
     fade: Ramp
@@ -108,12 +107,11 @@ class Plan(NamedTuple):
     added: float  # slewed level, N s/m
     added_entry: float  # level when a latched state was entered, N s/m
     scheduled: tuple["Scheduled", ...]
-    # since version 0.2, with a default for checkpoints of earlier ones
     unauthorised: int = 0  # periods in a row for which the board withheld torque that was asked
     homing: Homing = Homing()
     stop_tick: int = -1  # of the last press of a stop, -1: none since the last reset
     stop_owner: int = 0  # actor who pressed it; 0: several pressed
-    limit_cycle_faults: bool = False  # off in what earlier versions recorded
+    limit_cycle_faults: bool = False
     origin_used: bool = False  # it was made, or enabled at, in this life of the servo
     origin_lost: bool = False  # one that was used; it must be made again
     doubted: tuple[int, ...] = ()  # encoder counts that are not believed yet (servo.glitch)
@@ -165,7 +163,6 @@ def initial_plan(params: ServoParams) -> Plan:
         homed=False,
         origin=0,
         wave=NO_WAVE,
-        anchor=(0, 0),
         gain=constant(0.0),
         fade=constant(0.0),
         values={
@@ -567,8 +564,7 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
 def unflatten(plain: Sequence[Any]) -> ServoState:
     """The state in `plain`, whose tuples may have become lists on the way."""
     wake, environment, coefficients, flags, damping, blob, *others, plan = map(_tuples, plain)
-    # a checkpoint of an earlier version ends sooner: what it lacks is as it is at a start
-    fields = dict(zip(Plan._fields, plan, strict=False))
+    fields = dict(zip(Plan._fields, plan, strict=True))
     first, second = (FilterParams(*one) for one in fields["filters"])
     renewed = fields | {
         "state": State(fields["state"]),
@@ -577,28 +573,20 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
         "values": {place: Ramp(*ramp) for place, ramp in fields["values"]},
         "filters": (first, second),
         "scheduled": tuple(Scheduled(*one) for one in fields["scheduled"]),
-        "homing": Homing(*fields.get("homing", ())),
-        "bookings": tuple(Booking(*one) for one in fields.get("bookings", ())),
-        "winding": Winding(*fields.get("winding", ())),
-        "control": Control(*fields.get("control", ())),
-        "push": Push(*fields.get("push", ())),
+        "homing": Homing(*fields["homing"]),
+        "bookings": tuple(Booking(*one) for one in fields["bookings"]),
+        "winding": Winding(*fields["winding"]),
+        "control": Control(*fields["control"]),
+        "push": Push(*fields["push"]),
     }
     law, ledger, origin, signs, held, host = others
-    # earlier versions kept sums by cause in place of the ledger, and the active damping in that of
-    # the signs
-    known = isinstance(signs, tuple)
-    # what a later version added to the plan of a record stands at its end
-    plan_bytes = bytes.fromhex(blob).ljust(layout.PLAN.size, b"\0")
-    before = wake, environment, coefficients, flags, damping, plan_bytes
+    before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)
     whole = Plan(**renewed)
     looks = watch(flags)
     flags = standing_flags(whole)
     dac_count = whole.winding.dac_count
     settled = Settled(*before, origin, host, whole.wave, *looks, flags, whole, dac_count)
-    ledger = ledger if known else EMPTY
-    torque, applied, *former = held  # nothing was kept of what was before
-    held = torque, applied, former[0] if former else (law, ledger)
-    return settled, law, ledger, held, Signs(*signs) if known else CALM
+    return settled, law, ledger, held, Signs(*signs)
 
 
 def _tuples(item: Any) -> Any:

@@ -42,7 +42,6 @@ from hapticd.zwidth.outcomes import (
     TrialBatch,
     envelope_of,
     judged,
-    judged_on_lines,
     points_of,
     restored,
     run_all,
@@ -229,7 +228,7 @@ def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
         ]
         for point, one in mine.items():
             asked = batches[-1].keys[point]
-            every.known[asked] = vars(judged_on_lines(one, conditions.band_hz))
+            every.known[asked] = vars(one)
             for key in (batch.keys[point] for batch in batches if batch.keys[point] in store.known):
                 own.known[asked] = store.known[key]
     levels = tuple(replace(level, near=np.ones_like(level.near)) for level in plan.levels)

@@ -43,7 +43,7 @@ from hapticd.analysis.impedance import impedance
 from hapticd.analysis.low_lines import hinted, low_line
 from hapticd.analysis.predict import coulomb
 from hapticd.analysis.resolved import resolved
-from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, grid_frequencies
+from hapticd.analysis.spectra import DEFAULT_LAG, Spectra
 from hapticd.analysis.verdict import (
     DEFAULT_BAND_HZ,
     NEAR_HZ,
@@ -57,7 +57,6 @@ from hapticd.engine import BatchResult, simulate
 from hapticd.engine.shape import LANES
 from hapticd.errors import AnalysisError
 from hapticd.plant.scene import Excitation, Scene
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint
@@ -67,7 +66,7 @@ GROUPS = 4  # of so many in a task: the trials that need their records are simul
 TASKS = 8  # of a batch, before its tasks grow
 FREQUENCIES = 120
 KEPT_BAND_HZ = (2.0, 1000.0)
-FORMAT = 2  # of an outcome; part of its key. 1 was judged, and kept Z, on the window's lines alone
+FORMAT = 2  # of an outcome; part of its key
 
 Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]
 T = TypeVar("T")
@@ -123,7 +122,7 @@ class Outcome:
     relative_sd: Floats
     first_judged_hz: float = nan
     last_judged_hz: float = nan
-    band_hz: tuple[float, float] | None = None  # that was asked for; None in a store of format 1
+    band_hz: tuple[float, float] | None = None  # that was asked for
 
     @property
     def frequency_hz(self) -> Floats:
@@ -324,15 +323,6 @@ def restored(line: Mapping[str, Any]) -> Outcome:
     )
     values["band_hz"] = tuple(line["band_hz"]) if line.get("band_hz") else None
     return Outcome(**values)
-
-
-def judged_on_lines(outcome: Outcome, band_hz: tuple[float, float]) -> Outcome:
-    """One of a store of format 1 with what it was judged on: the window's lines in the band."""
-    if outcome.band_hz is not None or not outcome.z.size:
-        return outcome
-    f = grid_frequencies(PROBE_RATE_HZ, DEFAULT_LAG)
-    inside = f[(f >= band_hz[0]) & (f <= band_hz[1])]
-    return replace(outcome, first_judged_hz=float(inside[0]), last_judged_hz=float(inside[-1]))
 
 
 def judged(outcomes: Iterable[Outcome]) -> Judged:

@@ -12,10 +12,6 @@ frequencies, perturbation, length of a trial, confidence, port and estimator. Wh
 refused by name unless it was allowed, and an allowed difference is named with the result. The
 perturbation counts as alike if its force is the same, or the same per mass (`analysis.compare`).
 
-Files that were written before the judged frequencies were kept have neither them nor the mass: the
-first and last frequency of their envelope stand for the one, the device file with their hash, where
-it is shipped, for the other.
-
 What would break it: a device file that was edited without a new name, which the hash shows only to
 those who have the older file.
 """
@@ -42,13 +38,12 @@ from hapticd.analysis.envelope import Edge, Envelope
 from hapticd.analysis.passive_set import AXES
 from hapticd.analysis.verdict import Judged
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.plant.compose import compose
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.settings.load import find_device
 from hapticd.settings.toml import read, shipped
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.map import LevelMap
-from hapticd.zwidth.scenes import Display, device_scene, filters
+from hapticd.zwidth.scenes import Display, filters
 from hapticd.zwidth.store import to_json
 
 SUFFIX = ".zwidth"
@@ -117,9 +112,7 @@ def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
 
 
 def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, Any]:
-    """Under which all of it was found, as `analysis.compare` asks for it, and as older programs
-    read it.
-    """
+    """Under which all of it was found, as `analysis.compare` asks for it."""
     model = conditions.display.model
     corners = (one.frequency_hz for one in filters(conditions.scene))
     return {
@@ -238,34 +231,20 @@ def _display(path: Path) -> tuple[EnvelopeConditions, tuple[Level, ...]]:
 def _conditions(content: Mapping[str, Any]) -> EnvelopeConditions:
     stated = content["conditions"]
     first = content["envelopes"][0]["envelope"]
-    low, high = stated["band_hz"]
-    inside = [f for f in first["frequency_hz"] if low <= f <= high]
-    judged = stated.get("judged") or {"first_hz": inside[0], "last_hz": inside[-1]}
-    known = stated if "mass_kg" in stated else {**stated, **_masses(content)}
     own = {
         name: value
-        for name, value in known.items()
+        for name, value in stated.items()
         if name in EnvelopeConditions.__dataclass_fields__
     }
     own |= {
         "device": content["device"],
         "port": first["port"],
         "estimator": first["estimator"],
-        "band_hz": (low, high),
-        "judged_hz": (judged["first_hz"], judged["last_hz"]),
+        "band_hz": tuple(stated["band_hz"]),
+        "judged_hz": (stated["judged"]["first_hz"], stated["judged"]["last_hz"]),
         "perturbation_psd_n2_per_hz": stated["perturbation"]["psd_n2_per_hz"],
     }
     return EnvelopeConditions(**own)
-
-
-def _masses(content: Mapping[str, Any]) -> dict[str, float]:
-    """Masses of the shipped device that the file belongs to; nan if it is another one."""
-    device = content["device"]
-    scene = device_scene(device)
-    if scene is None or device_hash(device) != content["device_file_sha256"]:
-        return {"mass_kg": nan}
-    model = compose(scene)
-    return {"mass_kg": model.mass_kg, "probe_mass_kg": model.probe_mass_kg}
 
 
 def _level(content: Mapping[str, Any], drawn: Mapping[str, Any], mass_kg: float) -> Level:

@@ -517,16 +517,15 @@ def write(
 def kept_trial(folder: Path, kept: Mapping[str, Any], scene: Scene | None) -> TrialResult:
     """The trial in a run folder, judged again.
 
-    `kept` is its run.json; `scene`, for a prediction, is None where it is not known any more. What
-    older versions did not write is as it was then.
+    `kept` is its run.json; `scene`, for a prediction, is None where it is not known any more.
     """
     recorded = replace(
         read_file(record_path(folder)),
         origin=kept["origin"],
         simulated=kept["simulated"],
         ended=kept["ended"],
-        max_command_n=kept.get("max_command_n"),
-        command_limit_n=kept.get("command_limit_n"),
+        max_command_n=kept["max_command_n"],
+        command_limit_n=kept["command_limit_n"],
         more={name: kept[name] for name in (*COUNTS, *RESTS_ON) if name in kept},
     )
     return judged(plan_trial(_kept_params(kept, scene)), recorded)
@@ -541,7 +540,7 @@ def _kept_params(kept: Mapping[str, Any], scene: Scene | None) -> TrialParams:
         kept["seconds"],
         Excitation(**kept["perturbation"]),
     )
-    layout = kept.get("multisine")
+    layout = kept["multisine"]
     return TrialParams(
         trial,
         scene,
@@ -549,10 +548,10 @@ def _kept_params(kept: Mapping[str, Any], scene: Scene | None) -> TrialParams:
         kept["verdict"]["confidence"],
         kept["estimator"],
         kept["probe_mass_taken_out_kg"],
-        lag=kept.get("lag", DEFAULT_LAG),
+        lag=kept["lag"],
         multisine=MultisineLayout(layout["realisations"], layout["periods"]) if layout else None,
-        skew_s=kept.get("skew_taken_out_s", 0.0),
-        high_pass_hz=kept.get("high_pass_taken_out_hz", 0.0),
+        skew_s=kept["skew_taken_out_s"],
+        high_pass_hz=kept["high_pass_taken_out_hz"],
     )
 
 

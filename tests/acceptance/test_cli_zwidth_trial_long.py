@@ -28,10 +28,9 @@ def test_run_of_multisines_is_drawn_again_with_its_admittance(tmp_path, capsys):
     assert "predicted" in (tmp_path / "trial.svg").read_text()
 
 
-@pytest.mark.parametrize("electrical", ["--damping", "--added-damping"])
 @pytest.mark.parametrize("virtual", ["-B", "--viscous"])
-def test_damping_is_electrical_and_viscous_is_virtual(virtual, electrical, tmp_path, capsys):
-    """As in `map` and in `hapticd damping`; the second name is a former one."""
+def test_damping_is_electrical_and_viscous_is_virtual(virtual, tmp_path, capsys):
+    """As in `map` and in `hapticd damping`."""
     record = np.random.default_rng(1).normal(0.0, 0.2, (2, 40_000))
     np.savez(tmp_path / "a.npz", force=record[0], velocity=record[1], fs=4000.0)
     for words in (
@@ -39,7 +38,7 @@ def test_damping_is_electrical_and_viscous_is_virtual(virtual, electrical, tmp_p
         ["import", str(tmp_path / "a.npz")],
     ):
         code, out, _ = run(
-            [*words, virtual, "3", electrical, "1.74", "--out", str(tmp_path / words[0])], capsys
+            [*words, virtual, "3", "--damping", "1.74", "--out", str(tmp_path / words[0])], capsys
         )
         assert code == 0
         assert "K 0 N/m, B 3 N s/m, M 0 kg, active damping 1.74 N s/m\n" in out

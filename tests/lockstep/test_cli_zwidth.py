@@ -93,13 +93,6 @@ def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
     assert "hapticd: a worker process died" in err
 
 
-def test_levels_are_still_taken_for_amplitudes_of_limits(capsys):
-    """The option was called --levels, a word that means active damping everywhere else."""
-    code, _, err = run(["limits", "--levels", "0"], capsys)
-    assert code == 2
-    assert "Invalid value for '--amplitudes'" in " ".join(err.split())
-
-
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

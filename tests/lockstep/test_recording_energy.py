@@ -1,18 +1,14 @@
 """The energy ledger of recordings: in the finished file, of unfinished ones, of old ones."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.recorded import RecordedFlight, recorded_into
-from support.tree import ROOT
 
 from hapticd.gateway.ledger import NAMES, Ledger
 from hapticd.recording.energy import DATASETS, GROUP, energies, total_j
 from hapticd.recording.file import open_recording
-
-OLD = ROOT / "tests/support/data" / "as-of-0.1" / "recording.h5"
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +34,3 @@ def test_finished_recording_holds_the_energy_of_every_tick(
     assert found == pytest.approx(again, rel=1e-9, abs=1e-18)
     assert [total[name] for name in NAMES] == pytest.approx(found[-1].tolist())
     assert total["hold_delay"] > 1e-6
-
-
-def test_old_recording_has_its_energy_with_the_delay_that_was_assumed(tmp_path: Path) -> None:
-    with open_recording(Path(shutil.copy(OLD, tmp_path / "old.h5"))) as recording:
-        parts = list(energies(recording))
-        assert sum(len(sums) for _, sums in parts) == recording.rows["servo"]
-        assert total_j(recording)["unexplained"] == 0.0

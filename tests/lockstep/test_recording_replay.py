@@ -22,8 +22,8 @@ def test_recording_is_replayed_bit_by_bit(recording_file: Path) -> None:
     assert len(same.replayed) > 2500
     plain = other.to_json()
     assert plain["bit_exact"] is False
-    assert list(plain["first_difference"]) == ["tick", "field", "recorded", "flown"]
-    assert plain["force_rms_n"]["flown"] > plain["force_rms_n"]["recorded"]
+    assert list(plain["first_difference"]) == ["tick", "field", "recorded", "replayed"]
+    assert plain["force_rms_n"]["replayed"] > plain["force_rms_n"]["recorded"]
     assert other.time_s[0] == 0.0
 
 

@@ -1,14 +1,9 @@
 """The verbs of `hapticd zwidth`: measure, predict, map and draw the Z-width."""
 
-from collections.abc import Callable
-
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.zwidth import compare, limits, map, predict, report, search, trial, walls
-
-FORMER = {"added-damping": "damping"}  # former names of options, which are still taken
-FORMER_OF_VERB = {"limits": {"levels": "amplitudes"}}  # levels are those of damping everywhere else
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -27,12 +22,5 @@ VERBS: dict[str, terminal.Verb] = {
     "reproduce": report.reproduce,
 }
 
-
-def _present_names(verb: str) -> Callable[[str], str]:
-    """The name that an option of `verb` has today, by any name that it ever had."""
-    former = FORMER | FORMER_OF_VERB.get(verb, {})
-    return lambda option: former.get(option, option)
-
-
 for name, verb in VERBS.items():
-    terminal.verb(app, name, context_settings={"token_normalize_func": _present_names(name)})(verb)
+    terminal.verb(app, name)(verb)
