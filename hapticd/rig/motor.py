@@ -38,6 +38,7 @@ from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import LOOK_S, Pushed, push, ready, wall_of
 from hapticd.rig.records import collect, identity_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
+from hapticd.settings.device import signs_hash
 from hapticd.units import percent
 from hapticd.wire.codec import I16_HIGHEST
 
@@ -105,13 +106,17 @@ def measure_sign(bench: Client, ask: Ask) -> StepResult:
         findings.append(_sign(agree))
     if settled(findings):
         right = agree == {True}
-        sign = int(servo["device"]["force"]["sign"])
+        device = servo["device"]
+        serial = str(device["serial"])
+        sign = int(device["force"]["sign"]) * (1 if right else -1)
         board = identity_of(bench, pushes[-1].records)
+        seen = signs_hash(serial, board.firmware, sign, int(device["position"]["sign"]))
         changes = [
-            Change("force", "sign", sign if right else -sign),
+            Change("force", "sign", sign),
             Change("commissioning", "signs_verified", True),
-            Change("commissioning", "serial", str(servo["device"]["serial"])),
+            Change("commissioning", "serial", serial),
             Change("commissioning", "firmware", board.firmware),
+            Change("commissioning", "signs", seen),
         ]
         if board.life is not None:
             changes.append(Change("commissioning", "life", board.life))

@@ -44,7 +44,7 @@ from hapticd.plant.effects import (
     sample_timing,
 )
 from hapticd.settings.config import Environment, SimulatedBoard, Touch
-from hapticd.settings.device import DeviceFile, Travel, effects_of
+from hapticd.settings.device import DeviceFile, Travel, effects_of, signs_hash
 from hapticd.settings.load import Settings
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 
@@ -320,7 +320,8 @@ def commissioning(device: DeviceFile) -> bool:
     table = device.commissioning
     if table is None:
         return not device.simulated
-    return not table.signs_verified or table.serial != device.serial
+    seen = signs_hash(table.serial, table.firmware, device.force.sign, device.position.sign)
+    return not table.signs_verified or table.serial != device.serial or table.signs != seen
 
 
 def _signs_firmware(device: DeviceFile) -> str:

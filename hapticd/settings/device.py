@@ -21,6 +21,7 @@ What would break it: an effect with a field that is not a number.
 """
 
 import datetime
+import hashlib
 from collections.abc import Iterable
 from dataclasses import MISSING, fields
 from typing import TYPE_CHECKING, Any, Literal
@@ -274,12 +275,21 @@ class CommissioningTable(TomlTable):
     firmware: str = Field("", pattern=r"^([0-9]{1,3}\.[0-9]{1,3})?$")
     """Its firmware then, as its hello said, like 1.0; a board with another one makes no force.
     Left out: any."""
+    signs: str = Field("", pattern=r"^([0-9a-f]{16})?$")
+    """What was verified, as `hapticd rig motor` writes it: a hash of the signs of force and
+    position, serial number and firmware. Where it does not fit the file, nobody has seen them."""
     life: int | None = Field(None, ge=0, le=255)
     """In which life of that board it was seen: the number changes whenever it starts."""
     date: datetime.date | None = None
     """When it was seen."""
     source: str = ""
     """How it was seen."""
+
+
+def signs_hash(serial: str, firmware: str, force_sign: int, position_sign: int) -> str:
+    """What names the signs that somebody has seen, at a board with this serial and firmware."""
+    seen = f"{serial}|{firmware}|force {force_sign:+d}|position {position_sign:+d}"
+    return hashlib.sha256(seen.encode()).hexdigest()[:16]
 
 
 class MotorTable(TomlTable):

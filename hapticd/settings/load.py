@@ -27,6 +27,7 @@ from hapticd.settings.device import FROM_SCALES, TABLES, DeviceFile, ResistanceT
 from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
 from hapticd.settings.toml import KeyPath, did_you_mean, read, shipped
 from hapticd.units import unit_of
+from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
 FILE_NAME = "hapticd.toml"
 SYSTEM_FILE = Path("/etc/hapticd") / FILE_NAME
@@ -268,6 +269,7 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
         if limit > full:
             reason = f"must be at most {full} {unit_of(name)}, the full scale of its converter"
             yield Mistake(("limits", name), limit, reason)
+    yield from _temperature_rule(device)
     skew_us = device.probe_velocity.skew_us
     if device.simulated and skew_us:
         reason = "must be 0: a simulated board samples both channels of the probe together"
@@ -278,6 +280,19 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
     yield from _order_rule(("plant",), "lower_stop_m", "upper_stop_m", plant)
     yield from _home_rules(device)
     yield from _resistance_rules(device)
+
+
+def _temperature_rule(device: DeviceFile) -> Iterator[Mistake]:
+    """Where the winding may get hotter than anything that its converter reads."""
+    scale = device.temperature.params(device.temperature.c_per_count)
+    hottest = I16_HIGHEST if scale.sign > 0 else I16_LOWEST
+    # one count before the end, so that there is a count for a winding that is hotter
+    most_c = scale.to_value(hottest - scale.sign)
+    limit_c = device.limits.temperature_c
+    if limit_c > most_c:
+        reason = f"must be at most {most_c:.6g} degC: its converter reads no more, so a hotter"
+        reason += " winding would be no fault; correct [temperature] or lower the limit"
+        yield Mistake(("limits", "temperature_c"), limit_c, reason)
 
 
 def _home_rules(device: DeviceFile) -> Iterator[Mistake]:

@@ -24,6 +24,7 @@ from hapticd.rig.motor import (
 )
 from hapticd.rig.push import push
 from hapticd.settings.build import device_params as device_params_of
+from hapticd.settings.device import signs_hash
 from hapticd.settings.load import load_device
 
 DEVICES = ROOT / "config" / "devices"
@@ -41,6 +42,7 @@ def test_the_sign_is_found_and_the_force_stays_below_a_tenth(sign):
             ("commissioning", "signs_verified"): True,
             ("commissioning", "serial"): "SIM0001",
             ("commissioning", "firmware"): "1.0",
+            ("commissioning", "signs"): signs_hash("SIM0001", "1.0", 1, 1),
             ("commissioning", "life"): hand.life,
         }
         worst_n = max(np.abs(result.arrays[f"force_n_{one}"]).max() for one in (0, 1))

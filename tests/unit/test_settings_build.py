@@ -1,6 +1,7 @@
 """Parameters that the processes read: one fact from one place, through JSON and back."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from hapticd.params import (
     to_plain,
 )
 from hapticd.settings import build, scene
+from hapticd.settings.device import signs_hash
 from hapticd.settings.load import HIGHEST_CORNER, Settings, load
 from hapticd.settings.toml import shipped
 from hapticd.sim.board import hello
@@ -216,7 +218,10 @@ def test_verified_signs_are_those_of_a_board_and_its_firmware(
 ) -> None:
     """Whoever has to look at them again is not barred from doing so."""
     text = (shipped("config") / "devices" / "simulated.toml").read_text()
-    (tmp_path / "own.toml").write_text(f"{text}\n[commissioning]\nsigns_verified = true\n{seen}\n")
+    known = tomllib.loads(seen)
+    signs = signs_hash(known["serial"], known.get("firmware", ""), 1, 1)
+    table = f'[commissioning]\nsigns_verified = true\nsigns = "{signs}"\n{seen}\n'
+    (tmp_path / "own.toml").write_text(f"{text}\n{table}")
     device = build.device_params(configured(tmp_path, 'device = "./own.toml"\n').device)
     assert device.commissioning is commissioning
     assert device.signs_firmware == firmware
