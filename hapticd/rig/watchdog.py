@@ -9,6 +9,9 @@ board's own clock. A board that did not trip is not asked again.
 Damping of COUNTS converter counts is on meanwhile, which nobody feels, so that there is something
 to hold; damping that was on stays as it is.
 
+That it tripped, and what it holds, is the board's own word, and the torque was 0 all the time: that
+a force ends is not seen here. The finding and the certificate say so.
+
 What would break it: a host that is late by periods when the frames begin again (the silences that
 were taken are the board's, so only the number of steps would grow).
 """
@@ -150,10 +153,11 @@ def concluded(silences: list[Silence], stated_s: float, period_s: float) -> Watc
 
 
 _NAME = "watchdog of the board"
+_SAID = "as the board says; no force acted, so none was seen to end"
 
 
 def _time(value: Value, stated_ms: float, period_ms: float) -> Finding:
-    what = f"{_NAME}: trips after {value.low:.4g} to {value.high:.4g} ms without frames"
+    what = f"{_NAME}: trips after {value.low:.4g} to {value.high:.4g} ms without frames, {_SAID}"
     if not value.low - period_ms <= stated_ms <= value.high + period_ms:
         return Finding(what, "warning", f"its hello says {stated_ms:g} ms; correct the firmware")
     if stated_ms > SLOW_MS:
