@@ -184,6 +184,13 @@ FAULTS: tuple[Fault, ...] = (
         _TO_SAFE,
         "let go of the handle, check the signs of force and position, reset, `hapticd rig motor`",
     ),
+    Fault(
+        28,
+        "device_differs",
+        "a board that made force was found to contradict its device file",
+        _TO_SAFE,
+        "read the differences in `hapticd status`, plug in the right board, reset",
+    ),
 )
 
 BY_CODE = {fault.code: fault for fault in FAULTS}

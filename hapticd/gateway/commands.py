@@ -208,6 +208,13 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
                 " the origin by hand with `hapticd zero`, then `hapticd rig motor`"
             ),
         ),
+        Result.REFUSED_SAMPLE: (
+            "refused",
+            (
+                "no position came from the board in that tick, or one that the positions before it"
+                " do not lead to; hold the handle still and ask again"
+            ),
+        ),
         Result.REFUSED_REVISION: (
             "refused",
             "what is rendered or damped has changed since this was judged; ask again",

@@ -32,11 +32,10 @@ survived here. What would break it: two tasks calling it, buffers that are repla
 from array import array
 from binascii import crc_hqx
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from math import ceil, floor
 from typing import NamedTuple
 
-from hapticd.errors import LinkError, LinkStalled, LinkTimeout
+from hapticd.errors import LinkStalled, LinkTimeout
 from hapticd.link.base import Link
 from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames, session
@@ -143,12 +142,9 @@ class Device:
         self._phase = phase
 
     def keep_phase(self) -> None:
-        """Ask again if the board has started anew and forgotten it. Never raises: a link that is
-        lost shows in the next transfer.
-        """
+        """Ask again if the board has started anew and forgotten it. LinkError."""
         if self._phase is not None and self._phase.life != self.counts["lives"]:
-            with suppress(LinkError):
-                self.set_phase(self._phase.phase_us)
+            self.set_phase(self._phase.phase_us)
 
     def clear_fault(self) -> None:
         """Ask the board to forget latched faults whose cause is gone."""

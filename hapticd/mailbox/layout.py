@@ -256,6 +256,7 @@ class Result(IntEnum):
     REFUSED_DEVICE = 17  # the board contradicts its device file
     REFUSED_REVISION = 18  # it was judged for another environment than the one in force
     REFUSED_COMMISSIONING = 19  # the signs of the device are not verified
+    REFUSED_SAMPLE = 20  # no position to be believed came in its tick
 
 
 # --- telemetry: one record per tick ---------------------------------------------------------------

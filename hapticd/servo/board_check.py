@@ -4,15 +4,17 @@ says to be, again whenever its firmware has started anew, for it may have been f
 Two things bar force for as long as this board is connected, and both are said by name: the hello
 contradicts the device file (`link.agreement`), and the bus is too slow for the rate of the servo
 (`link.transport`). They travel as host flags with every sample, so that a replay sees them too. The
-daemon runs all the same: what was found has to be read somewhere.
+daemon runs all the same: what was found has to be read somewhere. A look that fails, or that has
+not been taken yet, bars force too: it counts as none, and is taken again.
 
-What would break it: calling it between two ticks of a servo that renders (it exchanges frames).
+What would break it: calling it between two ticks of a servo that renders (it exchanges frames, and
+a request may take 100 ms).
 """
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from hapticd.clock import Clock
-from hapticd.errors import LinkError
+from hapticd.errors import LinkError, WireError
 from hapticd.link.agreement import differences, probe_shortage
 from hapticd.link.device import Device
 from hapticd.link.transport import Transport, settle_transport
@@ -26,6 +28,11 @@ from hapticd.servo.plan import (
 )
 from hapticd.wire.frames import Capability, HelloFrame
 
+NOT_LOOKED_AT: Final = -1  # in place of the number of a life
+STARTED_ANEW: Final = "the board has started anew and has not said yet who it is"
+
+UNMEASURED: Final = "the bus could not be measured, so nobody knows what rate it holds: {}"
+
 
 class BoardCheck(NamedTuple):
     """What was found."""
@@ -38,10 +45,12 @@ class BoardCheck(NamedTuple):
     )
     hello: HelloFrame | None = None  # None: there is no board
     unsampled: str = ""  # why samples of probe and perturbation are lost at this rate
+    lives: int = NOT_LOOKED_AT  # of the board before the one in which it was looked at
 
     def barred(self, reason: str) -> "BoardCheck":
-        """The same board once it has said something that no board of this device says."""
-        return self._replace(differences=(reason,), host=self.host | DEVICE_DIFFERS)
+        """The same board as long as nobody knows whose it is, for that `reason`."""
+        host = self.host | DEVICE_DIFFERS
+        return self._replace(differences=(reason,), host=host, lives=NOT_LOOKED_AT)
 
     def report(self) -> dict[str, Any]:
         """As servo.report says it."""
@@ -66,11 +75,30 @@ def check_board(device: Device, params: ServoParams, clock: Clock) -> BoardCheck
     hello = device.hello
     if hello is None:
         return BoardCheck()
+    lives = device.counts["lives"]
     try:
         transport = settle_transport(device, clock)
-    except LinkError:
-        transport = None  # the tick that meets the lost link says so, and the next board is checked
-    return compared(hello, params, transport)
+    except LinkError as error:
+        return compared(hello, params, None).barred(UNMEASURED.format(error))
+    return compared(hello, params, transport)._replace(lives=lives)
+
+
+def check_again(
+    device: Device, params: ServoParams, clock: Clock, before: BoardCheck
+) -> BoardCheck:
+    """Look again at the board of `before`, which has started anew or was not looked at yet; its bus
+    is measured if it could not be.
+    """
+    lives = device.counts["lives"]
+    try:
+        hello = device.greet()
+        device.keep_phase()
+        if before.transport is None:
+            device.begin()
+            return check_board(device, params, clock)
+    except (LinkError, WireError) as error:
+        return before.barred(str(error))
+    return compared(hello, params, before.transport)._replace(lives=lives)
 
 
 def compared(hello: HelloFrame, params: ServoParams, transport: Transport | None) -> BoardCheck:

@@ -30,6 +30,7 @@ from hapticd.servo.plan import (
     coefficients_of,
     damping_count,
     masked_places,
+    names_places,
     out_of_range,
     with_origin,
     with_values,
@@ -40,6 +41,8 @@ from hapticd.units import round_half_up
 
 MOST_SCHEDULED = 16
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
+# whose mask is looked at
+MASKED = SETTINGS | {Command.CANCEL, Command.WITHHOLD, Command.ENABLE, Command.PERTURB_START}
 STOP_HELD_S = 1.0  # after a press, for which it is not for others to reset
 WAVEFORM = frozenset({Value.SAMPLES, Value.LOOP})  # what a perturbation has to say
 # faults after which the encoder's count is not believed
@@ -56,6 +59,8 @@ class Now(NamedTuple):
     gateway: bool
     cause: int  # fault number of what would be wrong under force at this moment, 0: nothing
     bar: Result | None = None  # why this board may make no force at all
+    believed: bool = True  # `encoder` came in this tick, as the samples before it led to expect
+    heard: bool = True  # frames say whether the board grants torque
 
 
 def answer(
@@ -105,6 +110,7 @@ def enter(
         gain=gain,
         fade=fade,
         glitches=(),
+        short_since=-1,
         revision=following(plan.revision),
     )
     if state is not State.ENABLED:
@@ -154,6 +160,8 @@ def _origin_kept(entered: Plan, now: Now) -> Plan:
 def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[Plan, list[Answer]]:
     """`plan` after `request`, with its receipts; a refused request changes nothing."""
     seq, kind, actor, _, values = request
+    if kind in MASKED and not names_places(values):
+        return plan, [answer(plan, seq, Result.REFUSED_RANGE, (now.tick, now.tick), params)]
     if kind in SETTINGS:
         return _settings(plan, request, now, params)
     if kind == Command.FAULT:
@@ -219,10 +227,14 @@ def _target(plan: Plan, request: Request, now: Now, params: ServoParams) -> Stat
     _, kind, actor, _, values = request
     target = safety.transition(plan.state, kind)
     if isinstance(target, Result) or target is plan.state:
+        if kind == Command.ZERO and target is plan.state and not now.believed:
+            return Result.REFUSED_SAMPLE
         if kind == Command.PERTURB_START and (
             out_of_range(values, params) or not WAVEFORM.issubset(masked_places(values))
         ):
             return Result.REFUSED_RANGE
+        if kind == Command.PERTURB_START and target is plan.state:
+            return _mute(plan, now) or target
         return target
     if target is State.HOMING and params.device.home.method == "none":
         return Result.REFUSED_STATE
@@ -239,6 +251,13 @@ def _target(plan: Plan, request: Request, now: Now, params: ServoParams) -> Stat
     if kind == Command.RESET and now.cause:
         return Result.REFUSED_CAUSE
     return target
+
+
+def _mute(plan: Plan, now: Now) -> Result | None:
+    """Why no perturbation may begin while force is withheld; it would play at its return."""
+    if not now.heard:
+        return Result.REFUSED_CAUSE
+    return Result.REFUSED_NO_AUTHORITY if plan.unauthorised else None
 
 
 def _action(plan: Plan, request: Request, now: Now, params: ServoParams) -> Plan:
@@ -298,8 +317,6 @@ def _cancel(
     """What others than its actor have scheduled of these places is cancelled, each one whole."""
     seq, _, actor, _, values = request
     here = (now.tick, now.tick)
-    if not 0 <= values[Value.MASK] < 1 << len(values):  # not finite is out of range too
-        return plan, [answer(plan, seq, Result.REFUSED_RANGE, here, params)]
     places = masked_places(values)
     gone = [
         one

@@ -39,6 +39,9 @@ Without torque authority the homing begins anew, and `transition` ends it after 
 counts only if the motor carried half the current of F (`current_n_per_a`; 0: it is not looked at).
 The stop is at most F / k <= 2 d further away than where it is taken to be.
 
+A sample that bends the motion further than is believed waits for the next ones (`servo.glitch`) and
+comes here only if they go on from it: `_ticks` counts the samples in between.
+
 What would break it: friction above 3/4 F (it is said), a stop softer than F / 2 d, play of the
 mechanism beyond L, a hand that lets go and grasps again at the same place to within d.
 """

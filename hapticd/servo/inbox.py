@@ -133,6 +133,7 @@ class Inbox:
         self._lost: list[LostSlots] = []
         self._deferred: list[DeferredReset] = []
         self.waiting = False  # something of our own is due or near: `requests` must be asked
+        self.unlooked = False  # the loop has to look at the board before force
         self._leaving = False
 
     def requests(self, tick: int, head: Head, settled: Settled) -> tuple[Request, ...]:
@@ -146,8 +147,6 @@ class Inbox:
         most = 0 if self._leaving else MOST_COMMANDS  # nobody enables what ends
         while len(found) - done < most and (request := self._mailbox.take()) is not None:
             found.append(request)
-        if found:
-            self._device.keep_phase()  # before force: the board may have started anew
         resets = any(request[KIND] == Command.RESET for request in found)
         if resets and head[HEAD_STATUS] & CLEARABLE:
             found = self._ask_board(found, tick)
@@ -161,7 +160,7 @@ class Inbox:
             found.append(fault_request(BY_CODE["lost_slots"].number))
         if self._leaving and plan.state in GRANTED:
             found.append((0, Command.STOP, 0, 0, _NO_VALUES))
-        self.waiting = bool(self._lost or self._deferred or self._leaving)
+        self.waiting = bool(self._lost or self._deferred or self._leaving or self.unlooked)
         return tuple(found)
 
     def leave(self) -> None:

@@ -34,8 +34,9 @@ from math import nan
 from typing import Any, NamedTuple
 
 from hapticd.clock import Clock
-from hapticd.errors import LinkError, LinkLost, MailboxError, WireError
-from hapticd.link.device import NO_HEAD, UNKNOWN_US, Device, Head
+from hapticd.errors import LinkError, LinkLost, MailboxError
+from hapticd.link.base import backoff_s
+from hapticd.link.device import NO_HEAD, SEED, UNKNOWN_US, Device, Head
 from hapticd.link.search import Search, Tell
 from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
@@ -43,7 +44,7 @@ from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.params import ServoParams
-from hapticd.servo.board_check import check_board, compared
+from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
 from hapticd.servo.inbox import Inbox, Streamer
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
@@ -168,7 +169,9 @@ class ServoLoop:
         self.tick = 0
         self.linked = device.hello is not None
         self.board = check_board(device, params, clock)
-        self._lives = 0  # of the board, when it was last looked at
+        self._note_look()
+        self._looks = 0  # at this board that failed, one after the other
+        self._look_ns = 0  # no look before that
         self.stopping = False
         self._lost_slots = 0
         self.dropped = 0  # slots without a tick, those of the start and of a reconnect too
@@ -265,8 +268,11 @@ class ServoLoop:
                 linked = _HEALTHY | self.board.host
                 (temperature, t0), *_ = self._sensor_lines()
             got = clock()
-            if arrival < 0:
-                arrival, pausing = self._overdue(tick, slot, got - start)
+            if arrival:
+                if arrival < 0:
+                    arrival, pausing = self._overdue(tick, slot, got - start)
+                elif arrival == SEED:
+                    linked = self._seeded()
             (
                 _,
                 echo,
@@ -291,9 +297,14 @@ class ServoLoop:
 
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
             if pressed or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
-                commands = inbox.requests(tick, head, self.state[SETTLED])
-                mailbox.note(tick, commands)
-                commands = in_slots(commands, self.dropped)
+                slow = False
+                if inbox.unlooked:
+                    slow = self._look()
+                    linked = _HEALTHY | self.board.host
+                if not slow:  # else the board's watchdog wants a frame first
+                    commands = inbox.requests(tick, head, self.state[SETTLED])
+                    mailbox.note(tick, commands)
+                    commands = in_slots(commands, self.dropped)
             # the beat last seen says nothing any more: look for the next one
             if start >= alive_until_ns:
                 beat_ns = words[beat_word]
@@ -523,23 +534,42 @@ class ServoLoop:
         words[_COUNTER["ticks"]] = self.tick
         for name, key in _TALLY.items():
             words[_COUNTER[name]] = self.device.counts[key]
-        self.device.keep_phase()
-        if self.linked and self.device.counts["lives"] != self._lives:
-            self._look_again()
         self.mailbox.renew()
         if self.mailbox.checkpoint_due:
             self.mailbox.checkpoint(self.tick + 1, flatten(self.state))
 
-    def _look_again(self) -> None:
-        """The board has started anew without leaving the bus: it may have been flashed."""
-        self._lives = self.device.counts["lives"]
-        try:
-            self.board = compared(self.device.greet(), self.params, self.board.transport)
-        except WireError as error:
-            self.board = self.board.barred(str(error))
-        except LinkError:
-            return  # the next transfer says so, and the board that comes back is checked
+    def _seeded(self) -> int:
+        """The first frame of a link, or of a board that has started anew without leaving the bus:
+        it may have been flashed. The host flags while all is well.
+        """
+        self._note_look()
+        if self.inbox.unlooked:
+            self.board = self.board.barred(STARTED_ANEW)
+        return _HEALTHY | self.board.host
+
+    def _note_look(self) -> None:
+        """Take down whether the board has been looked at since it started."""
+        self.inbox.unlooked = self.board.lives != self.device.counts["lives"]
+        self.inbox.waiting |= self.inbox.unlooked
+
+    def _look(self) -> bool:
+        """Look at the board, unless force acts: each request may take 100 ms. What fails is tried
+        again. Whether it took longer than a tick.
+        """
+        began_ns = self.clock.now_ns()
+        acts = self.state[SETTLED].out_flags & (_ENABLE | WITHHELD)
+        if acts or not self.linked or began_ns < self._look_ns:
+            return False
+        self.board = check_again(self.device, self.params, self.clock, self.board)
+        now_ns = self.clock.now_ns()
+        self._note_look()
+        self._looks = self._looks + 1 if self.inbox.unlooked else 0
+        self._look_ns = now_ns + int(backoff_s(self._looks) * NS_PER_S) if self._looks else 0
         self._report(self.board.report())
+        slow = now_ns - began_ns > self.period_ns
+        if slow:
+            self.restart_clock()
+        return slow
 
     def _late(self, now_ns: int) -> None:
         """Drop the slots that have passed."""
@@ -609,6 +639,7 @@ class ServoLoop:
         self.linked = True
         self.mailbox.count("reconnects")
         self.board = check_board(self.device, self.params, self.clock)
+        self._note_look()
         self._report({"reconnected": serial, **self.board.report()})
         self.restart_clock()
 

@@ -20,7 +20,6 @@ What would break it: a field of Plan or ServoState that is added there and not i
 tests replay and compare), a mutable value in a Plan.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
@@ -122,6 +121,8 @@ class Plan(NamedTuple):
     control: Control = Control()
     push: Push = Push()  # followed while signs are not verified
     silent_until: int = 0  # slot of the first frame after a silence (servo.silence), 0: none
+    # slot since when force that was withheld has not been whole again, -1: it is
+    short_since: int = -1
 
 
 class Booking(NamedTuple):
@@ -210,12 +211,17 @@ def masked_places(values: tuple[float, ...]) -> list[int]:
     return [place for place in range(1, len(values)) if mask >> place & 1]
 
 
+def names_places(values: tuple[float, ...]) -> bool:
+    """Whether the mask of `values` is one; not finite is none too."""
+    return 0 <= values[Value.MASK] < 1 << len(values)
+
+
 def out_of_range(values: tuple[float, ...], params: ServoParams) -> bool:
     """Whether any value that the mask names is not finite or beyond its limit.
 
     Limits are those of this device at this rate.
     """
-    if not math.isfinite(values[Value.MASK]) or not 0 <= values[Value.MASK] < 1 << len(values):
+    if not names_places(values):
         return True
     limits: dict[int, ValueLimit] = {
         int(place): limit

@@ -10,6 +10,7 @@ it was (the short way looks at nothing else).
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from hapticd.faults import BY_CODE
@@ -71,9 +72,13 @@ from hapticd.servo.safety import GRANTED, LATCHED, State
 from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag, StatusBit
+from hapticd.wire.session import ENCODER_BITS
 
 NO_AUTHORITY = BY_CODE["no_authority"].number
+FRAMES_LOST = BY_CODE["frames_lost"].number
 SENSOR_GLITCH = BY_CODE["sensor_glitch"].number
+SHORT_S = 1.0  # beside the ramp of enabling: until force that is withheld again is given up
+RESOLVED = int(Flag.INTERPOLATED | Flag.GLITCH | Flag.BELIEVED)  # of a sample that is believed
 UNHEARD = 3  # ticks in a row without a frame: torque is not taken to be granted (ADR 0071)
 
 Attend = Callable[
@@ -100,6 +105,7 @@ def make_attend(params: ServoParams) -> Attend:
     home_counts = round_half_up(position.sign * home.position_m / position.per_count)
     search = Search(params)
     homing_limit_n = force_limit_n(params)
+    longest_short = round_half_up((params.safety.enable_ramp_s + SHORT_S) * rate_hz)
 
     def cause(status: int, temperature: int, host: int) -> int:
         """Number of what is wrong at this moment, 0 if nothing is."""
@@ -121,7 +127,7 @@ def make_attend(params: ServoParams) -> Attend:
             return found
         if status & StatusBit.WATCHDOG:
             return BY_CODE["board_watchdog"].number
-        return BY_CODE["frames_lost"].number if -arrival > params.safety.missing_frames_limit else 0
+        return FRAMES_LOST if -arrival > params.safety.missing_frames_limit else 0
 
     def cause_against_force(sample: Sample) -> int:
         """As `cause_under_force`, with what may pass within a few ticks under force (contacts
@@ -144,7 +150,9 @@ def make_attend(params: ServoParams) -> Attend:
             return plan._replace(unauthorised=0) if plan.unauthorised else plan
         if not sample[STATUS] & AUTHORITY:
             # a perturbation would come back at once with the authority
-            count = plan.unauthorised + elapsed if plan.unauthorised else 1
+            if not plan.unauthorised:
+                return withheld(plan, tick)
+            count = plan.unauthorised + elapsed
             return plan._replace(unauthorised=count, gain=constant(0.0), wave=NO_WAVE)
         if not plan.unauthorised:
             return plan
@@ -152,7 +160,13 @@ def make_attend(params: ServoParams) -> Attend:
         gain = gain_from(tick) if plan.state is State.ENABLED else plan.gain
         return plan._replace(unauthorised=0, gain=gain)
 
-    def unheard(plan: Plan) -> Plan:
+    def withheld(plan: Plan, tick: int) -> Plan:
+        """`plan` from the tick on in which its force is withheld."""
+        whole = plan.gain.end == 1.0 and not plan.gain.running(tick)
+        since = tick if whole or plan.short_since < 0 else plan.short_since
+        return plan._replace(unauthorised=1, gain=constant(0.0), wave=NO_WAVE, short_since=since)
+
+    def unheard(plan: Plan, tick: int) -> Plan:
         """`plan` while no frame says whether the board still grants torque: an emergency stop may
         be pressed and released unseen, and what is sent would act at its release.
         """
@@ -160,12 +174,17 @@ def make_attend(params: ServoParams) -> Attend:
             return powerless(plan)
         if plan.state is not State.ENABLED or plan.unauthorised:
             return plan
-        return plan._replace(unauthorised=1, gain=constant(0.0), wave=NO_WAVE)
+        return withheld(plan, tick)
 
     def gain_from(tick: int) -> Ramp:
         return Ramp(0.0, 1.0, tick, round_half_up(params.safety.enable_ramp_s * rate_hz))
 
-    def newly_lost(plan: Plan, sample: Sample) -> int:
+    def given_up(plan: Plan, tick: int) -> bool:
+        """Whether force that was withheld is so again, and has not been whole for too long."""
+        short = plan.state is State.ENABLED and plan.unauthorised and plan.short_since >= 0
+        return bool(short) and tick - plan.short_since > longest_short
+
+    def newly_lost(plan: Plan, sample: Sample, tick: int) -> int:
         """Number of a fault that this sample brings, 0 for none; losses that matter only under
         force wait for force.
         """
@@ -176,10 +195,14 @@ def make_attend(params: ServoParams) -> Attend:
             return cause(status, temperature, host) or BY_CODE["gateway_lost"].number
         if arrival == SEED:
             return BY_CODE["board_restarted"].number
+        if host & DEVICE_DIFFERS:
+            return BY_CODE["device_differs"].number
         if len(plan.glitches) > params.safety.glitches_limit:
             return SENSOR_GLITCH
         if plan.unauthorised > params.safety.no_authority_limit:
             return cause_under_force(sample) or NO_AUTHORITY
+        if given_up(plan, tick):
+            return cause_under_force(sample) or (FRAMES_LOST if arrival < 0 else NO_AUTHORITY)
         return cause_under_force(sample)
 
     def overdue(plan: Plan, tick: int) -> bool:
@@ -220,7 +243,7 @@ def make_attend(params: ServoParams) -> Attend:
     def commanded(
         plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now, alarm: int
     ) -> tuple[Plan, tuple[Answer, ...]]:
-        found = newly_lost(plan, sample) or alarming(plan, alarm)
+        found = newly_lost(plan, sample, now.tick) or alarming(plan, alarm)
         found = found or push_ended(plan.push, now.tick, params)
         if not found and overdue(plan, now.tick):
             found = BY_CODE["home_failed"].number
@@ -250,6 +273,21 @@ def make_attend(params: ServoParams) -> Attend:
         cool = low_count <= temperature <= high_count
         calm = unasked and status & settled.watched == settled.calm and cool
         return calm and 0 < arrival <= params.safety.missing_frames_limit
+
+    def unwrapped(state: ServoState, encoder: int) -> ServoState:
+        """`state` with its origin where the encoder's counter went round behind samples that were
+        lost or doubted; behind one that came the tick itself sees it.
+        """
+        settled, law, ledger, held, signs = state
+        plan = settled.plan
+        turns = round((encoder - plan.origin - law[0] / m_per_count) / (1 << ENCODER_BITS))
+        if not turns:
+            return state
+        ahead = turns << ENCODER_BITS
+        doubted = tuple(count + ahead for count in plan.doubted)
+        plan = plan._replace(origin=plan.origin + ahead, doubted=doubted)
+        settled = replace(settled, origin=plan.origin, plan=plan)
+        return settled, law, ledger, held, signs
 
     def undoubted(
         plan: Plan, law: LawState, encoder: int, arrival: int, tick: int
@@ -286,6 +324,11 @@ def make_attend(params: ServoParams) -> Attend:
         positions = line(law[0], (encoder - plan.origin) * m_per_count, arrival)
         return plan, positions, int(Flag.INTERPOLATED)
 
+    def believable(plan: Plan, law: LawState, encoder: int, arrival: int) -> bool:
+        """Whether a sample came where those before it lead; behind lost ones none can tell."""
+        x = (encoder - plan.origin) * m_per_count
+        return arrival == 0 and abs(x - law[0] - law[1]) <= bend_m
+
     def located(plan: Plan, sample: Sample, usable: bool) -> Plan:
         """`plan` with the origin that is left of it."""
         _, status, _, arrival, _, _, _, _, _ = sample
@@ -320,6 +363,8 @@ def make_attend(params: ServoParams) -> Attend:
         state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
     ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
         encoder, _, _, arrival, host, _, _, _, effect = sample
+        if 0 < arrival < SEED or state[SETTLED].plan.doubted:
+            state = unwrapped(state, encoder)
         settled, law, ledger, held, signs = state
         coefficients = settled.coefficients
         plan = silence.followed(settled.plan, settled.out_flags)
@@ -343,17 +388,19 @@ def make_attend(params: ServoParams) -> Attend:
         if usable:
             plan = authorised(plan, sample, tick, elapsed)
         elif -arrival >= UNHEARD:
-            plan = unheard(plan)
+            plan = unheard(plan, tick)
             ledger = unknown_before(ledger)  # what was booked is not what is sent now
         acting_n = 0.0 if plan.unauthorised else held_n
         gateway = bool(host & GATEWAY_ALIVE)
         last_tick = min(settled.wake_tick, tick) - 1
         cause_now = cause_against_force(sample)
-        now = Now(tick, last_tick, encoder, acting_n, gateway, cause_now, bar(host))
+        sure = usable and believable(plan, law, encoder, arrival)
+        heard = -arrival < UNHEARD
+        now = Now(tick, last_tick, encoder, acting_n, gateway, cause_now, bar(host), sure, heard)
         plan = watched(plan, law[0], acting_n, tick)
         plan, answers = commanded(plan, commands, sample, now, signs.alarm)
         usable = usable and encoder_counts(plan, tick)
-        if plan.state is State.HOMING and usable:
+        if plan.state is State.HOMING and usable and (sure or flags & RESOLVED):
             plan, more = searched(plan, sample, now)
             answers += tuple(more)
         if usable and begins_anew(before, plan, arrival, tick):

@@ -1,0 +1,65 @@
+"""A perturbation that is asked for while nobody knows whether the board grants torque is refused:
+it would play blindly, and at the release of an emergency stop that no frame told of.
+"""
+
+import pytest
+from support.boards import board_params
+from support.models import servo_params
+
+from hapticd.assembly.lockstep import LockStep
+from hapticd.gateway.view import as_records
+from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.params import InjectionParams
+from hapticd.servo.safety import State
+from hapticd.wire import codec
+from hapticd.wire.frames import OutFlag
+
+WAVE = {Value.SAMPLES: 4000.0, Value.LOOP: 1.0}
+
+
+def asked_at(tick, *injections):
+    """What is said to a perturbation in that tick, the records from there on, and the torque [N] of
+    the board's perturbation that acted in each of them.
+    """
+    with LockStep(servo_params(), board_params(injections=injections)) as stack:
+        stack.run(5)
+        assert stack.do(Command.ENABLE).result is Result.APPLIED
+        stack.load_waveform([2000] * 4000)
+        stack.run(tick - stack.loop.tick)
+        result = stack.do(Command.PERTURB_START, WAVE).result
+        stack.run(60)
+        flown = as_records(b"".join(stack.blocks))
+    return result, flown[flown["tick"] >= tick]
+
+
+def playing(flown):
+    """Ticks whose OUT frame plays the perturbation."""
+    sent = [codec.decode_out(bytes(one)) for one in flown["out_frame"]]
+    return [bool(one.flags & OutFlag.PERTURB) for one in sent]
+
+
+@pytest.mark.parametrize("press_s", [0.0, 0.004])
+@pytest.mark.parametrize("late", [3, 4, 5, 6])
+def test_no_perturbation_begins_while_frames_are_lost(late, press_s):
+    lost = InjectionParams("drop_in", tick=700, count=7)
+    press = InjectionParams("emergency_stop", tick=700, value=press_s)
+    result, flown = asked_at(700 + late, lost, *((press,) if press_s else ()))
+    assert result is Result.REFUSED_CAUSE
+    assert flown["state"][-1] == State.ENABLED
+    assert not any(playing(flown))
+
+
+@pytest.mark.parametrize("late", [1, 2, 3])
+def test_no_perturbation_begins_while_the_board_withholds_torque(late):
+    press = InjectionParams("emergency_stop", tick=700, value=0.004)
+    result, flown = asked_at(700 + late, press)
+    assert result is Result.REFUSED_NO_AUTHORITY
+    assert flown["state"][-1] == State.ENABLED
+    assert not any(playing(flown))
+
+
+def test_a_perturbation_begins_behind_a_single_lost_frame():
+    lost = InjectionParams("drop_in", tick=700, count=1)
+    result, flown = asked_at(700, lost)
+    assert result is Result.APPLIED
+    assert all(playing(flown)[1:])
