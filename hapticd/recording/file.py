@@ -157,7 +157,11 @@ class Recording:
         """The servo's parameters."""
         with _damage(self.path, "recording"):
             plain = json.loads(self.attributes["configuration"])
-            return from_plain(ServoParams, plain, str(self.path))
+        try:
+            return from_plain(ServoParams, plain, "configuration")
+        except ConfigError as error:
+            text = f"{self.path}: {error}; the recording is of another version, or damaged"
+            raise ConfigError(text) from error
 
     @property
     def missing(self) -> dict[str, int]:

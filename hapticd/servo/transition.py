@@ -325,9 +325,9 @@ def make_attend(params: ServoParams) -> Attend:
         return plan, positions, int(Flag.INTERPOLATED)
 
     def believable(plan: Plan, law: LawState, encoder: int, arrival: int) -> bool:
-        """Whether a sample came where those before it lead; behind lost ones none can tell."""
+        """Whether a sample came where those before it lead, over a gap of lost ones too."""
         x = (encoder - plan.origin) * m_per_count
-        return arrival == 0 and abs(x - law[0] - law[1]) <= bend_m
+        return 0 <= arrival < SEED and abs(x - law[0] - (arrival + 1) * law[1]) <= bend_m
 
     def located(plan: Plan, sample: Sample, usable: bool) -> Plan:
         """`plan` with the origin that is left of it."""

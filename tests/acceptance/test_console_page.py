@@ -29,7 +29,7 @@ from support.console_page import (
     picture,
     wait_text,
 )
-from support.daemon import QUIET, Daemon, last_record, until
+from support.daemon import QUIET, Daemon, last_record, until, zeroed
 
 from hapticd.client import Client, CommandError
 from hapticd.client.blocks import Block
@@ -114,7 +114,7 @@ def client(daemon: Daemon) -> Iterator[Client]:
         client.call("stop")  # answered: one whose answer came late would stop the next test
         until(lambda: daemon.cli("reset") == 0, "reset")
         client.set(K=0.0, B=0.0, M=0.0, damping=0.0)
-        client.zero()  # a busy machine may have cost the board its origin
+        zeroed(client)  # a busy machine may have cost the board its origin
         yield client
 
 

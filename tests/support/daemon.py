@@ -14,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 
 from hapticd.cli.app import main
+from hapticd.client import Client, CommandError
 from hapticd.mailbox import layout
 
 DEADLINE_S = 60.0
@@ -122,6 +123,20 @@ class Daemon:
                     str(self.folder).encode() in Path(f"/proc/{pid}/cmdline").read_bytes()
                 ):  # the number may be another's by now
                     os.kill(pid, signal.SIGKILL)
+
+
+def zeroed(client: Client) -> None:
+    """Take the origin where the handle is, once a position comes in the tick of the command, which
+    may take several tries on a busy machine.
+    """
+
+    def accepted() -> bool:
+        with contextlib.suppress(CommandError):
+            client.zero()
+            return True
+        return False
+
+    until(accepted, "zero")
 
 
 def last_record(ring: Path) -> Any:

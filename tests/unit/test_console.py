@@ -377,7 +377,7 @@ def test_vendored_file_is_the_one_that_was_released() -> None:
     text = (STATIC / "vendor" / "uPlot.txt").read_text()
     content = (STATIC / "vendor" / "uPlot.iife.min.js").read_bytes()
     assert hashlib.sha256(content).hexdigest() in text
-    assert "uPlot 1.6.32" in text
+    assert "package uplot, version 1.6.32" in text
     assert b"(v1.6.32)" in content[:80]
     assert "The MIT License" in text
 

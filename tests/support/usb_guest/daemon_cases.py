@@ -94,13 +94,23 @@ class Daemon:
 
         until(done, "a reset")
 
+    def zero(self) -> None:
+        """The origin where the board is, in a tick in which a frame came."""
+
+        def done() -> bool:
+            with suppress(CommandError):
+                return bool(self.client.zero())
+            return False
+
+        until(done, "an origin")
+
     def render(self, board: Board) -> None:
         """Force on. The bus may have been too slow for the rate while it was measured, where the
         machine is busy: it is measured again with each plug.
         """
 
         def enabled() -> bool:
-            self.client.zero()
+            self.zero()
             try:
                 self.client.enable()
             except CommandError as error:
@@ -212,7 +222,7 @@ def test_board_that_is_another_by_its_hello_makes_no_force(daemon: Daemon, board
     board.plug()
     daemon.has_board(["serial: the board says 'ANOTHER', the device file 'SIM0001'"])
     daemon.reset()
-    daemon.client.zero()
+    daemon.zero()
     with pytest.raises(CommandError, match="ANOTHER"):
         daemon.client.enable()
 
