@@ -127,12 +127,12 @@ def test_unsafe_change_is_refused_with_its_reason_and_nothing_changes(
     ask("guard", "refuse")
     try:
         before = ask("get")["parameters"]
-        error = ask("set", "K=300", code=4)["error"]
+        error = ask("set", "K=200", "B=1", code=4)["error"]
         assert error["code"] == "guard"
         assert error["guard"]["margin_ns_per_m"] < 0.0
         assert ask("get")["parameters"] == before
         ask("damping", "on")
-        until(lambda: daemon.cli("set", "K=300") == 0, "the same with active damping")
+        until(lambda: daemon.cli("set", "K=200", "B=1") == 0, "the same with active damping")
     finally:
         ask("guard", "warn")
 
