@@ -133,6 +133,7 @@ def main() -> None:
     asked = parser.parse_args()
     params = board_params(load(asked.config))
     if asked.firmware:
+        sys.path.append(str(Path(__file__).parents[2]))  # this file runs as a program
         from support.firmware_board import FirmwareBoard
 
         board = FirmwareBoard(params)
