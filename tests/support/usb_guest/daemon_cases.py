@@ -105,12 +105,17 @@ class Daemon:
         until(done, "an origin")
 
     def render(self, board: Board) -> None:
-        """Force on. The bus may have been too slow for the rate while it was measured, where the
-        machine is busy: it is measured again with each plug.
+        """Force on."""
+        self.enable(board, self.zero)
+        self.client.wait_for("enabled")
+
+    def enable(self, board: Board, first: Callable[[], None] = lambda: None) -> None:
+        """`first`, then `enable`. The bus may have been too slow for the rate while it was
+        measured, where the machine is busy: it is measured again with each plug.
         """
 
         def enabled() -> bool:
-            self.zero()
+            first()
             try:
                 self.client.enable()
             except CommandError as error:
@@ -125,7 +130,6 @@ class Daemon:
             return True
 
         until(enabled, "a bus that holds the rate")
-        self.client.wait_for("enabled")
 
     def waits_for(self, reason: str) -> None:
         """Report and log give this reason."""
@@ -236,7 +240,7 @@ def test_board_that_came_back_is_disabled_and_asks_for_home(daemon: Daemon, boar
     assert daemon.client.status()["state"] in ("fault", "disabled")
     daemon.reset()
     with pytest.raises(CommandError, match="home"):
-        daemon.client.enable()
+        daemon.enable(board)
     daemon.render(board)
     daemon.client.stop()
 
