@@ -4,6 +4,7 @@ A word that is no number or names no parameter is a usage error (exit 2) before 
 """
 
 import dataclasses
+import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +70,7 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
     """
     with connect(instance) as client:
         try:
-            receipt = ask(client)
+            receipt = _settled(client, ask(client))
         except CommandError as error:
             found = _found_out(client, error.guard)
             text = "\n".join(thoughts(str(error), found)) if error.guard else str(error)
@@ -82,6 +83,34 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
     elif receipt.guard and receipt.guard["policy"] != "off" and not receipt.guard["safe"]:
         for line in thoughts(receipt.guard["text"], lines):
             terminal.talk(terminal.wrapped(f"hapticd: {line}"))
+
+
+STAGED_S = 60.0  # far beyond what the stages of a change may take
+POLL_S = 0.05
+
+
+def _settled(client: "Client", receipt: "Receipt") -> "Receipt":
+    """The receipt of the last stage of a change in stages: an enable that waits for its turn ends
+    with the connection that asked for it. CommandError: it was cancelled.
+    """
+    if receipt.result != "staged":
+        return receipt
+    actor = client.hello()["actor"]
+    deadline = time.monotonic() + STAGED_S
+    while time.monotonic() < deadline:
+        status = client.status()
+        for event in status["events"]:
+            if event["kind"] == "answer" and event["actor"] == actor:
+                return _ended(event, receipt, status["state"])
+        time.sleep(POLL_S)
+    raise CommandError("timeout", f"no end of the stages within {STAGED_S:g} s; see `status`")
+
+
+def _ended(event: dict[str, Any], begun: "Receipt", state: str) -> "Receipt":
+    if event["result"] != "applied":
+        raise CommandError("refused", f"{event['cmd']}: {event['result']}: {event['text']}")
+    names = ("result", "revision", "first_tick", "ramp_end_tick", "effective")
+    return dataclasses.replace(begun, state=state, **{name: event[name] for name in names})
 
 
 def _found_out(client: "Client", verdict: dict[str, Any] | None) -> list[str]:

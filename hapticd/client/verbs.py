@@ -62,6 +62,7 @@ class Verbs(Generic[R, D]):
         damping: float | None = None,
         ramp_s: float | None = None,
         at_tick: int | None = None,
+        until_tick: int | None = None,
         if_rev: int | None = None,
         limit_cycle_faults: bool | None = None,
     ) -> R:
@@ -69,9 +70,10 @@ class Verbs(Generic[R, D]):
 
         `K` virtual stiffness [N/m], `B` virtual damping [N s/m], `M` virtual mass [kg], `damping`
         active damping [N s/m]; `filters` and `wall` by the names of `hapticd set`. `ramp_s` is the
-        length of the ramp [s], `at_tick` the servo tick from which it acts, and with `if_rev` it
-        acts only if the revision is still that one. `limit_cycle_faults`: whether force_at_limit
-        and energy end a limit cycle; on again as soon as force is off.
+        length of the ramp [s], `at_tick` the servo tick from which it acts. From `until_tick` on
+        the same fields are as they were before. With `if_rev` it acts only if the revision is still
+        that one. `limit_cycle_faults`: whether force_at_limit and energy end a limit cycle; on
+        again as soon as force is off.
         """
         return self._change(
             "set",
@@ -83,6 +85,7 @@ class Verbs(Generic[R, D]):
             damping=damping,
             ramp_s=ramp_s,
             at_tick=at_tick,
+            until_tick=until_tick,
             if_rev=if_rev,
             limit_cycle_faults=limit_cycle_faults,
         )

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Request, Set
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import State
+from hapticd.mailbox.layout import ANY_TERMS, State
 
 JUDGED = ("K", "B", "M", "wall", "filters", "damping")  # fields of `set` that a verdict is about
 TABLES = ("wall", "filters")
@@ -45,6 +45,7 @@ class Case:
     number: int = 0  # of the question, 0: not asked
     ready_ns: int = 0  # since when it could be asked, 0: not yet
     changes: int = 0  # of the policy by then
+    terms: int = ANY_TERMS  # number of the terms it was judged by
     policy: str = "off"
     revision: int | None = None  # of the environment it was judged for
     answer: dict[str, Any] | None = None
@@ -54,6 +55,7 @@ class Case:
     place: int = 0  # of the next stage
     state: State | None = None  # in which it began
     ramp_end_tick: int = 0
+    seen: int = 0  # revision of the servo when it began to wait, or when its last stage acted
     since_ns: int = 0  # the last stage was posted, or something moved
     held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
 
@@ -75,6 +77,17 @@ def change_of(request: Request, level: float) -> dict[str, Any]:
 def changes_environment(stages: tuple[Stage, ...]) -> bool:
     """Whether `stages` change more than the active damping."""
     return any(stage.change.keys() - {"damping"} for stage in stages)
+
+
+def ends_force(request: Request, target: dict[str, Any]) -> bool:
+    """Whether nothing is rendered after `request`, and active damping stays: the set of passive
+    environments is convex and holds 0, so every ramp there is passive where its begin is.
+    """
+    if not isinstance(request, Set) or request.at_tick or "damping" in request.given:
+        return False
+    wall = target["wall"] | request.given.get("wall", {})
+    rendered = [request.given.get(name, target[name]) for name in "KBM"]
+    return not any((*rendered, wall["stiffness_n_per_m"], wall["damping_ns_per_m"]))
 
 
 def concerns(request: Request) -> bool:

@@ -37,7 +37,7 @@ from hapticd.gateway.schemas import (
 )
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Result, State, Value, values_of
+from hapticd.mailbox.layout import ANY_TERMS, Command, Result, State, Value, values_of
 from hapticd.wire.frames import StatusBit
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
@@ -73,6 +73,27 @@ def posting(request: Request, samples: int) -> Posting:
     if isinstance(request, Withhold):
         return Command.WITHHOLD, 0, values_of({Value.SILENCE_S: request.seconds})
     return Command[request.cmd.upper()], 0, values_of({})
+
+
+def ending(request: Request, before: dict[str, Any]) -> Posting | None:
+    """What ends a bounded `request`, where what it changes is as in `before` (`parameters`); None:
+    it has no end.
+    """
+    if not isinstance(request, Set) or "until_tick" not in request.given:
+        return None
+    values = values_given(former(request.given, before)) | {Value.TERMS: float(ANY_TERMS)}
+    return Command.SET, request.until_tick, values_of(values)
+
+
+def former(given: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """The fields of `given`, with the values of `before`; the ramp is the same."""
+    found = {name: given[name] for name in ("ramp_s",) if name in given}
+    for name, value in given.items():
+        if isinstance(value, dict):
+            found[name] = {part: before[name][part] for part in value}
+        elif name in before:
+            found[name] = before[name]
+    return found
 
 
 def values_given(given: dict[str, Any]) -> dict[Value, float]:
@@ -218,6 +239,10 @@ def refusal(answer: Answer, cmd: str, view: ServoView, actors: Actors) -> Comman
         Result.REFUSED_REVISION: (
             "refused",
             "what is rendered or damped has changed since this was judged; ask again",
+        ),
+        Result.REFUSED_TERMS: (
+            "refused",
+            "the guard's policy, basis or margin has changed since this was judged; ask again",
         ),
         Result.CANCELLED: (
             "stopped",

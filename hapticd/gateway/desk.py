@@ -208,6 +208,8 @@ TAKEN_BACK = {
 }  # what brings force
 # what must not be followed by an enable that was asked before it
 OVERTAKING = frozenset({"disable", "reset", "zero", "home"})
+# asked by a client that has left since
+OBEYED = frozenset({"stop", "disable", "mark", "dump"})
 TAKEN_PER_TICK = 2  # by the servo; a stop behind more commands than that presses the page as well
 PAST_TICK = 1
 IN_FORCE = (
@@ -255,7 +257,7 @@ class Desk:
         self._guard = guard
         self.limits = CommandLimits(view.params)
         self.schema = json_schema(self.limits)
-        self.actors = Actors()
+        self.actors = Actors(view.next_actor)
         self._leasing = LeaseDesk(view, self.actors, journal, lease or LeaseParams())
         self.leases = self._leasing.leases
         self.counts = {"requests": 0, "errors": 0, "timeouts": 0}
@@ -331,11 +333,11 @@ class Desk:
         return [self._closed(one, now_ns) for one in due]
 
     def leave(self, client: bytes) -> None:
-        """The connection of `client` is gone, and with it its leases."""
-        self._leasing.leave(self.actors.leave(client))
-        self._queue = [
-            one for one in self._queue if one.client != client or one.cmd not in ("hello", "lease")
-        ]
+        """The connection of `client` is gone, and with it its leases and what waits of it."""
+        actor = self.actors.leave(client)
+        self._leasing.leave(actor)
+        self._guarded.leave(actor)
+        self._queue = [one for one in self._queue if one.client != client or one.cmd in OBEYED]
 
     def _attend(self, message: RequestMessage, now_ns: int, outdated: bool) -> Reply | None:
         try:

@@ -20,12 +20,13 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from hapticd.gateway.delay import DelayHistogram
+from hapticd.gateway.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.gateway.in_force import Display, InForce
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.schemas import GuardRequest
 from hapticd.gateway.terms import Terms, TermsKeeper
 from hapticd.gateway.view import ServoView
+from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
 from hapticd.params import STRICT_POLICIES, GuardParams
 from hapticd.units import NS_PER_MS, NS_PER_S
 
@@ -35,6 +36,7 @@ VERDICT_NS = 500 * NS_PER_MS  # that a request waits for its verdict
 HANG_NS = 10 * NS_PER_S
 LAG_NS = 5 * NS_PER_S  # that a delay may be counted on which the worker has looked at
 LOOK_NS = 500 * NS_PER_MS
+MOST_RECORDS = LEAST_RECORDS + 100  # after which the delay cannot be known
 MOST_HANDS = 8  # that wait to be looked for
 
 
@@ -96,6 +98,8 @@ class Guard:
         self.auto = False  # whether the guard chooses the level of active damping
         self._keeper = TermsKeeper(view, journal, self.terms)
         self.changes = 0  # of policy, basis or margin
+        self._tended_ns = 0
+        self._terms_base = ANY_TERMS  # number of the first terms; no other gateway has it
         self.delay = DelayHistogram(view.params.realtime.rate_hz)
         self._delay_life = 0
         self._looked_delay: float | None = None
@@ -132,6 +136,22 @@ class Guard:
         return self.policy in STRICT_POLICIES
 
     @property
+    def settled(self) -> bool:
+        """Whether enough records of this servo life were read to know its delay, or that it
+        cannot be known.
+        """
+        return self.delay.periods is not None or self._view.seen >= MOST_RECORDS
+
+    @property
+    def terms_number(self) -> int:
+        """Number of the terms that count, ANY_TERMS where no policy has to be obeyed. It is the
+        gateway's own: another one counts from its own start.
+        """
+        if not (self.must and self._terms_base):
+            return ANY_TERMS
+        return self._terms_base + self.changes & REVISION_MASK
+
+    @property
     def worker(self) -> str:
         """State of the worker: up, starting, down, or none."""
         return self._worker.state if self._worker else "none"
@@ -158,16 +178,17 @@ class Guard:
         if given.keys() & {"basis", "margin_ns_per_m"}:
             self._looked = {}
             self._looked_at = None
-        self._keep_terms()
+        self._keep_terms(self._tended_ns)
 
     @property
     def terms(self) -> Terms:
         """What it goes by while nobody measures."""
         return Terms(self._policy, self.basis, self.margin_ns_per_m, self.auto)
 
-    def _keep_terms(self) -> None:
+    def _keep_terms(self, now_ns: int) -> None:
         """Have the gateway that may follow this one know what was asked for."""
-        self._policy, self.basis, self.margin_ns_per_m, self.auto = self._keeper.follow(self.terms)
+        kept = self._keeper.follow(self.terms, now_ns)
+        self._policy, self.basis, self.margin_ns_per_m, self.auto = kept
 
     def summary(self) -> dict[str, Any]:
         """What `status` and the command `guard` tell."""
@@ -285,7 +306,9 @@ class Guard:
 
     def tend(self, now_ns: int) -> None:
         """Hear the worker, keep it alive, ask what nobody waits for."""
-        self._keep_terms()
+        self._terms_base = self._terms_base or now_ns // NS_PER_MS
+        self._tended_ns = now_ns
+        self._keep_terms(now_ns)
         if self._worker is None:
             return
         self._worker.tend(now_ns)

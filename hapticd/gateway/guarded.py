@@ -27,25 +27,28 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
-from hapticd.gateway.case import Case, Stage, auto_of, change_of, stages_of
-from hapticd.gateway.commands import posting, receipt, refusal
+from hapticd.gateway.case import Case, Stage, auto_of, change_of, ends_force, stages_of
+from hapticd.gateway.commands import ending, former, parameters, posting, receipt, refusal
 from hapticd.gateway.guard import VERDICT_NS, Guard, Unsafe
 from hapticd.gateway.in_force import merged
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
-from hapticd.gateway.lease_desk import SCHEDULABLE
-from hapticd.gateway.leases import DAMPING, ENVIRONMENT
 from hapticd.gateway.schemas import Damping, Enable
 from hapticd.gateway.stages import Post, Stages, Told, ramp_s
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Result, values_of
-from hapticd.units import NS_PER_S
+from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
+from hapticd.units import NS_PER_MS, NS_PER_S
 
 MOST_WAITING = 64
 WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s
+# until its verdict is acted on: its turn, the verdict, and the answer to the command before it
+JUDGING_NS = 2 * NS_PER_S + VERDICT_NS
 TRIES = 2  # again, after another change came in between
+JUDGED_OTHERWISE = frozenset({Result.REFUSED_REVISION, Result.REFUSED_TERMS})
 CHOICE_NS = 5 * NS_PER_S  # between looks at the level of mode auto while nothing changes
 LEAST_CHOICE_NS = NS_PER_S
+SETTLING_NS = WAITING_NS - 100 * NS_PER_MS  # that a request waits for the delay to be known
+UNSETTLED = "the delay of the loop is not measured yet; ask again"
 SERVO_GONE = "the servo ended before it was in force; when it starts anew it is disabled"
 
 
@@ -55,7 +58,6 @@ class Booked(NamedTuple):
     tick: int
     seq: int
     change: dict[str, Any]
-    changes: int  # of the terms by which it was judged
 
 
 May = Callable[[Case], CommandError | None]  # why its client may not change that any more
@@ -81,7 +83,7 @@ class Guarded:
         self._scheduled: dict[int, Booked] = {}  # by sequence number, of the present servo life
         self._life = 0
         self._told: list[Told] = []
-        self._cancelled_for = (0, 0)  # servo life and terms that nothing of others waits for
+        self._terms_told = (0, ANY_TERMS)  # servo life, number of the terms that it knows
         self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
         self._chosen_for: tuple[Any, ...] = ()
 
@@ -119,6 +121,7 @@ class Guarded:
         change = change_of(case.request, guard.in_force.level)
         whole = "damping" not in change or len(change) == 1
         plain = whole and not case.at_tick and not self._auto(case)
+        plain = plain and "until_tick" not in case.request.given
         # a look, or the search for a hand, delays the reply alone
         ready = guard.worker == "up" and guard.in_force.known and not guard.owes_verdict
         free = not self.waiting and self._under_way.case is None
@@ -167,6 +170,20 @@ class Guarded:
                 self._drop(case)
                 text = f"{case.cmd}: {why} was asked before it was judged; ask again"
                 self._told.append(Told(case, CommandError("refused", text)))
+        under_way = self._under_way.case
+        if under_way is not None and isinstance(under_way.request, Enable):
+            self._under_way.cancel(f"{why} was asked meanwhile")
+
+    def leave(self, actor: int) -> None:
+        """The connection of `actor` is gone: of what it asked nothing more is posted, but for the
+        stages of a change that it knows of.
+        """
+        for case in (*self._queue, self._asked):
+            if case is not None and case.actor == actor and case.message is not None:
+                self._drop(case)
+        case = self._under_way.case
+        if case is not None and case.actor == actor and isinstance(case.request, Enable):
+            self._under_way.cancel("its connection is gone")
 
     def _drop(self, case: Case) -> None:
         if case is self._asked:
@@ -181,8 +198,7 @@ class Guarded:
         """Go on as far as can be; what is to be said. `idle`: no command is on its way."""
         self._forget_other_lives()
         self._forget_who_may_not()
-        if self._guard.must:
-            self._forget_other_terms()
+        self._forget_other_terms()
         self._expire(now_ns)
         if self._beside is not None:
             self._hear_beside(self._beside, now_ns)
@@ -220,19 +236,16 @@ class Guarded:
         """Under a strict policy nothing comes into force that was judged by other terms, or
         scheduled through a gateway before this one.
         """
-        changes = self._guard.changes
+        number = self._guard.terms_number
         case = self._under_way.case
-        if case is not None and case.changes != changes:
+        if number != ANY_TERMS and case is not None and case.terms != number:
             self._under_way.cancel("the guard goes by other terms than it was judged by")
         mailbox = self._view.mailbox
-        if mailbox is None or not self._view.record or self._cancelled_for == (self._life, changes):
+        if mailbox is None or not self._view.record or self._terms_told == (self._life, number):
             return
-        foreign = self._view.came_late and self._cancelled_for[0] != self._life
-        if foreign or any(one.changes != changes for one in self._scheduled.values()):
-            values = values_of(dict.fromkeys(SCHEDULABLE[ENVIRONMENT] | SCHEDULABLE[DAMPING], 0.0))
-            if mailbox.post(Command.CANCEL, GATEWAY_ACTOR, 0, values) is None:
-                return
-        self._cancelled_for = self._life, changes
+        values = values_of({Value.TERMS: number})
+        if number == ANY_TERMS or mailbox.post(Command.TERMS, GATEWAY_ACTOR, 0, values):
+            self._terms_told = self._life, number
 
     def _expire(self, now_ns: int) -> None:
         for case in [one for one in self._queue if now_ns - one.came_ns >= WAITING_NS]:
@@ -241,6 +254,10 @@ class Guarded:
                 why = f"stage {staged['stage']} of {staged['stages']} of a change is still to come"
             text = f"{case.cmd}: it was not judged within 1 s, {why}; nothing happened, ask again"
             self._give_back(case, CommandError("timeout", text))
+        asked = self._asked
+        if asked is not None and now_ns - asked.came_ns >= JUDGING_NS:
+            text = f"{asked.cmd}: its verdict came too late; nothing happened, ask again"
+            self._give_back(asked, CommandError("timeout", text))
 
     def _give_back(self, case: Case, error: CommandError) -> None:
         if case is self._under_way.case:
@@ -262,6 +279,10 @@ class Guarded:
     def _begin(self, now_ns: int) -> None:
         case = self._queue[0]
         if isinstance(case.request, Enable) and self._under_way.case is not None:
+            return
+        if self._guard.must and not self._guard.settled and self._asks(case):
+            if now_ns - case.came_ns >= SETTLING_NS:
+                self._try_unjudged(self._queue.popleft(), now_ns, UNSETTLED)
             return
         case.ready_ns = case.ready_ns or now_ns
         if not self._asks(case):
@@ -285,7 +306,7 @@ class Guarded:
         about = self._life, guard.in_force.revision, guard.delay_periods
         due = about != self._chosen_for or now_ns - self._chosen_ns >= CHOICE_NS
         ready = guard.mode == "auto" and guard.worker == "up" and guard.in_force.known
-        ready = ready and not guard.in_force.controlled
+        ready = ready and (guard.settled or not guard.must) and not guard.in_force.controlled
         if not (ready and due) or now_ns - self._chosen_ns < LEAST_CHOICE_NS:
             return
         self._chosen_for = about
@@ -297,15 +318,21 @@ class Guarded:
 
     def _ask(self, case: Case, now_ns: int) -> None:
         guard = self._guard
+        self._scheduled = {
+            seq: one for seq, one in self._scheduled.items() if one.tick > self._view.tick
+        }
         booked = sorted(self._scheduled.values())
         before = [one.change for one in booked if case.at_tick and one.tick <= case.at_tick]
         case.answer = None
         case.ready_ns = case.ready_ns or now_ns
         case.changes = guard.changes
+        case.terms = guard.terms_number
         case.policy = guard.policy
         case.ahead = len(before)
         case.revision = guard.in_force.revision
         after = [one.change for one in booked[len(before) :]]
+        if "until_tick" in case.request.given:
+            after = [former(change_of(case.request, 0.0), guard.in_force.target()), *after]
         question = self._question(case, before, after)
         case.number = guard.ask(question, now_ns)
         self._asked = case
@@ -379,7 +406,35 @@ class Guarded:
             text = f"{case.cmd}: {verdict.get('text', 'the guard gave no reason')}"
             self._told.append(Told(case, CommandError("guard", text, guard=case.verdict)))
         else:
-            self._under_way.start(case, now_ns)
+            self._start(case, now_ns)
+
+    def _start(self, case: Case, now_ns: int) -> None:
+        """Post the first stage of `case`, or have it wait; of a bounded change the end first."""
+        bounded = "until_tick" in case.request.given
+        if bounded and len(case.stages) > 1:
+            text = f"{case.cmd}: with an end it needs one stage, and would take {len(case.stages)}"
+            remedy = "bring in the active damping first, then ask again"
+            self._told.append(Told(case, CommandError("guard", f"{text}; {remedy}")))
+            return
+        try:
+            self._post_end(case)
+        except CommandError as error:
+            self._told.append(Told(case, error))
+            return
+        self._under_way.start(case, now_ns)
+
+    def _post_end(self, case: Case) -> None:
+        """Schedule the end of a bounded change before it begins."""
+        target = parameters(self._view.targets)
+        end = ending(case.request, target)
+        if end is None or self._view.mailbox is None:
+            return
+        kind, tick, values = end
+        seq = self._view.mailbox.post(kind, case.actor, tick, values)
+        if seq is None:
+            raise CommandError("busy", f"{case.cmd}: commands wait for the servo; ask again")
+        change = former(change_of(case.request, 0.0), target)
+        self._scheduled[seq] = Booked(tick, seq, change)
 
     def _changes(self, case: Case) -> bool:
         """Whether the stages of `case` lead anywhere else than the ramps in force."""
@@ -417,7 +472,7 @@ class Guarded:
         case.changes = guard.changes
         case.verdict = guard.unknown("policy off judges nothing" if off else why or guard.trouble)
         remedy = "`hapticd guard warn` would do it all the same"
-        if guard.must:
+        if guard.must and not ends_force(case.request, guard.in_force.target()):
             text = (
                 f"{case.cmd}: {case.verdict['text']}; policy {guard.policy} refuses that, {remedy}"
             )
@@ -427,6 +482,7 @@ class Guarded:
             raise CommandError("guard", f"{case.cmd}: {text}: {guard.trouble}", guard=case.verdict)
         case.revision = None
         case.stages = ()
+        self._post_end(case)
         if not case.at_tick and not isinstance(case.request, Enable):
             self._under_way.supersede(case)
         self._post(case, posting(case.request, 0), now_ns)
@@ -442,9 +498,9 @@ class Guarded:
             return None
         if answer.result is Result.SCHEDULED:
             change = change_of(case.request, self._guard.in_force.level)
-            self._scheduled[answer.seq] = Booked(case.at_tick, answer.seq, change, case.changes)
+            self._scheduled[answer.seq] = Booked(case.at_tick, answer.seq, change)
             return Told(case, receipt=receipt(answer))
-        if answer.result is Result.REFUSED_REVISION and case.tries < TRIES:
+        if answer.result in JUDGED_OTHERWISE and case.tries < TRIES:
             self._again(case, now_ns)
             return None
         if answer.result is not Result.APPLIED:
@@ -476,7 +532,7 @@ class Guarded:
         self._scheduled.pop(answer.seq, None)
         if answer.result is Result.APPLIED:
             return self._applied(case, answer, now_ns)
-        if answer.result is Result.REFUSED_REVISION and case.tries < TRIES:
+        if answer.result in JUDGED_OTHERWISE and case.tries < TRIES:
             self._again(case, now_ns)
             return None
         return Told(case, receipt=receipt(answer))

@@ -9,14 +9,14 @@ controller acted), `warning`.
 
 An actor is a small number per client, which travels in every tick record, and the name that the
 client gave itself. It has both while its connection is there, the last that left are remembered,
-and numbers are never used twice.
+and numbers are never used twice in a servo life, whatever gateways come and go.
 """
 
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from typing import Any
 
-from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, FIRST_CLIENT
+from hapticd.mailbox.stop_word import ACTOR_STOP_WORD
 from hapticd.units import NS_PER_S
 
 KEPT = 32
@@ -50,21 +50,20 @@ RESERVED = {GATEWAY_ACTOR: "gateway", ACTOR_STOP_WORD: "stop word"}  # 0 is the 
 
 
 class Actors:
-    """Numbers from FIRST_CLIENT on by client identity; who has left is forgotten after MOST
-    others.
+    """Client numbers, from `next_number`, by identity; a client that has left is forgotten after
+    MOST others.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, next_number: Callable[[], int]) -> None:
+        self._next_number = next_number
         self._present: dict[bytes, tuple[int, str]] = {}
         self._left: OrderedDict[bytes, tuple[int, str]] = OrderedDict()
-        self._last = FIRST_CLIENT - 1
 
     def number(self, identity: bytes) -> int:
         """The number of the client; a new one for a client that is not known."""
         known = self._present.get(identity) or self._left.get(identity)
         if known is None:
-            self._last += 1
-            known = self._present[identity] = self._last, "client"
+            known = self._present[identity] = self._next_number(), "client"
         return known[0]
 
     def call(self, identity: bytes, name: str) -> None:
@@ -76,7 +75,8 @@ class Actors:
 
         Requests of its that still wait have their number.
         """
-        known = self._present.pop(identity, None)
+        # one that has left before may have come again with the same identity
+        known = self._present.pop(identity, None) or self._left.get(identity)
         if known is None:
             return 0
         self._left[identity] = known

@@ -212,8 +212,10 @@ class LeaseDesk:
         self._known = True
         record = self._view.record
         holders = {ENVIRONMENT: record["lease_control"], DAMPING: record["lease_damping"]}
+        if self._view.mailbox is not None:
+            holders[PERTURBATION] = self._view.mailbox.perturbation_lease
         if holders[ENVIRONMENT] == holders[DAMPING]:  # of both, so perhaps of all
-            holders = {MEASURING: holders[DAMPING]}
+            holders = {MEASURING: holders[DAMPING], PERTURBATION: holders[PERTURBATION]}
         for what, actor in holders.items():
             if actor:
                 lease = Lease(what, actor, FORMER, 0, self._params.at_end, 0)
@@ -221,6 +223,9 @@ class LeaseDesk:
 
     def _post(self, now_ns: int) -> None:
         """Do what waits, as far as the servo takes it."""
+        if self._view.mailbox is not None:  # no record names it, and the next gateway has to know
+            lease = self.leases.holder(PERTURBATION)
+            self._view.mailbox.perturbation_lease = lease.actor if lease else 0
         waits = self._told is not None and now_ns - self._told_ns < UNANSWERED_NS
         if not self._todo and not waits and self._view.tick >= self._shown_tick:
             self._correct()

@@ -137,6 +137,16 @@ class Set(Change):
         "whether force_at_limit and energy end a limit cycle; on again when force is off"
     )
     ramp_s: float = _absent("length of the ramp; left out: as configured")
+    until_tick: Tick = _absent(
+        "servo tick at which it ends: the same fields are then as they were before; that end is"
+        " judged with the change, and only what ends force cancels it"
+    )
+
+    @model_validator(mode="after")
+    def _ends_after_it_begins(self) -> "Set":
+        if "until_tick" in self.model_fields_set and self.until_tick <= (self.at_tick or 0):
+            raise ValueError(f"until_tick = {self.until_tick}: must be after at_tick")
+        return self
 
     @model_validator(mode="after")
     def _asks_for_something(self) -> "Set":

@@ -20,7 +20,7 @@ from hapticd.gateway.in_force import IN_MOTION
 from hapticd.gateway.schemas import Enable, Request, Set
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import REVISION_MASK, Command, Flag, State, Value, values_of
+from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, State, Value, values_of
 from hapticd.params import STRICT_POLICIES
 from hapticd.units import NS_PER_S
 
@@ -80,6 +80,7 @@ class Stages:
             return
         case.place = 0
         case.state = self._view.state
+        case.seen = self._view.revision
         case.since_ns = now_ns
         if not case.at_tick and not isinstance(request, Enable):
             self.supersede(case)
@@ -98,6 +99,10 @@ class Stages:
         ended = case.state is State.ENABLED and state is not State.ENABLED
         if state is not None and state is not case.state and (ended or state in LATCHED):
             self.cancel(f"the servo is {self._view.state_name}")
+        elif isinstance(case.request, Enable) and self._view.revision != case.seen:
+            self.cancel("something else was changed before it")
+        elif now_ns - case.since_ns >= self._patience_ns(case) + STAGE_NS:
+            self.cancel("the gateway stood still meanwhile")
         elif self._met(case):
             if free:
                 self.case = None
@@ -123,6 +128,7 @@ class Stages:
         """A stage of `case` is in force; whether there are more."""
         case.place += 1
         case.ramp_end_tick = answer.ramp_end_tick
+        case.seen = answer.revision
         case.since_ns = now_ns
         if case.place >= len(case.stages):
             return False
@@ -181,6 +187,8 @@ class Stages:
         if case.policy in STRICT_POLICIES and case.revision is not None:
             ahead = case.revision + case.ahead + case.place
             values[Value.ENVIRONMENT_REVISION] = ahead & REVISION_MASK
+        if case.terms != ANY_TERMS:
+            values[Value.TERMS] = case.terms
         if isinstance(case.request, Enable) and last:
             return Command.ENABLE, 0, values_of(values)
         extras = {name: case.request.given[name] for name in self._extras(case)}

@@ -19,7 +19,9 @@ from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.files import GUARD_TERMS, write_whole
 from hapticd.params import STRICT_POLICIES, BasisName, Policy
+from hapticd.units import NS_PER_S
 
+RETRY_NS = NS_PER_S  # after terms that could not be kept
 LAXEST_FIRST = ("off", "warn")  # then those of STRICT_POLICIES, which are all as strict
 
 
@@ -83,8 +85,10 @@ class TermsKeeper:
         self._configured = configured
         self._kept = configured
         self._life = 0  # for which they are kept
+        self._failed: Terms | None = None  # those that could not be kept at the last try
+        self._retry_ns = 0
 
-    def follow(self, terms: Terms) -> Terms:
+    def follow(self, terms: Terms, now_ns: int) -> Terms:
         """Keep `terms` if they are new; those to go by from now on. At the first servo life they
         are what a gateway before this one was asked for, as far as that is no laxer, unless this
         one was asked for something already.
@@ -92,15 +96,22 @@ class TermsKeeper:
         view = self._view
         if view.mailbox is None or (self._life == view.life and self._kept == terms):
             return terms
+        if terms == self._failed and now_ns < self._retry_ns:
+            return terms
         epoch = view.mailbox.header.start_ns
         if self._life == 0 and terms == self._configured:
             terms = self._found(epoch)
-        self._life = view.life
-        self._kept = terms
         try:
             keep(view.folder, epoch, terms)
         except MailboxError as error:
-            self._journal.note("warning", text=f"what the guard goes by is not kept: {error}")
+            if terms != self._failed:
+                self._journal.note("warning", text=f"what the guard goes by is not kept: {error}")
+            self._failed = terms
+            self._retry_ns = now_ns + RETRY_NS
+            return terms
+        self._life = view.life
+        self._kept = terms
+        self._failed = None
         return terms
 
     def _found(self, epoch: int) -> Terms:

@@ -20,6 +20,7 @@ from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.daemons import living_report
 from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, State, Value, newer
+from hapticd.mailbox.stop_word import FIRST_CLIENT
 from hapticd.params import ServoParams
 from hapticd.units import NS_PER_MS, NS_PER_S
 
@@ -109,6 +110,7 @@ class ServoView:
         self._retry_ns = -RETRY_NS
         self.trouble = ""  # why the last try to open a mailbox failed
         self.foreign = ""  # hash of the configuration of a servo that runs another one than ours
+        self._last_actor = FIRST_CLIENT - 1
         self._forget()
 
     def _forget(self) -> None:
@@ -117,6 +119,7 @@ class ServoView:
         self.unix_offset_ns = 0
         self._came_late = False
         self._head = 0
+        self._first_head = -1  # of the first look at this life; -1: not looked yet
         self._promised = 0
         self.led_by = 0  # actor whose request led to the present state; 0: none's, or not seen
 
@@ -145,6 +148,7 @@ class ServoView:
             if newest and not self.record:
                 self._promised = newest[-1]["revision"]
                 self._came_late = self._promised > 0
+                self._first_head = head
             if newest and self.record and newest[-1]["state"] != self.record["state"]:
                 self.led_by = newest[-1]["actor"]
             self.record = newest[-1] if newest else self.record
@@ -174,6 +178,7 @@ class ServoView:
             )
             return
         self.mailbox = found
+        self._keep_last_actor()
         self.life += 1
         self._forget()
         self.unix_offset_ns = (
@@ -198,14 +203,25 @@ class ServoView:
         return self._effective or configured(self.params)
 
     @property
-    def came_late(self) -> bool:
-        """Whether parameters were changed, or to be changed, before this gateway came."""
-        return self._came_late
-
-    @property
     def unsure(self) -> bool:
         """Whether parameters were changed before this gateway came; it does not know to what."""
         return self._came_late and self._effective is None and self.alive
+
+    @property
+    def seen(self) -> int:
+        """Records that the servo has written since this gateway first looked at it."""
+        return self._head - self._first_head if self._first_head >= 0 else 0
+
+    def next_actor(self) -> int:
+        """A client number that no gateway has given in this servo life."""
+        self._last_actor += 1
+        self._keep_last_actor()
+        return self._last_actor
+
+    def _keep_last_actor(self) -> None:
+        if self.mailbox is not None:
+            self._last_actor = max(self._last_actor, self.mailbox.last_actor)
+            self.mailbox.last_actor = self._last_actor
 
     @property
     def head(self) -> int:

@@ -122,6 +122,7 @@ class GatewayMailbox:
         )
         self.waveform = memoryview(self._wave)[layout.PERTURBATION_HEADER :].cast("h")
         self.words[layout.GATEWAY_PID_WORD] = os.getpid()
+        self._inherited = self.words[layout.COMMAND_HEAD_WORD]  # posted by a gateway before
 
     @property
     def current(self) -> bool:
@@ -149,8 +150,29 @@ class GatewayMailbox:
         return self.load(layout.SERVO_BEAT_WORD)
 
     def beat(self, now_ns: int) -> None:
-        """Tell the servo that the gateway is alive."""
-        self.store(layout.GATEWAY_BEAT_WORD, now_ns)
+        """Tell the servo that the gateway is alive, once it has taken what a gateway before left in
+        the ring: an enable among that is refused while no gateway lives.
+        """
+        if self.load(layout.COMMAND_TAIL_WORD) >= self._inherited:
+            self.store(layout.GATEWAY_BEAT_WORD, now_ns)
+
+    @property
+    def last_actor(self) -> int:
+        """The greatest client number that a gateway has given in this servo life."""
+        return self.words[layout.LAST_ACTOR_WORD]
+
+    @last_actor.setter
+    def last_actor(self, number: int) -> None:
+        self.words[layout.LAST_ACTOR_WORD] = number
+
+    @property
+    def perturbation_lease(self) -> int:
+        """The actor that holds the lease of the perturbation, 0: none."""
+        return self.words[layout.PERTURBATION_LEASE_WORD]
+
+    @perturbation_lease.setter
+    def perturbation_lease(self, actor: int) -> None:
+        self.words[layout.PERTURBATION_LEASE_WORD] = actor
 
     def counters(self) -> dict[str, int]:
         """The servo's counters by name."""

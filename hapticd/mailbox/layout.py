@@ -28,6 +28,8 @@ COMMAND_TAIL_WORD = 88  # commands taken (servo)
 ANSWER_HEAD_WORD = 96  # answers posted (servo)
 ANSWER_TAIL_WORD = 104  # answers taken (gateway)
 GATEWAY_PID_WORD = 112
+LAST_ACTOR_WORD = 113  # the greatest client number given in this servo life (gateway)
+PERTURBATION_LEASE_WORD = 114  # actor that holds the lease of the perturbation, 0: none (gateway)
 JOURNAL_HEAD_WORD = 120  # requests obeyed (servo)
 CHECKPOINT_ASKED_WORD = 122  # checkpoints asked for (gateway)
 CHECKPOINT_HEAD_WORD = 124  # checkpoints written (servo)
@@ -61,7 +63,7 @@ STAGES = ("wake", "read", "step", "write", "publish")
 # --- command ring: gateway -> servo ---------------------------------------------------------------
 RING_SLOTS = 64
 # seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
-COMMAND_VALUES = 24
+COMMAND_VALUES = 25
 COMMAND = struct.Struct(f"<QIIQ{COMMAND_VALUES}dII")
 COMMAND_OFFSET = 2 * PAGE
 COMMAND_CRC_OFFSET = COMMAND.size - 8
@@ -82,7 +84,8 @@ JOURNAL_OFFSET = ANSWER_OFFSET + 5 * PAGE
 # number, tick, length and crc32 of the marshalled state behind it
 CHECKPOINT = struct.Struct("<QQII")
 CHECKPOINT_SLOT = 2 * PAGE
-CHECKPOINT_OFFSET = JOURNAL_OFFSET + JOURNAL_SLOTS * JOURNAL.size
+# from a whole page on
+CHECKPOINT_OFFSET = JOURNAL_OFFSET + -(-JOURNAL_SLOTS * JOURNAL.size // PAGE) * PAGE
 MAILBOX_BYTES = CHECKPOINT_OFFSET + 2 * CHECKPOINT_SLOT
 assert CHECKPOINT_OFFSET % PAGE == 0
 
@@ -117,6 +120,8 @@ class Command(IntEnum):
     # what others than its actor have scheduled of the places in its mask; nothing else changes
     CANCEL = 12
     WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.silence)
+    # changes are judged by these terms from now on; what was scheduled by others is cancelled
+    TERMS = 14
 
 
 class Value(IntEnum):
@@ -147,6 +152,8 @@ class Value(IntEnum):
     ENVIRONMENT_REVISION = 21
     FAULT_NUMBER = 22  # FAULT: which
     SILENCE_S = 23  # WITHHOLD: for how long
+    # number of the terms by which a change was judged; ANY_TERMS: the end of what is bounded
+    TERMS = 24
 
 
 def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
@@ -192,6 +199,7 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.FAULT_NUMBER: ValueLimit(0.0, 255.0, "fault"),
     # far below what a board holds damping
     Value.SILENCE_S: ValueLimit(1e-3, LONGEST_SILENCE_S, "s"),
+    Value.TERMS: ValueLimit(0.0, float((1 << 32) - 1), "number"),
 }
 # until the signs of a device are verified: with the wrong one every spring and damper drives
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
@@ -222,6 +230,7 @@ def value_limits(
     }
 
 
+ANY_TERMS: Final = 0
 REVISION_MASK: Final = 0xFFFFFFFF  # a revision is a u4 of the record, and the same everywhere
 
 
@@ -257,6 +266,7 @@ class Result(IntEnum):
     REFUSED_REVISION = 18  # it was judged for another environment than the one in force
     REFUSED_COMMISSIONING = 19  # the signs of the device are not verified
     REFUSED_SAMPLE = 20  # no position to be believed came in its tick
+    REFUSED_TERMS = 21  # it was judged by other terms than those that count
 
 
 # --- telemetry: one record per tick ---------------------------------------------------------------

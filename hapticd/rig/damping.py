@@ -108,8 +108,7 @@ class Rig:
         def scheduled(begin: int) -> None:
             off = begin + round(ON_S * self.rate_hz)
             on = begin - round((LEAD_S + level / self.slew) * self.rate_hz)
-            self.bench.set(damping=0.0, at_tick=off)  # first: nothing begins that has no end
-            self.bench.set(damping=level, at_tick=on)
+            self.bench.set(damping=level, at_tick=on, until_tick=off)
 
         return scheduled
 

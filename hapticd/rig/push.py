@@ -93,5 +93,4 @@ def push(
 
 def _schedule(bench: Client, wall: dict[str, float], begin: int, seconds: float) -> None:
     end = begin + round(seconds * servo_rate_hz(bench))
-    bench.set(wall=FREE, ramp_s=0.0, at_tick=end)  # first: nothing begins that has no end
-    bench.set(wall=wall, ramp_s=0.0, at_tick=begin)
+    bench.set(wall=wall, ramp_s=0.0, at_tick=begin, until_tick=end)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.faults import BY_CODE, FROM_GATEWAY
-from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value, following
+from hapticd.mailbox.layout import ANY_TERMS, COMMAND_VALUES, Command, Result, Value, following
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety, silence
@@ -42,7 +42,9 @@ from hapticd.units import round_half_up
 MOST_SCHEDULED = 16
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
 # whose mask is looked at
-MASKED = SETTINGS | {Command.CANCEL, Command.WITHHOLD, Command.ENABLE, Command.PERTURB_START}
+MASKED = SETTINGS | {
+    Command.CANCEL, Command.WITHHOLD, Command.ENABLE, Command.PERTURB_START, Command.TERMS
+}  # fmt: skip
 STOP_HELD_S = 1.0  # after a press, for which it is not for others to reset
 WAVEFORM = frozenset({Value.SAMPLES, Value.LOOP})  # what a perturbation has to say
 # faults after which the encoder's count is not believed
@@ -172,6 +174,8 @@ def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[P
         return obey(plan, (seq, safety.FAULT_EVENT, actor, 0, (number,)), now, params)
     if kind == Command.CANCEL:
         return _cancel(plan, request, now, params)
+    if kind == Command.TERMS:
+        return _terms(plan, request, now, params)
     if kind == Command.WITHHOLD:
         after, result = silence.begun(plan, values, now.tick, params)
         end = max(now.tick, after.silent_until)
@@ -240,8 +244,8 @@ def _target(plan: Plan, request: Request, now: Now, params: ServoParams) -> Stat
         return Result.REFUSED_STATE
     if target is State.HOMING and params.device.commissioning:
         return Result.REFUSED_COMMISSIONING
-    if target is State.ENABLED and outdated(plan, values):
-        return Result.REFUSED_REVISION
+    if target is State.ENABLED and (refused := judged_otherwise(plan, values)):
+        return refused
     if target in (State.ENABLED, State.HOMING):
         required = target is State.ENABLED and (params.device.home.required or plan.origin_lost)
         refusal = safety.enable_refusal(plan.homed, required, now.gateway, now.cause)
@@ -321,27 +325,64 @@ def _cancel(
     gone = [
         one
         for one in plan.scheduled
-        if one.actor != actor and not set(places).isdisjoint(masked_places(one.values))
+        if one.actor != actor
+        and not set(places).isdisjoint(masked_places(one.values))
+        and not _ends(one)
     ]
-    after = plan._replace(scheduled=tuple(one for one in plan.scheduled if one not in gone))
-    answers = [
-        answer(after, one.seq, Result.CANCELLED, (one.tick, one.tick), params) for one in gone
-    ]
+    after, answers = _without(plan, gone, params)
     return after, [*answers, answer(after, seq, Result.APPLIED, here, params)]
 
 
-def outdated(plan: Plan, values: tuple[float, ...]) -> bool:
-    """Whether what `values` ask for was judged for another environment than that of `plan`."""
-    return Value.ENVIRONMENT_REVISION in masked_places(values) and (
-        values[Value.ENVIRONMENT_REVISION] != plan.environment_revision
-    )
+def _ends(one: Scheduled) -> bool:
+    """Whether it is the end of a bounded change, which only what ends force cancels."""
+    return Value.TERMS in masked_places(one.values) and one.values[Value.TERMS] == ANY_TERMS
+
+
+def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Plan, list[Answer]]:
+    """`plan` without the scheduled changes `gone`, and their receipts."""
+    after = plan._replace(scheduled=tuple(one for one in plan.scheduled if one not in gone))
+    ends = [(one.seq, (one.tick, one.tick)) for one in gone]
+    return after, [answer(after, seq, Result.CANCELLED, at, params) for seq, at in ends]
+
+
+def _terms(
+    plan: Plan, request: Request, now: Now, params: ServoParams
+) -> tuple[Plan, list[Answer]]:
+    """The terms that count from now on. What is scheduled was judged by them, is the end of what is
+    bounded, or is cancelled.
+    """
+    seq, _, _, _, values = request
+    here = (now.tick, now.tick)
+    if out_of_range(values, params) or Value.TERMS not in masked_places(values):
+        return plan, [answer(plan, seq, Result.REFUSED_RANGE, here, params)]
+    number = int(values[Value.TERMS])
+    gone = [
+        one
+        for one in plan.scheduled
+        if not _ends(one)
+        and (Value.TERMS not in masked_places(one.values) or one.values[Value.TERMS] != number)
+    ]
+    after, answers = _without(plan._replace(terms=number), gone, params)
+    return after, [*answers, answer(after, seq, Result.APPLIED, here, params)]
+
+
+def judged_otherwise(plan: Plan, values: tuple[float, ...]) -> Result | None:
+    """Why what `values` ask for may not come into force: it was judged for another environment than
+    that of `plan`, or by other terms.
+    """
+    named = masked_places(values)
+    if Value.TERMS in named and values[Value.TERMS] not in (plan.terms, ANY_TERMS):
+        return Result.REFUSED_TERMS
+    revision = plan.environment_revision
+    if Value.ENVIRONMENT_REVISION in named and values[Value.ENVIRONMENT_REVISION] != revision:
+        return Result.REFUSED_REVISION
+    return None
 
 
 def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
     """The settings of `one` come into force at its tick."""
-    if outdated(plan, one.values):
-        here = (one.tick, one.tick)
-        return plan, [answer(plan, one.seq, Result.REFUSED_REVISION, here, params)]
+    if refused := judged_otherwise(plan, one.values):
+        return plan, [answer(plan, one.seq, refused, (one.tick, one.tick), params)]
     try:
         after, end = with_values(plan, one.values, one.tick, params)
         coefficients_of(after, params.realtime.rate_hz)

@@ -26,6 +26,7 @@ from typing import Any, Final, NamedTuple
 
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import (
+    ANY_TERMS,
     COMMISSIONING,
     COMMISSIONING_LIMITS,
     Flag,
@@ -123,6 +124,7 @@ class Plan(NamedTuple):
     silent_until: int = 0  # slot of the first frame after a silence (servo.silence), 0: none
     # slot since when force that was withheld has not been whole again, -1: it is
     short_since: int = -1
+    terms: int = ANY_TERMS  # number of those by which the gateway judges, ANY_TERMS: none told
 
 
 class Booking(NamedTuple):

@@ -29,11 +29,12 @@ from hapticd.client.client import Client
 from hapticd.client.conversation import Receipt
 from hapticd.errors import AnalysisError, CommandError, ConfigError, LinkError
 from hapticd.faults import BY_NUMBER
-from hapticd.gateway.commands import ACCEPTED, posting, receipt
+from hapticd.gateway.commands import ACCEPTED, Posting, ending, parameters, posting, receipt
 from hapticd.gateway.leases import MEASURING
 from hapticd.gateway.schemas import ADAPTER, LeaseRequest
 from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
-from hapticd.gateway.view import Records, as_records
+from hapticd.gateway.view import Records, as_records, configured
+from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
 from hapticd.params import BoardParams, ServoParams, to_plain
@@ -62,6 +63,7 @@ class LockStepBench(Client):
         super().__init__(name="lock-step", folder=self.stack.mailbox.folder)
         self._servo = servo
         self._samples = 0
+        self._effective = configured(servo)  # by layout.Value, as last answered
         self._seen = 0
         self._leases: dict[str, Any] = {}
         self.run(READY_TICKS)
@@ -84,16 +86,21 @@ class LockStepBench(Client):
         request = ADAPTER.validate_python({"cmd": cmd, **given})
         if isinstance(request, LeaseRequest):
             return {"state": self._known()["state"], "result": self._leased(request)}
-        kind, at_tick, values = posting(request, self._samples)
-        answer = self.stack.do(
-            kind, {Value(place): values[place] for place in masked_places(values)}, at_tick
-        )
+        if end := ending(request, parameters(self._effective)):
+            self._do(end)
+        answer = self._do(posting(request, self._samples))
+        self._effective = answer.effective
         if answer.result not in ACCEPTED:
             raise CommandError(
                 answer.result.name.lower(), f"the servo refused {cmd}: {answer.result.name.lower()}"
             )
         self.run(1)
         return {"state": self._known()["state"], "receipt": receipt(answer)}
+
+    def _do(self, what: Posting) -> Answer:
+        kind, at_tick, values = what
+        given = {Value(place): values[place] for place in masked_places(values)}
+        return self.stack.do(kind, given, at_tick)
 
     def _leased(self, request: LeaseRequest) -> dict[str, Any]:
         """A lease of the only client there is: what the servo is told of it, and for how long."""

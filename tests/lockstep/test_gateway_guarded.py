@@ -9,6 +9,7 @@ from support.gateway_rig import DeskRig, decoded, packed
 from support.gateway_stand_in import StandInServo
 from support.guard_stub import StubWorker, applies, refuses, stage, verdict
 
+from hapticd.gateway.guard import MOST_RECORDS
 from hapticd.gateway.in_force import WallSide
 from hapticd.mailbox.layout import Command, Flag, State, Value
 
@@ -26,7 +27,8 @@ def rig(tmp_path: Path, worker: StubWorker) -> DeskRig:
 
 
 def under(rig: DeskRig, policy: str) -> DeskRig:
-    """`rig` under `policy`."""
+    """`rig` under `policy`, after as many records as a strict one wants to have seen."""
+    rig.run(max(0, MOST_RECORDS - rig.view.seen))
     assert rig.ask(cmd="guard", policy=policy)["result"]["policy"] == policy
     return rig
 
@@ -151,9 +153,13 @@ def test_change_is_bound_to_the_environment_it_was_judged_for_under(
     rig.send(packed(**asked))
     rig.look()
     rig.look()
-    command = rig.servo.mailbox.take()
+    commands = [rig.servo.mailbox.take() for _ in range(2)]
+    assert commands[0] is not None
+    assert commands[0][1] == Command.TERMS
+    command = commands[1]
     assert command is not None
     assert int(command[-1][Value.MASK]) & BOUND
+    assert command[-1][Value.TERMS] == commands[0][-1][Value.TERMS]
     assert command[-1][Value.ENVIRONMENT_REVISION] == 1
 
 
@@ -534,8 +540,8 @@ def test_scheduled_changes_are_judged_with_those_before_and_after(
 
 def test_scheduled_change_is_bound_to_what_those_before_leave(rig: DeskRig) -> None:
     under(rig, "refuse")
-    rig.ask(cmd="set", B=3, at_tick=20)
-    rig.ask(cmd="set", K=20, at_tick=30)
+    rig.ask(cmd="set", B=3, at_tick=rig.servo.ticks + 20)
+    rig.ask(cmd="set", K=20, at_tick=rig.servo.ticks + 30)
     later(rig, 40)
     assert [event["result"] for event in answers(rig)] == ["applied", "applied"]
     assert rig.servo.values[Value.STIFFNESS] == 20
@@ -545,7 +551,7 @@ def test_scheduled_change_whose_environment_changed_is_judged_at_its_tick(
     rig: DeskRig, worker: StubWorker
 ) -> None:
     under(rig, "refuse")
-    rig.ask(cmd="set", K=20, at_tick=30)
+    rig.ask(cmd="set", K=20, at_tick=rig.servo.ticks + 30)
     rig.ask(cmd="set", B=1)
     later(rig, 60)
     (event,) = answers(rig)
@@ -671,7 +677,7 @@ def test_what_was_scheduled_by_other_terms_does_not_come_into_force_under_a_stri
 ) -> None:
     tick = rig.servo.ticks + 100
     assert rig.ask(cmd="set", K=70, at_tick=tick)["receipt"]["result"] == "scheduled"
-    under(rig, "refuse")
+    rig.ask(cmd="guard", policy="refuse")
     later(rig, 150)
     assert rig.servo.values[Value.STIFFNESS] == 0
     (event,) = answers(rig)
@@ -692,7 +698,7 @@ def test_what_a_gateway_before_scheduled_does_not_come_into_force_under_a_strict
     rig.ask(cmd="set", B=1)
     rig.ask(cmd="set", K=70, at_tick=rig.servo.ticks + 100)
     rig.start_gateway()
-    under(rig, "refuse")
+    rig.ask(cmd="guard", policy="refuse")
     later(rig, 150)
     assert rig.servo.values[Value.STIFFNESS] == 0
 

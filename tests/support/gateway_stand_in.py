@@ -117,6 +117,7 @@ class StandInServo:
         self.scheduled: list[tuple[Any, ...]] = []
         self.word_pressers: set[int] = set()
         self.taken: list[tuple[int, int]] = []  # (kind, actor) in the order of taking
+        self.terms = layout.ANY_TERMS
         self.probe_index = 0
         self.probe_pairs = 4
         self.flags = 0
@@ -153,7 +154,8 @@ class StandInServo:
 
     def _command(self, command: tuple[Any, ...]) -> None:
         seq, kind, actor, apply_tick, values = command
-        self.taken.append((kind, actor))
+        if kind != Command.TERMS:  # the gateway's own
+            self.taken.append((kind, actor))
         if kind in (Command.SET, Command.DAMPING):
             if 0 < apply_tick < self.ticks:
                 self._answer(seq, Result.REFUSED_LATE)
@@ -165,6 +167,12 @@ class StandInServo:
         elif kind == Command.CANCEL:
             self._cancel(actor, int(values[0]))
             self._answer(seq, Result.APPLIED)
+        elif kind == Command.TERMS:
+            self.terms = int(values[Value.TERMS])
+            self._end([one for one in self.scheduled if self._foreign(one[4], True)])
+            self._answer(seq, Result.APPLIED)
+        elif self._foreign(values):
+            self._answer(seq, Result.REFUSED_TERMS)
         elif self.state not in NEXT_STATE[Command(kind)]:
             self._answer(seq, Result.REFUSED_STATE)
         else:
@@ -182,7 +190,15 @@ class StandInServo:
             self._answer(seq, Result.APPLIED)
 
     def _cancel(self, actor: int, mask: int) -> None:
-        gone = [one for one in self.scheduled if one[2] != actor and int(one[4][0]) & mask]
+        self._end([one for one in self.scheduled if one[2] != actor and int(one[4][0]) & mask])
+
+    def _foreign(self, values: tuple[float, ...], unnamed: bool = False) -> bool:
+        """Whether other terms than those that count are named, or none where that counts too."""
+        if not int(values[0]) >> Value.TERMS & 1:
+            return unnamed
+        return values[Value.TERMS] not in (self.terms, layout.ANY_TERMS)
+
+    def _end(self, gone: list[tuple[Any, ...]]) -> None:
         self.scheduled = [one for one in self.scheduled if one not in gone]
         for one in gone:
             self._answer(one[0], Result.CANCELLED)
@@ -191,6 +207,9 @@ class StandInServo:
         seq, _, actor, _, values = command
         named = int(values[0]) >> Value.ENVIRONMENT_REVISION & 1
         now = self.values[Value.ENVIRONMENT_REVISION]
+        if self._foreign(values):
+            self._answer(seq, Result.REFUSED_TERMS)
+            return
         if named and values[Value.ENVIRONMENT_REVISION] != now:
             self._answer(seq, Result.REFUSED_REVISION)
             return

@@ -10,7 +10,7 @@ from hapticd.analysis.judge import Judge
 from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.resolve import resolve
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.guard import Guard
+from hapticd.gateway.guard import MOST_RECORDS, Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import Records, ServoView, as_records
 from hapticd.mailbox import files
@@ -36,12 +36,17 @@ class Flight:
         assert board is not None
         self.stack = LockStep(params, board)
         self.worker = StubWorker(self.judge.answer)
-        self.view = ServoView(Path(self.stack.mailbox.folder), params, lambda: UNIX_NS)
+        self.params = params
+        self.another_gateway()
+        self.replies: list[dict[str, Any]] = []
+        self.fly(MOST_RECORDS + 20)  # before that a strict policy refuses every change
+
+    def another_gateway(self) -> None:
+        """A desk that knows nothing yet, in place of any other."""
+        self.view = ServoView(Path(self.stack.mailbox.folder), self.params, lambda: UNIX_NS)
         self.journal = Journal(lambda: UNIX_NS)
         self.guard = Guard(self.view, self.journal, GuardParams(), self.worker)
         self.desk = Desk(self.view, self.journal, lambda cmd: {}, self.guard)
-        self.replies: list[dict[str, Any]] = []
-        self.fly(20)
 
     def fly(self, ticks: int) -> Records:
         """Ticks, each with a pass of the gateway; their records."""

@@ -56,7 +56,12 @@ class RecordedFlight:
         self.view = ServoView(self.stack.mailbox.folder, self.params, self.unix_ns)
         self.guard = Guard(self.view, self.journal, self.setup.guard, worker)
         self.publisher = Publisher(
-            self.view, Actors(), self.journal, self.setup, self.guard, self.unix_ns
+            self.view,
+            Actors(self.view.next_actor),
+            self.journal,
+            self.setup,
+            self.guard,
+            self.unix_ns,
         )
         self.messages: list[tuple[str, bytes]] = []
         for topic in TOPICS:

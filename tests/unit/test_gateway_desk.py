@@ -3,6 +3,7 @@
 Newtons into probe counts: every sample checked before any is written.
 """
 
+import itertools
 import json
 from pathlib import Path
 
@@ -578,18 +579,22 @@ def test_board_that_is_barred_is_refused_in_words(rig: DeskRig, result: Result, 
     rig.servo.mailbox.report(
         {"differences": ["serial: other", "probe: none"], "transport": transport}
     )
-    error = refusal(Answer(1, result, 0, 0, 0, 0, ()), "enable", rig.view, Actors())
+    error = refusal(
+        Answer(1, result, 0, 0, 0, 0, ()), "enable", rig.view, Actors(rig.view.next_actor)
+    )
     assert (error.code, str(error)) == ("refused", said)
 
 
 def test_reset_is_refused_by_the_emergency_stop_and_not_by_what_it_ended(rig: DeskRig) -> None:
     answer = Answer(1, Result.REFUSED_CAUSE, BY_CODE["stop"].number, 0, 0, 0, ())
     rig.view.record = {"status": int(StatusBit.EMERGENCY_STOP)}
-    error = refusal(answer, "reset", rig.view, Actors())
+    error = refusal(answer, "reset", rig.view, Actors(rig.view.next_actor))
     said = "the emergency stop is pressed, so the board makes no force; release it, then ask again"
     assert str(error) == f"reset: {said}"
     rig.view.record = {"status": 0}
-    assert "someone asked for a stop" in str(refusal(answer, "reset", rig.view, Actors()))
+    assert "someone asked for a stop" in str(
+        refusal(answer, "reset", rig.view, Actors(rig.view.next_actor))
+    )
 
 
 def test_stop_behind_many_commands_is_one_clients_stop(rig: DeskRig) -> None:
@@ -611,7 +616,7 @@ def test_stop_behind_many_commands_is_one_clients_stop(rig: DeskRig) -> None:
 def test_stop_of_somebody_else_is_refused_with_whose_it_is(
     rig: DeskRig, owner: int, whose: str
 ) -> None:
-    actors = Actors()
+    actors = Actors(itertools.count(16).__next__)
     actors.call(b"a", "operator")
     effective = [0.0] * COMMAND_VALUES
     effective[Value.STOP_OWNER] = owner
