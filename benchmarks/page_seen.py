@@ -11,8 +11,7 @@ a page that holds the same bytes as text, from a bare server, by Chromium's own 
 import random
 from collections.abc import Iterator
 from contextlib import ExitStack
-
-from playwright.sync_api import Browser, Page, sync_playwright
+from typing import TYPE_CHECKING
 
 from benchmarks import daemon, targets
 from benchmarks.blocks import quantile
@@ -20,6 +19,9 @@ from benchmarks.figures import Figure, compared
 from benchmarks.page_cpu import page_of, worker
 from benchmarks.worker import next_json
 from hapticd.client import Client
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
 
 TARGETS = targets.of("page_seen")
 CHROMIUM = "/usr/bin/chromium"
@@ -58,6 +60,8 @@ PAINTED = """() => new Promise((done) => {
 
 def measure() -> Iterator[Figure]:
     """Ratio of the 99th percentiles of a click, and of the medians of the first paint."""
+    from playwright.sync_api import sync_playwright  # a tool of `make check`, not of `make test`
+
     with daemon.running("seen") as instance, ExitStack() as stack:
         url = str(page_of(instance)["url"])
         bare = next_json(worker(stack, "serve"), "the bare server")["url"]
@@ -89,7 +93,7 @@ def measure() -> Iterator[Figure]:
     yield compared("first_paint_ratio", TARGETS["first_paint_ratio"], ours, "ms", theirs)
 
 
-def opened(browser: Browser, url: str) -> Page:
+def opened(browser: "Browser", url: str) -> "Page":
     """A page whose switch is ready and whose report is watched."""
     page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
     page.goto(url)
@@ -100,7 +104,7 @@ def opened(browser: Browser, url: str) -> Page:
     return page
 
 
-def clicked(pages: list[Page]) -> list[list[float]]:
+def clicked(pages: "list[Page]") -> list[list[float]]:
     """Times [ms] from click to report, for each page, in turns of some clicks."""
     random.seed(1)
     for _ in range(ROUNDS):
@@ -115,7 +119,7 @@ def clicked(pages: list[Page]) -> list[list[float]]:
     return [page.evaluate("taken_ms") for page in pages]
 
 
-def painted(browser: Browser, url: str) -> float:
+def painted(browser: "Browser", url: str) -> float:
     """Time [ms] to the first contentful paint of a browser that has never been there."""
     page = browser.new_page(viewport=SIZE)  # type: ignore[arg-type]
     page.goto(url)

@@ -213,6 +213,7 @@ def test_target_starts_both(root: Path) -> None:
 
 def test_nobody_who_starts_the_target_waits_for_a_board(root: Path, runtime: Path) -> None:
     """A target orders itself behind what it wants, unless it says that it does not."""
+    program("systemd-analyze")  # of the same package
     runtime.chmod(0o755)  # read by nobody: systemd shows no plan to root
     shutil.copytree(root / "etc/systemd/system", runtime / "units")
     as_nobody = ["setpriv", "--reuid=65534", "--regid=65534", "--clear-groups"]

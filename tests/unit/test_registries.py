@@ -7,6 +7,7 @@ import re
 import subprocess
 
 import pytest
+from support.programs import program
 from support.tree import ROOT
 
 # in two halves, so that this file names none
@@ -29,7 +30,7 @@ NAMED = re.compile("|".join(map(re.escape, HOSTS)))
 
 def tracked() -> list[str]:
     """Files that git knows, and new ones that it does not ignore."""
-    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
+    command = [program("git"), "ls-files", "--cached", "--others", "--exclude-standard"]
     listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     if listed.returncode:
         pytest.skip("this tree is no checkout of git")
