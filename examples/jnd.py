@@ -2,7 +2,8 @@
 
 A staircase of two down, one up (Levitt 1971) goes to the difference that 71 % of the answers find.
 Every presentation is a row of jnd.csv, joined to telemetry by revision and tick. Press the handle,
-answer 1 or 2; with --simulated an observer with a just-noticeable difference of 12 % answers.
+answer 1 or 2, and take your time; with --simulated an observer with a just-noticeable difference
+of 12 % answers.
 """
 
 import argparse
@@ -36,7 +37,7 @@ def main(path: Path, observer: bool, pause_s: float) -> float:
     falling = True
     with (
         Client(name="jnd") as device,
-        device.lease("environment", at_end="disable") as lease,
+        device.lease("environment", at_end="disable", keep_alive=True) as lease,
         Table(path, ("answer", "right", "share")) as table,
     ):
         device.enable()

@@ -32,6 +32,7 @@ from hapticd.client.conversation import (
     Receipt,
     TimedOut,
     accepted,
+    check_topic,
     heard_with,
     not_reached,
     pressed,
@@ -290,8 +291,9 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
     async def listen(self, topic: str) -> AsyncGenerator[Any, None]:
         """Decoded messages of `state`, `event` or `servo` as they come.
 
-        DaemonDown when the daemon is silent for the client's time-out.
+        ConfigError: no such topic. DaemonDown when the daemon is silent for the client's time-out.
         """
+        check_topic(topic)
         async for payload in self._line.listen(topic, self._timeout_s):
             yield msgpack.unpackb(payload)
 

@@ -1,5 +1,6 @@
 """Telemetry messages as numpy arrays, with what was lost between them; waveforms as requests."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -60,13 +61,16 @@ class BlockDecoder:
 
 class Excerpt:
     """The first `seconds` of recorded time or `count` records of a topic, its last block cut to
-    fit; without either all that comes. ConfigError for a topic without blocks.
+    fit; without either all that comes. ConfigError: a topic without blocks, or nothing asked for.
     """
 
     def __init__(self, topic: str, seconds: float | None, count: int | None) -> None:
         if topic not in STREAMED:
             known = f"stream takes {' or '.join(STREAMED)}, listen takes every topic"
             raise ConfigError(f"topic {topic!r} has no blocks: {known}")
+        for name, value, unit in (("seconds", seconds, " s"), ("count", count, "")):
+            if value is not None and not 0 < value < math.inf:
+                raise ConfigError(f"{name} = {value:g}{unit}: must be above 0 and finite")
         self._seconds = seconds
         self._count = count
         self._decoder = BlockDecoder()

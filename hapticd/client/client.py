@@ -1,4 +1,4 @@
-"""The client: one connection to a running daemon; synchronous, one thread, never waiting for ever.
+"""The client: one connection to a running daemon; synchronous, never waiting for ever.
 
 `GatewayLine` holds the sockets: a DEALER for the conversation (`conversation`), a PAIR that tells
 of new connections, a SUB per subscription. Requests are given only to a gateway that is connected
@@ -11,10 +11,12 @@ Every call ends within its time-out, with a reply, a CommandError (the daemon re
 
 numpy is loaded by what needs it, streams and waveforms: a verb at the shell does not wait for it.
 
-What would break it: use from several threads, since a ZeroMQ socket belongs to one; and waiting for
-a reply without a deadline, since a gateway may die between request and reply.
+Requests of several threads take turns (a lease that is kept alive has one of its own); streams
+belong to one thread. Limitations: waiting for a reply without a deadline would hang where a gateway
+dies between request and reply.
 """
 
+import threading
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -61,6 +63,8 @@ class GatewayLine(Line):
         self._conversation = Conversation()
         self._introduction: list[bytes] = []  # goes out before the next request
         super().__init__()
+        # a lease that is kept alive is renewed by a thread of its own, over this connection
+        self._turn = threading.Lock()
         self._socket: zmq.Socket[bytes] | None = None
         self._made: zmq.Socket[bytes]  # a message for each connection that was made
 
@@ -69,6 +73,20 @@ class GatewayLine(Line):
 
         DaemonDown: none in time; CommandError: too long.
         """
+        if not self._turn.acquire(timeout=timeout_s):
+            raise silence(TimedOut(cmd, timeout_s), self._folder)
+        try:
+            return self._exchange(cmd, fields, timeout_s)
+        finally:
+            self._turn.release()
+
+    def close(self) -> None:
+        """Close all sockets; may be called twice."""
+        with self._turn:
+            super().close()
+            self._socket = None
+
+    def _exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
         socket = self._connected()
         timeout_ns = round(timeout_s * NS_PER_S)
         number, payload = self._conversation.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
@@ -185,13 +203,17 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         ttl_s: float | None = None,
         at_end: "AtEnd | None" = None,
         take_over: bool = False,
+        keep_alive: bool = False,
     ) -> ClientLease:
-        """Be the only one who changes `what`, as a context: see ClientLease.
+        """Be the only one who changes `what`, as a context: see ClientLease. With `keep_alive`, of
+        the environment or the damping, a thread renews it: for a body that waits for a person.
 
         It ends when this client asks nothing for `ttl_s`, and at once when it dies; the environment
         then goes as `at_end` says, damping stays. `take_over`: end another's.
         """
-        return ClientLease(self.call, what, ttl_s=ttl_s, at_end=at_end, take_over=take_over or None)
+        return ClientLease(
+            self.call, what, keep_alive, ttl_s=ttl_s, at_end=at_end, take_over=take_over or None
+        )
 
     def perturb_load(self, samples_n: "ArrayLike") -> int:
         """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from hapticd.errors import CommandError, DaemonDown, MailboxError
+from hapticd.errors import CommandError, ConfigError, DaemonDown, MailboxError
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.units import NS_PER_S
@@ -171,6 +171,14 @@ def not_reached(wanted: str, found: str, timeout_s: float) -> CommandError:
     """The error for a servo that is `found`, and not `wanted`, after `timeout_s`."""
     reason = f"state is {found!r}, not {wanted!r}, after {timeout_s} s"
     return CommandError("timeout", f"{reason}; see `hapticd status`")
+
+
+def check_topic(topic: str) -> None:
+    """ConfigError: no daemon publishes `topic`."""
+    from hapticd.gateway.telemetry import NAMES  # numpy, which a verb at the shell does without
+
+    if topic not in NAMES:
+        raise ConfigError(f"topic {topic!r} is unknown; topics are {', '.join(sorted(NAMES))}")
 
 
 def heard_with(topic: str) -> set[str]:

@@ -5,20 +5,26 @@
         lease.sleep(60)
         client.set(K=200)
 
-Whatever the client asks renews it; `renew` and `sleep` are for the time in which it asks nothing. A
-client has one thread, and none in the background says that it lives: one that hangs loses its lease
-after `ttl_s`, one that dies at once.
+Every request renews it; `renew` and `sleep` are for the time in which the client asks nothing. A
+client that hangs loses its lease after `ttl_s`, one that dies at once.
 
-What would break it: `time.sleep` for longer than `ttl_s` while it is held.
+With `keep_alive=True` a thread renews it as well, over the same connection, so that the body may
+wait for a person. Such a lease ends with its process or its connection alone: a deadlocked main
+thread keeps it. It is for the environment and the damping, never for what moves the handle by
+itself.
+
+Limitations: without `keep_alive`, `time.sleep` for longer than `ttl_s` loses the lease.
 """
 
+import threading
 import time
 from collections.abc import Callable
 from typing import Any, Self
 
-from hapticd.errors import CommandError
+from hapticd.errors import CommandError, HapticdError
 
 RENEWALS = 3  # in the time after which it would end
+KEPT_ALIVE = ("environment", "damping")
 
 
 def lost_error(text: str) -> CommandError:
@@ -34,8 +40,21 @@ class ClientLease:
     the context.
     """
 
-    def __init__(self, call: Callable[..., dict[str, Any]], what: str, **asked: Any) -> None:
+    def __init__(
+        self,
+        call: Callable[..., dict[str, Any]],
+        what: str,
+        keep_alive: bool = False,
+        **asked: Any,
+    ) -> None:
+        if keep_alive and what not in KEPT_ALIVE:
+            names = " and ".join(KEPT_ALIVE)
+            text = f"lease of {what}: keep_alive is for {names}; renew it while you work"
+            raise CommandError("invalid", text)
         self._call = call
+        self._keep_alive = keep_alive
+        self._left = threading.Event()  # the context has ended, or the lease is lost
+        self._keeper: threading.Thread | None = None
         self._what = what
         self._asked = asked
         self._ttl_s = 0.0
@@ -43,9 +62,24 @@ class ClientLease:
 
     def __enter__(self) -> Self:
         self.take()
+        if self._keep_alive:
+            self._left.clear()
+            self._keeper = threading.Thread(target=self._keep, name="hapticd-lease", daemon=True)
+            self._keeper.start()
         return self
 
+    def _keep(self) -> None:
+        """Renew until the context ends. A lease that is lost shows in the holder's next change."""
+        while not self._left.wait(self._ttl_s / RENEWALS):
+            try:
+                self.renew()
+            except HapticdError:
+                return
+
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._left.set()
+        if self._keeper is not None:
+            self._keeper.join()
         if self._released:
             return
         try:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgpack
 import zmq
 
-from hapticd.client.conversation import heard_with
+from hapticd.client.conversation import check_topic, heard_with
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -143,8 +143,9 @@ class Watching:
     def listen(self, topic: str) -> Generator[Any, None, None]:
         """Decoded messages of `state`, `event` or `servo` as they come.
 
-        DaemonDown when the daemon is silent for the client's time-out.
+        ConfigError: no such topic. DaemonDown when the daemon is silent for the client's time-out.
         """
+        check_topic(topic)
         for payload in self._payloads(topic):
             yield msgpack.unpackb(payload)
 

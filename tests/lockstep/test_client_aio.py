@@ -41,7 +41,9 @@ def test_it_has_the_verbs_of_the_client_that_waits() -> None:
         asked = [
             set(inspect.signature(getattr(one, name)).parameters) for one in (Client, AsyncClient)
         ]
-        assert asked[0] == asked[1], name
+        # the event loop keeps every lease alive
+        assert asked[0] - asked[1] == ({"keep_alive"} if name == "lease" else set()), name
+        assert asked[1] <= asked[0], name
 
 
 @pytest.mark.usefixtures("rig")

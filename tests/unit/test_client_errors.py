@@ -1,0 +1,30 @@
+"""Careless arguments of the client end in an error that names value and limit, at once."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from hapticd.client.blocks import Excerpt
+from hapticd.client.client import Client
+from hapticd.errors import ConfigError
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 0.0, math.nan, math.inf])
+def test_seconds_that_are_no_time_are_refused(seconds: float) -> None:
+    with pytest.raises(ConfigError, match=r"seconds = .* s: must be above 0 and finite"):
+        Excerpt("servo.raw", seconds, None)
+
+
+@pytest.mark.parametrize("count", [-1, 0])
+def test_counts_that_are_none_are_refused(count: int) -> None:
+    with pytest.raises(ConfigError, match=f"count = {count}: must be above 0"):
+        Excerpt("servo.raw", None, count)
+
+
+def test_unknown_topic_is_refused_with_those_there_are(tmp_path: Path) -> None:
+    with (
+        Client(folder=tmp_path) as client,
+        pytest.raises(ConfigError, match=r"'nosuch' is unknown; topics are event, .*servo\.raw"),
+    ):
+        next(client.listen("nosuch"))
