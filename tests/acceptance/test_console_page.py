@@ -239,6 +239,20 @@ def test_stop_that_nobody_took_is_told_and_sent_again(
     until(lambda: state(client) == "stopped", "stopped")
 
 
+def test_stop_at_a_server_that_stands_still_is_told_while_it_stands(
+    page: Page, client: Client, served: Served
+) -> None:
+    client.enable()
+    wait_text(page, "#lamp", "enabled")
+    with paused(served.process.pid):
+        page.click("#stop")
+        wait_text(page, "#log", "NOT STOPPED")
+        expect(page.locator("#stop")).to_have_class("failed")
+    until(lambda: state(client) == "stopped", "stopped")
+    wait_text(page, "#lamp", "stopped")
+    expect(page.locator("#stop")).not_to_have_class("failed")
+
+
 def test_damping_lamp_is_what_the_board_reports(page: Page, client: Client) -> None:
     switch = page.get_by_role("switch")
     expect(switch).to_have_attribute("aria-checked", "false")

@@ -1,8 +1,11 @@
-// STOP: a request of its own, sent again until somebody has taken it. Space and Esc press it
-// wherever the focus is; only in a line of words does a space stay a space. It names this page's
-// own actor, for whoever pressed a stop may reset it at once, and nobody else for a second.
+// STOP: a request of its own, sent again until it is taken, or until the records say that the device
+// is stopped. A server that stands still answers nothing, so each request has a time-out. Space and
+// Esc press it wherever the focus is; only in a line of words does a space stay a space. It names this
+// page's own actor, who may reset it at once, and nobody else for a second.
 
 const AGAIN_MS = 250;
+const TIMEOUT_MS = 750; // with AGAIN_MS: an operator knows within a second
+const STOPPED = ["stopped", "fault"];
 
 export function stopButton(button, tell, actor) {
   let sending = false;
@@ -13,10 +16,11 @@ export function stopButton(button, tell, actor) {
     for (let first = true; ; first = false) {
       const problem = await sent(actor());
       button.classList.toggle("failed", Boolean(problem));
-      if (!problem) break;
+      if (!problem || STOPPED.includes(document.documentElement.dataset.state)) break;
       if (first) tell("error", `NOT STOPPED: ${problem}. Use the emergency stop, or: hapticd stop`);
       await new Promise((done) => setTimeout(done, AGAIN_MS));
     }
+    button.classList.remove("failed");
     sending = false;
   }
 
@@ -36,7 +40,10 @@ export function stopButton(button, tell, actor) {
 // Why it was not taken, or "".
 async function sent(actor) {
   try {
-    const answer = await fetch(`/stop?actor=${actor ?? ""}`, { method: "POST" });
+    const answer = await fetch(`/stop?actor=${actor ?? ""}`, {
+      method: "POST",
+      signal: AbortSignal.timeout(TIMEOUT_MS),
+    });
     return answer.ok ? "" : (await answer.json()).text;
   } catch {
     return "the page's server does not answer";
