@@ -523,8 +523,8 @@ class Guarded:
         case.tries += 1
         case.came_ns = now_ns
         case.number = case.place = case.ready_ns = 0
-        if case.at_tick <= self._view.tick:
-            case.at_tick = 0
+        if case.at_tick <= self._view.tick and "until_tick" not in case.request.given:
+            case.at_tick = 0  # a bounded change that is late is refused: its end may be late too
         self._queue.appendleft(case)
 
     def later(self, case: Case, answer: Answer, now_ns: int) -> Told | None:

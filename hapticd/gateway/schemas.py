@@ -146,6 +146,9 @@ class Set(Change):
     def _ends_after_it_begins(self) -> "Set":
         if "until_tick" in self.model_fields_set and self.until_tick <= (self.at_tick or 0):
             raise ValueError(f"until_tick = {self.until_tick}: must be after at_tick")
+        if "until_tick" in self.model_fields_set and not self.at_tick:
+            # else a begin could act whose end is too late
+            raise ValueError("until_tick: give at_tick as well")
         return self
 
     @model_validator(mode="after")

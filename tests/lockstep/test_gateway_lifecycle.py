@@ -357,6 +357,16 @@ def test_unsafe_bounded_change_is_refused_and_schedules_nothing(flight: Flight) 
     assert flight.stack.loop.state[0].plan.scheduled == ()
 
 
+@pytest.mark.parametrize("policy", ["off", "warn", "refuse"])
+def test_bounded_change_whose_end_has_passed_does_not_begin(flight: Flight, policy: str) -> None:
+    assert flight.ask(cmd="guard", policy=policy)["ok"]
+    tick = flight.view.tick
+    late = flight.ask(cmd="set", K=50.0, ramp_s=0.0, at_tick=tick - 40, until_tick=tick - 20)
+    unbounded = flight.ask(cmd="set", K=50.0, ramp_s=0.0, until_tick=tick + 1)
+    assert [late["ok"], unbounded["ok"]] == [False, False]
+    assert not flight.fly(200)["stiffness_n_per_m"].any()
+
+
 def test_force_0_is_not_refused_though_the_worker_is_silent(flight: Flight) -> None:
     flight.ask(cmd="guard", policy="refuse")
     flight.ask(cmd="set", K=50.0)
