@@ -116,7 +116,7 @@ def test_limits_tell_outcomes_with_their_limit(tmp_path, capsys):
         "BM",
         "--damping",
         "0",
-        "--levels",
+        "--amplitudes",
         "2",
         "--seed",
         "4",

@@ -81,7 +81,7 @@ def test_kernel_is_found_again_by_another_process(tmp_path):
     """The second process loads what the first compiled: numba counts a hit and no miss."""
     code = (
         "from support.devices import *; from hapticd.engine import kernels, simulate; from"
-        " test_engine_kernels import shape, ALL\nsimulate(ALL, [[1, 0, 0]], 0.01); run ="
+        " support.engine_kernels import shape, ALL\nsimulate(ALL, [[1, 0, 0]], 0.01); run ="
         " kernels.kernel(shape(ALL)).run\nprint(sum(run.stats.cache_hits.values()),"
         " sum(run.stats.cache_misses.values()))"
     )
