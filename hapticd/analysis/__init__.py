@@ -16,6 +16,7 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
     ledger       `book`: the work that each cause does on the device
     delivered    `estimate`: the active damping that a board really delivers
     theorem      `required_damping`, `lift`, `lifted_margin`: Colgate and Schenkel
+    angles       where a device is looked at, dense about its modes
     coupled      `withstands`, `shaking_hand`: what a passive hand can do
     outlook      `outlook`: all of these about one environment
     bases        `Theorem`, `Predicted`, `Measured`: how it is known what is safe

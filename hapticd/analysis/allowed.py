@@ -139,26 +139,31 @@ def intervals(
     nearest one, inside its range. All axes are asked together.
 
     `safe` may first hope, where that is cheaper; ends and middle of what is found are then made
-    sure of, and a run that fails there is left for the next.
+    sure of. An axis that fails there is looked at again with nothing hoped, so an axis whose own
+    value is safe always has an interval.
     """
     grids = [_grid(low, high, one) for (low, high), one in zip(ranges, at, strict=True)]
-    hopes = safe(grids, False)
     found: list[list[float] | None] = [None] * len(grids)
-    open_axes = list(range(len(grids)))
-    while open_axes:
-        runs = {axis: _run(grids[axis], hopes[axis], at[axis]) for axis in open_axes}
-        open_axes = [axis for axis in open_axes if runs[axis] is not None]
-        if not open_axes:
-            break
-        ends = _refined(safe, grids, {axis: runs[axis] for axis in open_axes})
-        checks = [_checks(*ends[axis]) if axis in ends else NONE for axis in range(len(grids))]
-        sure = safe(checks, True)
-        for axis in open_axes:
-            found[axis] = _sure(checks[axis], sure[axis])
-            first, last = runs[axis] or (0, 0)
-            hopes[axis][first : last + 1] = False
-        open_axes = [axis for axis in open_axes if found[axis] is None]
+    for sure in (False, True):
+        left = [axis for axis, interval in enumerate(found) if interval is None]
+        flags = safe([grids[axis] if axis in left else NONE for axis in range(len(grids))], sure)
+        runs = {axis: _run(grids[axis], flags[axis], at[axis]) for axis in left}
+        runs = {axis: run for axis, run in runs.items() if run is not None}
+        if not runs:
+            continue
+        ends = _refined(safe, grids, runs, sure)
+        for axis, interval in (ends if sure else _made_sure(safe, ends, len(grids))).items():
+            found[axis] = interval
     return found
+
+
+def _made_sure(
+    safe: Asked, ends: dict[int, list[float]], axes: int
+) -> dict[int, list[float] | None]:
+    """What is sure of the intervals of some of the `axes`."""
+    checks = [_checks(*ends[axis]) if axis in ends else NONE for axis in range(axes)]
+    flags = safe(checks, True)
+    return {axis: _sure(checks[axis], flags[axis]) for axis in ends}
 
 
 def _checks(start: float, end: float) -> Floats:
@@ -195,7 +200,7 @@ def _run(values: Floats, flags: Flags, at: float) -> tuple[int, int] | None:
 
 
 def _refined(
-    safe: Asked, grids: list[Floats], runs: Mapping[int, tuple[int, int] | None]
+    safe: Asked, grids: list[Floats], runs: Mapping[int, tuple[int, int] | None], sure: bool
 ) -> dict[int, list[float]]:
     """Both ends of each run, nearer to where it stops."""
     inside = {}
@@ -211,7 +216,7 @@ def _refined(
             axis: np.linspace(inside[axis], outside[axis], _FINER + 2)[1:-1] for axis in inside
         }
         asked = [between[axis].T.ravel() if axis in between else NONE for axis in range(len(grids))]
-        flags = safe(asked, False)
+        flags = safe(asked, sure)
         for axis in inside:
             for end in (0, 1):
                 held = flags[axis][end * _FINER : (end + 1) * _FINER]

@@ -44,10 +44,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.analysis.angles import least_between
 from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.loop import PAPER_FILTERS, Filters, held, responses, spectral_radius
 from hapticd.analysis.predict import environments
-from hapticd.analysis.theorem import ANGLES, Lift, lift
+from hapticd.analysis.theorem import Lift, lift
 from hapticd.errors import AnalysisError
 from hapticd.plant.blueprint import StateVariable
 from hapticd.plant.model import Model, Output, Outputs
@@ -57,6 +58,7 @@ GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand 
 _ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0
 _IMAGES = np.array([0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0, -4.0, 4.0])  # for which a hand is tuned
 _DETUNED = (1e-3, 1e-4, 1e-5)  # resonances beside the frequencies that they serve
+_FAR = 10.0  # radii: farther outside of a circle nothing has to be known
 _ENDLESS = 1e200  # times 0 is 0
 _LAST = 0.98 * np.pi  # nearer to half the servo's rate a frequency and its image are one
 
@@ -209,7 +211,7 @@ def _names(nodes: Integers, what: str, unit: str) -> list[StateVariable]:
 
 @dataclass(frozen=True, eq=False)
 class ReachCircle:
-    """The circle that holds the pulse transfer in every passive hand, at `theorem.ANGLES`."""
+    """The circle that holds the pulse transfer in every passive hand, at the angles of its lift."""
 
     centre: Complexes  # (A,) m/N
     radius: Floats  # (A,) m/N
@@ -238,9 +240,9 @@ def withstands(
     """
     kbm = environments(points)
     levels = np.broadcast_to(np.asarray(friction_ns_per_m, np.float64), len(kbm))
-    return np.array(
-        [np.all(_outside(lifted, *each) >= 0.0) for each in zip(kbm, levels, strict=True)], np.bool_
-    )
+    found = [_outside(lifted, *each) for each in zip(kbm, levels, strict=True)]
+    values = np.minimum(found, _FAR).reshape(len(kbm), lifted.angles.size)
+    return np.asarray(least_between(lifted.angles, values) >= 0.0)
 
 
 def shaking_hand(
@@ -261,15 +263,16 @@ def shaking_hand(
     """
     lifted = lift(model, damping_ns_per_m, filters)
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))[0]
+    angles = lifted.angles
     short = -_outside(lifted, kbm, friction_ns_per_m)
     # a margin of so many radii lets the motion grow the faster, the higher the frequency
-    wanted = short * ANGLES
+    wanted = short * angles
     if at_hz is not None:
-        wanted = -np.abs(ANGLES - 2.0 * np.pi * at_hz / model.rate_hz)
-    at = int(np.argmax(np.where(ANGLES < _LAST, wanted, -np.inf)))
+        wanted = -np.abs(angles - 2.0 * np.pi * at_hz / model.rate_hz)
+    at = int(np.argmax(np.where(angles < _LAST, wanted, -np.inf)))
     if short[at] <= 0.0:
         return None
-    w = (ANGLES[at] + 2.0 * np.pi * _IMAGES) * model.rate_hz
+    w = (angles[at] + 2.0 * np.pi * _IMAGES) * model.rate_hz
     p = responses(model, w / (2.0 * np.pi), damping_ns_per_m)
     own = 1.0 / p.velocity[0, 1]
     product = (

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.allowed import Judgement
+from hapticd.analysis.angles import unresolved_hz
 from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.analysis.coupled import GROWS, coupled_radius, shaking_hand
 from hapticd.analysis.displays import Display, Point, display_of
@@ -36,6 +37,7 @@ class Judge:
         self.setup = setup
         self.verdicts = Verdicts(setup)
         self.theorem = None if setup.model is None else Theorem(model_of(setup.model))
+        self._unresolved = self._narrow_modes()
         self._cold = list(self.verdicts.levels)
         self._warm_delay = self._delay(None)
 
@@ -176,6 +178,20 @@ class Judge:
         spare = float(request["margin_ns_per_m"])
         return Judgement(found, delay, spare, min(delay, self._delay(None))), ""
 
+    def _narrow_modes(self) -> str:
+        """Why the model says nothing: modes that are too narrow; "" for none."""
+        if self.theorem is None:
+            return ""
+        found = [unresolved_hz(self.theorem.model, level) for level in self.verdicts.levels]
+        modes = max(found, key=len)
+        if not modes:
+            return ""
+        listed = ", ".join(f"{hz:.4g}" for hz in modes)
+        return (
+            f"unknown: the device's model has modes without loss, at {listed} Hz with the probe"
+            " held, that no test can resolve; give them the damping that they have"
+        )
+
     def _basis(self, asked: str) -> Basis | str:
         if asked.startswith("measured"):
             measured = self.setup.measured
@@ -191,6 +207,8 @@ class Judge:
                 "unknown: this device has no model; give its file a [model], or measure it and set"
                 " [guard] basis = 'measured'"
             )
+        if self._unresolved:
+            return self._unresolved
         if asked == "theorem":
             return self.theorem
         return Predicted(self.theorem, Perturbation(self.setup.psd_n2_per_hz, self.setup.band_hz))

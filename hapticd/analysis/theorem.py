@@ -45,6 +45,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.analysis.angles import angles_of, least_between, vertices
 from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.loop import (
     PAPER_FILTERS,
@@ -59,7 +60,6 @@ from hapticd.errors import AnalysisError
 from hapticd.plant.model import Model
 
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
-ANGLES = np.concatenate((np.geomspace(2e-3, 0.05, 24)[:-1], np.linspace(0.05, np.pi, 480)))  # wT
 _IMAGES = 24  # harmonics on each side
 _HALVINGS = 40  # of the interval in which the spare damping lies
 _FOURFOLD = 9  # steps from its top towards its end, each four times the one before
@@ -128,6 +128,7 @@ def paper_equation_2(
 class Lift:
     """A device seen at A angles and H harmonics."""
 
+    angles: Floats  # (A,) wT
     law: Complexes  # (3, A) response of the law to K, B, M
     inner: Complexes  # (A,) G - E, m/N
     resistance: Floats  # (A, H) r_k, N s/m
@@ -142,6 +143,7 @@ class Opened:
     changes.
     """
 
+    angles: Floats  # (A,) wT
     frequency_hz: Floats  # (A, H)
     impedance: Complexes  # (A, H) 1 / P_vt, N s/m
     forward: Complexes  # (A, H) P_vF / P_vt, without hold and delay
@@ -151,11 +153,16 @@ class Opened:
 def opened(model: Model, damping_ns_per_m: float = 0.0) -> Opened:
     """Look at `model` at that level of active damping: nine tenths of the work of a lift."""
     images = np.arange(-_IMAGES, _IMAGES + 1)
-    f = (ANGLES[:, None] / (2.0 * np.pi) + images) * model.rate_hz
+    angles = angles_of(model, damping_ns_per_m)
+    f = (angles[:, None] / (2.0 * np.pi) + images) * model.rate_hz
     p = responses(model, f.ravel(), damping_ns_per_m)
     own = p.velocity[0, 1].reshape(f.shape)
     return Opened(
-        f, 1.0 / own, p.velocity[0, 0].reshape(f.shape) / own, p.encoder[1].reshape(f.shape)
+        angles,
+        f,
+        1.0 / own,
+        p.velocity[0, 0].reshape(f.shape) / own,
+        p.encoder[1].reshape(f.shape),
     )
 
 
@@ -171,17 +178,18 @@ def lift(
     rate_hz = model.rate_hz
     device = opened(model, damping_ns_per_m) if seen is None else seen
     f = device.frequency_hz
-    turn = np.exp(1j * ANGLES)
+    turn = np.exp(1j * device.angles)
     out = device.forward * held(f.ravel(), rate_hz, model.delay_periods).reshape(f.shape)
     inner = pulse_transfer(model, turn, damping_ns_per_m) - (out * device.back).sum(axis=1)
     back = device.back * device.impedance  # only now q: E needs P_xt itself
     sizes = [np.abs(out) ** 2, np.abs(back) ** 2]
-    rest, rest_late = _beyond(2.0 * np.pi * f / rate_hz, model.delay_periods)
+    rest, rest_late = _beyond(device.angles, 2.0 * np.pi * f / rate_hz, model.delay_periods)
     tails = [_last(size, f, rate_hz) * rest for size in sizes]
     late = np.exp(2j * np.pi * f / rate_hz * model.delay_periods)
     tail_both = _last(out * back * late, f, rate_hz) * rest_late
     resistance = device.impedance.real
     return Lift(
+        device.angles,
         np.stack((np.ones_like(turn), *derivatives(turn, rate_hz, filters))),
         inner,
         np.column_stack((resistance, resistance[:, -1])),
@@ -203,8 +211,8 @@ def lifted_worst(lifted: Lift, point: npt.ArrayLike, rate_hz: float) -> Spared:
 
     At servo rate `rate_hz`.
     """
-    margin, angle = _spare(lifted, _gains(lifted, np.atleast_2d(np.asarray(point, np.float64)))[0])
-    return Spared(margin, float(ANGLES[angle]) * rate_hz / (2.0 * np.pi))
+    margin, angle = _spare(lifted, (environments(np.atleast_2d(np.asarray(point))) @ lifted.law)[0])
+    return Spared(margin, float(lifted.angles[angle]) * rate_hz / (2.0 * np.pi))
 
 
 def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
@@ -213,7 +221,7 @@ def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
 
     For a rigid device it is its damping minus `required_damping`.
     """
-    return np.array([_spare(lifted, gain)[0] for gain in _gains(lifted, points)])
+    return np.array([_spare(lifted, law)[0] for law in environments(points) @ lifted.law])
 
 
 def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
@@ -234,6 +242,7 @@ class Circles:
     a yes or no costs ten products an angle, whatever the device.
     """
 
+    angles: Floats  # (A,) wT
     form: Floats  # (10, A) of 1, K, B, M, K K, K B, K M, B B, B M, M M
 
 
@@ -248,7 +257,7 @@ def circles(lifted: Lift, spare_ns_per_m: float = 0.0) -> Circles:
     """
     resistance = lifted.resistance - spare_ns_per_m
     if resistance.min() <= 0.0:
-        return Circles(np.full((10, 1), -1.0) * (np.arange(10) == 0)[:, None])
+        return Circles(lifted.angles[:1], np.full((10, 1), -1.0) * (np.arange(10) == 0)[:, None])
     share = 1.0 / resistance
     out, back, both = (
         (weights * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
@@ -259,20 +268,21 @@ def circles(lifted: Lift, spare_ns_per_m: float = 0.0) -> Circles:
     one, other = _PAIRS
     twice = np.where(one == other, 1.0, 2.0)[:, None]
     squares = twice * (law[one] * law[other].conj()).real * excess
-    return Circles(np.vstack((np.ones(len(centre)), 2.0 * (law * centre).real, squares)))
+    form = np.vstack((np.ones(len(centre)), 2.0 * (law * centre).real, squares))
+    return Circles(lifted.angles, form)
 
 
 def within(allowed: Circles, kbm: Floats) -> Flags:
-    """Whether -1/C of the environments (N, 3) is outside all circles: passive, if stable."""
+    """True (N,) where -1/C of the environments `kbm` (N, 3) is outside all circles, also between
+    the angles: passive, if stable.
+    """
     one, other = _PAIRS
     terms = np.column_stack((np.ones(len(kbm)), kbm, kbm[:, one] * kbm[:, other]))
-    return np.asarray((terms @ allowed.form).min(axis=1) >= 0.0)
-
-
-def _gains(lifted: Lift, points: npt.ArrayLike) -> Complexes:
-    # c of the module's text: the law with its loop through the device closed
-    law = environments(points) @ lifted.law
-    return np.asarray(law / (1.0 + law * lifted.inner))
+    values = terms @ allowed.form
+    outside = np.asarray(values.min(axis=1) >= 0.0)
+    if values.shape[1] > 2:
+        outside[outside] = least_between(allowed.angles, values[outside]) >= 0.0
+    return outside
 
 
 def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> Flags:
@@ -286,11 +296,12 @@ def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> 
     return np.asarray(form >= 0.0)
 
 
-def _spare(lifted: Lift, gain: Complexes) -> tuple[float, int]:
+def _spare(lifted: Lift, law: Complexes) -> tuple[float, int]:
     """The damping to spare, and the place of the angle that sets it. What is positive for more
     spare is so for less: only angles that fell short are looked at again, from the top downwards
     in steps that grow fourfold, then by halving.
     """
+    gain = law / (1.0 + law * lifted.inner)  # c of the module's text
     high = float(lifted.resistance.min())
     sizes = lifted.out.sum(axis=1) * lifted.back.sum(axis=1)
     span = float(np.max(np.abs(gain) * np.sqrt(sizes))) + 1e-9
@@ -313,19 +324,59 @@ def _spare(lifted: Lift, gain: Complexes) -> tuple[float, int]:
             angles = angles[~positive]
             worst = int(angles[0])
             falling = falling and high - down > low
-    return low, worst
+    return _spare_between(lifted, law, low, span), worst
 
 
-def _beyond(angles: Floats, delay_periods: float) -> tuple[Floats, Complexes]:
-    """Sums of 1/(w_k T)^2 and e^(-j w_k d T)/(w_k T)^2 over the harmonics beyond those of
-    `angles` (A, H) = w_k T.
+def _spare_between(lifted: Lift, law: Complexes, spare: float, span: float) -> float:
+    """The damping to spare of an environment that spares that much at the angles themselves: less
+    where the condition has a vertex below 0 between two of them.
+    """
+    every = np.arange(law.size)
+    _, place, least = vertices(lifted.angles, _outside(lifted, law, spare, every)[None])
+    three = place[least < 0.0, None] + np.array([-1, 0, 1])
+    if not three.size:
+        return spare
+
+    def holds(level: float) -> bool:
+        values = _outside(lifted, law, level, three.ravel()).reshape(three.shape)
+        found = [
+            vertices(*one)[2] for one in zip(lifted.angles[three], values[:, None], strict=True)
+        ]
+        return all((one >= 0.0).all() for one in found)
+
+    down = span * 4.0**-_FOURFOLD
+    while down < span and not holds(spare - down):
+        down *= 4.0
+    low = spare - down
+    high = spare
+    for _ in range(_HALVINGS // 2):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def _outside(lifted: Lift, law: Complexes, spare: float, angles: Integers) -> Floats:
+    """How far -1/C is outside the circles of `circles`, |1 + C g|^2 - R^2 |C|^2 (n,)."""
+    share = 1.0 / np.maximum(lifted.resistance[angles] - spare, _CLOSEST)
+    out, back, both = (
+        (weights[angles] * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
+    )
+    c = law[angles]
+    centre = lifted.inner[angles] + 0.5 * both
+    size = c.real**2 + c.imag**2
+    return np.asarray(np.abs(1.0 + c * centre) ** 2 - 0.25 * size * out * back)
+
+
+def _beyond(angles: Floats, harmonics: Floats, delay_periods: float) -> tuple[Floats, Complexes]:
+    """Sums of 1/(w_k T)^2 and e^(-j w_k d T)/(w_k T)^2 at `angles` (A,) over the harmonics beyond
+    `harmonics` (A, H) = w_k T.
     """
     whole, part = divmod(delay_periods, 1.0)
-    total = (0.5 / np.sin(0.5 * ANGLES)) ** 2
-    turn: Complexes = np.exp(-1j * ANGLES)
+    total = (0.5 / np.sin(0.5 * angles)) ** 2
+    turn: Complexes = np.exp(-1j * angles)
     late: Complexes = total * turn**whole * ((1.0 - part) + part * turn)
-    return total - (1.0 / angles**2).sum(axis=1), late - (
-        np.exp(-1j * angles * delay_periods) / angles**2
+    return total - (1.0 / harmonics**2).sum(axis=1), late - (
+        np.exp(-1j * harmonics * delay_periods) / harmonics**2
     ).sum(axis=1)
 
 

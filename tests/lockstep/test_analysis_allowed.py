@@ -90,13 +90,17 @@ def test_worst_frequency_is_where_the_margin_ends() -> None:
     lifted = lift(compose(scene), 0.0)
     found = lifted_worst(lifted, (100.0, 1.0, 0.0), 1000.0)
     assert found.margin_ns_per_m == lifted_margin(lifted, [(100.0, 1.0, 0.0)])[0]
-    form = circles(lifted, found.margin_ns_per_m + 1e-6).form
+    point = np.array([(100.0, 1.0, 0.0)])
+    assert within(circles(lifted, found.margin_ns_per_m - 1e-6), point)[0]
+    assert not within(circles(lifted, found.margin_ns_per_m + 1e-6), point)[0]
+    form = circles(lifted, found.margin_ns_per_m + 1e-3).form
     k, b = 100.0, 1.0
     values = np.array([1.0, k, b, 0.0, k * k, k * b, 0.0, b * b, 0.0, 0.0]) @ form
     angle = 2.0 * np.pi * found.worst_hz * T_S
-    from hapticd.analysis.theorem import ANGLES
-
-    assert np.flatnonzero(values < 0.0).tolist() == [int(np.argmin(abs(ANGLES - angle)))]
+    worst = int(np.argmin(abs(lifted.angles - angle)))
+    short = np.flatnonzero(values < 0.0)
+    assert worst in short
+    assert short.size == np.ptp(short) + 1 < 20
 
 
 def test_negative_stiffness_is_refused() -> None:
