@@ -254,6 +254,8 @@ def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Display]
     """At most `count` displays of a leg, its end the last: the line if one thing moves, a grid
     with all corners if several do. None if that takes more than `count`.
     """
+    if count < 1:
+        return []
     if leg.gain:
         return _gained(leg, count)
     moving = groups(leg)

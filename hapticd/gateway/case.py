@@ -57,6 +57,8 @@ class Case:
     ramp_end_tick: int = 0
     seen: int = 0  # revision of the servo when it began to wait, or when its last stage acted
     since_ns: int = 0  # the last stage was posted, or something moved
+    taken_back: str = ""  # why no further stage shall come, while one is with the servo
+    former: dict[str, Any] = field(default_factory=dict)  # what a bounded change brings back
     held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
 
 
@@ -72,6 +74,11 @@ def change_of(request: Request, level: float) -> dict[str, Any]:
         given = request.given
         return {name: given[name] for name in JUDGED if given.get(name, {}) != {}}
     return {}
+
+
+def until_tick(request: Request) -> int:
+    """The tick at which a bounded change ends; 0 for one without an end."""
+    return request.until_tick if isinstance(request, Set) and "until_tick" in request.given else 0
 
 
 def changes_environment(stages: tuple[Stage, ...]) -> bool:

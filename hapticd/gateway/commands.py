@@ -37,7 +37,7 @@ from hapticd.gateway.schemas import (
 )
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import ANY_TERMS, Command, Result, State, Value, values_of
+from hapticd.mailbox.layout import Command, Result, State, Value, values_of
 from hapticd.wire.frames import StatusBit
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
@@ -75,16 +75,6 @@ def posting(request: Request, samples: int) -> Posting:
     return Command[request.cmd.upper()], 0, values_of({})
 
 
-def ending(request: Request, before: dict[str, Any]) -> Posting | None:
-    """What ends a bounded `request`, where what it changes is as in `before` (`parameters`); None:
-    it has no end.
-    """
-    if not isinstance(request, Set) or "until_tick" not in request.given:
-        return None
-    values = values_given(former(request.given, before)) | {Value.TERMS: float(ANY_TERMS)}
-    return Command.SET, request.until_tick, values_of(values)
-
-
 def former(given: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
     """The fields of `given`, with the values of `before`; the ramp is the same."""
     found = {name: given[name] for name in ("ramp_s",) if name in given}
@@ -101,6 +91,8 @@ def values_given(given: dict[str, Any]) -> dict[Value, float]:
     values = {PLACES[name]: float(value) for name, value in flat(given) if name in PLACES}
     if "limit_cycle_faults" in given:
         values[Value.LIMIT_CYCLE_FAULTS] = float(given["limit_cycle_faults"])
+    if "until_tick" in given:
+        values[Value.UNTIL_TICK] = float(given["until_tick"])
     return values | _switched(values.pop(Value.ADDED_DAMPING, None))
 
 

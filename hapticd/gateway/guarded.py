@@ -27,8 +27,16 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
-from hapticd.gateway.case import Case, Stage, auto_of, change_of, ends_force, stages_of
-from hapticd.gateway.commands import ending, former, parameters, posting, receipt, refusal
+from hapticd.gateway.case import (
+    Case,
+    Stage,
+    auto_of,
+    change_of,
+    ends_force,
+    stages_of,
+    until_tick,
+)
+from hapticd.gateway.commands import former, posting, receipt, refusal
 from hapticd.gateway.guard import VERDICT_NS, Guard, Unsafe
 from hapticd.gateway.in_force import merged
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
@@ -121,7 +129,7 @@ class Guarded:
         change = change_of(case.request, guard.in_force.level)
         whole = "damping" not in change or len(change) == 1
         plain = whole and not case.at_tick and not self._auto(case)
-        plain = plain and "until_tick" not in case.request.given
+        plain = plain and not until_tick(case.request)
         # a look, or the search for a hand, delays the reply alone
         ready = guard.worker == "up" and guard.in_force.known and not guard.owes_verdict
         free = not self.waiting and self._under_way.case is None
@@ -170,9 +178,7 @@ class Guarded:
                 self._drop(case)
                 text = f"{case.cmd}: {why} was asked before it was judged; ask again"
                 self._told.append(Told(case, CommandError("refused", text)))
-        under_way = self._under_way.case
-        if under_way is not None and isinstance(under_way.request, Enable):
-            self._under_way.cancel(f"{why} was asked meanwhile")
+        self._under_way.take_back(lambda case: True, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
         """The connection of `actor` is gone: of what it asked nothing more is posted, but for the
@@ -181,9 +187,7 @@ class Guarded:
         for case in (*self._queue, self._asked):
             if case is not None and case.actor == actor and case.message is not None:
                 self._drop(case)
-        case = self._under_way.case
-        if case is not None and case.actor == actor and isinstance(case.request, Enable):
-            self._under_way.cancel("its connection is gone")
+        self._under_way.take_back(lambda case: case.actor == actor, "its connection is gone")
 
     def _drop(self, case: Case) -> None:
         if case is self._asked:
@@ -331,11 +335,22 @@ class Guarded:
         case.ahead = len(before)
         case.revision = guard.in_force.revision
         after = [one.change for one in booked[len(before) :]]
-        if "until_tick" in case.request.given:
-            after = [former(change_of(case.request, 0.0), guard.in_force.target()), *after]
+        case.former = self._former(case, before)
+        after = [*filter(None, [case.former]), *after]
         question = self._question(case, before, after)
         case.number = guard.ask(question, now_ns)
         self._asked = case
+
+    def _former(self, case: Case, before: list[dict[str, Any]]) -> dict[str, Any]:
+        """What a bounded change brings back at its end, with what is scheduled `before` it; {}
+        for one without an end.
+        """
+        if not until_tick(case.request):
+            return {}
+        target = self._guard.in_force.target()
+        for change in before:
+            target = merged(target, change)
+        return former(change_of(case.request, 0.0), target)
 
     def _question(
         self, case: Case, before: list[dict[str, Any]], after: list[dict[str, Any]]
@@ -409,32 +424,13 @@ class Guarded:
             self._start(case, now_ns)
 
     def _start(self, case: Case, now_ns: int) -> None:
-        """Post the first stage of `case`, or have it wait; of a bounded change the end first."""
-        bounded = "until_tick" in case.request.given
-        if bounded and len(case.stages) > 1:
+        """Post the first stage of `case`, or have it wait."""
+        if until_tick(case.request) and len(case.stages) > 1:
             text = f"{case.cmd}: with an end it needs one stage, and would take {len(case.stages)}"
             remedy = "bring in the active damping first, then ask again"
             self._told.append(Told(case, CommandError("guard", f"{text}; {remedy}")))
             return
-        try:
-            self._post_end(case)
-        except CommandError as error:
-            self._told.append(Told(case, error))
-            return
         self._under_way.start(case, now_ns)
-
-    def _post_end(self, case: Case) -> None:
-        """Schedule the end of a bounded change before it begins."""
-        target = parameters(self._view.targets)
-        end = ending(case.request, target)
-        if end is None or self._view.mailbox is None:
-            return
-        kind, tick, values = end
-        seq = self._view.mailbox.post(kind, case.actor, tick, values)
-        if seq is None:
-            raise CommandError("busy", f"{case.cmd}: commands wait for the servo; ask again")
-        change = former(change_of(case.request, 0.0), target)
-        self._scheduled[seq] = Booked(tick, seq, change)
 
     def _changes(self, case: Case) -> bool:
         """Whether the stages of `case` lead anywhere else than the ramps in force."""
@@ -482,10 +478,11 @@ class Guarded:
             raise CommandError("guard", f"{case.cmd}: {text}: {guard.trouble}", guard=case.verdict)
         case.revision = None
         case.stages = ()
-        self._post_end(case)
         if not case.at_tick and not isinstance(case.request, Enable):
             self._under_way.supersede(case)
         self._post(case, posting(case.request, 0), now_ns)
+        if case.at_tick:
+            self._terms_told = (0, ANY_TERMS)  # no terms came with it: those that count go after it
 
     # --- answers ----------------------------------------------------------------------------------
 
@@ -499,6 +496,9 @@ class Guarded:
         if answer.result is Result.SCHEDULED:
             change = change_of(case.request, self._guard.in_force.level)
             self._scheduled[answer.seq] = Booked(case.at_tick, answer.seq, change)
+            if case.former:
+                end = Booked(until_tick(case.request), answer.seq, case.former)
+                self._scheduled[-answer.seq] = end
             return Told(case, receipt=receipt(answer))
         if answer.result in JUDGED_OTHERWISE and case.tries < TRIES:
             self._again(case, now_ns)
@@ -512,6 +512,8 @@ class Guarded:
     def _applied(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
         self._guard.auto = self._auto(case)
         if self._under_way.applied(case, answer, now_ns):
+            if case.taken_back:
+                return self._under_way.taken_back(case)
             staged = receipt(answer) | {"result": "staged"}
             return None if case.replied else Told(case, receipt=staged)
         if len(case.stages) <= 1 and not case.ahead:
@@ -523,13 +525,15 @@ class Guarded:
         case.tries += 1
         case.came_ns = now_ns
         case.number = case.place = case.ready_ns = 0
-        if case.at_tick <= self._view.tick and "until_tick" not in case.request.given:
-            case.at_tick = 0  # a bounded change that is late is refused: its end may be late too
+        if case.at_tick <= self._view.tick and not until_tick(case.request):
+            case.at_tick = 0  # a bounded change that is late is refused: it was to last so long
         self._queue.appendleft(case)
 
     def later(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
         """As `answered`, for the second answer to a scheduled change."""
         self._scheduled.pop(answer.seq, None)
+        if answer.result is not Result.APPLIED:
+            self._scheduled.pop(-answer.seq, None)
         if answer.result is Result.APPLIED:
             return self._applied(case, answer, now_ns)
         if answer.result in JUDGED_OTHERWISE and case.tries < TRIES:

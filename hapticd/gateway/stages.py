@@ -24,7 +24,11 @@ from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, Stat
 from hapticd.params import STRICT_POLICIES
 from hapticd.units import NS_PER_S
 
-UNJUDGED = ("ramp_s", "limit_cycle_faults")  # fields of `set` that come along with what is judged
+UNJUDGED = (
+    "ramp_s",
+    "limit_cycle_faults",
+    "until_tick",
+)  # fields of `set` that come along with what is judged
 STAGE_NS = 2 * NS_PER_S  # beyond the time that the damping takes to rise
 LATCHED = frozenset({State.STOPPED, State.FAULT})
 
@@ -50,6 +54,7 @@ class Stages:
 
     def __init__(self, view: ServoView, post: Post, tell: Callable[[Told], None]) -> None:
         self.case: Case | None = None  # whose next stage waits
+        self._posted: Case | None = None  # whose stage was posted last; its answer may be due
         self._view = view
         self._post = post
         self._tell = tell
@@ -116,6 +121,25 @@ class Stages:
             lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
             self.cancel(f"the next stage waited too long: {lacks}")
 
+    def take_back(self, concerned: Callable[[Case], bool], why: str) -> None:
+        """Of an enable that is `concerned` no further stage comes, because of `why`."""
+        case = self.case
+        if case is not None and isinstance(case.request, Enable) and concerned(case):
+            self.cancel(why)
+        posted = self._posted
+        if posted is not None and isinstance(posted.request, Enable) and concerned(posted):
+            posted.taken_back = why
+
+    def taken_back(self, case: Case) -> Told:
+        """What is to be said of `case`, of which a stage came into force after it was taken back;
+        force does not come.
+        """
+        self.case = None
+        text = f"{case.taken_back}; what is in force stays"
+        if case.replied:
+            return Told(case, receipt=self._standing("cancelled", text))
+        return Told(case, CommandError("refused", f"{case.cmd}: {text}; ask again"))
+
     def supersede(self, by: Case) -> None:
         """`by` comes into force: what is left is not done."""
         case = self.case
@@ -130,6 +154,7 @@ class Stages:
         case.ramp_end_tick = answer.ramp_end_tick
         case.seen = answer.revision
         case.since_ns = now_ns
+        self._posted = None
         if case.place >= len(case.stages):
             return False
         if self.case is not None:
@@ -176,6 +201,7 @@ class Stages:
     def _post_stage(self, case: Case, now_ns: int) -> None:
         try:
             self._post(case, self._posting(case), now_ns)
+            self._posted = case
         except CommandError as error:
             self._tell(Told(case, error))
 

@@ -122,7 +122,8 @@ class GatewayMailbox:
         )
         self.waveform = memoryview(self._wave)[layout.PERTURBATION_HEADER :].cast("h")
         self.words[layout.GATEWAY_PID_WORD] = os.getpid()
-        self._inherited = self.words[layout.COMMAND_HEAD_WORD]  # posted by a gateway before
+        # what a gateway before has left in the ring brings no force
+        self.store(layout.INHERITED_WORD, self.words[layout.COMMAND_HEAD_WORD])
 
     @property
     def current(self) -> bool:
@@ -150,11 +151,8 @@ class GatewayMailbox:
         return self.load(layout.SERVO_BEAT_WORD)
 
     def beat(self, now_ns: int) -> None:
-        """Tell the servo that the gateway is alive, once it has taken what a gateway before left in
-        the ring: an enable among that is refused while no gateway lives.
-        """
-        if self.load(layout.COMMAND_TAIL_WORD) >= self._inherited:
-            self.store(layout.GATEWAY_BEAT_WORD, now_ns)
+        """Tell the servo that the gateway is alive."""
+        self.store(layout.GATEWAY_BEAT_WORD, now_ns)
 
     @property
     def last_actor(self) -> int:

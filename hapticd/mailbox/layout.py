@@ -30,6 +30,7 @@ ANSWER_TAIL_WORD = 104  # answers taken (gateway)
 GATEWAY_PID_WORD = 112
 LAST_ACTOR_WORD = 113  # the greatest client number given in this servo life (gateway)
 PERTURBATION_LEASE_WORD = 114  # actor that holds the lease of the perturbation, 0: none (gateway)
+INHERITED_WORD = 115  # commands posted by the gateways before this one (gateway)
 JOURNAL_HEAD_WORD = 120  # requests obeyed (servo)
 CHECKPOINT_ASKED_WORD = 122  # checkpoints asked for (gateway)
 CHECKPOINT_HEAD_WORD = 124  # checkpoints written (servo)
@@ -63,7 +64,7 @@ STAGES = ("wake", "read", "step", "write", "publish")
 # --- command ring: gateway -> servo ---------------------------------------------------------------
 RING_SLOTS = 64
 # seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
-COMMAND_VALUES = 25
+COMMAND_VALUES = 26
 COMMAND = struct.Struct(f"<QIIQ{COMMAND_VALUES}dII")
 COMMAND_OFFSET = 2 * PAGE
 COMMAND_CRC_OFFSET = COMMAND.size - 8
@@ -154,6 +155,7 @@ class Value(IntEnum):
     SILENCE_S = 23  # WITHHOLD: for how long
     # number of the terms by which a change was judged; ANY_TERMS: the end of what is bounded
     TERMS = 24
+    UNTIL_TICK = 25  # from which everything that the change names is as it was before
 
 
 def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
@@ -200,6 +202,7 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     # far below what a board holds damping
     Value.SILENCE_S: ValueLimit(1e-3, LONGEST_SILENCE_S, "s"),
     Value.TERMS: ValueLimit(0.0, float((1 << 32) - 1), "number"),
+    Value.UNTIL_TICK: ValueLimit(1.0, float(1 << 53), "tick"),  # whole in a double
 }
 # until the signs of a device are verified: with the wrong one every spring and damper drives
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {

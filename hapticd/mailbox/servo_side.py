@@ -115,6 +115,11 @@ class ServoMailbox:
             return None
         return seq, kind, actor, apply_tick, tuple(values)
 
+    @property
+    def inherited(self) -> int:
+        """Number of the last command that a gateway before the present one posted."""
+        return self.load(layout.INHERITED_WORD)
+
     def count(self, name: str, amount: int = 1) -> None:
         """Add `amount` to counter `name` (layout.COUNTERS)."""
         self._counts[name] += amount

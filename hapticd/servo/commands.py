@@ -10,11 +10,21 @@ What would break it: a state that is entered past `enter`, or an answer that is 
 plan is what it says.
 """
 
+from collections.abc import Iterable, Sequence
+from math import inf
 from typing import NamedTuple
 
 from hapticd.errors import ConfigError
 from hapticd.faults import BY_CODE, FROM_GATEWAY
-from hapticd.mailbox.layout import ANY_TERMS, COMMAND_VALUES, Command, Result, Value, following
+from hapticd.mailbox.layout import (
+    ANY_TERMS,
+    COMMAND_VALUES,
+    Command,
+    Result,
+    Value,
+    following,
+    values_of,
+)
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety, silence
@@ -40,6 +50,8 @@ from hapticd.servo.safety import GRANTED, LATCHED, State
 from hapticd.units import round_half_up
 
 MOST_SCHEDULED = 16
+# places of a bounded change that its end does not bring back
+UNBOUNDED = frozenset({Value.ENVIRONMENT_REVISION, Value.TERMS, Value.UNTIL_TICK})
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
 # whose mask is looked at
 MASKED = SETTINGS | {
@@ -69,6 +81,11 @@ def answer(
     plan: Plan, seq: int, result: Result, ticks: tuple[int, int], params: ServoParams
 ) -> Answer:
     """The receipt: result, revision, ticks and the values as they act, after quantisation."""
+    return seq, int(result), plan.fault, plan.revision, ticks, _effective(plan, params)
+
+
+def _effective(plan: Plan, params: ServoParams) -> tuple[float, ...]:
+    """What `plan` leads to, by layout.Value."""
     effective = [0.0] * COMMAND_VALUES
     for place, ramp in plan.values.items():
         effective[place] = ramp.end
@@ -85,7 +102,7 @@ def answer(
     effective[Value.LEASE_CONTROL], effective[Value.LEASE_DAMPING] = plan.leases
     effective[Value.STOP_OWNER] = plan.stop_owner
     effective[Value.ENVIRONMENT_REVISION] = plan.environment_revision
-    return seq, int(result), plan.fault, plan.revision, ticks, tuple(effective)
+    return tuple(effective)
 
 
 def force_acts(plan: Plan, tick: int) -> bool:
@@ -162,6 +179,8 @@ def _origin_kept(entered: Plan, now: Now) -> Plan:
 def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[Plan, list[Answer]]:
     """`plan` after `request`, with its receipts; a refused request changes nothing."""
     seq, kind, actor, _, values = request
+    if kind == safety.ORPHANED_EVENT:
+        return plan, [answer(plan, seq, Result.REFUSED_NO_GATEWAY, (now.tick, now.tick), params)]
     if kind in MASKED and not names_places(values):
         return plan, [answer(plan, seq, Result.REFUSED_RANGE, (now.tick, now.tick), params)]
     if kind in SETTINGS:
@@ -289,11 +308,33 @@ def _settings(
     here = (now.tick, now.tick)
     if out_of_range(values, params):
         return plan, [answer(plan, seq, Result.REFUSED_RANGE, here, params)]
-    if apply_tick == 0 or apply_tick == now.tick:
-        return apply_settings(plan, Scheduled(seq, actor, now.tick, values), params)
-    if apply_tick < now.tick:
+    at = apply_tick or now.tick
+    if at < now.tick or _until(values) <= at:
         return plan, [answer(plan, seq, Result.REFUSED_LATE, here, params)]
-    return _schedule(plan, Scheduled(seq, actor, apply_tick, values), params)
+    if at > now.tick:
+        return _schedule(plan, Scheduled(seq, actor, at, values), params)
+    if _taken(plan.scheduled) + bounded(values) > MOST_SCHEDULED:
+        return plan, [answer(plan, seq, Result.REFUSED_FULL, here, params)]
+    return apply_settings(plan, Scheduled(seq, actor, at, values), params)
+
+
+def _until(values: tuple[float, ...]) -> float:
+    """The slot at which what `values` ask for ends; infinity for no end."""
+    return values[Value.UNTIL_TICK] if bounded(values) else inf
+
+
+def bounded(values: tuple[float, ...]) -> bool:
+    """Whether what `values` ask for has an end."""
+    return Value.UNTIL_TICK in masked_places(values)
+
+
+def _taken(scheduled: Sequence[Scheduled]) -> int:
+    """Places that `scheduled` take of MOST_SCHEDULED: what is bounded has one for its end."""
+    return sum(1 + bounded(one.values) for one in scheduled)
+
+
+def _in_order(scheduled: Iterable[Scheduled]) -> tuple[Scheduled, ...]:
+    return tuple(sorted(scheduled, key=lambda one: (one.tick, one.seq)))
 
 
 def _schedule(plan: Plan, new: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
@@ -304,11 +345,9 @@ def _schedule(plan: Plan, new: Scheduled, params: ServoParams) -> tuple[Plan, li
         if old.tick == new.tick and places.issuperset(masked_places(old.values))
     ]
     kept = tuple(old for old in plan.scheduled if old not in gone)
-    if len(kept) >= MOST_SCHEDULED:
+    if _taken((*kept, new)) > MOST_SCHEDULED:
         return plan, [answer(plan, new.seq, Result.REFUSED_FULL, (new.tick, new.tick), params)]
-    after = plan._replace(
-        scheduled=tuple(sorted((*kept, new), key=lambda one: (one.tick, one.seq)))
-    )
+    after = plan._replace(scheduled=_in_order((*kept, new)))
     answers = [
         answer(plan, old.seq, Result.SUPERSEDED, (old.tick, old.tick), params) for old in gone
     ]
@@ -391,7 +430,21 @@ def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Pla
     if after.filters != plan.filters and not filters_idle(plan, one.tick):
         return plan, [answer(plan, one.seq, Result.REFUSED_FILTER, (one.tick, one.tick), params)]
     after = after._replace(actor=one.actor)
+    if bounded(one.values):
+        after = after._replace(scheduled=_in_order((*after.scheduled, _end(plan, one, params))))
     return after, [answer(after, one.seq, Result.APPLIED, (one.tick, end), params)]
+
+
+def _end(before: Plan, one: Scheduled, params: ServoParams) -> Scheduled:
+    """What brings back what `one` changes of `before`, at the tick at which it ends."""
+    effective = _effective(before, params)
+    given = {
+        Value(place): one.values[place] if place == Value.RAMP_S else effective[place]
+        for place in masked_places(one.values)
+        if place not in UNBOUNDED
+    }
+    values = values_of(given | {Value.TERMS: float(ANY_TERMS)})
+    return Scheduled(one.seq, one.actor, int(one.values[Value.UNTIL_TICK]), values)
 
 
 def filters_idle(plan: Plan, tick: int) -> bool:

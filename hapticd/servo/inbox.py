@@ -30,7 +30,7 @@ from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import ServoParams
 from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request, Settled, fault_request
-from hapticd.servo.safety import GRANTED, PERTURB_DONE_EVENT
+from hapticd.servo.safety import GRANTED, ORPHANED_EVENT, PERTURB_DONE_EVENT
 from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.wire.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, I16_HIGHEST, I16_LOWEST, NO_SAMPLES
 from hapticd.wire.frames import FIFO_TARGET, PROBE_MAX, OutFlag
@@ -100,6 +100,11 @@ class Streamer:
 
 
 MOST_COMMANDS = 2
+# of a gateway that is gone: they bring no force
+ORPHANS_OBEYED = frozenset({
+    Command.DISABLE, Command.STOP, Command.PERTURB_STOP, Command.FAULT, Command.CANCEL,
+    Command.TERMS,
+})  # fmt: skip
 CLEAR_TICKS = 3  # until a frame shows what CLEAR_FAULT did
 _NO_VALUES = (0.0,) * COMMAND_VALUES
 
@@ -146,7 +151,7 @@ class Inbox:
         done = len(found)
         most = 0 if self._leaving else MOST_COMMANDS  # nobody enables what ends
         while len(found) - done < most and (request := self._mailbox.take()) is not None:
-            found.append(request)
+            found.append(self._of_present_gateway(request))
         resets = any(request[KIND] == Command.RESET for request in found)
         if resets and head[HEAD_STATUS] & CLEARABLE:
             found = self._ask_board(found, tick)
@@ -162,6 +167,14 @@ class Inbox:
             found.append((0, Command.STOP, 0, 0, _NO_VALUES))
         self.waiting = bool(self._lost or self._deferred or self._leaving or self.unlooked)
         return tuple(found)
+
+    def _of_present_gateway(self, request: Request) -> Request:
+        """`request`, or what stands for one that a gateway before left in the ring: no other
+        gateway has judged it.
+        """
+        if request[0] > self._mailbox.inherited or request[KIND] in ORPHANS_OBEYED:
+            return request
+        return request[0], ORPHANED_EVENT, request[2], 0, _NO_VALUES
 
     def leave(self) -> None:
         """The process ends: what acts is stopped, and no command is taken any more."""

@@ -342,11 +342,20 @@ KIND: Final = 1  # place in a Request
 
 
 def in_slots(requests: tuple[Request, ...], lost: int) -> tuple[Request, ...]:
-    """`requests` with their apply ticks as slots, when `lost` slots have no tick."""
+    """`requests` with their ticks as slots, when `lost` slots have no tick."""
+    if not lost:
+        return requests
     return tuple(
-        (seq, kind, actor, apply_tick and apply_tick + lost, values)
+        (seq, kind, actor, apply_tick and apply_tick + lost, _until_slot(values, lost))
         for seq, kind, actor, apply_tick, values in requests
     )
+
+
+def _until_slot(values: tuple[float, ...], lost: int) -> tuple[float, ...]:
+    place = Value.UNTIL_TICK
+    if len(values) <= place or not int(values[Value.MASK]) >> place & 1:
+        return values
+    return (*values[:place], values[place] + lost, *values[place + 1 :])
 
 
 def fault_request(number: int) -> Request:

@@ -29,7 +29,7 @@ from hapticd.client.client import Client
 from hapticd.client.conversation import Receipt
 from hapticd.errors import AnalysisError, CommandError, ConfigError, LinkError
 from hapticd.faults import BY_NUMBER
-from hapticd.gateway.commands import ACCEPTED, Posting, ending, parameters, posting, receipt
+from hapticd.gateway.commands import ACCEPTED, Posting, posting, receipt
 from hapticd.gateway.leases import MEASURING
 from hapticd.gateway.schemas import ADAPTER, LeaseRequest
 from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
@@ -86,8 +86,6 @@ class LockStepBench(Client):
         request = ADAPTER.validate_python({"cmd": cmd, **given})
         if isinstance(request, LeaseRequest):
             return {"state": self._known()["state"], "result": self._leased(request)}
-        if end := ending(request, parameters(self._effective)):
-            self._do(end)
         answer = self._do(posting(request, self._samples))
         self._effective = answer.effective
         if answer.result not in ACCEPTED:

@@ -332,3 +332,14 @@ def test_hand_that_is_named_shakes_harder_than_the_one_where_growth_was_guessed(
     guessed, _ = shaking_hand(model, (500.0, 2.0, 0.0)) or pytest.fail("no hand")
     weaker = coupled_radius(model, np.array([[500.0, 2.0, 0.0]]), [guessed])[0, 0]
     assert hand["radius"] > weaker > 1.0
+
+
+@pytest.mark.parametrize(("scheduled", "side"), [(15, 1), (16, 1), (21, 0), (40, 0)])
+def test_more_changes_scheduled_than_points_are_refused_with_the_reason(
+    scheduled: int, side: int
+) -> None:
+    wall = {"stiffness_n_per_m": 10.0, "side": side}
+    after = [{"K": 1.0 + place, "wall": wall} for place in range(scheduled)]
+    answer = change(rigid_judge(), {"K": 1.0}, after=after)
+    assert answer["action"] == "refuse"
+    assert f"more than {POINTS} points" in answer["verdict"]["text"]

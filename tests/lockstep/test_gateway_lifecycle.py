@@ -373,3 +373,109 @@ def test_force_0_is_not_refused_though_the_worker_is_silent(flight: Flight) -> N
     flight.worker.silent = True
     assert flight.ask(cmd="set", K=0.0, B=0.0, M=0.0)["ok"]
     assert "error" in flight.ask(cmd="damping", value="off")
+
+
+def scheduled(flight: Flight) -> tuple[Any, ...]:
+    return tuple(flight.stack.loop.state[0].plan.scheduled)
+
+
+def test_bounded_change_that_does_not_begin_leaves_no_end(flight: Flight) -> None:
+    """Terms made strict before its tick cancel it; what others set meanwhile stays."""
+    reply, begin = bounded(flight, "warn", K=40.0)
+    assert reply["receipt"]["result"] == "scheduled"
+    assert flight.ask(cmd="guard", policy="refuse")["ok"]
+    assert flight.ask(cmd="set", K=30.0, ramp_s=0.0)["ok"]
+    assert scheduled(flight) == ()
+    records = flight.fly(200)
+    assert set(records["stiffness_n_per_m"][records["tick"] > begin]) == {30.0}
+
+
+def test_bounded_change_for_whose_end_there_is_no_room_does_not_begin(flight: Flight) -> None:
+    flight.ask(cmd="guard", policy="warn")
+    tick = flight.view.tick
+    for place in range(15):
+        assert flight.ask(cmd="set", K=1.0 + place, at_tick=tick + 2000 + place)["ok"]
+    begin = flight.view.tick + 50
+    reply = flight.ask(cmd="set", K=50.0, ramp_s=0.0, at_tick=begin, until_tick=begin + 20)
+    assert not reply["ok"]
+    assert len(scheduled(flight)) == 15
+    assert not flight.fly(200)["stiffness_n_per_m"].any()
+
+
+def test_bounded_change_brings_back_what_was_there_when_it_began(flight: Flight) -> None:
+    """K is changed between the request and its tick."""
+    reply, begin = bounded(flight, "warn", K=40.0)
+    assert reply["ok"]
+    assert flight.ask(cmd="set", K=25.0, ramp_s=0.0)["ok"]
+    records = flight.fly(200)
+    rendered = dict(zip(records["tick"].tolist(), records["stiffness_n_per_m"], strict=True))
+    assert [rendered[begin + after] for after in (-1, 5, 19, 25)] == [25.0, 40.0, 40.0, 25.0]
+    assert scheduled(flight) == ()
+
+
+# --- while the servo has it ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("end", ["nothing", "disable", "reset", "leave"])
+def test_enable_whose_first_stage_is_with_the_servo_is_taken_back(
+    rig: DeskRig, worker: StubWorker, end: str
+) -> None:
+    rig.ask(cmd="guard", policy="clamp")
+    worker.script = staged
+    rig.servo.effect = 0.0
+    rig.servo.deaf = True
+    rig.send(packed(cmd="enable"))
+    for _ in range(3):
+        rig.run()
+    assert rig.view.mailbox is not None
+    assert rig.view.mailbox.backlog == 2  # the terms, and the first stage
+    if end == "leave":
+        rig.desk.leave(b"a")
+    elif end != "nothing":
+        rig.send(packed(cmd=end), client=b"b")
+    rig.servo.deaf = False
+    for _ in range(3):
+        rig.run()
+    assert comes(rig) is (State.ENABLED if end == "nothing" else State.DISABLED)
+
+
+def test_what_was_scheduled_in_one_batch_with_a_measuring_lease_does_not_outlive_it(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    rig.ask(cmd="guard", policy="refuse")
+    rig.run(1)
+    worker.script = refuses
+    rig.send(
+        packed(cmd="lease", what="measuring", action="take"),
+        packed(cmd="set", K=70, at_tick=rig.servo.ticks + 100),
+        packed(cmd="lease", what="measuring", action="release"),
+    )
+    rig.look()
+    rig.run(300)
+    assert rig.servo.values[Value.STIFFNESS] == 0.0
+
+
+@pytest.mark.parametrize("pause_ms", [0, 3000])
+def test_what_a_dead_gateway_left_in_the_ring_does_not_come_into_force(pause_ms: int) -> None:
+    """The servo stands while its gateway dies and another comes, at once or later."""
+    with LockStep(servo_params(), board_params()) as stack:
+        stack.run(5)
+        stack.gateway.beat(stack.clock.now_ns())
+        stiff = values_of({Value.STIFFNESS: 70.0, Value.RAMP_S: 0.0})
+        left = [
+            stack.gateway.post(Command.SET, 16, 0, stiff),
+            stack.gateway.post(Command.ENABLE, 16, 0, values_of({})),
+            stack.gateway.post(Command.STOP, 16, 0, values_of({})),
+        ]
+        stack.gateway.close()
+        stack.clock.sleep_until_ns(stack.clock.now_ns() + pause_ms * NS_PER_MS)
+        stack.gateway = GatewayMailbox(stack.mailbox.folder)
+        stack.gateway.beat(stack.clock.now_ns())
+        own = stack.gateway.post(Command.SET, 16, 0, values_of({Value.MASS: 0.0}))
+        stack.run(5)
+        results = {one.seq: one.result for one in stack.gateway.answers()}
+        expected = [Result.REFUSED_NO_GATEWAY] * 2 + [Result.APPLIED] * 2
+        assert [results[seq] for seq in (*left, own)] == expected
+        plan = stack.loop.state[0].plan
+        assert plan.values[Value.STIFFNESS].end == 0.0
+        assert plan.state is State.STOPPED
