@@ -27,7 +27,7 @@ def main(pause_s: float = 0.5) -> None:
         except SequenceError as error:
             sys.exit(f"{error}")
     for one in done:
-        guard = f"; {one.guard['text']}" if one.guard else ""
+        guard = f"; {one.guard.text}" if one.guard else ""
         print(f"tick {one.tick}, revision {one.revision}: {one.step}{guard}")
 
 

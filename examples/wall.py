@@ -23,19 +23,17 @@ def greatest(device: Client, damping: float) -> float:
 
 def main() -> None:
     """Without and with damping."""
-    with Client(name="wall") as device, device.lease("environment", at_end="disable"):
-        before = device.guard()["policy"]
+    with (
+        Client(name="wall", strict=True) as device,
+        device.lease("environment", at_end="disable"),
+    ):
         device.set(K=0, B=0, M=0, ramp_s=0)  # at once: force comes on when nothing is rendered
-        device.guard("refuse")
-        try:
-            device.enable()
-            for damping in (0.0, 1.74):
-                stiffness = greatest(device, damping)
-                print(f"with {damping:g} N s/m of active damping: a wall of {stiffness:.0f} N/m")
-            device.disable()
-            device.set(wall={"stiffness_n_per_m": 0.0})
-        finally:
-            device.guard(before)
+        device.enable()
+        for damping in (0.0, 1.74):
+            stiffness = greatest(device, damping)
+            print(f"with {damping:g} N s/m of active damping: a wall of {stiffness:.0f} N/m")
+        device.disable()
+        device.set(wall={"stiffness_n_per_m": 0.0})
 
 
 if __name__ == "__main__":

@@ -21,6 +21,8 @@ HapticdError               (exit 1; `exit_code` of a class is what a process end
 │   │                      faulted)
 │   └── SequenceError      a sequence ended before its last step: which acted, and what was left
 └── DaemonDown             nobody answers (exit 3)
+
+GuardWarning               a warning: what was asked acts, and some passive hand could shake it
 """
 
 from typing import Any
@@ -108,11 +110,11 @@ class AnalysisError(HapticdError):
 
 
 class CommandError(HapticdError):
-    """The daemon refused a command; `guard` is the guard's verdict on it, where there is one."""
+    """The daemon refused a command; `guard` is the guard's verdict on it, where there is one: a
+    `GuardVerdict` for whoever asked, in the gateway the map that is sent.
+    """
 
-    def __init__(
-        self, code: str, message: str, detail: object = None, guard: dict[str, Any] | None = None
-    ) -> None:
+    def __init__(self, code: str, message: str, detail: object = None, guard: Any = None) -> None:
         super().__init__(message)
         self.code = code
         self.detail = detail
@@ -142,3 +144,27 @@ class DaemonDown(HapticdError):
     """No daemon answers at the endpoint: start it with `hapticd run`."""
 
     exit_code = 3
+
+
+class GuardWarning(UserWarning):
+    """What was asked acts, or will, and some passive hand could shake it.
+
+    `margin_ns_per_m` is the damping to spare [N s/m], negative where it is short, None where the
+    verdict has none; `remedy` says what would do; `receipt` is that of the change, with the whole
+    verdict in its `guard`.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        margin_ns_per_m: float | None = None,
+        remedy: str = "",
+        receipt: Any = None,
+    ) -> None:
+        super().__init__(message)
+        self.margin_ns_per_m = margin_ns_per_m
+        self.remedy = remedy
+        self.receipt = receipt
+
+    def __reduce__(self) -> tuple[type["GuardWarning"], tuple[Any, ...]]:
+        return type(self), (str(self), self.margin_ns_per_m, self.remedy, self.receipt)

@@ -4,6 +4,7 @@ A verb is imported when it is asked for: `hapticd set` loads neither numpy nor w
 help and mistakes load all of them.
 """
 
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Annotated, Any
@@ -12,7 +13,7 @@ import typer
 
 from hapticd import __version__
 from hapticd.cli import terminal
-from hapticd.errors import HapticdError
+from hapticd.errors import GuardWarning, HapticdError
 
 USAGE = 2
 VERBS = {  # module of this package, and function
@@ -90,7 +91,10 @@ def hapticd(
 def main(arguments: Sequence[str]) -> int:
     """Run one command line; the exit code."""
     try:
-        command_line(*arguments[:1])(args=list(arguments), prog_name="hapticd")
+        with warnings.catch_warnings():
+            # the verbs have words of their own for what the guard says
+            warnings.simplefilter("ignore", GuardWarning)
+            command_line(*arguments[:1])(args=list(arguments), prog_name="hapticd")
     except HapticdError as error:
         terminal.complain(error, as_json="--json" in arguments)
         return error.exit_code

@@ -16,7 +16,7 @@ from hapticd.errors import CommandError
 from hapticd.gateway.limits import PLACES
 
 if TYPE_CHECKING:
-    from hapticd.client import Client, Receipt
+    from hapticd.client import Client, GuardVerdict, Receipt
 
 
 NAMES = tuple(name for name in PLACES if name != "ramp_s")
@@ -72,16 +72,17 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
         try:
             receipt = _settled(client, ask(client))
         except CommandError as error:
-            found = _found_out(client, error.guard)
-            text = "\n".join(thoughts(str(error), found)) if error.guard else str(error)
-            raise CommandError(error.code, text, error.detail, error.guard) from None
+            verdict, found = _found_out(client, error.guard)
+            text = "\n".join(thoughts(str(error), found)) if verdict else str(error)
+            raise CommandError(error.code, text, error.detail, verdict) from None
         if not as_json:
             terminal.data(receipt_text(receipt))
-        lines = _found_out(client, receipt.guard)
+        verdict, lines = _found_out(client, receipt.guard)
     if as_json:
-        terminal.data_json({"ok": True, **dataclasses.asdict(receipt)})
-    elif receipt.guard and receipt.guard["policy"] != "off" and not receipt.guard["safe"]:
-        for line in thoughts(receipt.guard["text"], lines):
+        told = dataclasses.replace(receipt, guard=verdict)
+        terminal.data_json({"ok": True, **dataclasses.asdict(told)})
+    elif verdict and verdict.policy != "off" and not verdict.safe:
+        for line in thoughts(verdict.text, lines):
             terminal.talk(terminal.wrapped(f"hapticd: {line}"))
 
 
@@ -113,12 +114,12 @@ def _ended(event: dict[str, Any], begun: "Receipt", state: str) -> "Receipt":
     return dataclasses.replace(begun, state=state, **{name: event[name] for name in names})
 
 
-def _found_out(client: "Client", verdict: dict[str, Any] | None) -> list[str]:
-    """What is known of an unsafe request, with the hand that would shake it, as `verdict` has it
-    from then on.
-    """
-    if not verdict or verdict["safe"] is not False:
-        return []
+def _found_out(
+    client: "Client", verdict: "GuardVerdict | None"
+) -> "tuple[GuardVerdict | None, list[str]]":
+    """`verdict` with the hand that would shake an unsafe request, and what is known in words."""
+    if verdict is None or verdict.safe is not False:
+        return verdict, []
     event = client.hand(verdict)
-    verdict["hand"] = event["hand"] if event else None
-    return verdict_lines(verdict) + ([event["text"]] if event and event["hand"] else [])
+    lines = verdict_lines(verdict) + ([event["text"]] if event and event["hand"] else [])
+    return dataclasses.replace(verdict, hand=event["hand"] if event else None), lines

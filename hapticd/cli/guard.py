@@ -8,6 +8,7 @@ import typer
 from hapticd import params
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.client.verdict import verdict_of
 from hapticd.client.words import guard_line, margin_words, verdict_lines
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def guard(
     if as_json:
         terminal.data_json({"ok": True, **found})
         return
-    for line in (*guard_lines(found), *verdict_lines(found["verdict"] or {})):
+    for line in (*guard_lines(found), *verdict_lines(verdict_of(found["verdict"]))):
         terminal.data(line)
 
 

@@ -4,6 +4,7 @@ Data go to stdout, talk to stderr, errors are one line each. rich and matplotlib
 they are used.
 """
 
+import dataclasses
 import inspect
 import json
 import os
@@ -135,7 +136,7 @@ def complain(error: HapticdError, as_json: bool) -> None:
         detail = error.detail if isinstance(error, CommandError) else None
         told = {"code": code, "message": str(error), "detail": detail}
         if isinstance(error, CommandError) and error.guard:
-            told["guard"] = error.guard
+            told["guard"] = dataclasses.asdict(error.guard)
         data_json({"ok": False, "error": told})
 
 

@@ -11,6 +11,8 @@
     Listener       the telemetry of a daemon on another computer, with a key
     ClientLease    to be the only one who changes something: `with device.lease("environment"):`
     Receipt        what became of an accepted change
+    GuardVerdict   what the guard says of it: `receipt.guard`, `error.guard`
+    GuardWarning   emitted where a change acts that is not safe
     step           one change of a sequence: `device.sequence([step("set", K=100), ...])`
     StepReceipt    what became of it
     Block          consecutive records of a telemetry topic, and what was lost before them
@@ -31,7 +33,8 @@ if TYPE_CHECKING:
     from hapticd.client.lease import ClientLease
     from hapticd.client.listener import Listener
     from hapticd.client.sequence import Step, StepReceipt, step
-    from hapticd.errors import CommandError, DaemonDown, SequenceError
+    from hapticd.client.verdict import GuardVerdict
+    from hapticd.errors import CommandError, DaemonDown, GuardWarning, SequenceError
 
 __all__ = [
     "AsyncClient",
@@ -40,6 +43,8 @@ __all__ = [
     "ClientLease",
     "CommandError",
     "DaemonDown",
+    "GuardVerdict",
+    "GuardWarning",
     "Listener",
     "Receipt",
     "SequenceError",
@@ -54,6 +59,8 @@ _HOMES = {
     "ClientLease": "hapticd.client.lease",
     "CommandError": "hapticd.errors",
     "DaemonDown": "hapticd.errors",
+    "GuardVerdict": "hapticd.client.verdict",
+    "GuardWarning": "hapticd.errors",
     "Listener": "hapticd.client.listener",
     "Receipt": "hapticd.client.conversation",
     "SequenceError": "hapticd.errors",

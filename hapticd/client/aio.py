@@ -42,9 +42,19 @@ from hapticd.client.conversation import (
     socket_file,
 )
 from hapticd.client.lease import RENEWALS, lost_error
-from hapticd.client.sequence import Ask, AtRefusal, Pause, Step, StepReceipt, advanced, course
+from hapticd.client.sequence import (
+    Ask,
+    AtRefusal,
+    Course,
+    Pause,
+    Step,
+    StepReceipt,
+    advanced,
+    course,
+)
 from hapticd.client.verbs import POLL_S, Verbs, hand_of
-from hapticd.errors import CommandError, DaemonDown, HapticdError
+from hapticd.client.verdict import GuardVerdict, GuardWarnings
+from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
 from hapticd.params import AtEnd, Leased
@@ -169,10 +179,13 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
         timeout_s: float = 2.0,
         name: str = "script",
         folder: Path | None = None,
+        strict: bool = False,
     ) -> None:
         self._folder = folder or daemon_folder(instance)
         self._timeout_s = timeout_s
         self._name = name
+        self._strict = strict
+        self._warnings = GuardWarnings()
         self._line = AsyncLine(self._folder, name)
 
     async def __aenter__(self) -> Self:
@@ -190,14 +203,20 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
 
         CommandError where the daemon refuses, DaemonDown where none answers in time.
         """
-        return accepted(await self._line.exchange(cmd, fields, self._timeout_s))
+        asked = self._as_asked(cmd, fields)
+        return accepted(await self._line.exchange(cmd, asked, self._timeout_s))
 
     async def _result(self, cmd: str, **fields: Any) -> Answer:
-        found: Answer = (await self.call(cmd, **fields))["result"]
+        reply = await self.call(cmd, **fields)
+        if "receipt" in reply:  # a mode of the guard changes the damping
+            self._warnings.tell(receipt_of(reply))
+        found: Answer = reply["result"]
         return found
 
     async def _change(self, cmd: str, **fields: Any) -> Receipt:
-        return receipt_of(await self.call(cmd, **fields))
+        receipt = receipt_of(await self.call(cmd, **fields))
+        self._warnings.tell(receipt)
+        return receipt
 
     async def stop(self) -> Receipt:
         """Latched stop; without a reply within 40 ms the stop word is pressed.
@@ -237,7 +256,15 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
 
         CommandError: nothing was sent; SequenceError: it ended before the last step.
         """
-        under_way = course(steps, at_refusal, self._name, lead_s)
+        try:
+            done = await self._carried_out(course(steps, at_refusal, self._name, lead_s))
+        except SequenceError as error:
+            self._warnings.tell_beside(error.receipts)
+            raise
+        self._warnings.tell(*done)
+        return done
+
+    async def _carried_out(self, under_way: Course) -> tuple[StepReceipt, ...]:
         answer = None
         while True:
             due = advanced(under_way, answer)
@@ -255,7 +282,7 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
         except (CommandError, DaemonDown) as error:
             return error
 
-    async def hand(self, verdict: Answer, timeout_s: float = 1.0) -> Answer | None:
+    async def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> Answer | None:
         """The hand that would shake what `verdict` is about; None if `timeout_s` passes first."""
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:

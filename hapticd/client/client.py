@@ -39,8 +39,9 @@ from hapticd.client.conversation import (
 )
 from hapticd.client.lease import ClientLease
 from hapticd.client.verbs import POLL_S, Verbs, hand_of
+from hapticd.client.verdict import GuardVerdict, GuardWarnings
 from hapticd.client.watching import Line, Watching
-from hapticd.errors import CommandError, DaemonDown, HapticdError
+from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
 from hapticd.units import NS_PER_S
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from hapticd.client.sequence import Ask, AtRefusal, Step, StepReceipt
+    from hapticd.client.sequence import Ask, AtRefusal, Course, Step, StepReceipt
     from hapticd.params import AtEnd, Leased
 
 
@@ -137,7 +138,9 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
     """One connection to the daemon `instance`, best used as a context manager.
 
     `timeout_s` bounds every call; `name` is shown beside what this client changes; `folder` is the
-    runtime folder where it is not that of the instance.
+    runtime folder where it is not that of the instance. A change that acts and is not safe emits a
+    `GuardWarning`, once for each environment. With `strict` none acts: whatever the policy of the
+    guard, what this client asks is judged as under `refuse`.
     """
 
     _line: GatewayLine
@@ -148,10 +151,13 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         timeout_s: float = 2.0,
         name: str = "script",
         folder: Path | None = None,
+        strict: bool = False,
     ) -> None:
         self._folder = folder or daemon_folder(instance)
         self._timeout_s = timeout_s
         self._name = name
+        self._strict = strict
+        self._warnings = GuardWarnings()
         self._line = GatewayLine(self._folder, name)
 
     # --- asking -----------------------------------------------------------------------------------
@@ -161,18 +167,23 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
 
         CommandError where the daemon refuses, DaemonDown where none answers in time.
         """
-        return accepted(self._line.exchange(cmd, fields, self._timeout_s))
+        return accepted(self._line.exchange(cmd, self._as_asked(cmd, fields), self._timeout_s))
 
     def _result(self, cmd: str, **fields: Any) -> dict[str, Any]:
-        result: dict[str, Any] = self.call(cmd, **fields)["result"]
+        reply = self.call(cmd, **fields)
+        if "receipt" in reply:  # a mode of the guard changes the damping
+            self._warnings.tell(receipt_of(reply))
+        result: dict[str, Any] = reply["result"]
         return result
 
     def _change(self, cmd: str, **fields: Any) -> Receipt:
-        return receipt_of(self.call(cmd, **fields))
+        receipt = receipt_of(self.call(cmd, **fields))
+        self._warnings.tell(receipt)
+        return receipt
 
     # --- changing ---------------------------------------------------------------------------------
 
-    def hand(self, verdict: dict[str, Any], timeout_s: float = 1.0) -> dict[str, Any] | None:
+    def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> dict[str, Any] | None:
         """The hand that would shake what `verdict` is about: the event `guard` with `text`.
 
         None if `timeout_s` passes first.
@@ -236,11 +247,22 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         CommandError: a step cannot be done, and nothing was sent. SequenceError: it ended before
         the last step, by a refusal or a lost daemon; force was then switched off, or stopped, or,
         with "hold", left as it was. A lost daemon is stopped by the stop word, but with "hold".
-        `lead_s`: how long before its tick a step is sent; left out: half a second.
+        `lead_s`: how long before its tick a step is sent; left out: half a second. Its
+        `GuardWarning`s come at its end.
         """
-        from hapticd.client.sequence import Ask, Pause, advanced, course
+        from hapticd.client.sequence import course
 
-        under_way = course(steps, at_refusal, self._name, lead_s)
+        try:
+            done = self._carried_out(course(steps, at_refusal, self._name, lead_s))
+        except SequenceError as error:
+            self._warnings.tell_beside(error.receipts)
+            raise
+        self._warnings.tell(*done)
+        return done
+
+    def _carried_out(self, under_way: "Course") -> "tuple[StepReceipt, ...]":
+        from hapticd.client.sequence import Ask, Pause, advanced
+
         answer = None
         while True:
             due = advanced(under_way, answer)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
+from hapticd.client.verdict import GuardVerdict, verdict_of
 from hapticd.errors import CommandError, ConfigError, DaemonDown, MailboxError
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.mailbox.stop_word import press_stop
@@ -38,7 +39,7 @@ class Receipt:
     first_tick: int = 0  # from which the change acts
     ramp_end_tick: int = 0  # at which the last ramp ends
     effective: dict[str, Any] = field(default_factory=dict)  # parameters in the shape of a `set`
-    guard: dict[str, Any] | None = None  # the guard's verdict on it, where one was asked for
+    guard: GuardVerdict | None = None  # on it, where one was asked for
 
 
 class TimedOut(NamedTuple):
@@ -148,12 +149,13 @@ def accepted(reply: dict[str, Any]) -> dict[str, Any]:
     if code == "servo_down":
         raise DaemonDown(error.get("message", "the servo does not run"))
     reason = error.get("message", "no reason given")
-    raise CommandError(code, reason, error.get("detail"), error.get("guard"))
+    raise CommandError(code, reason, error.get("detail"), verdict_of(error.get("guard")))
 
 
 def receipt_of(reply: dict[str, Any]) -> Receipt:
     """The receipt in an accepted reply."""
-    return Receipt(**reply["receipt"], state=reply["state"], guard=reply.get("guard"))
+    verdict = verdict_of(reply.get("guard"))
+    return Receipt(**reply["receipt"], state=reply["state"], guard=verdict)
 
 
 def silence(outcome: TimedOut, folder: Path) -> DaemonDown:

@@ -11,7 +11,10 @@ Order (`blocks`, `pairs`) is random but balanced, and the same for the same seed
 each condition once; of pairs, half begin with A. What a person learns or tires then falls on all
 conditions alike (Fisher 1935, The Design of Experiments).
 
-A row of the table holds the revision and the ticks of the receipt. Every record of `servo.raw`
+A row of the table holds the revision and the ticks of the receipt, and what the guard said of the
+condition: `guard_safe` (True, False; empty: unknown, or nobody judged it) and `guard_margin`, the
+damping to spare [N s/m] in free space or in the wall, whichever is less. Both are of what was asked
+for; what a policy made less of is in force as K, B, M and damping say. Every record of `servo.raw`
 holds its revision, so `joined` gives each condition exactly the ticks in which it was in force,
 ramps left out, whatever the clocks of both programs say.
 
@@ -33,6 +36,7 @@ from hapticd.errors import ConfigError
 
 IN_FORCE = ("K", "B", "M", "damping")
 TICKS = ("revision", "first_tick", "ramp_end_tick")
+GUARD = ("guard_safe", "guard_margin")
 
 
 class Condition(NamedTuple):
@@ -90,7 +94,7 @@ class Table:
 
     def __enter__(self) -> Self:
         self._file = self._path.open("w", newline="", encoding="utf-8")
-        fields = ("number", "condition", *TICKS, *IN_FORCE, *self._answers)
+        fields = ("number", "condition", *TICKS, *IN_FORCE, *GUARD, *self._answers)
         self._writer = csv.DictWriter(self._file, fields)
         self._writer.writeheader()
         return self
@@ -106,7 +110,8 @@ class Table:
         self._number += 1
         ticks = {name: getattr(receipt, name) for name in TICKS}
         in_force = {name: receipt.effective.get(name) for name in IN_FORCE}
-        self._row = {"number": self._number, "condition": condition.name, **ticks, **in_force}
+        named = {"number": self._number, "condition": condition.name}
+        self._row = named | ticks | in_force | _guarded(receipt)
 
     def answer(self, **answers: Any) -> None:
         """What came of the presentation that has begun. ConfigError for a column that the table
@@ -124,6 +129,13 @@ class Table:
             self._writer.writerow(self._row)
             self._file.flush()
         self._row = {}
+
+
+def _guarded(receipt: Receipt) -> dict[str, Any]:
+    """What the guard said of the condition, by the names of its columns."""
+    verdict = receipt.guard
+    said = (verdict.safe, verdict.worse.margin_ns_per_m) if verdict else (None, None)
+    return dict(zip(GUARD, said, strict=True))
 
 
 def joined(path: Path, records: Records) -> Iterator[tuple[dict[str, str], Records]]:

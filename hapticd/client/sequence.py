@@ -38,6 +38,7 @@ from typing import Any, Literal, NamedTuple
 
 from hapticd.client.conversation import Receipt, receipt_of
 from hapticd.client.verbs import POLL_S
+from hapticd.client.verdict import GuardVerdict, verdict_of
 from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
 
 AtRefusal = Literal["disable", "stop", "hold"]
@@ -94,7 +95,7 @@ class StepReceipt:
     tick: int = 0  # of the servo, from which it acts; 0 if it did not
     revision: int = 0  # that it made, by which telemetry is joined
     text: str = ""  # why it did not act
-    guard: Mapping[str, Any] | None = None  # the guard's verdict on it
+    guard: GuardVerdict | None = None  # on it
 
     @property
     def acted(self) -> bool:
@@ -228,7 +229,7 @@ class _Run:
             self._state = receipt.state
 
     def _note(
-        self, number: int, result: str, tick: int, revision: int, guard: Mapping[str, Any] | None
+        self, number: int, result: str, tick: int, revision: int, guard: GuardVerdict | None
     ) -> None:
         self._receipts[number] = StepReceipt(
             self._steps[number], result, tick, revision, guard=guard
@@ -300,7 +301,7 @@ class _Run:
                 del self._open[event["id"]]
             if goes_on or result == "applied":
                 place = event["first_tick"], event["revision"]
-                self._note(number, result, *place, event.get("guard"))
+                self._note(number, result, *place, verdict_of(event.get("guard")))
                 continue
             text = event.get("text") or WHY.get(result, result)
             self._receipts[number] = StepReceipt(self._steps[number], result, text=text)

@@ -9,6 +9,7 @@ What would break it: a verb that needs two replies; it belongs into the clients.
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 if TYPE_CHECKING:
+    from hapticd.client.verdict import GuardVerdict
     from hapticd.params import BasisName, DampingMode, Policy
 
 
@@ -16,6 +17,7 @@ R = TypeVar("R")  # what a change gives: a Receipt, now or later
 D = TypeVar("D")  # what a question gives: a map, now or later
 
 POLL_S = 0.02  # between two looks at the state
+JUDGED = frozenset({"set", "damping", "enable", "guard"})  # commands that the guard may refuse
 
 
 class Verbs(Generic[R, D]):
@@ -24,6 +26,11 @@ class Verbs(Generic[R, D]):
     """
 
     _name: str  # of the client, shown beside what it changes
+    _strict: bool  # whether nothing may act that is not safe
+
+    def _as_asked(self, cmd: str, fields: dict[str, Any]) -> dict[str, Any]:
+        """The fields of a request, with that of a strict client."""
+        return {**fields, "strict": True} if self._strict and cmd in JUDGED else fields
 
     def _result(self, cmd: str, **fields: Any) -> D:
         raise NotImplementedError
@@ -161,11 +168,11 @@ class Verbs(Generic[R, D]):
         return self._result("mark", text=text)
 
 
-def hand_of(status: dict[str, Any], verdict: dict[str, Any]) -> dict[str, Any] | None:
+def hand_of(status: dict[str, Any], verdict: "GuardVerdict") -> dict[str, Any] | None:
     """The event `guard` of `status` that names the hand which would shake what `verdict` is about;
     None as long as there is none.
     """
     for event in reversed(status["events"]):
-        if event["kind"] == "guard" and event["number"] == verdict.get("number"):
+        if event["kind"] == "guard" and event["number"] == verdict.number:
             return dict(event)
     return None

@@ -11,30 +11,33 @@ from hapticd.mailbox.layout import VALUE_LIMITS, Value
 
 if TYPE_CHECKING:
     from hapticd.client.conversation import Receipt
+    from hapticd.client.verdict import GuardVerdict
 
 
 NO_LEVEL = "no active damping of this device would do"
 OR_MORE = ", or for more active damping"  # of a remedy, where that is none
 
 
-def verdict_lines(verdict: dict[str, Any]) -> list[str]:
+def verdict_lines(verdict: "GuardVerdict | None") -> list[str]:
     """What a verdict allows, as people read it; nothing where nothing is known."""
+    if verdict is None:
+        return []
     lines = []
-    allowed = verdict.get("allowed") or {}
+    allowed = verdict.allowed
     units = {"K": "N/m", "B": "N s/m", "M": "kg"}
     ranges = [
         f"{name} {ends[0]:.4g} to {ends[1]:.4g} {units[name]}"
         for name, ends in allowed.items()
-        if ends and None not in ends
+        if ends
     ]
     if ranges:
         lines.append(f"allowed, each with the others as asked: {', '.join(ranges)}")
     elif allowed:
         lines.append("no K, B or M alone would do, with the others as asked")
-    least = verdict.get("least_damping_ns_per_m")
+    least = verdict.least_damping_ns_per_m
     if least is not None:
         lines.append(f"least level of active damping tried that would do: {least:.4g} N s/m")
-    elif allowed and verdict["safe"] is False:
+    elif allowed and verdict.safe is False:
         lines.append(NO_LEVEL)
     return lines
 
@@ -74,14 +77,14 @@ def receipt_text(receipt: "Receipt") -> str:
     """What became of it, and what will then be in force."""
     if receipt.result == "pressed":
         return "stop pressed; nobody confirmed it, see `hapticd status`"
-    stages = (receipt.guard or {}).get("stages", 0)
+    stages = receipt.guard.stages if receipt.guard else 0
     result = f"stage 1 of {stages}" if receipt.result == "staged" and stages else receipt.result
     when = f"{result} at tick {receipt.first_tick}"
     if receipt.ramp_end_tick > receipt.first_tick:
         when += f", ramp ends at tick {receipt.ramp_end_tick}"
     shown = _shown(receipt.effective)
     if receipt.result == "staged" and receipt.guard:
-        shown += f"; on the way to {_shown(receipt.guard['given'])}"
+        shown += f"; on the way to {_shown(receipt.guard.given)}"
     return f"{receipt.state}: {when}, revision {receipt.revision}: {shown}{_margin(receipt.guard)}"
 
 
@@ -92,14 +95,14 @@ def _shown(table: dict[str, Any]) -> str:
     return ", ".join(f"{names[name]} {values[name]}" for name in names if name in values)
 
 
-def _margin(verdict: dict[str, Any] | None) -> str:
+def _margin(verdict: "GuardVerdict | None") -> str:
     """What is to spare, of a display that is known to be safe."""
-    if not verdict or not verdict["safe"]:
+    if not verdict or not verdict.safe:
         return ""
-    how = "clamped to what is safe, " if verdict.get("clamped") else ""
-    margin = verdict.get("margin_ns_per_m")
+    how = "clamped to what is safe, " if verdict.clamped else ""
+    margin = verdict.margin_ns_per_m
     spare = "" if margin is None else f"{margin:.3g} N s/m to spare, "
-    return f"; {how}{spare}by {verdict['basis']}"
+    return f"; {how}{spare}by {verdict.basis}"
 
 
 def parameters(table: dict[str, Any]) -> Iterator[tuple[str, str]]:

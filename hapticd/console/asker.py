@@ -19,6 +19,7 @@ from typing import Any
 
 from hapticd.client.client import Client
 from hapticd.client.conversation import receipt_of
+from hapticd.client.verdict import GuardVerdict
 from hapticd.client.words import (
     guard_line,
     margin_words,
@@ -98,20 +99,20 @@ def _accepted(number: Any, cmd: str, found: dict[str, Any]) -> str:
     if cmd == "guard":
         told["text"] = f"guard: {guard_line(told['result'])}\n{margin_words(told['result'])}"
     if "receipt" in found:
-        verdict = found.get("guard") or {}
-        told["text"] = receipt_text(receipt_of(found))
-        told["warning"] = _warning(verdict)
+        receipt = receipt_of(found)
+        told["text"] = receipt_text(receipt)
+        told["warning"] = _warning(receipt.guard)
     return json.dumps(told)
 
 
-def _warning(verdict: dict[str, Any]) -> str:
+def _warning(verdict: GuardVerdict | None) -> str:
     """The guard's objection to what was done all the same; empty without one."""
-    if not verdict or verdict["policy"] == "off" or verdict["safe"]:
+    if not verdict or verdict.policy == "off" or verdict.safe:
         return ""
-    return _objection(verdict["text"], verdict)
+    return _objection(verdict.text, verdict)
 
 
-def _objection(text: str, verdict: dict[str, Any] | None) -> str:
+def _objection(text: str, verdict: GuardVerdict | None) -> str:
     """`text` of a refusal or warning, one thought a line if it rests on a `verdict`."""
     return "\n".join(thoughts(text, verdict_lines(verdict))) if verdict else text
 

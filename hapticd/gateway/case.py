@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from hapticd.gateway.limits import PLACES, flat
-from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Request, Set
+from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Judged, Request, Set
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
 
@@ -60,6 +60,11 @@ class Case:
     taken_back: str = ""  # why no further stage shall come, while one is with the servo
     former: dict[str, Any] = field(default_factory=dict)  # what a bounded change brings back
     held: Answer | None = None  # of the servo, while the verdict on what was posted is awaited
+
+    @property
+    def strict(self) -> bool:
+        """Whether its client has it judged as under `refuse`, the strictest of the policies."""
+        return isinstance(self.request, Judged) and self.request.strict
 
 
 def change_of(request: Request, level: float) -> dict[str, Any]:
@@ -114,7 +119,7 @@ def auto_of(request: Request) -> bool | None:
 def damping_by(asked: GuardRequest) -> Damping:
     """The damping command that the mode in `asked` comes to."""
     values: dict[str, Literal["on", "off", "auto"]] = {"level": "on", "off": "off", "auto": "auto"}
-    return Damping(cmd="damping", value=values[asked.mode])
+    return Damping(cmd="damping", value=values[asked.mode], strict=asked.strict)
 
 
 def stages_of(answer: dict[str, Any]) -> tuple[Stage, ...]:

@@ -248,12 +248,14 @@ class Guard:
             "delay_periods": self.delay_periods,
         }
 
-    def unknown(self, why: str) -> dict[str, Any]:
-        """The verdict on what nobody judged, because of `why`."""
+    def unknown(self, why: str, policy: str = "") -> dict[str, Any]:
+        """The verdict on what nobody judged, because of `why`, under `policy` if not under the one
+        that counts.
+        """
         nothing = ("margin_ns_per_m", "worst_hz", "radius", "contact", "least_damping_ns_per_m")
         return {
             "safe": None,
-            "policy": self.policy,
+            "policy": policy or self.policy,
             "basis": "unknown",
             **dict.fromkeys(nothing),
             "delay_periods": self.delay_periods,

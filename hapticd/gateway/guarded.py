@@ -14,6 +14,8 @@ environment: the servo refuses it if it is another one by then (policies clamp, 
 other requests pass by; a stop, a disable and whatever else changes the state first takes back each
 enable that waits, for an enable must not come after what was asked after it.
 
+A client may have its own requests judged as under `refuse`, whatever the policy is (`strict`).
+
 A change of several stages goes on by itself (`stages`) while the next ones are judged. What was
 judged by other terms (policy, basis, margin) and is still to come, as a stage or scheduled, is
 cancelled where the policy is strict.
@@ -45,6 +47,7 @@ from hapticd.gateway.stages import Post, Stages, Told, ramp_s
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
+from hapticd.params import STRICT_POLICIES
 from hapticd.units import NS_PER_MS, NS_PER_S
 
 MOST_WAITING = 64
@@ -133,7 +136,7 @@ class Guarded:
         # a look, or the search for a hand, delays the reply alone
         ready = guard.worker == "up" and guard.in_force.known and not guard.owes_verdict
         free = not self.waiting and self._under_way.case is None
-        return guard.policy == "warn" and plain and ready and free
+        return self._policy(case) == "warn" and plain and ready and free
 
     def _judge_beside(self, case: Case, now_ns: int) -> None:
         self._ask(case, now_ns)
@@ -270,9 +273,19 @@ class Guarded:
             self._drop(case)
         self._told.append(Told(case, error))
 
+    def _policy(self, case: Case) -> str:
+        """The policy that `case` goes by: the one in force, or `refuse` where its client asks for
+        that.
+        """
+        return "refuse" if case.strict else self._guard.policy
+
+    def _must(self, case: Case) -> bool:
+        """Whether `case` is refused unless it is known to be safe."""
+        return self._policy(case) in STRICT_POLICIES
+
     def _asks(self, case: Case) -> bool:
         """Whether a worker is there to be asked, and the policy wants it."""
-        wanted = self._guard.policy != "off" or self._auto(case)
+        wanted = self._policy(case) != "off" or self._auto(case)
         return wanted and self._guard.worker in ("up", "starting")
 
     def _auto(self, case: Case) -> bool:
@@ -284,7 +297,7 @@ class Guarded:
         case = self._queue[0]
         if isinstance(case.request, Enable) and self._under_way.case is not None:
             return
-        if self._guard.must and not self._guard.settled and self._asks(case):
+        if self._must(case) and not self._guard.settled and self._asks(case):
             if now_ns - case.came_ns >= SETTLING_NS:
                 self._try_unjudged(self._queue.popleft(), now_ns, UNSETTLED)
             return
@@ -331,7 +344,7 @@ class Guarded:
         case.ready_ns = case.ready_ns or now_ns
         case.changes = guard.changes
         case.terms = guard.terms_number
-        case.policy = guard.policy
+        case.policy = self._policy(case)
         case.ahead = len(before)
         case.revision = guard.in_force.revision
         after = [one.change for one in booked[len(before) :]]
@@ -391,7 +404,7 @@ class Guarded:
     def _take_verdict(self, case: Case, answer: dict[str, Any], now_ns: int) -> None:
         """Go by `answer`, or ask again if it is about what is no more."""
         guard = self._guard
-        if case.changes != guard.changes or case.policy != guard.policy:
+        if case.changes != guard.changes or case.policy != self._policy(case):
             case.ready_ns = 0
             self._queue.appendleft(case)
         elif case.revision != guard.in_force.revision and case.tries < TRIES:
@@ -463,16 +476,13 @@ class Guarded:
     def _unjudged(self, case: Case, now_ns: int, why: str = "") -> None:
         """Post it as asked, or refuse it, as the policy says."""
         guard = self._guard
-        off = guard.policy == "off"
-        case.policy = guard.policy
+        case.policy = self._policy(case)
         case.changes = guard.changes
-        case.verdict = guard.unknown("policy off judges nothing" if off else why or guard.trouble)
-        remedy = "`hapticd guard warn` would do it all the same"
-        if guard.must and not ends_force(case.request, guard.in_force.target()):
-            text = (
-                f"{case.cmd}: {case.verdict['text']}; policy {guard.policy} refuses that, {remedy}"
-            )
-            raise CommandError("guard", text, guard=case.verdict)
+        off = case.policy == "off"
+        reason = "policy off judges nothing" if off else why or guard.trouble
+        case.verdict = guard.unknown(reason, case.policy)
+        if self._must(case) and not ends_force(case.request, guard.in_force.target()):
+            raise self._unknown_refused(case)
         if auto_of(case.request):
             text = "the guard chooses no level of damping while it judges nothing"
             raise CommandError("guard", f"{case.cmd}: {text}: {guard.trouble}", guard=case.verdict)
@@ -483,6 +493,14 @@ class Guarded:
         self._post(case, posting(case.request, 0), now_ns)
         if case.at_tick:
             self._terms_told = (0, ANY_TERMS)  # no terms came with it: those that count go after it
+
+    def _unknown_refused(self, case: Case) -> CommandError:
+        """The refusal of what nobody judged, with what would do it all the same."""
+        remedy = "`hapticd guard warn` would do it all the same"
+        if case.strict:
+            remedy = "under `warn` a client that is not strict would do it all the same"
+        text = f"{case.cmd}: {case.verdict['text']}; policy {case.policy} refuses that, {remedy}"
+        return CommandError("guard", text, guard=case.verdict)
 
     # --- answers ----------------------------------------------------------------------------------
 

@@ -116,7 +116,16 @@ class Wall(MessagePart):
     side: Side = _absent("+1: solid beyond the position, -1: before it, 0: no wall")
 
 
-class Change(CommandMessage):
+class Judged(CommandMessage):
+    """Common to what the guard judges."""
+
+    strict: bool = Field(
+        False,
+        description="judged as under policy refuse, whatever the policy is; guard: so is its mode",
+    )
+
+
+class Change(Judged):
     """Common to what may be timed."""
 
     at_tick: Tick = _absent("servo tick at which it comes into force; left out: the next")
@@ -179,7 +188,7 @@ class Damping(Change):
     )
 
 
-class Enable(CommandMessage):
+class Enable(Judged):
     """Force on, with a gain ramp."""
 
     cmd: Literal["enable"]
@@ -277,7 +286,7 @@ class LeaseRequest(CommandMessage):
         return self
 
 
-class GuardRequest(CommandMessage):
+class GuardRequest(Judged):
     """What is done with an environment that is not known to be passive; without fields: ask."""
 
     cmd: Literal["guard"]

@@ -403,6 +403,24 @@ def test_change_of_policy_voids_a_verdict_on_its_way(rig: DeskRig, worker: StubW
     assert [one["policy"] for one in worker.changes] == ["clamp", "refuse"]
 
 
+def test_other_terms_void_a_verdict_on_its_way_to_a_strict_client(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    under(rig, "warn")
+    worker.silent = True
+    assert rig.send(packed(cmd="set", K=10, strict=True)) == []
+    later(rig, 2)
+    rig.ask(cmd="guard", margin_ns_per_m=0.5)
+    worker.silent = False
+    worker.script = refuses
+    (first,) = worker.changes
+    worker.said.append({**applies(first), "n": first["n"]})
+    (reply,) = later(rig)
+    assert reply["error"]["code"] == "guard"
+    asked = [(one["policy"], one["margin_ns_per_m"]) for one in worker.changes]
+    assert asked == [("refuse", 0.0), ("refuse", 0.5)]
+
+
 # --- others, meanwhile ----------------------------------------------------------------------------
 
 

@@ -6,12 +6,11 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.daemon import Daemon, until
 
-from hapticd.client import Client, Receipt
+from hapticd.client import Client, GuardVerdict, Receipt
 from hapticd.errors import CommandError
 
 # --- real processes -------------------------------------------------------------------------------
@@ -24,7 +23,7 @@ def daemon(runtime: Path) -> Iterator[Daemon]:
         yield daemon
 
 
-def refused(client: Client) -> dict[str, Any]:
+def refused(client: Client) -> GuardVerdict:
     """The verdict with which less damping is refused, once the machine lets the gateway work."""
 
     def once() -> CommandError | None:
@@ -33,14 +32,14 @@ def refused(client: Client) -> dict[str, Any]:
         return None if caught.value.code == "timeout" else caught.value
 
     error = until(once, "a refusal")
-    assert (error.code, error.guard["policy"]) == ("guard", "refuse")
-    found: dict[str, Any] = error.guard
+    found: GuardVerdict = error.guard
+    assert (error.code, found.policy) == ("guard", "refuse")
     return found
 
 
-def judged(client: Client) -> dict[str, Any]:
+def judged(client: Client) -> GuardVerdict:
     """As `refused`, once there is a verdict."""
-    return until(lambda: (found := refused(client))["safe"] is False and found, "a verdict")
+    return until(lambda: (found := refused(client)).safe is False and found, "a verdict")
 
 
 def insisting(ask: Callable[[], Receipt]) -> Receipt:
@@ -50,7 +49,7 @@ def insisting(ask: Callable[[], Receipt]) -> Receipt:
         try:
             return ask()
         except CommandError as error:
-            if error.code != "timeout" and (error.guard is None or error.guard["safe"] is False):
+            if error.code != "timeout" and (error.guard is None or error.guard.safe is False):
                 raise
             return None
 
@@ -72,17 +71,18 @@ def test_refused_change_names_its_hand_and_a_killed_worker_comes_back(daemon: Da
         insisting(lambda: client.damping(10.0))
         receipt = insisting(lambda: client.set(K=500, B=2))
         assert receipt.guard is not None
-        assert receipt.guard["safe"] is True
+        assert receipt.guard.safe is True
         insisting(client.enable)
         verdict = judged(client)
-        assert verdict["basis"] == "theorem"
+        assert verdict.basis == "theorem"
+        assert verdict.radius is not None
         found = client.hand(verdict, 20.0)
         assert found is not None
         # with the delay of a busy machine it may shake by itself, without any hand
-        assert verdict["radius"] >= 1.0 or found["hand"]["radius"] > 1.0
+        assert verdict.radius >= 1.0 or found["hand"]["radius"] > 1.0
         worker = client.guard()["pid"]
         os.kill(worker, signal.SIGKILL)
-        assert refused(client)["safe"] is not True  # by nobody, or by the next one already
+        assert refused(client).safe is not True  # by nobody, or by the next one already
         assert client.get()["parameters"]["damping"] > 0.0
         last = until(lambda: other(client, worker), "the next worker")
         judged(client)
@@ -102,7 +102,7 @@ def test_worker_that_hangs_holds_up_no_stop_and_is_replaced(daemon: Daemon) -> N
         with pytest.raises(CommandError) as caught:
             client.set(K=10)
         assert caught.value.guard is not None
-        assert caught.value.guard["basis"] == "unknown"
+        assert caught.value.guard.basis == "unknown"
         assert client.stop().state == "stopped"
         until(lambda: other(client, worker), "the next worker")
         assert not Path(f"/proc/{worker}").exists()

@@ -72,6 +72,33 @@ class Flight:
         return [one["result"] for one in self.journal.drain() if one["kind"] == "answer"]
 
 
+class DeskLine:
+    """The line of a `Client` to the desk of `flight`, where there are no sockets."""
+
+    def __init__(self, flight: Flight) -> None:
+        self._flight = flight
+
+    def exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
+        given = {name: value for name, value in fields.items() if value is not None}
+        return self._flight.ask(cmd=cmd, **given)
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
+class AsyncDeskLine:
+    """The same for an `AsyncClient`."""
+
+    def __init__(self, flight: Flight) -> None:
+        self._line = DeskLine(flight)
+
+    async def exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
+        return self._line.exchange(cmd, fields, timeout_s)
+
+    async def close(self) -> None:
+        """There is nothing to close."""
+
+
 def rendering(flight: Flight, policy: str) -> None:
     """Force on, a stiff environment, and the damping that it needs."""
     assert flight.ask(cmd="guard", policy=policy)["ok"]

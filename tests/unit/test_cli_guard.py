@@ -3,6 +3,7 @@ and, with real processes, that a refused change moves nothing while a worker tha
 """
 
 import json
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,10 @@ from support.guard_device import change, shipped_judge
 
 from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
-from hapticd.client import Receipt
+from hapticd.client import GuardVerdict, Receipt
+from hapticd.client.verdict import verdict_of
 from hapticd.client.words import guard_line, receipt_text, thoughts, verdict_lines
-from hapticd.errors import CommandError
+from hapticd.errors import CommandError, GuardWarning
 
 VERDICT = {
     "safe": False,
@@ -52,11 +54,18 @@ GUARD = {
 }
 
 
+def says(**changed: Any) -> GuardVerdict:
+    """The verdict with `changed` fields, as clients have it."""
+    found = verdict_of({**VERDICT, **changed})
+    assert found is not None
+    return found
+
+
 class GuardDouble(ClientDouble):
     """A daemon whose guard has an opinion."""
 
-    def hand(self, verdict: dict[str, Any]) -> dict[str, Any] | None:
-        return {**EVENT, "number": verdict["number"]}
+    def hand(self, verdict: GuardVerdict) -> dict[str, Any] | None:
+        return {**EVENT, "number": verdict.number}
 
     def guard(self, *what: Any, **more: Any) -> dict[str, Any]:
         self._ask("guard", (what, more))
@@ -74,7 +83,7 @@ def double(monkeypatch: pytest.MonkeyPatch) -> GuardDouble:
 def test_refusal_says_what_is_allowed_and_which_hand_would_shake(
     double: GuardDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    double.error = CommandError("guard", f"damping: {VERDICT['text']}", None, dict(VERDICT))
+    double.error = CommandError("guard", f"damping: {VERDICT['text']}", None, says())
     assert main(["damping", "off"]) == 4
     told = capsys.readouterr().err.splitlines()
     lines = (f"damping: {WRONG}", *SAYS, REMEDY)
@@ -84,16 +93,16 @@ def test_refusal_says_what_is_allowed_and_which_hand_would_shake(
 def test_refusal_carries_verdict_and_hand_in_json(
     double: GuardDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    double.error = CommandError("guard", "no", None, dict(VERDICT))
+    double.error = CommandError("guard", "no", None, says())
     assert main(["damping", "off", "--json"]) == 4
     error = json.loads(capsys.readouterr().out)["error"]
-    assert error["guard"] == {**VERDICT, "hand": EVENT["hand"]}
+    assert error["guard"] == error["guard"] | {**VERDICT, "hand": EVENT["hand"]}
 
 
 def test_warning_goes_to_stderr_beside_the_receipt(
     double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    warned = Receipt("applied", "enabled", 7, 3, 3, {"K": 9.0}, {**VERDICT, "policy": "warn"})
+    warned = Receipt("applied", "enabled", 7, 3, 3, {"K": 9.0}, says(policy="warn"))
     monkeypatch.setattr(double, "_ask", lambda verb, what=None: warned)
     assert main(["set", "K=9"]) == 0
     found = capsys.readouterr()
@@ -101,10 +110,29 @@ def test_warning_goes_to_stderr_beside_the_receipt(
     assert found.err.splitlines() == [f"hapticd: {line}" for line in (WRONG, *SAYS, REMEDY)]
 
 
+@pytest.mark.parametrize(("verb", "words"), [("set", "set K=9"), ("guard", "guard --mode off")])
+def test_verb_says_in_its_own_words_what_a_script_is_warned_about(
+    double: GuardDouble,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    verb: str,
+    words: str,
+) -> None:
+    do = getattr(double, verb)
+
+    def warned(*what: Any, **more: Any) -> Any:
+        warnings.warn(GuardWarning("applied, and not safe"), stacklevel=1)
+        return do(*what, **more)
+
+    monkeypatch.setattr(double, verb, warned)
+    assert main(words.split()) == 0
+    assert "not safe" not in capsys.readouterr().err
+
+
 def test_receipt_says_what_is_to_spare(
     double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    verdict = {**VERDICT, "safe": True, "clamped": True, "margin_ns_per_m": 0.25}
+    verdict = says(safe=True, clamped=True, margin_ns_per_m=0.25)
     done = Receipt("applied", "enabled", 7, 3, 3, {"K": 9.0}, verdict)
     monkeypatch.setattr(double, "_ask", lambda verb, what=None: done)
     assert main(["set", "K=99"]) == 0
@@ -116,14 +144,16 @@ def test_receipt_says_what_is_to_spare(
 def test_more_damping_is_the_remedy_only_where_some_level_would_do() -> None:
     judge = shipped_judge()
     far, near = (
-        change(judge, asked, policy="warn")["verdict"]
+        verdict_of(change(judge, asked, policy="warn")["verdict"])
         for asked in ({"K": 5000.0, "B": 20.0}, {"K": 150.0, "B": 1.0})
     )
-    told = thoughts(far["text"], verdict_lines(far))
+    assert far is not None
+    assert near is not None
+    told = thoughts(far.text, verdict_lines(far))
     assert "no active damping of this device would do" in told
     assert "ask for less" in told
     remedy = "ask for less, or for more active damping"
-    assert remedy in thoughts(near["text"], verdict_lines(near))
+    assert remedy in thoughts(near.text, verdict_lines(near))
 
 
 def test_guard_changes_and_shows(double: GuardDouble, capsys: pytest.CaptureFixture[str]) -> None:
@@ -205,9 +235,9 @@ def daemon(runtime: Path) -> Iterator[Daemon]:
 
 def test_receipt_of_a_change_in_stages_says_where_it_leads() -> None:
     given = {"K": 500.0, "B": 2.0, "M": 0.0, "damping": 1.74}
-    verdict = {**VERDICT, "safe": True, "margin_ns_per_m": 0.367, "given": given}
+    verdict = says(safe=True, margin_ns_per_m=0.367, given=given, stages=2)
     now = {"K": 100.0, "B": 1.0, "M": 0.0, "damping": 1.74}
-    receipt = Receipt("staged", "enabled", 5, 900, 900, now, verdict | {"stages": 2})
+    receipt = Receipt("staged", "enabled", 5, 900, 900, now, verdict)
     text = receipt_text(receipt)
     assert text.startswith("enabled: stage 1 of 2 at tick 900")
     assert "K 100 N/m" in text
