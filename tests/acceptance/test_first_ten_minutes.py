@@ -112,12 +112,12 @@ def megabytes(folder: Path) -> float:
     return sum(file.lstat().st_size for file in folder.rglob("*") if not file.is_dir()) / 1e6
 
 
-def session(heading: str) -> list[tuple[str, list[str]]]:
-    """Commands of the first console block of README after `heading`, each with its output."""
-    text = (ROOT / "README.md").read_text()
-    block = text[text.index(heading) :].partition("```\n")[2].partition("```")[0]
+def session(page: str, heading: str) -> list[tuple[str, list[str]]]:
+    """Commands of the first console block of `page` after `heading`, each with its output."""
+    text = (ROOT / page).read_text()
+    block = text[text.index(heading) :].partition("```\n$")[2].partition("```")[0]
     found: list[tuple[str, list[str]]] = []
-    for line in filter(None, block.splitlines()):
+    for line in filter(None, f"${block}".splitlines()):
         if line.startswith("$ "):
             found.append((line[2:].partition(" #")[0].strip(), []))
         else:
@@ -131,7 +131,7 @@ def without_numbers(lines: list[str]) -> list[str]:
 
 
 def shows(checkout: Checkout, command: str, expected: list[str]) -> None:
-    """The output of `command` is that of README but for numbers; without one there, any is. On a
+    """The output of `command` is that of the page but for numbers; without one there, any is. On a
     busy computer the guard asks to try again.
     """
     lines = until(lambda: answered(checkout, command), f"an answer to {command}")
@@ -149,13 +149,13 @@ def test_the_session_of_readme_goes_as_it_is_written(
 ) -> None:
     assert megabytes(checkout.folder / ".venv") <= MOST_MB
     page_switches_damping_and_stops(checkout)
-    for command, expected in session("**A refusal, explained.**"):
+    for command, expected in session("README.md", "**A refusal, explained.**"):
         if not command.startswith("source"):
             shows(checkout, command, expected)
     gateway_comes_back(checkout)
     recording_replays(checkout)
     assert checkout.do("hapticd guard warn")[0] == 0
-    for command, expected in session("**A script.**"):
+    for command, expected in session("docs/quickstart.md", "## A sweep, from a script"):
         if command.startswith("python"):
             shows(checkout, command, expected)
     os.killpg(running.pid, signal.SIGINT)
