@@ -19,7 +19,7 @@ import json
 import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -78,11 +78,7 @@ class Browser:
         self.news.set()
 
     async def send(self) -> None:
-        """Send what waits, until the browser has left."""
-        with suppress(WebSocketDisconnect):
-            await self._send()
-
-    async def _send(self) -> None:
+        """Send what waits, for ever. WebSocketDisconnect: the browser has left."""
         while True:
             message = self.outbox.pop()
             if message is None:
