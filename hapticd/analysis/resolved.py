@@ -33,7 +33,7 @@ import numpy.typing as npt
 from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.covariances import same_length
 from hapticd.analysis.findings import LINE_WIDTH, leakage_findings, line_of
-from hapticd.analysis.impedance import Estimator
+from hapticd.analysis.impedance import Estimator, impedance
 from hapticd.analysis.kernels import TERMS, TINY, Fit, Transforms, kernels
 from hapticd.analysis.spectra import Spectra
 
@@ -62,6 +62,18 @@ class Resolved(Spectra):
     def resolved(self) -> bool:
         """Always true."""
         return True
+
+    @property
+    def ring(self) -> tuple[float, float]:
+        """Time [s] in which the strongest motion falls by e once it is left alone, and its
+        frequency [Hz]: the slope of Im Z over Re Z there; inf where Re Z does not damp it.
+        """
+        inside = (self.frequency_hz >= self.from_hz) & (self.frequency_hz <= self.to_hz)
+        f = self.frequency_hz[inside]
+        z = impedance(self.part(inside)).impedance_ns_per_m
+        at = int(np.clip(np.argmax(self.velocity[inside]), 1, f.size - 2))
+        slope_kg = (z[at + 1] - z[at - 1]).imag / (2.0 * np.pi * (f[at + 1] - f[at - 1]))
+        return (float(slope_kg / z[at].real) if z[at].real > 0.0 else np.inf), float(f[at])
 
     @property
     def said(self) -> str:

@@ -15,6 +15,10 @@ positively correlated (Sidak 1967; Slepian 1962). It is taken over all values th
 the number of independent ones (band over bandwidth) is smaller, but with it a lossless device
 raises twice the promised false alarms, because the extreme of a smooth curve lies between them.
 
+A resonance that rings for a good part of the record swells as a random walk does. What the
+perturbation explains of it is judged by its Re Z; what it does not is called passive only by a
+record of `RINGS` rings, and active where Re Z says so.
+
 A device that is not stable is not passive, whatever its Re Z: with a virtual K < 0 or a closed loop
 of spectral radius above 1 the real part may be positive throughout. Findings that turn the phase
 (skew, high-pass) or bend the channels (saturation) leave nothing to decide. The paper's plain rule,
@@ -38,7 +42,7 @@ import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.channels import channel_findings
-from hapticd.analysis.findings import Energy, Finding, Record, coherence_findings
+from hapticd.analysis.findings import SWELLS, Energy, Finding, Record, coherence_findings
 from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread_of
 from hapticd.analysis.resolved import Resolved, unresolved
 from hapticd.analysis.spectra import Spectra, lines_beside
@@ -62,8 +66,9 @@ _WORDS = {
     "not_passive": "not passive in band",
     "undecided": "undecided in band",
 }
-SWELLS = "the velocity swells and fades 4 times and more, as the perturbation drives a resonance"
 LOST_EDGE = "lost_edge"
+SHORT_RECORD = "short_record"
+RINGS = 8.0  # in a record, from which its calm seconds are calm and not merely early
 
 
 def sidak(confidence: float, statements: int) -> float:
@@ -317,7 +322,10 @@ def judge(
         amplitude=Amplitude(float(2.0 * inside.force.mean() / trial.rate_hz), _velocity_sd(trial)),
         port=z.port,
         seconds=trial.n_samples / trial.rate_hz,
-        seconds_needed=_seconds_needed(resistance_ns_per_m, half, trial),
+        seconds_needed=max(
+            _seconds_needed(resistance_ns_per_m, half, trial),
+            RINGS * trial.ring[0] if isinstance(trial, Resolved) and _is_short(findings) else 0.0,
+        ),
         resolution_hz=trial.bandwidth_hz,
         spectral_radius=spectral_radius,
         energy=record.energy if record else None,
@@ -331,26 +339,46 @@ def lines_to_resolve(
     """Which lines (F,) of the window's spectra `trial` must be resolved by their record before
     `verdict` stands. `linear`: the device is so.
 
-    It stands where all is passive at the window's resolution, and where the perturbation explains
-    nothing of a line: then there are none.
+    It stands where all is passive at the window's resolution: then there are none. A line of which
+    the perturbation explains nothing there may be a resonance that rings for many windows.
     """
-    if verdict.answer == "passive" or any(one.code == "oscillation" for one in verdict.findings):
+    swells = any(one.code == "swells" for one in verdict.findings)
+    if verdict.answer == "passive" and not swells:
         return np.zeros(trial.frequency_hz.size, np.bool_)
-    return unresolved(trial, verdict.band_hz, estimator, linear)
+    return unresolved(trial, verdict.band_hz, estimator, linear or swells)
 
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """What the samples said, in the light of `resolved`: a motion that the perturbation explains
     did not run away by itself, however it swells and fades. Re Z at the resonance says whether
-    it is stable.
+    it is stable. One that the ends of the record explain as well leaves that open.
     """
     if not isinstance(trial, Resolved):
         return findings
     said = Finding("resolved", trial.said)
-    if trial.explained <= DRIVEN:
-        return (*findings, said)
-    swells = Finding("swells", SWELLS)
-    return (*(swells if one.code == "escape" else one for one in findings), said)
+    if trial.explained > DRIVEN:
+        swells = Finding("swells", SWELLS)
+        return (*(swells if one.code in ("escape", "swells") else one for one in findings), said)
+    if RINGS * trial.ring[0] > trial.n_samples / trial.rate_hz:
+        short = _short_record(trial)
+        findings = tuple(short if one.code == "swells" else one for one in findings)
+    return (*findings, said)
+
+
+def _short_record(trial: Resolved) -> Finding:
+    """Say how long a record must be to tell a ring from a loop that runs away slowly."""
+    ring_s, at_hz = trial.ring
+    seconds = trial.n_samples / trial.rate_hz
+    known = RINGS * ring_s <= FORESEEABLE * seconds
+    rings = (
+        f"rings for {two_digits(ring_s)} s: the record of {seconds:.3g} s is shorter than"
+        f" {RINGS:g} rings; take {two_digits(RINGS * ring_s)} s"
+        if known
+        else f"has no damping that shows in {seconds:.3g} s; take a record of"
+        f" {two_digits(FORESEEABLE * seconds)} s, or add damping"
+    )
+    message = f"the motion at {hertz(at_hz)} Hz swells as noise makes a ring swell, and {rings}"
+    return Finding(SHORT_RECORD, message)
 
 
 def _lost_edges(
@@ -459,7 +487,13 @@ def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...])
         return "undecided"
     if margin.upper < 0.0:
         return "not_passive"
-    return "passive" if _whole_band(findings) and margin.lower > 0.0 else "undecided"
+    sure = _whole_band(findings) and not _is_short(findings)
+    return "passive" if sure and margin.lower > 0.0 else "undecided"
+
+
+def _is_short(findings: tuple[Finding, ...]) -> bool:
+    """Whether the record holds too few rings to call a loop stable."""
+    return any(finding.code == SHORT_RECORD for finding in findings)
 
 
 def _whole_band(findings: tuple[Finding, ...]) -> bool:
