@@ -9,6 +9,8 @@ between the least lower and the least upper limit:
 
     passive       the least lower limit is above 0         not passive    an upper limit is below 0
 
+Where the record was fitted (`resolved`) h also holds what the fit itself may be wrong by.
+
 The level (`sidak`): n statements that each hold with probability p^(1/n) hold together with at
 least p when their errors are independent or, as between neighbouring values of a windowed spectrum,
 positively correlated (Sidak 1967; Slepian 1962). It is taken over all values that are looked at:
@@ -40,10 +42,16 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.channels import channel_findings
 from hapticd.analysis.findings import SWELLS, Energy, Finding, Record, coherence_findings
-from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread_of
+from hapticd.analysis.impedance import (
+    Estimator,
+    Impedance,
+    impedance,
+    relative_sd,
+    spread_of,
+)
 from hapticd.analysis.resolved import Resolved, unresolved
 from hapticd.analysis.spectra import Spectra, lines_beside
 from hapticd.errors import AnalysisError
@@ -296,9 +304,8 @@ def judge(
     z = at_port.without_mass(behind_mass_kg) if behind_mass_kg else at_port
     impedance_ns_per_m = z.impedance_ns_per_m
     resistance_ns_per_m = impedance_ns_per_m.real
-    half = spread_of(
-        np.abs(at_port.impedance_ns_per_m), half_width(trial, inside, sidak(confidence, f.size))
-    )
+    known = _known_to(trial, inside, at_port, sidak(confidence, f.size))
+    half = known.chance + np.abs(known.bias.real)
     spare_deg = 90.0 - np.abs(np.degrees(np.angle(impedance_ns_per_m)))
     margin_ns_per_m = _least(resistance_ns_per_m, half, f)
     findings = (
@@ -316,14 +323,14 @@ def judge(
         last_judged_hz=float(f[-1]),
         n_frequencies=f.size,
         margin_ns_per_m=margin_ns_per_m,
-        margin_deg=_least(spare_deg, _angle_deg(half, np.abs(impedance_ns_per_m)), f),
+        margin_deg=_least(spare_deg, _angle_deg(known.across, np.abs(impedance_ns_per_m)), f),
         within_90_deg=_turns_less(inside),
         stability=stability,
         amplitude=Amplitude(float(2.0 * inside.force.mean() / trial.rate_hz), _velocity_sd(trial)),
         port=z.port,
         seconds=trial.n_samples / trial.rate_hz,
         seconds_needed=max(
-            _seconds_needed(resistance_ns_per_m, half, trial),
+            _seconds_needed(resistance_ns_per_m, known, trial),
             RINGS * trial.ring[0] if isinstance(trial, Resolved) and _is_short(findings) else 0.0,
         ),
         resolution_hz=trial.bandwidth_hz,
@@ -449,6 +456,24 @@ def half_width(trial: Spectra, inside: Spectra, level: float) -> Floats:
     return student_quantile(level, freedom) * relative_sd(_coherence(trial, inside), freedom)
 
 
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What the values of a band (F,) may be wrong by."""
+
+    chance: Floats  # N s/m, of Re Z and across Z
+    bias: Complexes  # N s/m, of Z; 0 of a window's values, whose smoothing is named where it shows
+    across: Floats  # N s/m, both together across Z, which turns its phase
+
+
+def _known_to(trial: Spectra, inside: Spectra, at_port: Impedance, level: float) -> _Known:
+    """What chance at that level, each side, and the fits of `resolved` leave open."""
+    z = at_port.impedance_ns_per_m
+    size = np.abs(z)
+    chance = spread_of(size, half_width(trial, inside, level))
+    relative = inside.bias if isinstance(inside, Resolved) else np.zeros(z.size, np.complex128)
+    return _Known(chance, relative * z, chance + size * np.abs(relative.imag))
+
+
 def _coherence(trial: Spectra, inside: Spectra) -> Floats:
     """Coherence g2 (F,) of a band, at an edge between lines no more than at the lines beside it:
     there side lobes of a drift may take power from the motion, and the perturbation then seems
@@ -518,12 +543,13 @@ def _velocity_sd(trial: Spectra) -> float:
     return float(np.sqrt(power))
 
 
-def _seconds_needed(values: Floats, half: Floats, trial: Spectra) -> float:
-    """Length of a record that would decide: one longer by (half / value)^2 brings the limit of a
-    value to 0; all values must be above, or one below.
+def _seconds_needed(values: Floats, known: _Known, trial: Spectra) -> float:
+    """Length of a record that would decide: one longer by (chance / value)^2 brings the limit of a
+    value to 0; all values must be above, or one below. What is not chance stays, however long.
     """
     seconds = trial.n_samples / trial.rate_hz
+    left = np.maximum(np.abs(values) - np.abs(known.bias.real), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.where(np.isfinite(values), (half / values) ** 2, np.inf)
+        factor = np.where(np.isfinite(values) & (left > 0.0), (known.chance / left) ** 2, np.inf)
     below = values < 0.0
     return float(seconds * (factor[below].min() if below.any() else factor.max()))
