@@ -67,6 +67,14 @@ def relative_sd(coherence: Floats, degrees_of_freedom: float) -> Floats:
     return np.sqrt(unexplained / degrees_of_freedom)
 
 
+def reads_high(frequency_hz: float, rate_hz: float) -> float:
+    """Share by which the recorded channels read Re Z of a rigid device high: force held and
+    velocity averaged over 1/rate make it 1 / sinc^2(f / rate). 0.2 % at 100 Hz of 4 kHz, 5.3 % at
+    500 Hz. Of other devices `loop` predicts it.
+    """
+    return float(1.0 / np.sinc(frequency_hz / rate_hz) ** 2) - 1.0
+
+
 def spread_of(size: Floats, relative: Floats) -> Floats:
     """Return `size` times its relative spread (F,); inf where nothing is known, whatever the
     size.

@@ -9,17 +9,28 @@ between the least lower and the least upper limit:
 
     passive       the least lower limit is above 0         not passive    an upper limit is below 0
 
+Where the record was fitted (`resolved`) h also holds what the fit itself may be wrong by.
+
 The level (`sidak`): n statements that each hold with probability p^(1/n) hold together with at
 least p when their errors are independent or, as between neighbouring values of a windowed spectrum,
 positively correlated (Sidak 1967; Slepian 1962). It is taken over all values that are looked at:
 the number of independent ones (band over bandwidth) is smaller, but with it a lossless device
 raises twice the promised false alarms, because the extreme of a smooth curve lies between them.
 
+A resonance that rings for a good part of the record swells as a random walk does. What the
+perturbation explains of it is judged by its Re Z; what it does not is called passive only by a
+record of `RINGS` rings, and active where Re Z says so.
+
 A device that is not stable is not passive, whatever its Re Z: with a virtual K < 0 or a closed loop
 of spectral radius above 1 the real part may be positive throughout. Findings that turn the phase
 (skew, high-pass) or bend the channels (saturation) leave nothing to decide. The paper's plain rule,
 all phases within +-90 degrees, is answered beside it; with 5 mm/s of sensor noise it calls a
 passive device with a margin of 1 degree non-passive in every trial.
+
+Margins are those of the recorded channels: the force is held and the velocity averaged over the
+interval of a sample, so Re Z of a rigid device reads high by 1 / sinc^2(f / rate) - 1
+(`impedance.reads_high`). Its sign is not changed. What other devices read is the model's to say
+(`loop`), so nothing is corrected here: predictions for trials are made of the recorded channels.
 
 The band is judged from edge to edge: an edge that is no line of the window is interpolated
 (`Spectra.band`). Multisines, and frequencies of one's own choice, are judged where they are, so a
@@ -36,16 +47,25 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
+from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.channels import channel_findings
-from hapticd.analysis.findings import Energy, Finding, Record, coherence_findings
-from hapticd.analysis.impedance import Estimator, impedance, relative_sd, spread_of
+from hapticd.analysis.findings import SWELLS, Energy, Finding, Record, coherence_findings
+from hapticd.analysis.impedance import (
+    Estimator,
+    Impedance,
+    impedance,
+    reads_high,
+    relative_sd,
+    spread_of,
+)
 from hapticd.analysis.resolved import Resolved, unresolved
 from hapticd.analysis.spectra import Spectra, lines_beside
 from hapticd.errors import AnalysisError
+from hapticd.units import percent
 
 Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]
+Channels = Literal["recorded"]  # force as it was held, velocity as it was averaged
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
 MANY = 18.0  # degrees of freedom from which the expansion of Student's t holds
@@ -62,8 +82,11 @@ _WORDS = {
     "not_passive": "not passive in band",
     "undecided": "undecided in band",
 }
-SWELLS = "the velocity swells and fades 4 times and more, as the perturbation drives a resonance"
+CHANNELS_READ = "Re Z of a rigid device reads 0.2 % high at 100 Hz, 5.3 % at 500 Hz"
+LEAST_TOLD = 1e-4  # of Re Z
 LOST_EDGE = "lost_edge"
+SHORT_RECORD = "short_record"
+RINGS = 8.0  # in a record, from which its calm seconds are calm and not merely early
 
 
 def sidak(confidence: float, statements: int) -> float:
@@ -164,22 +187,29 @@ class Margin:
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """From where to where something was judged; nan where nothing was."""
+    """From where to where something was judged, nan where nothing was, and by what."""
 
     first_hz: float
     last_hz: float
+    channels: Channels = "recorded"
 
     def __str__(self) -> str:
         if isnan(self.first_hz):
             return "nothing judged"
-        return f"judged {hertz(self.first_hz)} to {hertz(self.last_hz)} Hz"
+        return (
+            f"judged {hertz(self.first_hz)} to {hertz(self.last_hz)} Hz by the {self.channels}"
+            " channels"
+        )
 
     @property
     def words(self) -> str:
         """The same as a sentence of its own."""
         if isnan(self.first_hz):
             return "nothing judged: all trials ran away"
-        return f"first judged {hertz(self.first_hz)} Hz, last judged {hertz(self.last_hz)} Hz"
+        return (
+            f"first judged {hertz(self.first_hz)} Hz, last judged {hertz(self.last_hz)} Hz, by the"
+            f" {self.channels} channels: {CHANNELS_READ}"
+        )
 
 
 NOTHING_JUDGED = Judged(nan, nan)
@@ -220,6 +250,9 @@ class Verdict:
     spectral_radius: float | None = None  # of the predicted loop, if it was predicted
     energy: Energy | None = None  # None without the samples
     findings: tuple[Finding, ...] = field(default_factory=tuple)
+    channels: Channels = "recorded"  # whose Re Z the margins are
+    # share by which they read Re Z of a rigid device high, at the frequency of the margin
+    reads_high: float = nan
 
     def __str__(self) -> str:
         low, high = self.band_hz
@@ -233,7 +266,7 @@ class Verdict:
             self._stability(),
             (
                 f"margin at a resolution of {self.resolution_hz:.2g} Hz, {self.judged}:"
-                f" {self.margin_ns_per_m} N s/m, {self.margin_deg} deg"
+                f" {self.margin_ns_per_m} N s/m, {self.margin_deg} deg{self._read_high()}"
             ),
             (
                 f"perturbation {density:.3g} N^2/Hz, velocity {speed:.3g} mm/s rms over"
@@ -246,12 +279,21 @@ class Verdict:
     @property
     def judged(self) -> Judged:
         """From where to where the verdict looked."""
-        return Judged(self.first_judged_hz, self.last_judged_hz)
+        return Judged(self.first_judged_hz, self.last_judged_hz, self.channels)
 
     @property
     def whole_band(self) -> bool:
         """Whether no edge of `band_hz` was lost under a drift."""
         return _whole_band(self.findings)
+
+    def _read_high(self) -> str:
+        if not self.reads_high >= LEAST_TOLD:
+            return ""
+        at_hz = hertz(self.margin_ns_per_m.frequency_hz)
+        return (
+            f"; the {self.channels} channels read Re Z of a rigid device"
+            f" {percent(self.reads_high)} high at {at_hz} Hz"
+        )
 
     def _stability(self) -> str:
         if self.spectral_radius is not None:
@@ -291,9 +333,8 @@ def judge(
     z = at_port.without_mass(behind_mass_kg) if behind_mass_kg else at_port
     impedance_ns_per_m = z.impedance_ns_per_m
     resistance_ns_per_m = impedance_ns_per_m.real
-    half = spread_of(
-        np.abs(at_port.impedance_ns_per_m), half_width(trial, inside, sidak(confidence, f.size))
-    )
+    known = _known_to(trial, inside, at_port, sidak(confidence, f.size))
+    half = known.chance + np.abs(known.bias.real)
     spare_deg = 90.0 - np.abs(np.degrees(np.angle(impedance_ns_per_m)))
     margin_ns_per_m = _least(resistance_ns_per_m, half, f)
     findings = (
@@ -311,17 +352,21 @@ def judge(
         last_judged_hz=float(f[-1]),
         n_frequencies=f.size,
         margin_ns_per_m=margin_ns_per_m,
-        margin_deg=_least(spare_deg, _angle_deg(half, np.abs(impedance_ns_per_m)), f),
+        margin_deg=_least(spare_deg, _angle_deg(known.across, np.abs(impedance_ns_per_m)), f),
         within_90_deg=_turns_less(inside),
         stability=stability,
         amplitude=Amplitude(float(2.0 * inside.force.mean() / trial.rate_hz), _velocity_sd(trial)),
         port=z.port,
         seconds=trial.n_samples / trial.rate_hz,
-        seconds_needed=_seconds_needed(resistance_ns_per_m, half, trial),
+        seconds_needed=max(
+            _seconds_needed(resistance_ns_per_m, known, trial),
+            RINGS * trial.ring[0] if isinstance(trial, Resolved) and _is_short(findings) else 0.0,
+        ),
         resolution_hz=trial.bandwidth_hz,
         spectral_radius=spectral_radius,
         energy=record.energy if record else None,
         findings=findings,
+        reads_high=reads_high(margin_ns_per_m.frequency_hz, trial.rate_hz),
     )
 
 
@@ -331,26 +376,46 @@ def lines_to_resolve(
     """Which lines (F,) of the window's spectra `trial` must be resolved by their record before
     `verdict` stands. `linear`: the device is so.
 
-    It stands where all is passive at the window's resolution, and where the perturbation explains
-    nothing of a line: then there are none.
+    It stands where all is passive at the window's resolution: then there are none. A line of which
+    the perturbation explains nothing there may be a resonance that rings for many windows.
     """
-    if verdict.answer == "passive" or any(one.code == "oscillation" for one in verdict.findings):
+    swells = any(one.code == "swells" for one in verdict.findings)
+    if verdict.answer == "passive" and not swells:
         return np.zeros(trial.frequency_hz.size, np.bool_)
-    return unresolved(trial, verdict.band_hz, estimator, linear)
+    return unresolved(trial, verdict.band_hz, estimator, linear or swells)
 
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """What the samples said, in the light of `resolved`: a motion that the perturbation explains
     did not run away by itself, however it swells and fades. Re Z at the resonance says whether
-    it is stable.
+    it is stable. One that the ends of the record explain as well leaves that open.
     """
     if not isinstance(trial, Resolved):
         return findings
     said = Finding("resolved", trial.said)
-    if trial.explained <= DRIVEN:
-        return (*findings, said)
-    swells = Finding("swells", SWELLS)
-    return (*(swells if one.code == "escape" else one for one in findings), said)
+    if trial.explained > DRIVEN:
+        swells = Finding("swells", SWELLS)
+        return (*(swells if one.code in ("escape", "swells") else one for one in findings), said)
+    if RINGS * trial.ring[0] > trial.n_samples / trial.rate_hz:
+        short = _short_record(trial)
+        findings = tuple(short if one.code == "swells" else one for one in findings)
+    return (*findings, said)
+
+
+def _short_record(trial: Resolved) -> Finding:
+    """Say how long a record must be to tell a ring from a loop that runs away slowly."""
+    ring_s, at_hz = trial.ring
+    seconds = trial.n_samples / trial.rate_hz
+    known = RINGS * ring_s <= FORESEEABLE * seconds
+    rings = (
+        f"rings for {two_digits(ring_s)} s: the record of {seconds:.3g} s is shorter than"
+        f" {RINGS:g} rings; take {two_digits(RINGS * ring_s)} s"
+        if known
+        else f"has no damping that shows in {seconds:.3g} s; take a record of"
+        f" {two_digits(FORESEEABLE * seconds)} s, or add damping"
+    )
+    message = f"the motion at {hertz(at_hz)} Hz swells as noise makes a ring swell, and {rings}"
+    return Finding(SHORT_RECORD, message)
 
 
 def _lost_edges(
@@ -421,6 +486,24 @@ def half_width(trial: Spectra, inside: Spectra, level: float) -> Floats:
     return student_quantile(level, freedom) * relative_sd(_coherence(trial, inside), freedom)
 
 
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """What the values of a band (F,) may be wrong by."""
+
+    chance: Floats  # N s/m, of Re Z and across Z
+    bias: Complexes  # N s/m, of Z; 0 of a window's values, whose smoothing is named where it shows
+    across: Floats  # N s/m, both together across Z, which turns its phase
+
+
+def _known_to(trial: Spectra, inside: Spectra, at_port: Impedance, level: float) -> _Known:
+    """What chance at that level, each side, and the fits of `resolved` leave open."""
+    z = at_port.impedance_ns_per_m
+    size = np.abs(z)
+    chance = spread_of(size, half_width(trial, inside, level))
+    relative = inside.bias if isinstance(inside, Resolved) else np.zeros(z.size, np.complex128)
+    return _Known(chance, relative * z, chance + size * np.abs(relative.imag))
+
+
 def _coherence(trial: Spectra, inside: Spectra) -> Floats:
     """Coherence g2 (F,) of a band, at an edge between lines no more than at the lines beside it:
     there side lobes of a drift may take power from the motion, and the perturbation then seems
@@ -459,7 +542,13 @@ def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...])
         return "undecided"
     if margin.upper < 0.0:
         return "not_passive"
-    return "passive" if _whole_band(findings) and margin.lower > 0.0 else "undecided"
+    sure = _whole_band(findings) and not _is_short(findings)
+    return "passive" if sure and margin.lower > 0.0 else "undecided"
+
+
+def _is_short(findings: tuple[Finding, ...]) -> bool:
+    """Whether the record holds too few rings to call a loop stable."""
+    return any(finding.code == SHORT_RECORD for finding in findings)
 
 
 def _whole_band(findings: tuple[Finding, ...]) -> bool:
@@ -484,12 +573,13 @@ def _velocity_sd(trial: Spectra) -> float:
     return float(np.sqrt(power))
 
 
-def _seconds_needed(values: Floats, half: Floats, trial: Spectra) -> float:
-    """Length of a record that would decide: one longer by (half / value)^2 brings the limit of a
-    value to 0; all values must be above, or one below.
+def _seconds_needed(values: Floats, known: _Known, trial: Spectra) -> float:
+    """Length of a record that would decide: one longer by (chance / value)^2 brings the limit of a
+    value to 0; all values must be above, or one below. What is not chance stays, however long.
     """
     seconds = trial.n_samples / trial.rate_hz
+    left = np.maximum(np.abs(values) - np.abs(known.bias.real), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.where(np.isfinite(values), (half / values) ** 2, np.inf)
+        factor = np.where(np.isfinite(values) & (left > 0.0), (known.chance / left) ** 2, np.inf)
     below = values < 0.0
     return float(seconds * (factor[below].min() if below.any() else factor.max()))

@@ -5,6 +5,8 @@ What would break it: displays that were measured under unlike conditions. What i
 the title of the figure and of the tables, by name.
 """
 
+from textwrap import fill
+
 import numpy as np
 
 from hapticd.analysis.compare import widths_db
@@ -32,6 +34,7 @@ from hapticd.report.style import (
 from hapticd.report.table import Cell, Table, table
 from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
 
+LINE_WIDTH = 100  # characters of a title
 UNITS = {"K": "N/m", "B": "N s/m", "M": "g"}
 SCALES = {"K": 1.0, "B": 1.0, "M": 1e3}
 PANELS = (("size",) * 3 + ("mass",) * 3, ("K", "K", "B", "B", "M", "M"))
@@ -77,9 +80,10 @@ def comparison_figure(found: Comparison) -> Figure:
 def how(found: Comparison) -> str:
     """How all of them were found, in words; what is unlike by name."""
     first = found.displays[0].conditions
-    same = (
+    same = fill(
         f"{first.seconds:g} s of noise of {first.perturbation_psd_n2_per_hz:.3g} N^2/Hz a trial, "
-        f"{100 * first.confidence:g} %, {Judged(*first.judged_hz).words}"
+        f"{100 * first.confidence:g} %, {Judged(*first.judged_hz).words}",
+        LINE_WIDTH,
     )
     return f"{same}\nunlike: {', '.join(found.unlike)}" if found.unlike else same
 

@@ -208,7 +208,7 @@ def _title(result: TrialResult, view: View) -> str:
     what = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g, active damping {level:g} N s/m"
     judged = (
         f"{verdict.answer.replace('_', ' ')} in {low:g}..{high:g} Hz at"
-        f" {100 * verdict.confidence:g} %, {verdict.judged}, {view.symbol} at the {verdict.port} by"
+        f" {100 * verdict.confidence:g} %, {verdict.judged}\n{view.symbol} at the {verdict.port} by"
         f" {result.measured.estimator!r}, {_excited(result)}"
     )
     between = " " if len(who) + len(what) < TITLE_WIDTH else "\n"

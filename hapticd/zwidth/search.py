@@ -8,6 +8,11 @@ trial before it escapes. Trials are made a few at a time, each with noise of its
 1, ..), as in a laboratory: with one noise for all, what is chance would be learnt as if it were the
 device. The same search therefore makes the same trials, and goes on where it was interrupted.
 
+Of a set that goes on beyond the box the search finds the box. The box reaches beyond the predicted
+limits along the axes, and is widened until no face of it is predicted to be passive: with some B a
+device carries more K and M than the axes show. Where the set that was found still goes on,
+`open_ends` says so. The faces K = 0 and B = 0 stay: that is where the search begins.
+
 The set that is found is the paper's: environments whose trial rather passes than fails. A trial
 that escapes, or whose command saturates, yields no spectrum, only that the loop is not stable
 there.
@@ -28,7 +33,7 @@ from functools import partial
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
-from hapticd.analysis.passive_set import PassiveSet, grid, halved, passive_set
+from hapticd.analysis.passive_set import PassiveSet, grid, halved, open_ends, passive_set
 from hapticd.analysis.prior import ModelPrior
 from hapticd.analysis.search import (
     Search,
@@ -58,7 +63,10 @@ from hapticd.zwidth.scenes import SATURATED
 from hapticd.zwidth.store import Progress, TrialStore, silent
 
 ROOM = (3.2, 1.3, 1.3)  # factors: the box beyond the predicted axis limits of K, B, -M
-HEAVIER = 1.6  # its positive end of M over the negative one
+HEAVIER = 1.6  # its positive end of M over the negative one, before it is widened
+WIDER = 1.5  # factor of an end beyond which the set is predicted to go on
+WIDENINGS = 8  # at most: 25 times as far
+FACE = 24  # values along each side of a face
 SET_GRID = (24, 20, 24)
 INDEPENDENT_HZ = PROBE_RATE_HZ / (
     0.75 * DEFAULT_LAG
@@ -72,8 +80,8 @@ _HALVINGS = 7
 
 @dataclass(frozen=True, slots=True)
 class SearchParams:
-    """`budget` trials at most, `together` at a time; ends below `doubt`. `box` None: from the
-    predicted axis limits.
+    """`budget` trials at most, `together` at a time; ends below `doubt`. `box` None: one that holds
+    the predicted set.
     """
 
     conditions: Conditions
@@ -121,12 +129,17 @@ class SearchResult:
         """From where to where every trial was judged."""
         return judged(step.outcome for step in self.steps)
 
+    @property
+    def open_ends(self) -> tuple[str, ...]:
+        """Ends of the box at which the set that was found goes on, such as "M max"."""
+        return open_ends(self.found)
+
 
 def plan_search(params: SearchParams) -> SearchPlan:
     """The box and the prior from the prediction. AnalysisError where nothing is predicted to be
     passive.
     """
-    box = params.box or _box(params)
+    box = params.box or _closed(params, _box(params))
     f = learnt_at(params.conditions)
     device = params.conditions.display
     known = ModelPrior(
@@ -216,6 +229,32 @@ def _box(params: SearchParams) -> Box:
             " search"
         )
     return Box((0.0, 0.0, m), (k, b, -HEAVIER * m))
+
+
+def _closed(params: SearchParams, box: Box) -> Box:
+    """`box`, widened until the set is predicted to end in it, but for the faces K = 0 and B = 0."""
+    for _ in range(WIDENINGS):
+        low, high = (
+            tuple(
+                WIDER * end if end and _passive_face(params, box, axis, end) else end
+                for axis, end in enumerate(ends)
+            )
+            for ends in (box.low, box.high)
+        )
+        wider = Box((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        if wider == box:
+            break
+        box = wider
+    return box
+
+
+def _passive_face(params: SearchParams, box: Box, axis: int, end: float) -> bool:
+    """Whether the face of `box` at `end` of `axis` is predicted to be passive anywhere."""
+    sides = [np.linspace(low, high, FACE) for low, high in zip(box.low, box.high, strict=True)]
+    sides[axis] = np.array([end])
+    points = grid((sides[0], sides[1], sides[2]))
+    given = params.conditions
+    return bool(given.display.passive(points, params.damping_ns_per_m, given.band_hz).any())
 
 
 def _expected(search: Search, wanted: Floats) -> Floats:

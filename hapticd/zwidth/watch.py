@@ -2,12 +2,12 @@
 
 The sentinel watches a trial while it runs and ends it for
 
-    escape        the velocity of a second is four times that of the calm ones (the rule of
-                  `analysis.findings`) and the force did not grow with it; or faster than the
-                  device's own limit, where that is known; or the commanded force reached its limit
-                  in a motion that the perturbation does not explain, as a loop that ran away before
-                  the record began. Fast alone is no escape: a linear device moves as fast as it is
-                  pushed
+    escape        the velocity of a second is four times that of the calm ones, it grew faster
+                  than noise makes a ring grow (the rules of `analysis.findings`), and the force
+                  did not grow with it; or faster than the device's own limit, where that is
+                  known; or the commanded force reached its limit in a motion that the
+                  perturbation does not explain, as a loop that ran away before the record began.
+                  Fast alone is no escape: a linear device moves as fast as it is pushed
     saturation    a channel stands at its end in more than a hundredth of a second's samples, or the
                   commanded force reached its limit: what is rendered then is not what was asked.
                   The second after it is still looked at, because a loop that runs away reaches the
@@ -53,7 +53,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats, Integers
-from hapticd.analysis.findings import ESCAPE_RATIO, Finding
+from hapticd.analysis.findings import ESCAPE_RATIO, Finding, outgrows_walk
 from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
@@ -272,7 +272,7 @@ class Sentinel:
         if self._at_limit:
             self.reason = self._at_its_limit(pushed)
         self._at_limit = self.max_command_n >= self._watch.command_limit_n * (1.0 - AT_LIMIT)
-        if rms > min(self._watch.speed_limit_m_per_s, ESCAPE_RATIO * self._calm(pushed)):
+        if rms > self._watch.speed_limit_m_per_s or self._ran_away(pushed, rms):
             self.reason = (
                 f"escape: velocity of {rms:.3g} m/s rms after {self.seconds:.0f} s; the loop is not"
                 " stable there"
@@ -294,14 +294,18 @@ class Sentinel:
             )
         return f"saturation: the command reached its limit of {limit_n:.3g} N"
 
-    def _calm(self, pushed: float) -> float:
-        """Velocity of the calm seconds, as it would be under as much force as `pushed`, if that
-        is more.
+    def _ran_away(self, pushed: float, rms: float) -> bool:
+        """Whether a second of that force and velocity ends an escape; a stronger force moves a
+        stable device as much faster.
         """
         if len(self._rms) < CALM_SECONDS:
-            return inf
-        usual, calm = (float(value) for value in np.quantile(self._rms, 0.25, axis=0))
-        return calm * max(1.0, pushed / usual) if usual > 0.0 else inf
+            return False
+        seconds = np.array([*self._rms, (pushed, rms)])
+        usual, calm = (float(value) for value in np.quantile(seconds[:-1], 0.25, axis=0))
+        if not usual > 0.0:
+            return False
+        moved = seconds[:, 1] / np.maximum(1.0, seconds[:, 0] / usual)
+        return bool(moved[-1] > ESCAPE_RATIO * calm) and outgrows_walk(moved)
 
     def _decide(self) -> None:
         watch = self._watch

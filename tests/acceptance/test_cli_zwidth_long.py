@@ -173,10 +173,13 @@ def test_maps_run_on_dask(tmp_path, capsys):
 
 
 def test_search_reports_its_doubt(tmp_path, capsys):
-    code, out, _ = run(
+    code, out, err = run(
         ["search", *SHORT, "--damping", "1.74", "--budget", "8", "--out", str(tmp_path)], capsys
     )
     assert code == 0
+    (level,) = json.loads((tmp_path / "run.json").read_text())["levels"]
+    assert "B min" in level["open_ends"]
+    assert f"the set goes beyond the box: {', '.join(level['open_ends'])}" in err
     assert (
         "doubt: share of the volume that noise leaves open; volume of the set over K, B and M: N/m"
         " x N s/m x kg" in out

@@ -11,7 +11,7 @@ import pytest
 from support.stand_in import StandIn
 from support.zwidth_map import conditions
 
-from hapticd.analysis.passive_set import passive_set, set_limits
+from hapticd.analysis.passive_set import grid, open_ends, passive_set, set_limits
 from hapticd.analysis.surrogate import Box
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.settings.scene import load_scene
@@ -261,6 +261,23 @@ def test_search_beside_an_active_display_says_so():
     )
     with pytest.raises(AnalysisError, match=r"next to K = B = M = 0 was not stable"):
         run_search(plan, TrialStore(None))
+
+
+@pytest.mark.parametrize("level", [0.0, 1.74])
+def test_box_of_a_search_holds_the_predicted_set(level):
+    """At 1.6 times the negative limit of M the ideal display is still passive."""
+    plan = plan_search(SearchParams(conditions(), level))
+    sides = [np.linspace(*ends, 12) for ends in zip(plan.box.low, plan.box.high, strict=True)]
+    predicted = conditions().display.predicted(grid(sides), level)
+    assert open_ends(passive_set(sides, predicted.decided_margin)) == ("B min",)
+
+
+def test_set_that_goes_on_beyond_the_box_is_marked_open():
+    box = Box((0.0, 0.0, -0.006), (400.0, 3.0, 0.003))
+    params = SearchParams(conditions(seconds=10.0), 0.0, budget=4, box=box)
+    found = run_search(plan_search(params), TrialStore(None))
+    assert found.plan.box == box
+    assert found.open_ends == ("K max", "B min", "M max")
 
 
 def test_wall_boundary_is_the_last_stable_impact():

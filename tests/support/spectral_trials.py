@@ -52,3 +52,15 @@ def mass_damper(mass_kg=0.008, damping=1.0, stiffness=0.0):
 def with_phase_margin(degrees: float, mass_kg=0.008):
     """Z(f) of a mass whose phase is 90 - `degrees` everywhere."""
     return lambda f: 2.0 * np.pi * f * mass_kg * np.exp(1j * np.radians(90.0 - degrees))
+
+
+def beside_mode(device, mass_kg: float, frequency_hz: float, quality: float):
+    """Z(f) of `device` with a mass on a spring of its own, which resonates at that frequency."""
+    rate = 2.0 * np.pi * frequency_hz
+
+    def impedance(f):
+        s = 2j * np.pi * f
+        spring = mass_kg * rate / quality + mass_kg * rate**2 / s
+        return device(f) + 1.0 / (1.0 / (s * mass_kg) + 1.0 / spring)
+
+    return impedance

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from support.spectral_trials import exact_trial, mass_damper, record
 
-from hapticd.analysis.findings import coherence_findings, examine
+from hapticd.analysis.findings import (
+    ESCAPE_RATIO,
+    coherence_findings,
+    escape_findings,
+    examine,
+    outgrows_walk,
+)
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import judge
 from hapticd.errors import AnalysisError
@@ -218,3 +224,34 @@ def test_line_too_small_for_a_verdict_is_named_all_the_same():
     assert not found.unstable
     assert re.search(r"line at 1\.2e\+03 Hz: 1\d % of the velocity's power", found.message)
     assert coherence_findings(spa(force, velocity), (2.0, 500.0)) == ()
+
+
+def ringing(growth_per_s: float, seed: int, seconds: int = 90) -> np.ndarray:
+    """Size (n,), second by second, of a motion that noise drives and that grows by that rate."""
+    random = np.random.default_rng(seed)
+    steps = random.standard_normal((seconds, 2)) @ np.array([1.0, 1j])
+    size = 0.0j
+    sizes = []
+    for step in steps:
+        size = size * np.exp(growth_per_s) + step
+        sizes.append(abs(size))
+    return np.array(sizes)
+
+
+@pytest.mark.parametrize("ring_s", [5.0, 35.0, 1000.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_ring_that_noise_drives_does_not_outgrow_a_walk(ring_s, seed):
+    assert not outgrows_walk(ringing(-1.0 / ring_s, seed))
+
+
+@pytest.mark.parametrize("growth_s", [1.0, 5.0, 15.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_motion_that_grows_by_itself_outgrows_a_walk(growth_s, seed):
+    assert outgrows_walk(ringing(1.0 / growth_s, seed))
+
+
+def test_motion_that_swells_as_a_walk_leaves_it_undecided():
+    sizes = ringing(-1e-3, 1)
+    assert sizes.max() > ESCAPE_RATIO * np.quantile(sizes, 0.25)
+    (found,) = escape_findings(sizes, 1.0)
+    assert (found.code, found.unstable, found.voids) == ("swells", False, True)

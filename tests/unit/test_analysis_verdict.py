@@ -10,8 +10,9 @@ from support.spectral_trials import exact_trial, mass_damper, record, with_phase
 
 from hapticd.analysis.findings import Finding, energy, examine
 from hapticd.analysis.spectra import spa
-from hapticd.analysis.verdict import judge, sidak, student_quantile
+from hapticd.analysis.verdict import Judged, judge, sidak, student_quantile
 from hapticd.errors import AnalysisError
+from hapticd.units import percent
 
 NU = 2 * 360_000 / 1536 - 2
 LINE_HZ = 4000.0 / 4096
@@ -131,7 +132,7 @@ def test_verdict_is_never_without_its_conditions():
     said = str(judge(spa(force, velocity), examine(force, velocity, 4000.0)))
     assert re.match(
         r"passive in band \[2, 500\] Hz at 95 % confidence; stable as far as seen; margin .* N s/m,"
-        r" .* deg; perturbation 2\.4",
+        r" .* deg; the recorded channels read Re Z .* high at \S+ Hz; perturbation 2\.4",
         said,
     )
     assert re.search(r"velocity \S+ mm/s rms over 90 s at the probe$", said)
@@ -267,3 +268,28 @@ def test_sentence_says_how_fine_it_looks():
     found = judge(exact_trial(mass_damper(), 0.99))
     assert found.resolution_hz == pytest.approx(4000.0 / 1536.0)
     assert "margin at a resolution of 2.6 Hz" in str(found)
+
+
+@pytest.mark.parametrize(("at_hz", "share"), [(100.0, 0.002), (500.0, 0.053)])
+def test_verdict_says_that_its_margin_is_of_the_recorded_channels(at_hz, share):
+    """Force held and velocity averaged over 1/4000 s: 1 / sinc^2 of a damper's Re Z."""
+
+    def impedance(f):
+        return 1.0 + 0.5 * np.abs(f - at_hz) / at_hz + 2j * np.pi * f * 0.008
+
+    found = judge(exact_trial(impedance, coherence=0.999))
+    assert found.margin_ns_per_m.frequency_hz == pytest.approx(at_hz, abs=1.0)
+    assert found.channels == found.judged.channels == "recorded"
+    assert found.reads_high == pytest.approx(share, abs=0.0006)
+    assert f"the recorded channels read Re Z of a rigid device {percent(found.reads_high)}" in str(
+        found
+    )
+
+
+def test_every_range_that_was_judged_says_by_which_channels():
+    told = Judged(2.0, 500.0)
+    assert str(told) == "judged 2.00 to 500 Hz by the recorded channels"
+    assert told.words.endswith(
+        "by the recorded channels: Re Z of a rigid device reads 0.2 % high at 100 Hz, 5.3 % at"
+        " 500 Hz"
+    )

@@ -269,6 +269,14 @@ def print_kept(folder: Path, files: Iterable[Path]) -> None:
         terminal.data(str(file))
 
 
+def tell_open(level: dict[str, Any], what: str) -> None:
+    """Says at which ends of `what`, a grid or a box, the set of a level goes on."""
+    if level["open_ends"]:
+        ends = ", ".join(level["open_ends"])
+        damping = f"{level['added_damping_ns_per_m']:g} N s/m"
+        terminal.talk(f"at {damping} the set goes beyond the {what}: {ends}")
+
+
 def provenance_now(**more: Any) -> dict[str, Any]:
     """Where the numbers of a run come from: versions, machine, the time, and `more`."""
     from hapticd.recording.provenance import provenance

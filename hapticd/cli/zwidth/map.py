@@ -199,10 +199,7 @@ def _print(result: "MapResult", levels: list[dict[str, Any]]) -> None:
     terminal.data(result.judged.words)
     terminal.data(NOTE)
     for level in levels:
-        if level["open_ends"]:
-            ends = ", ".join(level["open_ends"])
-            damping = f"{level['added_damping_ns_per_m']:g} N s/m"
-            terminal.talk(f"at {damping} the set goes beyond the grid: {ends}")
+        common.tell_open(level, "grid")
 
 
 def _row(level: dict[str, Any]) -> tuple[float, ...]:

@@ -96,6 +96,7 @@ def _level(result: "SearchResult") -> dict[str, Any]:
         "unstable": len(result.search.unstable),
         "doubt": result.doubt,
         "limits": set_limits(result.found),
+        "open_ends": result.open_ends,
         "volume": volume(result.found),
         "miss_ns_per_m": _miss_ns_per_m(result),
         "box": result.plan.box,
@@ -134,3 +135,5 @@ def _print(device: str, found: "list[SearchResult]", levels: list[dict[str, Any]
     terminal.data(text(table(COLUMNS, rows, title)))
     terminal.data("; ".join(sorted({result.judged.words for result in found})))
     terminal.data(NOTE)
+    for level in levels:
+        common.tell_open(level, "box")
