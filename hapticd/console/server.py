@@ -4,7 +4,8 @@
     GET  /static what it loads; nothing comes from anywhere else
     POST /stop   STOP: the way of `hapticd stop`, in threads of its own. It waits for no socket, no
                  command and no telemetry, and presses the stop word, so that it needs no gateway
-    WS   /live   telemetry to the browser; commands and acknowledgements from it
+    WS   /live   telemetry to the browser; commands and acknowledgements from it. `stop` among them
+                 goes the way of /stop, behind nothing that was asked before it
 
 One asyncio loop serves all browsers; telemetry is followed by a thread (`watch`), each browser's
 commands are asked by another (`asker`). What a browser has not taken yet waits in its `outbox`.
@@ -20,6 +21,7 @@ import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -98,7 +100,7 @@ class Console:
         self._browsers: set[Browser] = set()
         self._latest: dict[str, str] = {}  # newest state and guard, for a page that has just come
         self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")
-        self._recordings: set[asyncio.Task[None]] = set()  # requests under way
+        self._under_way: set[asyncio.Task[None]] = set()  # answers to pages
         self._pages = 0
         self.recorder = Recorder(instance, Path.cwd(), lambda text: self.publish("recorder", text))
         self.stops = 0  # asked of this page
@@ -139,20 +141,23 @@ class Console:
         return HTMLResponse(text)
 
     async def stop(self, request: Request) -> Response:
+        """The request of a page to stop."""
+        told = await self._press(request.query_params.get("actor", ""))
+        return JSONResponse(told, 200 if told["ok"] else 503)
+
+    async def _press(self, actor: str) -> dict[str, Any]:
         """Press the stop word, as `hapticd stop` does, in the name of the page that asks: a stop is
         its presser's to reset.
         """
         self.stops += 1
         loop = asyncio.get_running_loop()
-        actor = _number(request.query_params.get("actor", ""))
+        press = partial(fast_stop.stop, self.instance, _number(actor))
         try:
-            found = await loop.run_in_executor(self._stopping, fast_stop.stop, self.instance, actor)
+            found = await loop.run_in_executor(self._stopping, press)
         except HapticdError as error:
-            return JSONResponse({"ok": False, "text": str(error)}, 503)
-        ok = not found.failed
+            return {"ok": False, "states": [], "text": str(error)}
         states = [one.state for one in found.daemons]
-        told = {"ok": ok, "states": states, "text": "; ".join(found.failed)}
-        return JSONResponse(told, 200 if ok else 503)
+        return {"ok": not found.failed, "states": states, "text": "; ".join(found.failed)}
 
     async def live(self, socket: WebSocket) -> None:
         """One browser, from its coming to its going."""
@@ -174,6 +179,7 @@ class Console:
 
     async def _obey(self, browser: Browser) -> None:
         loop = asyncio.get_running_loop()
+        own = {"record": self._record, "stop": self._stop_by_socket}
 
         def reply(text: str) -> None:
             loop.call_soon_threadsafe(browser.put, "reply", text)
@@ -183,12 +189,17 @@ class Console:
             if "ack" in request:
                 browser.outbox.acknowledge(int(request["ack"]))
                 browser.news.set()
-            elif request.get("cmd") == "record":
-                recording = asyncio.create_task(self._record(browser, request))
-                self._recordings.add(recording)
-                recording.add_done_callback(self._recordings.discard)
+            elif answer := own.get(str(request.get("cmd"))):
+                task = asyncio.create_task(answer(browser, request))
+                self._under_way.add(task)
+                task.add_done_callback(self._under_way.discard)
             else:
                 browser.asker.ask(request, reply)
+
+    async def _stop_by_socket(self, browser: Browser, request: dict[str, Any]) -> None:
+        """The same over the page's connection."""
+        told = await self._press(str(request.get("actor", "")))
+        browser.put("reply", json.dumps({"kind": "reply", "ask": request.get("ask"), **told}))
 
     async def _record(self, browser: Browser, request: dict[str, Any]) -> None:
         """Start or stop the recorder of this page."""

@@ -23,6 +23,7 @@ from support.console_page import (
     PATIENCE_MS,
     PatientClient,
     Served,
+    commonest,
     lamp_colour,
     paused,
     picture,
@@ -241,7 +242,7 @@ def test_stop_that_nobody_took_is_told_and_sent_again(
 
 
 def test_stop_at_a_server_that_stands_still_is_told_while_it_stands(
-    page: Page, client: Client, served: Served
+    page: Page, client: Client, served: Served, tmp_path: Path
 ) -> None:
     client.enable()
     wait_text(page, "#lamp", "enabled")
@@ -249,9 +250,121 @@ def test_stop_at_a_server_that_stands_still_is_told_while_it_stands(
         page.click("#stop")
         wait_text(page, "#log", "NOT STOPPED")
         expect(page.locator("#stop")).to_have_class("failed")
+        wait_text(page, "#not-stopped", "Use the emergency stop, or: hapticd stop")
+        assert commonest(picture(page, "#not-stopped", tmp_path)) == RED
+        assert read_in_full(page, "#not-stopped")
     until(lambda: state(client) == "stopped", "stopped")
     wait_text(page, "#lamp", "stopped")
     expect(page.locator("#stop")).not_to_have_class("failed")
+    expect(page.locator("#not-stopped")).to_be_hidden()
+
+
+def test_stop_goes_over_the_live_connection_where_its_request_does_not(
+    page: Page, client: Client
+) -> None:
+    page.route("**/stop?*", lambda route: route.abort())
+    client.enable()
+    wait_text(page, "#lamp", "enabled")
+    page.keyboard.press("Escape")
+    wait_text(page, "#lamp", "stopped")
+    assert state(client) == "stopped"
+    expect(page.locator("#not-stopped")).to_be_hidden()
+    page.click("#reset")
+    wait_text(page, "#lamp", "disabled")
+    page.wait_for_timeout(1000)
+    assert state(client) == "disabled"  # nothing is sent again behind a stop that was taken
+
+
+def test_stop_is_sent_again_until_the_operator_dismisses_it(
+    page: Page, served: Served, client: Client
+) -> None:
+    sent: list[str] = []
+    page.on("request", lambda asked: sent.append(f"{asked.method} {asked.url}"))
+    with paused(served.process.pid):
+        page.click("#stop")
+        until(lambda: waited(page) and len(sent) > 2, "another stop")
+        page.click("#not-stopped button")
+        expect(page.locator("#not-stopped")).to_be_hidden()
+        expect(page.locator("#stop")).not_to_have_class("failed")
+        wait_text(
+            page, "#log", "STOP is not sent again; whether the device is stopped is not known"
+        )
+        before = len(sent)
+        page.wait_for_timeout(2000)
+        assert len(sent) == before
+        page.click("#stop")  # another press is another stop
+        until(lambda: waited(page) and len(sent) > before, "a stop")
+    assert all("POST" in one and "/stop?actor=" in one for one in sent)
+    until(lambda: state(client) == "stopped", "stopped")
+    expect(page.locator("#not-stopped")).to_be_hidden()
+
+
+def waited(page: Page) -> bool:
+    """Let the page go on for a while; the requests that it sends are seen only then."""
+    page.wait_for_timeout(100)
+    return True
+
+
+def test_stop_that_the_servo_has_not_taken_is_not_stopped(
+    served: Served, client: Client, chromium: Browser
+) -> None:
+    """It ends with a record that says so."""
+    page = opened(chromium, "about:blank")
+    sent: list[str] = []
+    without_stops(page, sent)
+    pressed = {"ok": True, "states": ["pressed"], "text": ""}
+    page.route("**/stop?*", lambda route: route.fulfill(json=pressed))
+    page.goto(served.url)
+    client.enable()
+    wait_text(page, "#lamp", "enabled")
+    page.click("#stop")
+    wait_text(page, "#not-stopped", "the servo has not taken it")
+    assert state(client) == "enabled"
+    client.stop()
+    wait_text(page, "#lamp", "stopped")
+    expect(page.locator("#not-stopped")).to_be_hidden()
+    page.context.close()
+
+
+def without_stops(page: Page, sent: list[str]) -> list[WebSocketRoute]:
+    """The live connections of `page`, of which the first takes no stop to the server; what the page
+    sends over them goes to `sent`.
+    """
+    lines: list[WebSocketRoute] = []
+
+    def heard(server: WebSocketRoute, data: str) -> None:
+        sent.append(json.loads(data).get("cmd", "ack"))
+        if sent[-1] != "stop" or len(lines) > 1:
+            server.send(data)
+
+    def between(line: WebSocketRoute) -> None:
+        lines.append(line)
+        server = line.connect_to_server()
+        line.on_message(lambda data: heard(server, str(data)))
+
+    page.route_web_socket("**/live", between)
+    return lines
+
+
+def test_stop_is_sent_again_by_each_new_connection_and_never_resets(
+    served: Served, client: Client, chromium: Browser
+) -> None:
+    page = opened(chromium, "about:blank")
+    sent: list[str] = []
+    lines = without_stops(page, sent)
+    page.route("**/stop?*", lambda route: route.abort())
+    page.goto(served.url)
+    client.enable()
+    wait_text(page, "#lamp", "enabled")
+    page.click("#stop")
+    wait_text(page, "#not-stopped", "the page's server does not answer")
+    assert sent.count("stop") == 1  # a connection loses nothing
+    lines[0].close()
+    wait_text(page, "#lamp", "stopped")
+    assert state(client) == "stopped"
+    expect(page.locator("#not-stopped")).to_be_hidden()
+    assert set(sent) <= {"hello", "ack", "stop"}
+    page.context.close()
 
 
 def test_damping_lamp_is_what_the_board_reports(page: Page, client: Client) -> None:

@@ -143,6 +143,17 @@ def test_contact_with_the_wall_is_judged() -> None:
     assert change(shipped_judge(), {"wall": wall | {"side": 0}})["action"] == "apply"
 
 
+def test_a_wall_that_goes_keeps_its_strength_until_it_is_gone() -> None:
+    """K = 900 N/m is safe, and a wall of 280 N/m is; K grows while the wall goes, and both act."""
+    judge = rigid_judge(0.5)
+    wall = {"stiffness_n_per_m": 280.0, "damping_ns_per_m": 0.0, "position_m": 0.01, "side": 1}
+    gone = {"side": 0, "stiffness_n_per_m": 0.0}
+    assert change(judge, {"K": 900.0})["action"] == "apply"
+    assert change(judge, {"wall": gone}, now={"wall": wall})["action"] == "apply"
+    answer = change(judge, {"K": 900.0, "wall": gone}, now={"wall": wall})
+    assert stages_of(answer) != [{"K": 900.0, "wall": gone}]
+
+
 def test_a_wall_that_comes_meets_what_is_still_in_force() -> None:
     """Its side is there at once: K = 740 N/m and a wall of 280 N/m are too much together on a
     device that withstands 1,000 N/m, though K is on its way to 0.

@@ -308,6 +308,22 @@ def test_delay_counts_once_the_worker_has_looked_at_it(rig: DeskRig, worker: Stu
     assert worker.changes[-1]["delay_periods"] == 0.75
 
 
+def test_delay_that_a_dead_worker_had_looked_at_does_not_count_for_the_next(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    """It has computed nothing for that delay, so nothing speaks against the newest."""
+    worker.script = lambda asked: looked(asked) if asked["ask"] == "look" else applies(asked)
+    rig.guard.delay.periods = 0.25
+    looking(rig)
+    rig.guard.delay.periods = 0.5
+    rig.ask(cmd="set", K=1)
+    assert worker.changes[-1]["delay_periods"] == 0.25
+    worker.life += 1
+    rig.run()
+    rig.ask(cmd="set", K=2)
+    assert worker.changes[-1]["delay_periods"] == 0.5
+
+
 def test_no_verdict_within_half_a_second_goes_on_under_warn(
     rig: DeskRig, worker: StubWorker
 ) -> None:
@@ -450,6 +466,25 @@ def test_enable_does_not_come_after_what_was_asked_after_it(
     assert Command.ENABLE not in [kind for kind, _ in rig.servo.taken]
 
 
+@pytest.mark.parametrize("cmd", ["stop", "disable"])
+def test_enable_that_waits_behind_another_request_does_not_come_after(
+    rig: DeskRig, worker: StubWorker, cmd: str
+) -> None:
+    under(rig, "refuse")
+    worker.silent = True
+    rig.send(packed(cmd="set", K=5, id=1), packed(cmd="enable", id=2))
+    later(rig, 2)
+    assert not any(one["enable"] for one in worker.changes)
+    rig.send(packed(cmd=cmd, id=3), client=b"b")
+    replies = {reply["id"]: reply for reply in later(rig)}
+    assert replies[3]["ok"]
+    assert f"{cmd} was asked before it was judged" in replies[2]["error"]["message"]
+    worker.silent = False
+    worker.said += [{**applies(one), "n": one["n"]} for one in worker.changes]
+    later(rig, 20)
+    assert Command.ENABLE not in [kind for kind, _ in rig.servo.taken]
+
+
 def test_request_that_waits_ends_when_another_takes_the_lease(
     rig: DeskRig, worker: StubWorker
 ) -> None:
@@ -536,6 +571,14 @@ def test_servo_restart_ends_what_waits(rig: DeskRig, worker: StubWorker, tmp_pat
     assert rig.servo.taken == [(Command.SET, 16)]
 
 
+def another_servo(rig: DeskRig) -> None:
+    """The servo ends, and another one starts in its folder."""
+    rig.servo.mailbox.close()
+    rig.servo = StandInServo(rig.folder, rig.clock)
+    rig.pass_time(200)
+    rig.run(2)
+
+
 # --- scheduled ------------------------------------------------------------------------------------
 
 
@@ -554,6 +597,20 @@ def test_scheduled_changes_are_judged_with_those_before_and_after(
     rig.ask(cmd="set", M=0.01)
     assert worker.changes[-1]["before"] == []
     assert worker.changes[-1]["after"] == [{"B": 3}, {"K": 20}, {"K": 10}]
+
+
+def test_new_servo_is_not_judged_with_the_schedule_of_the_one_before(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    """Its ticks begin again, so that what the one before had scheduled would seem to come."""
+    rig.ask(cmd="set", K=300, at_tick=5000)
+    rig.ask(cmd="set", B=1)
+    assert worker.changes[-1]["after"] == [{"K": 300}]
+    another_servo(rig)
+    rig.ask(cmd="set", B=2)
+    assert worker.changes[-1]["after"] == []
+    rig.ask(cmd="set", M=0.01, at_tick=6000)
+    assert worker.changes[-1]["before"] == []
 
 
 def test_scheduled_change_is_bound_to_what_those_before_leave(rig: DeskRig) -> None:
@@ -657,6 +714,25 @@ def test_end_of_force_cancels_what_is_left(rig: DeskRig, worker: StubWorker, cmd
     (event,) = answers(rig)
     assert event["result"] == "cancelled"
     assert "what is in force stays" in event["text"]
+    assert rig.servo.values[Value.STIFFNESS] == 0
+
+
+@pytest.mark.parametrize("latched", [State.STOPPED, State.FAULT])
+def test_stages_that_began_in_disabled_end_when_the_servo_is(
+    rig: DeskRig, worker: StubWorker, latched: State
+) -> None:
+    """No force ends there, but whoever resets must not find another environment than he left."""
+    worker.script = two_stages
+    rig.servo.effect = 0.0
+    assert rig.ask(cmd="set", K=400, damping=1.5)["receipt"]["result"] == "staged"
+    rig.servo.state = latched
+    later(rig, 2)
+    rig.servo.state = State.DISABLED
+    rig.servo.effect = 1.5
+    later(rig, 100)
+    (event,) = answers(rig)
+    assert event["result"] == "cancelled"
+    assert f"the servo is {latched.name.lower()}" in event["text"]
     assert rig.servo.values[Value.STIFFNESS] == 0
 
 
@@ -993,3 +1069,21 @@ def test_side_of_a_wall_counts_until_its_ramp_has_ended() -> None:
     assert side.value == -1
     side.follow(records((0, moving), (0, 0)))
     assert side.value == 0
+
+
+def test_wall_on_its_way_out_is_judged_as_it_was(rig: DeskRig, worker: StubWorker) -> None:
+    """No record holds its damping, and the second half of its ramp says that there is no wall."""
+    wall = {"stiffness_n_per_m": 500.0, "damping_ns_per_m": 3.0, "side": 1}
+    rig.ask(cmd="set", wall=wall)
+    rig.guard.in_force.follow(np.array([(1, 0)], [("wall_side", "<i4"), ("flags", "<u4")]))
+    rig.ask(cmd="set", B=1)
+    rig.servo.flags = int(Flag.RAMPING)
+    rig.ask(cmd="set", wall={"side": 0, "damping_ns_per_m": 0.0})
+    rig.ask(cmd="set", B=2)
+    now = worker.changes[-1]["now"]["wall"]
+    assert (now["side"], now["damping_ns_per_m"]) == (1, 3.0)
+    rig.servo.flags = 0
+    rig.run()
+    rig.ask(cmd="set", B=3)
+    now = worker.changes[-1]["now"]["wall"]
+    assert (now["side"], now["damping_ns_per_m"]) == (0, 0.0)

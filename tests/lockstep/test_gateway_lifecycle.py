@@ -169,6 +169,18 @@ def test_stage_is_not_posted_after_its_deadline(rig: DeskRig, worker: StubWorker
     assert answers(rig) == ["cancelled"]
 
 
+@pytest.mark.parametrize(("stood_ms", "state"), [(4100, State.ENABLED), (4200, State.DISABLED)])
+def test_deadline_of_a_stage_is_4_s_its_ramp_and_the_rise_of_the_damping(
+    rig: DeskRig, worker: StubWorker, stood_ms: int, state: State
+) -> None:
+    """The ramp takes 50 ms; all of 2 N s/m at 20 N s/m in a second, 100 ms."""
+    waits_in_stages(rig, worker)
+    rig.servo.effect = 1.5
+    rig.servo.tick(1)
+    rig.clock.time_ns += stood_ms * NS_PER_MS
+    assert comes(rig) is state
+
+
 # --- terms ------------------------------------------------------------------------------------
 
 

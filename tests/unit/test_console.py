@@ -302,7 +302,7 @@ def test_what_waits_when_stop_is_pressed_is_not_done(monkeypatch: pytest.MonkeyP
     assert "STOP was pressed" in replies[2]["text"]
 
 
-def test_a_page_asks_no_stop_over_its_socket_and_nothing_unknown(
+def test_a_page_asks_the_gateway_for_no_stop_and_nothing_unknown(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     talk = Conversation(monkeypatch)

@@ -534,6 +534,20 @@ def test_new_servo_is_told_who_holds_what(rig: DeskRig) -> None:
     assert rig.servo.state is State.DISABLED
 
 
+@pytest.mark.parametrize("at_end", ["zero", "disable"])
+def test_what_is_due_at_the_end_of_a_lease_is_not_posted_to_the_next_servo(
+    rig: DeskRig, at_end: str
+) -> None:
+    rendering(rig, "environment", at_end)
+    rig.servo.mailbox.close()
+    rig.pass_time(500)
+    rig.desk.leave(A)  # nobody is there to be told
+    rig.look()
+    rig.servo = StandInServo(rig.folder, rig.clock)
+    idle(rig, 0.5)
+    assert rig.servo.taken == []
+
+
 def test_transition_waits_for_room_in_the_ring(rig: DeskRig) -> None:
     rendering(rig, "environment", "disable")
     rig.servo.deaf = True

@@ -8,7 +8,7 @@ import { Link } from "./link.js";
 import { Leases, Recorder, Timing } from "./panels.js";
 import { Plane } from "./plane.js";
 import { Scope } from "./scope.js";
-import { stopButton } from "./stop.js";
+import { Stop } from "./stop.js";
 import { ofPage } from "./words.js";
 
 const NO_DATA_MS = 500;
@@ -48,6 +48,7 @@ const handlers = {
     if (silent_ms > NO_DATA_MS && silent_ms < Infinity) introduce(); // perhaps to another gateway
     came_ms = performance.now();
     lamp(header.now.state);
+    stop.seen(header.now.state);
     board(header.simulated);
     for (const part of [scope, timing]) part.take(header, columns);
     for (const part of [controls, plane, impedance]) part.show(header.now);
@@ -85,7 +86,7 @@ const impedance = new Impedance(ask);
 const timing = new Timing();
 const leases = new Leases(link, ask);
 const recorder = new Recorder(ask, tell);
-stopButton(get("stop"), tell, () => leases.actor);
+const stop = new Stop(get("stop"), get("not-stopped"), link, tell, () => leases.actor);
 get("theme").addEventListener("click", () => {
   theme(root.dataset.theme === "dark" ? "light" : "dark");
   for (const part of [...scope.strips, plane, impedance]) part.build();
