@@ -5,7 +5,7 @@
     python tests/attack.py --factor 0.01            a hundredth of each
 
 A row whose work can be shared is run by all cores, in parts with seeds of their own. The exit code
-is 1 where something was lost, or a stop took longer than STOP_MS.
+is 1 where something was lost, a stop took longer than STOP_MS, or a kind came too rarely.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from support.attacks.rows import Outcome, Row
+from support.attacks.rows import LEAST, Outcome, Row
 from support.attacks.table import ROWS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -42,6 +42,18 @@ def run(row: Row, times: int) -> Outcome:
         return sum(outcomes, Outcome(0))
 
 
+def rarest(outcome: Outcome) -> dict[str, float]:
+    """How often the rarest kind came, where the row counts kinds."""
+    return {"rarest": float(min(outcome.came.values()))} if outcome.came else {}
+
+
+def failed(outcome: Outcome, factor: float) -> bool:
+    """Whether anything of a run of `factor` was lost, late, or not tried often enough."""
+    slow = outcome.figures.get("stop_longest_ms", 0.0) > STOP_MS
+    rare = rarest(outcome).get("rarest", LEAST) < int(min(1.0, factor) * LEAST)
+    return outcome.lost > 0 or slow or rare
+
+
 def told(row: Row, outcome: Outcome, seconds: float) -> dict[str, Any]:
     """The row of build/attack.json."""
     return {
@@ -53,7 +65,7 @@ def told(row: Row, outcome: Outcome, seconds: float) -> dict[str, Any]:
         "unit": row.unit,
         "lost": outcome.lost,
         "found": outcome.found,
-        "figures": outcome.figures,
+        "figures": outcome.figures | rarest(outcome),
         "seconds": round(seconds),
         "command": f"make attack ONLY={row.name}",
     }
@@ -76,7 +88,7 @@ def main() -> int:
     unknown = set(names) - {row.name for row in ROWS}
     if unknown:
         parser.error(f"no row {', '.join(unknown)}; rows: {', '.join(one.name for one in ROWS)}")
-    lost = 0
+    lost = False
     for row in (row for row in ROWS if row.name in names):
         begin = time.monotonic()
         outcome = run(row, max(1, round(asked.factor * row.times)))
@@ -85,8 +97,8 @@ def main() -> int:
         rows = merged([line])
         RESULT.parent.mkdir(exist_ok=True)
         RESULT.write_text(json.dumps(rows, indent=1) + "\n")
-        lost += outcome.lost + (outcome.figures.get("stop_longest_ms", 0.0) > STOP_MS)
-    return 1 if lost else 0
+        lost |= failed(outcome, asked.factor)
+    return int(lost)
 
 
 if __name__ == "__main__":

@@ -18,12 +18,14 @@ import numpy as np
 import pytest
 from support.attacks import documents, peers, signals, surroundings
 from support.attacks.late import Block, detectable, judged
+from support.attacks.lifecycle import ATTACKS, Attack
 from support.attacks.live import DTYPE, LiveDaemon, Watch, until
 from support.attacks.peers import KINDS, Peers
-from support.attacks.rows import Losses, Row
+from support.attacks.rows import LEAST, Losses, Row
 from support.attacks.signals import DEADLY
 from support.attacks.stage import Stage, Stop, settings, shared_stage
 from support.attacks.table import ROWS
+from support.defects import defect
 from support.firmware_board import FirmwareBoard
 
 from hapticd.client.blocks import BlockDecoder
@@ -267,6 +269,42 @@ def test_counter_rises_when_one_loss_is_injected(name: str) -> None:
         outcome = row.attack(times, FIRST.get(name, 1))
     assert outcome.lost >= 1
     assert outcome.found
+
+
+# a known defect that the row has to see, and lives enough to meet it
+DEFECTS = {
+    "enable-in-stages": ("lifecycle_enable_in_stages_outlives_a_disable", 8),
+    "gateway-stands-still": ("lifecycle_verdict_without_deadline", 2),
+    "bounded-push": ("lifecycle_no_end", 4),
+    "measuring-lease": ("lifecycle_batch_keeps_its_terms", 4),
+    "former-gateway": ("lifecycle_terms_cancel_nothing", 4),
+    "policy-made-strict": ("guard_scheduled_by_other_terms", 4),
+    "gateway-beside-servo": ("lifecycle_judged_by_the_models_delay", 4),
+    "mute-perturbation": ("mute_withheld_plays", 8),
+    "client-numbers": ("lifecycle_client_numbers_begin_again", 4),
+    "masks": ("mask_not_looked_at", 4),
+    "dead-gateways-ring": ("lifecycle_what_a_dead_gateway_left_is_obeyed", 4),
+    "closed-connection": ("lifecycle_waiting_outlives_its_connection", 8),
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name)
+def test_counter_rises_when_a_known_defect_is_put_back(attack: Attack) -> None:
+    name, times = DEFECTS[attack.name]
+    with defect(name):
+        outcome = attack.run(times, 1)
+    assert outcome.lost >= 1
+    assert outcome.found
+    assert attack.run(1, 1).lost == 0
+
+
+@pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack.name)
+def test_every_kind_comes_often_enough_in_a_whole_run(attack: Attack) -> None:
+    idle = attack._replace(play=lambda chosen, random: None)
+    row = idle.row()
+    came = idle.run(row.times, 1).came
+    assert set(came) == {value for values in attack.features.values() for value in values}
+    assert min(came.values()) >= LEAST
 
 
 # --- what peers cost the others is counted alike in all their rows --------------------------------
@@ -526,4 +564,4 @@ def test_more_late_ticks_than_beside_the_control_are_a_loss() -> None:
 
 def test_every_row_has_a_loss_that_was_injected() -> None:
     peers = KINDS.keys() - {"burn"}
-    assert {row.name for row in ROWS} == {*INJECTED, *peers, "late-ticks"}
+    assert {row.name for row in ROWS} == {*INJECTED, *DEFECTS, *peers, "late-ticks"}

@@ -3,14 +3,17 @@
 A row counts two things: what was `tried`, and what was `lost` by its own counter, which has to stay
 at 0. That the counter counts is a test of its own: one loss is injected, and it has to rise
 (`test_attacks`). Numbers that say how far away the end was (a longest time to stop, the memory that
-came) are `figures`; the largest of all parts of a row counts.
+came) are `figures`; the largest of all parts of a row counts. A row that draws its pieces from
+kinds counts how often each of them `came`: in a whole run at least LEAST times.
 """
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 NOTED = 8  # losses that are described; all are counted
+LEAST = 20  # times that every kind comes in a whole run
 
 
 @dataclass(frozen=True)
@@ -21,6 +24,7 @@ class Outcome:
     lost: int = 0
     found: tuple[str, ...] = ()  # what was lost, in words
     figures: dict[str, float] = field(default_factory=dict)
+    came: Counter[str] = field(default_factory=Counter)  # by kind
 
     def __add__(self, other: "Outcome") -> "Outcome":
         names = self.figures | other.figures
@@ -29,7 +33,8 @@ class Outcome:
             for name in names
         }
         found = (*self.found, *other.found)[:NOTED]
-        return Outcome(self.tried + other.tried, self.lost + other.lost, found, figures)
+        tried, lost = self.tried + other.tried, self.lost + other.lost
+        return Outcome(tried, lost, found, figures, self.came + other.came)
 
 
 class Losses:

@@ -2,7 +2,16 @@
 
 from functools import partial
 
-from support.attacks import boards, commands, documents, frames, late, signals, surroundings
+from support.attacks import (
+    boards,
+    commands,
+    documents,
+    frames,
+    late,
+    lifecycle,
+    signals,
+    surroundings,
+)
 from support.attacks.rows import Row
 from support.attacks.stage import on_stage
 
@@ -96,6 +105,7 @@ ROWS = (
         boards.dead_servo,
         10,
     ),
+    *(one.row() for one in lifecycle.ATTACKS),
     peers("floods", "four connections ask as fast as they can", "requests", 1_000_000, 5_000),
     peers("slow-readers", "subscribers that read a byte now and then", "peers", 5_000, 60),
     peers(
