@@ -7,6 +7,7 @@
                 mark, perturb
     monitor     the live screen (screen: what it shows)
     console     the operators' page
+    help        help VERB
     recording   record, rec, replay
     system      config, doctor, install-system
     keys        keys

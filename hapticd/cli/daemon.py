@@ -408,15 +408,7 @@ def disable(
     change(instance, as_json, lambda client: client.disable())
 
 
-WhichOnes = Annotated[
-    str | None,
-    typer.Option(
-        "--instance", metavar="NAME", help="This one alone; else all of yours and the service."
-    ),
-]
-
-
-def stop(instance: WhichOnes = None, as_json: terminal.Json = False) -> None:
+def stop(instance: terminal.OneOfAll = None, as_json: terminal.Json = False) -> None:
     """Stop every daemon of yours and the service: force to 0 at once, latched until
     `hapticd reset`. Anyone may, at any time; never refused.
     """

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.errors import CommandError, ConfigError, HapticdError
+from hapticd.errors import CommandError, ConfigError, HapticdError, MailboxError
 from hapticd.extras import need
-from hapticd.mailbox.files import DEFAULT_INSTANCE
+from hapticd.mailbox.files import DEFAULT_INSTANCE, runtime_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -140,9 +140,73 @@ def complain(error: HapticdError, as_json: bool) -> None:
         data_json({"ok": False, "error": told})
 
 
+def explain(mistake: Any, as_json: bool) -> int:
+    """What was mistyped, as Typer shows it; with --json also as an object on stdout. The exit
+    code.
+    """
+    from typer.rich_utils import rich_format_error
+
+    rich_format_error(mistake)
+    if as_json:
+        told = {"code": "usage", "message": mistake.format_message(), "detail": None}
+        data_json({"ok": False, "error": told})
+    return int(mistake.exit_code)
+
+
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 JsonLines = Annotated[bool, typer.Option("--json", help="One JSON object per line on stdout.")]
-Instance = Annotated[str, typer.Option("--instance", metavar="NAME", help="Which daemon.")]
+
+
+def _named(name: str) -> str:
+    """`name` if an instance can have it, else BadParameter."""
+    try:
+        runtime_folder(name)
+    except MailboxError as error:
+        raise typer.BadParameter(str(error)) from None
+    return name
+
+
+def _before(name: str | None) -> str | None:
+    return None if name is None else _named(name)
+
+
+def _chosen(context: typer.Context, parameter: typer.CallbackParam, name: str | None) -> str | None:
+    """The name after the verb, else the one before it, else that of the environment or default."""
+    source = context.get_parameter_source(parameter.name or "")
+    typed = source is not None and source.name == "COMMANDLINE"
+    return _before(name if typed or context.obj is None else context.obj)
+
+
+INSTANCE_VARIABLE = "HAPTICD_INSTANCE"
+Instance = Annotated[
+    str,
+    typer.Option(
+        "--instance",
+        metavar="NAME",
+        envvar=INSTANCE_VARIABLE,
+        callback=_chosen,
+        help="Which daemon; may also stand before the verb.",
+    ),
+]
+InstanceBefore = Annotated[
+    str | None,
+    typer.Option(
+        "--instance",
+        metavar="NAME",
+        callback=_before,
+        help=f"Which daemon; may also stand after the verb. Else ${INSTANCE_VARIABLE}.",
+    ),
+]
+OneOfAll = Annotated[
+    str | None,
+    typer.Option(
+        "--instance",
+        metavar="NAME",
+        callback=_chosen,
+        help=f"This one alone; else all of yours and the service, whatever ${INSTANCE_VARIABLE}"
+        " says.",
+    ),
+]
 ConfigFile = Annotated[
     Path | None,
     typer.Option(

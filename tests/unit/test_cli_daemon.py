@@ -565,14 +565,6 @@ def test_run_refuses_a_bad_configuration(capsys: pytest.CaptureFixture[str]) -> 
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "ConfigError"
 
 
-@pytest.mark.usefixtures("runtime")
-def test_instance_names_are_checked(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["get", "--instance", "../other"]) == 1
-    assert (
-        "instance name '../other': use 1 to 64 letters, digits, - and _" in capsys.readouterr().err
-    )
-
-
 # --- leases ---------------------------------------------------------------------------------------
 
 HELD = {
