@@ -71,7 +71,7 @@ def fresh_runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     Directly in the temporary folder, since a socket's path may have 107 bytes only.
     """
     folder = Path(tempfile.mkdtemp(prefix="hapticd-test-"))
-    for name in ("RUNTIME_DIRECTORY", "HAPTICD_CONFIG"):
+    for name in ("RUNTIME_DIRECTORY", "HAPTICD_CONFIG", "HAPTICD_INSTANCE"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(folder / "config"))

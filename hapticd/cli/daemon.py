@@ -172,6 +172,7 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
         # without a gateway, as before the board is found
         servo = living_report(daemon_folder(instance))
         found = dict.fromkeys(MUST_HAVE) | {"state": "down", "reason": str(error), "servo": servo}
+        found |= error.plain()
     found["console"] = console_place(daemon_folder(instance))
     if as_json:
         terminal.data_json(found)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.errors import CommandError, ConfigError, HapticdError, MailboxError
+from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, MailboxError
 from hapticd.extras import need
 from hapticd.mailbox.files import DEFAULT_INSTANCE, runtime_folder
 
@@ -133,11 +133,17 @@ def complain(error: HapticdError, as_json: bool) -> None:
         talk(name + wrapped(f"hapticd: {line}").removeprefix("hapticd:"))
     if as_json:
         code = error.code if isinstance(error, CommandError) else type(error).__name__
-        detail = error.detail if isinstance(error, CommandError) else None
-        told = {"code": code, "message": str(error), "detail": detail}
+        told = {"code": code, "message": str(error), "detail": _detail(error)}
         if isinstance(error, CommandError) and error.guard:
             told["guard"] = dataclasses.asdict(error.guard)
         data_json({"ok": False, "error": told})
+
+
+def _detail(error: HapticdError) -> Any:
+    """What a program may go by."""
+    if isinstance(error, DaemonDown):
+        return error.plain()
+    return error.detail if isinstance(error, CommandError) else None
 
 
 def explain(mistake: Any, as_json: bool) -> int:
