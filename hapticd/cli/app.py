@@ -58,6 +58,7 @@ SECTIONS_OF_GROUPS: dict[str, dict[str, str]] = {  # module, and its verbs
     "Simulate": {"sim": "sim.sim_app"},
     "Measure": {"zwidth": "zwidth.app", "perturb": "daemon.perturb_app"},
 }
+CLASSES = {"damping": "numbers.SignedLevel"}  # of verbs that read their words in another way
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
 USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]  # what Typer calls a mistake
 INSTANCE_OPTION = "--instance"
@@ -76,7 +77,8 @@ def command_line(asked: str = "") -> typer.Typer:
     whole = not any(asked in names for names in known)
     for section, verbs in SECTIONS.items():
         for name in verbs if whole else verbs.keys() & {asked}:
-            terminal.verb(app, name, rich_help_panel=section)(_loaded(verbs[name]))
+            kind = _loaded(CLASSES[name]) if name in CLASSES else None
+            terminal.verb(app, name, rich_help_panel=section, cls=kind)(_loaded(verbs[name]))
     for section, groups in SECTIONS_OF_GROUPS.items():
         for name in groups if whole else groups.keys() & {asked}:
             app.add_typer(_loaded(groups[name]), name=name, rich_help_panel=section)

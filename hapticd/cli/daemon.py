@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.change import change, changes, connect, number
+from hapticd.cli.change import change, changes, connect
+from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.words import board_words, parameters, receipt_text
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
@@ -392,8 +393,9 @@ def damping(
 
     `on` gives the level that was asked for last, or that the guard chose; at first the configured.
     """
+    word = value.lower()
     expected = "on, off, auto or a level in N s/m"
-    asked = value if value in ("on", "off", "auto") else number("damping", value, expected)
+    asked = word if word in ("on", "off", "auto") else number("damping", value, expected, " ")
     change(instance, as_json, lambda client: client.damping(asked))  # type: ignore[arg-type]
 
 

@@ -154,7 +154,8 @@ def explain(mistake: Any, as_json: bool) -> int:
 
     rich_format_error(mistake)
     if as_json:
-        told = {"code": "usage", "message": mistake.format_message(), "detail": None}
+        told = {"code": "usage", "message": mistake.format_message()}
+        told["detail"] = getattr(mistake, "detail", None)
         data_json({"ok": False, "error": told})
     return int(mistake.exit_code)
 
