@@ -497,7 +497,9 @@ perturb_app = typer.Typer(
 WaveformFile = Annotated[
     Path,
     typer.Argument(
-        metavar="FILE", help="Force in N: .npy of shape (n,), or text with one number a line."
+        metavar="FILE",
+        callback=terminal.there,
+        help="Force in N: .npy of shape (n,), or text with one number a line.",
     ),
 ]
 

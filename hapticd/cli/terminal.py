@@ -184,6 +184,17 @@ def _chosen(context: typer.Context, parameter: typer.CallbackParam, name: str | 
     return _before(name if typed or context.obj is None else context.obj)
 
 
+def there(path: Path | None) -> Path | None:
+    """`path` if something is there, else BadParameter with the name that is nearly the same."""
+    if path is None or os.path.exists(path):
+        return path
+    from hapticd.settings.toml import did_you_mean
+
+    folder = path.parent
+    meant = did_you_mean(path.name, os.listdir(folder)) if os.access(folder, os.R_OK) else ""
+    raise typer.BadParameter(f"{path}: no such file; check the path and its permissions{meant}")
+
+
 INSTANCE_VARIABLE = "HAPTICD_INSTANCE"
 Instance = Annotated[
     str,

@@ -177,6 +177,18 @@ def scene_of(name: str) -> "Scene":
         return found
 
 
+def record_file(word: str, sources: tuple[str, ...]) -> Path:
+    """The record that `word` names, which is none of `sources`. BadParameter if it is not there."""
+    from hapticd.settings.toml import did_you_mean
+
+    path = Path(word)
+    meant = did_you_mean(word, sources)
+    if meant and not path.exists():
+        raise typer.BadParameter(f"{word!r} is not {', '.join(sources)} or a file{meant}")
+    terminal.there(path)
+    return path
+
+
 def conditions(
     scene: "Scene",
     seconds: float,

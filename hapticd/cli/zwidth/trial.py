@@ -208,7 +208,9 @@ def trial(
     terminal.need_figures(results.plot)
     recorded = None
     if asked.source not in LIVE:
-        recorded = read_file(Path(asked.source), file.force, file.velocity, file.rate_hz)
+        recorded = read_file(
+            common.record_file(asked.source, LIVE), file.force, file.velocity, file.rate_hz
+        )
     _tried(asked, file, recorded, instance, results)
 
 
@@ -514,7 +516,7 @@ def draw_trial(
 class ImportOptions:
     """The file, and what was rendered while it was recorded."""
 
-    source: Annotated[Path, typer.Argument(metavar="FILE", help=FILES)]
+    source: Annotated[Path, typer.Argument(metavar="FILE", callback=terminal.there, help=FILES)]
     stiffness: Annotated[
         float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")
     ] = None
@@ -530,6 +532,7 @@ class ImportOptions:
         typer.Option(
             "--align",
             metavar="OWN",
+            callback=terminal.there,
             help="hapticd's own record of the same trial, marked: clock and gaps of FILE by it.",
         ),
     ] = None
