@@ -164,24 +164,27 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")
 JsonLines = Annotated[bool, typer.Option("--json", help="One JSON object per line on stdout.")]
 
 
-def _named(name: str) -> str:
-    """`name` if an instance can have it, else BadParameter."""
+def _named(name: str | None, origin: str = "--instance") -> str | None:
+    """`name` if an instance can have it, else BadParameter that names its `origin`."""
     try:
-        runtime_folder(name)
+        if name is not None:
+            runtime_folder(name)
     except MailboxError as error:
-        raise typer.BadParameter(str(error)) from None
+        raise typer.BadParameter(str(error), param_hint=f"'{origin}'") from None
     return name
 
 
 def _before(name: str | None) -> str | None:
-    return None if name is None else _named(name)
+    return _named(name)
 
 
 def _chosen(context: typer.Context, parameter: typer.CallbackParam, name: str | None) -> str | None:
     """The name after the verb, else the one before it, else that of the environment or default."""
     source = context.get_parameter_source(parameter.name or "")
-    typed = source is not None and source.name == "COMMANDLINE"
-    return _before(name if typed or context.obj is None else context.obj)
+    origin = source.name if source else ""
+    if origin != "COMMANDLINE" and context.obj is not None:
+        return _named(context.obj)
+    return _named(name, INSTANCE_VARIABLE if origin == "ENVIRONMENT" else "--instance")
 
 
 def there(path: Path | None) -> Path | None:

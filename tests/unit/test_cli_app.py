@@ -128,3 +128,14 @@ def test_name_that_no_instance_can_have_is_a_usage_error(
     assert error["code"] == "usage"
     assert "instance name 'my rig': use 1 to 64 letters, digits, - and _" in error["message"]
     assert instances == []
+
+
+def test_name_in_the_environment_is_blamed_on_it(
+    instances: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HAPTICD_INSTANCE", "my rig")
+    assert main(["enable", "--json"]) == 2
+    message = json.loads(capsys.readouterr().out)["error"]["message"]
+    assert message.startswith("Invalid value for 'HAPTICD_INSTANCE': instance name 'my rig'")
+    assert main(["--instance", "left", "enable"]) == 0
+    assert instances == ["left"]
