@@ -107,7 +107,17 @@ def hapticd(
     instance: terminal.InstanceBefore = None,
 ) -> None:
     """A haptic display's servo daemon: run it, set it, watch it, stop it."""
+    verb = context.invoked_subcommand
+    group: Any = context.command
+    if instance is not None and verb and not _asks(group.commands[verb]):
+        raise typer.BadParameter(f"`hapticd {verb}` asks no daemon: leave --instance out")
     context.obj = instance
+
+
+def _asks(command: Any) -> bool:
+    """Whether `command`, or a verb of that group, takes the name of a daemon."""
+    own = any(parameter.name == "instance" for parameter in command.params)
+    return own or any(map(_asks, getattr(command, "commands", {}).values()))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -205,8 +205,9 @@ Instance = Annotated[
         "--instance",
         metavar="NAME",
         envvar=INSTANCE_VARIABLE,
+        show_envvar=False,
         callback=_chosen,
-        help="Which daemon; may also stand before the verb.",
+        help=f"Which daemon; may also stand before the verb. Else ${INSTANCE_VARIABLE}.",
     ),
 ]
 InstanceBefore = Annotated[

@@ -139,3 +139,18 @@ def test_name_in_the_environment_is_blamed_on_it(
     assert message.startswith("Invalid value for 'HAPTICD_INSTANCE': instance name 'my rig'")
     assert main(["--instance", "left", "enable"]) == 0
     assert instances == ["left"]
+
+
+def test_instance_before_a_verb_without_a_daemon_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["--instance", "left", "keys", "server", "folder", "--json"]) == 2
+    message = json.loads(capsys.readouterr().out)["error"]["message"]
+    assert "`hapticd keys` asks no daemon: leave --instance out" in message
+
+
+@pytest.mark.parametrize("verb", ["status", "lease", "bridge", "rig"])
+def test_instance_before_a_verb_or_group_with_a_daemon_is_taken(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert f"hapticd {verb}" in said(f"--instance left {verb} --help", capsys)
