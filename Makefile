@@ -92,6 +92,8 @@ reproduce: $(VENV)/lab.stamp
 
 reproduction-docs: reproduce
 	$(BIN)/python docs/reproduce.py $(REPRODUCTION)
+	$(BIN)/python docs/travel.py
+	$(BIN)/python docs/rotor_loss.py
 
 pictures: deps-check $(VENV)/check.stamp
 	$(BIN)/python docs/pictures.py

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from pages.markdown import replaced
+
 DOCS = Path(__file__).parent
 PAGE = DOCS / "reliability.md"
 BUILD = DOCS.parent / "build"
@@ -126,14 +128,6 @@ def filled(page: str) -> str:
         if source.exists():
             page = replaced(page, name, table(json.loads(source.read_text())))
     return page
-
-
-def replaced(page: str, name: str, table: str) -> str:
-    """`page` with `table` between its marks."""
-    before, begin, rest = page.partition(f"<!-- {name} -->\n")
-    _, end, after = rest.partition(f"<!-- end of {name} -->")
-    assert end, f"{PAGE} has no place for {name}"
-    return f"{before}{begin}\n{table}\n\n{end}{after}"
 
 
 if __name__ == "__main__":

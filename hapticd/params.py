@@ -157,6 +157,14 @@ class ResistanceParams:
 
 
 @dataclass(frozen=True, slots=True)
+class EnvironmentLimits:
+    """Lowest and highest K [N/m], B [N s/m] and M [kg] that a client may ask for."""
+
+    lowest: tuple[float, ...]
+    highest: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class DeviceParams:
     """A device file: what one count means on this very device, and what it may be asked for."""
 
@@ -202,6 +210,7 @@ class DeviceParams:
     damping_with_force_n: float = 0.0  # full scale of force when damping was measured; 0: unknown
     probe_skew_us: float = 0.0  # by which the probe's velocity is later than its force
     calibration_days: int = CALIBRATION_DAYS  # after which a calibration is too old to rely on
+    environment_limits: EnvironmentLimits | None = None  # None: those of the mailbox alone
 
     def temperature_counts(self, low: int, high: int) -> tuple[int, int]:
         """Lowest and highest count, inside `low`..`high`, of a temperature that is allowed: a

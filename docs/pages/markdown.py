@@ -1,4 +1,4 @@
-"""Markdown tables."""
+"""Markdown tables, and where they go in a page."""
 
 
 def table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
@@ -10,3 +10,14 @@ def table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
         )
         + "\n"
     )
+
+
+def replaced(page: str, name: str, part: str) -> str:
+    """`page` with `part` between `<!-- NAME -->` and `<!-- end of NAME -->`. ValueError without
+    these marks.
+    """
+    before, begin, rest = page.partition(f"<!-- {name} -->\n")
+    _, end, after = rest.partition(f"<!-- end of {name} -->")
+    if not end:
+        raise ValueError(f"the page has no place for {name!r}")
+    return f"{before}{begin}\n{part.strip()}\n\n{end}{after}"

@@ -6,12 +6,13 @@ What would break it: a parameter that `to_plain` and `from_plain` do not carry t
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from hapticd.mailbox import files
-from hapticd.mailbox.layout import VALUE_LIMITS, Value
-from hapticd.params import GatewaySetup, to_plain
+from hapticd.mailbox.environment_limits import UNKNOWN, WIDEST, environment_limits
+from hapticd.params import EnvironmentLimits, GatewaySetup, GuardSetup, to_plain
 from hapticd.settings.build import (
     board_params,
     gateway_params,
@@ -22,24 +23,34 @@ from hapticd.settings.build import (
 from hapticd.settings.guard import guard_setup
 from hapticd.settings.load import Settings
 
-KBM = (Value.STIFFNESS, Value.DAMPING, Value.MASS)
 WRITTEN = (files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON, files.GUARD_JSON)
 
 
 def resolve(settings: Settings, instance: str) -> dict[str, Any]:
     """Content of each file, by its name. A real board has no board.json."""
     board = board_params(settings)
-    servo = servo_params(settings, instance)
+    unbounded = servo_params(settings, instance)
+    guard = guard_setup(settings, unbounded, WIDEST.lowest, WIDEST.highest)
+    limits = _limits(settings, guard)
+    servo = replace(unbounded, device=replace(unbounded.device, environment_limits=limits))
     setup = GatewaySetup(
         servo, gateway_params(settings), guard_params(settings), lease_params(settings)
     )
-    lowest, highest, _units = zip(*(VALUE_LIMITS[place] for place in KBM), strict=True)
     plain = {
         files.SERVO_JSON: to_plain(servo),
         files.GATEWAY_JSON: to_plain(setup),
-        files.GUARD_JSON: to_plain(guard_setup(settings, servo, lowest, highest)),
+        files.GUARD_JSON: to_plain(replace(guard, lowest=limits.lowest, highest=limits.highest)),
     }
     return plain if board is None else {**plain, files.BOARD_JSON: to_plain(board)}
+
+
+def _limits(settings: Settings, guard: GuardSetup) -> EnvironmentLimits:
+    """How much K, B and M clients may ask of the device, by the [model] of its file."""
+    if settings.device.model is None:
+        return environment_limits(UNKNOWN)
+    from hapticd.analysis.bounds import ranges_of  # numpy, as the guard's model has taken already
+
+    return environment_limits(ranges_of(guard))
 
 
 def write(folder: Path, settings: Settings, instance: str) -> dict[str, Path]:

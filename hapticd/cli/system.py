@@ -13,13 +13,18 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.errors import ConfigError, HapticdError, RealtimeError
+from hapticd.errors import HapticdError, RealtimeError
 from hapticd.units import US_PER_S
 
 TEMPLATE_SERIAL = "CHANGE-ME"  # of config/devices/example-board.toml
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from hapticd.doctor.checks import CheckResult, Requirements
+    from hapticd.settings.config import Config
+    from hapticd.settings.device import DeviceFile
+    from hapticd.settings.load import Mistake
 
 
 config_app = typer.Typer(no_args_is_help=True, help="Check, show and resolve the configuration.")
@@ -39,17 +44,9 @@ def check_config(
     from hapticd.params import to_plain
     from hapticd.recording.calibrations import doubts
     from hapticd.settings.build import gateway_params, servo_params
-    from hapticd.settings.load import load
-    from hapticd.sim.injection import check_kind
+    from hapticd.settings.load import MoreRules, load
 
-    settings = load(file or config)
-    for injection in settings.config.simulation.injections:
-        check_kind(injection.kind, str(settings.config_file))
-    if settings.device.serial == TEMPLATE_SERIAL:
-        raise ConfigError(
-            f"{settings.device_file}: serial = {TEMPLATE_SERIAL!r} is the template's; copy it to"
-            " devices/NAME.toml, and write your board's serial number, as `lsusb -v` says it"
-        )
+    settings = load(file or config, also=MoreRules(_simulation_and_network_rules, _template_rules))
     if warning := auth.warning(gateway_params(settings)):
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
     servo = to_plain(servo_params(settings, terminal.INSTANCE))
@@ -68,6 +65,33 @@ def check_config(
         terminal.data(f"{settings.config_file}: good, with {device}")
         for one in doubted:
             terminal.talk(f"hapticd: not to be relied on: {one}; {one.remedy}")
+
+
+def _simulation_and_network_rules(config: "Config") -> "Iterator[Mistake]":
+    """Injections that no simulated board knows, and telemetry in the clear."""
+    from hapticd.gateway import auth
+    from hapticd.params import GatewayParams
+    from hapticd.settings.load import Mistake
+    from hapticd.sim.injection import KINDS
+
+    if auth.without_leave(GatewayParams(**config.gateway.model_dump())):
+        host = repr(config.gateway.tcp_host)
+        yield Mistake(("gateway", "tcp_host"), host, auth.LEAVE_NEEDED)
+    for place, injection in enumerate(config.simulation.injections):
+        if injection.kind not in KINDS:
+            reason = f"is unknown; use one of {', '.join(KINDS)}"
+            path = ("simulation", "injections", place, "kind")
+            yield Mistake(path, repr(injection.kind), reason)
+
+
+def _template_rules(device: "DeviceFile") -> "Iterator[Mistake]":
+    """A device file that nobody has made a board's own."""
+    from hapticd.settings.load import Mistake
+
+    if device.serial == TEMPLATE_SERIAL:
+        reason = "is the template's; copy it to devices/NAME.toml, and write your board's serial"
+        reason += " number, as `lsusb -v` says it"
+        yield Mistake(("serial",), repr(TEMPLATE_SERIAL), reason)
 
 
 @terminal.verb(config_app, "show")

@@ -68,9 +68,15 @@ class Excerpt:
         if topic not in STREAMED:
             known = f"stream takes {' or '.join(STREAMED)}, listen takes every topic"
             raise ConfigError(f"topic {topic!r} has no blocks: {known}")
-        for name, value, unit in (("seconds", seconds, " s"), ("count", count, "")):
+        for name, value, unit, usual in (
+            ("seconds", seconds, " s", 1.0),
+            ("count", count, "", 100),
+        ):
             if value is not None and not 0 < value < math.inf:
-                raise ConfigError(f"{name} = {value:g}{unit}: must be above 0 and finite")
+                raise ConfigError(
+                    f"{name} = {value:g}{unit}: must be above 0 and finite; ask for more, such as"
+                    f" {name}={usual}"
+                )
         self._seconds = seconds
         self._count = count
         self._decoder = BlockDecoder()

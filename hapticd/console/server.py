@@ -8,6 +8,8 @@
 
 One asyncio loop serves all browsers; telemetry is followed by a thread (`watch`), each browser's
 commands are asked by another (`asker`). What a browser has not taken yet waits in its `outbox`.
+A browser may leave in the middle of anything, or send what no page of ours does: its connection
+ends (`leaving`), and nothing is printed.
 
 What would break it: a wait in the loop that is no await; listening at an address of the network.
 """
@@ -33,6 +35,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hapticd.client import fast_stop
 from hapticd.client.words import board_words
+from hapticd.console import leaving
 from hapticd.console.asker import Asker
 from hapticd.console.outbox import Outbox
 from hapticd.console.place import Place
@@ -75,7 +78,7 @@ class Browser:
         self.news.set()
 
     async def send(self) -> None:
-        """Send what waits, for ever."""
+        """Send what waits, for ever. WebSocketDisconnect: the browser has left."""
         while True:
             message = self.outbox.pop()
             if message is None:
@@ -176,7 +179,7 @@ class Console:
             loop.call_soon_threadsafe(browser.put, "reply", text)
 
         while True:
-            request = _read(await browser.socket.receive_text())
+            request = _read(await leaving.text_from(browser.socket))
             if "ack" in request:
                 browser.outbox.acknowledge(int(request["ack"]))
                 browser.news.set()
@@ -207,7 +210,7 @@ def _read(text: str) -> dict[str, Any]:
     """What a browser sent; one that sends anything else is disconnected."""
     try:
         request = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         request = None
     if not isinstance(request, dict) or not isinstance(request.get("ack", 0), int):
         raise WebSocketDisconnect(1003, "not a message of this page")
@@ -292,6 +295,7 @@ async def _serve(
     server: uvicorn.Server, console: Console, line: socket.socket, ready: Callable[[], None]
 ) -> None:
     loop = asyncio.get_running_loop()
+    leaving.be_quiet(loop)
 
     def publish(kind: str, message: bytes | str) -> None:
         loop.call_soon_threadsafe(console.publish, kind, message)

@@ -22,6 +22,19 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
+LEAVE_NEEDED = (
+    "beyond this machine telemetry needs keys; set gateway.curve_keys, or gateway.allow_insecure ="
+    " true if everyone on that network may listen, or use 127.0.0.1"
+)
+
+
+def without_leave(params: GatewayParams) -> bool:
+    """Whether telemetry would leave the machine in the clear, and nobody has allowed that."""
+    return not (
+        is_loopback(params.tcp_host) or params.curve_keys is not None or params.allow_insecure
+    )
+
+
 def warning(params: GatewayParams) -> str | None:
     """What to warn of, None if nothing.
 
@@ -30,12 +43,8 @@ def warning(params: GatewayParams) -> str | None:
     host = params.tcp_host
     if is_loopback(host) or params.curve_keys is not None:
         return None
-    if not params.allow_insecure:
-        raise ConfigError(
-            f"gateway.tcp_host = {host!r}: beyond this machine telemetry needs keys; set"
-            " gateway.curve_keys, or gateway.allow_insecure = true if everyone on that network may"
-            " listen, or use 127.0.0.1"
-        )
+    if without_leave(params):
+        raise ConfigError(f"gateway.tcp_host = {host!r}: {LEAVE_NEEDED}")
     return (
         f"INSECURE: telemetry is offered on {host} to everyone, without keys or encryption; set"
         " gateway.curve_keys"

@@ -1,15 +1,18 @@
 """How much of each parameter may be asked on this device at this rate.
 
-It is the mailbox's table under the names that clients use.
+It is the mailbox's table under the names that clients use, with K, B and M as the device bounds
+them (`mailbox.environment_limits`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, value_limits
+from hapticd.mailbox.environment_limits import AXES
+from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, value_limits
 
 if TYPE_CHECKING:
-    from hapticd.params import ServoParams
+    from hapticd.params import EnvironmentLimits, ServoParams
 
 PLACES: dict[str, Value] = {
     "K": Value.STIFFNESS,
@@ -33,6 +36,8 @@ SOURCES = {
     Value.VELOCITY_FILTER_HZ: "it is 0.45 of the servo rate",
     Value.ACCELERATION_FILTER_HZ: "it is 0.45 of the servo rate",
 }
+BOUNDED = "of this device, against mistaken units"
+G_PER_KG = 1000.0
 UNVERIFIED = "the signs of this device are not verified: `hapticd rig motor`"
 
 
@@ -72,6 +77,9 @@ class CommandLimits:
         device = params.device
         damping = device.damping_limit_ns_per_m
         self._fill(params.realtime.rate_hz, damping, device.commissioning, device.probe_limit_n)
+        if device.environment_limits is not None:
+            limits = device.environment_limits
+            self._bound(limits.lowest, limits.highest)
 
     @classmethod
     def announced(cls, servo: dict[str, Any]) -> "CommandLimits":
@@ -81,6 +89,18 @@ class CommandLimits:
         damping = device["damping_limit_ns_per_m"]
         rate_hz = servo["realtime"]["rate_hz"]
         found._fill(rate_hz, damping, device["commissioning"], device["probe_limit_n"])
+        if bounds := device["environment_limits"]:
+            found._bound(bounds["lowest"], bounds["highest"])
+        return found
+
+    @classmethod
+    def simulated(
+        cls, rate_hz: float, damping_ns_per_m: float, bounds: "EnvironmentLimits"
+    ) -> "CommandLimits":
+        """Those of a daemon that would run such a device, whose probe may push without limit."""
+        found = cls.__new__(cls)
+        found._fill(rate_hz, damping_ns_per_m, False, inf)
+        found._bound(bounds.lowest, bounds.highest)
         return found
 
     def _fill(
@@ -95,6 +115,14 @@ class CommandLimits:
         }
         self.of["value"] = self.of["damping"]
         self.of["samples_n"] = CommandLimit(-probe_n, probe_n, "N", "the device file sets it")
+
+    def _bound(self, lowest: Sequence[float], highest: Sequence[float]) -> None:
+        """Narrow K, B and M to what the device allows."""
+        for name, low, high in zip(AXES, lowest, highest, strict=True):
+            known = self.of[name]
+            source = known.source if known.low >= low and known.high <= high else BOUNDED
+            narrower = ValueLimit(max(known.low, low), min(known.high, high), known.unit)
+            self.of[name] = CommandLimit(*narrower, source)
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, str]]:
         """One {loc, msg} for each number in `given`, nested as the request, beyond its limit."""
@@ -118,7 +146,18 @@ class CommandLimits:
         limit = self.of[name]
         return (
             f"{where or quantity(name)} = {value:g} {limit.unit}: beyond the limit {limit}"
-            f" ({limit.source}); ask for a value inside"
+            f" ({limit.source}); {self._instead(name, value)}"
+        )
+
+    def _instead(self, name: str, value: float) -> str:
+        """What to ask for in place of `value`: of a mass the same number in grams, if that fits."""
+        kg = value / G_PER_KG
+        if name != "M" or not self.allows("M", kg):
+            return "ask for a value inside"
+        return (
+            f"in kg; did you mean {kg:.3f}?"
+            if kg == round(kg, 3)
+            else f"in kg; did you mean {kg:g}?"
         )
 
     def remedy(self, name: str) -> str:

@@ -330,7 +330,7 @@ def _signs_firmware(device: DeviceFile) -> str:
     return "" if table is None or commissioning(device) else table.firmware
 
 
-def _motor(device: DeviceFile) -> dict[str, float]:
+def _motor(device: DeviceFile) -> dict[str, Any]:
     """What the device file knows of the motor: as it was measured, as its compensation has it, as
     it is simulated, or else as homing takes it.
     """

@@ -3,7 +3,8 @@ fields, and remember where every value came from.
 
 A configuration may only be stricter than its device, a device must agree with itself, and the
 effects that somebody asks for must exist and fit together. Everything that is wrong is said at
-once, one line each, with file, line, value, unit and limit.
+once, one line each, with file, line, value, unit and limit: in both files, and also by the rules
+that do not rest on what is wrong already (`parsed`).
 
 What would break it: overrides merged after validation (they would go unchecked).
 """
@@ -12,7 +13,7 @@ import copy
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -24,8 +25,9 @@ from hapticd.plant.effects import ALWAYS, BY_KEY
 from hapticd.render.winding import LEAST_LOOP_GAIN, least_residual_ohm, loop_gain, ohm
 from hapticd.settings.config import LONGEST_TIMEOUT_MS, Config
 from hapticd.settings.device import FROM_SCALES, TABLES, DeviceFile, ResistanceTable
+from hapticd.settings.parsed import Parsed, concerns, parsed
 from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
-from hapticd.settings.toml import KeyPath, did_you_mean, read, shipped
+from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
 from hapticd.units import unit_of
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
@@ -41,9 +43,30 @@ T = TypeVar("T", bound=TomlTable)
 class Mistake(NamedTuple):
     """A rule that is broken."""
 
-    path: tuple[str, ...]  # of the key
+    path: KeyPath  # of the key
     value: Any  # that stands there; None to leave it out of the message
     reason: str
+    rests_on: tuple[KeyPath, ...] = ()  # other keys of the file that the limit comes from
+
+
+class MoreRules(NamedTuple):
+    """Rules of a caller, beside those of every configuration."""
+
+    config: Callable[[Config], Iterable[Mistake]] = lambda _config: ()
+    device: Callable[[DeviceFile], Iterable[Mistake]] = lambda _device: ()
+
+
+class _FoundDevice(NamedTuple):
+    """The device that a configuration names, as far as there is one."""
+
+    document: Document | None
+    parsed: Parsed[DeviceFile]
+
+    def where(self, path: KeyPath) -> str:
+        return self.document.where(path) if self.document else ""
+
+
+NO_DEVICE = _FoundDevice(None, Parsed(None, ""))
 
 
 @dataclass(frozen=True)
@@ -105,32 +128,85 @@ def find_config(given: Path | None = None, environ: Mapping[str, str] = os.envir
     return next((path for path in places if path.is_file()), shipped("config") / FILE_NAME)
 
 
-def load(given: Path | None = None, overrides: tuple[Override, ...] = ()) -> Settings:
-    """The whole configuration, validated. ConfigError with one line for everything wrong."""
-    config_document = read(find_config(given))
+def load(
+    given: Path | None = None, overrides: tuple[Override, ...] = (), also: MoreRules | None = None
+) -> Settings:
+    """The whole configuration, validated. ConfigError with one line for everything wrong, by the
+    rules of every configuration and by `also`.
+    """
+    document = read(find_config(given))
     typed: dict[KeyPath, str] = {override.path: override.origin for override in overrides}
 
     def in_config(path: KeyPath) -> str:
-        return typed.get(path) or config_document.where(path)
+        return typed.get(path) or document.where(path)
 
-    config = validated(Config, _merge(config_document.data, overrides), in_config)
+    config = parsed(Config, _merge(document.data, overrides), in_config)
     # only now: the configuration names the device, and the command line may name another
-    device_document = read(find_device(config.device, config_document.path, in_config(("device",))))
-    device = validated(DeviceFile, device_document.data, device_document.where)
-    check(config, device, in_config, device_document.where)
+    device = _device_of(config, document.path, in_config)
+    _refuse(config, device, in_config, also or MoreRules())
+    return _settings(config.sound, document, device, typed)
+
+
+def _device_of(config: Parsed[Config], config_file: Path, in_config: Where) -> _FoundDevice:
+    """The device that `config` names; none where that name is wrong itself."""
+    if config.table is None or concerns((("device",),), config.wrong):
+        return NO_DEVICE
+    try:
+        document = read(find_device(config.table.device, config_file, in_config(("device",))))
+    except ConfigError as error:
+        return _FoundDevice(None, Parsed(None, str(error)))
+    return _FoundDevice(document, parsed(DeviceFile, document.data, document.where))
+
+
+def _refuse(
+    config: Parsed[Config], device: _FoundDevice, in_config: Where, also: MoreRules
+) -> None:
+    """Raise ConfigError with everything that is wrong, one line each."""
+    broken = _broken(config, device.parsed, in_config, device.where, also)
+    lines = [config.errors, device.parsed.errors, *broken]
+    if any(lines):
+        raise ConfigError("\n".join(filter(None, lines)))
+
+
+def _broken(
+    config: Parsed[Config],
+    device: Parsed[DeviceFile],
+    in_config: Where,
+    in_device: Where,
+    also: MoreRules,
+) -> Iterator[str]:
+    """A line for every broken rule that rests on nothing that is wrong in its file already."""
+    if config.table is not None:
+        mistakes = [*_config_rules(config.table), *also.config(config.table)]
+        if device.table is not None and not device.errors:
+            mistakes += _between_rules(config.table, device.table, in_device)
+        for one in mistakes:
+            if not concerns((one.path, *one.rests_on), config.wrong):
+                yield _line(in_config, one)
+    if device.table is not None and not device.errors:
+        found = (*_device_rules(device.table), *model_rules(device.table))
+        yield from (_line(in_device, one) for one in (*found, *also.device(device.table)))
+
+
+def _settings(
+    config: Config, document: Document, device: _FoundDevice, typed: Mapping[KeyPath, str]
+) -> Settings:
+    """The settings with the origin of each value; `typed`: what the command line says."""
+    assert device.document is not None
+    file = device.document
 
     def config_origin(path: KeyPath) -> str:
-        given = path in typed or config_document.value(path) is not None
-        return in_config(path) if given else "default"
+        given = path in typed or document.value(path) is not None
+        return (typed.get(path) or document.where(path)) if given else "default"
 
     def device_origin(path: KeyPath) -> str:
-        return device_document.where(path) if device_document.value(path) is not None else "default"
+        return file.where(path) if file.value(path) is not None else "default"
 
+    sound = device.parsed.sound
     origins = {dotted(path): config_origin(path) for path, _ in leaves(config.model_dump())}
-    for path, _ in leaves(device.model_dump()):
+    for path, _ in leaves(sound.model_dump()):
         origins[dotted(("device", *path))] = device_origin(path)
-    files = config_document.path, device_document.path
-    return Settings(config, device, *files, origins, device_document.sha256)
+    return Settings(config, sound, document.path, file.path, origins, file.sha256)
 
 
 def load_device(path: Path) -> DeviceFile:
@@ -184,18 +260,6 @@ def find_device(name: str, config_file: Path, origin: str) -> Path:
     return found
 
 
-def check(config: Config, device: DeviceFile, in_config: Where, in_device: Where) -> None:
-    """Raise ConfigError with every broken rule, one line each."""
-    built = config.simulation.effects
-    chosen = () if built is None else chosen_rules(device, ("simulation", "effects"), built)
-    report(
-        (in_config, _config_rules(config, device, in_device)),
-        (in_config, chosen),
-        (in_device, _device_rules(device)),
-        (in_device, model_rules(device)),
-    )
-
-
 def report(*parts: tuple[Where, Iterable[Mistake]]) -> None:
     """Raise ConfigError if any rule is broken; each part brings its own way to file and line."""
     found = [_line(where, finding) for where, findings in parts for finding in findings]
@@ -204,7 +268,7 @@ def report(*parts: tuple[Where, Iterable[Mistake]]) -> None:
 
 
 def _line(where: Where, mistake: Mistake) -> str:
-    unit = unit_of(mistake.path[-1])
+    unit = unit_of(str(mistake.path[-1]))
     value = "" if mistake.value is None else f" = {mistake.value}"
     return (
         f"{where(mistake.path)}: {dotted(mistake.path)}{value}{f' {unit}' if unit else ''}:"
@@ -212,9 +276,8 @@ def _line(where: Where, mistake: Mistake) -> str:
     )
 
 
-def _config_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Mistake]:
-    """Where the configuration asks for more than the device, its travel or the rate allow."""
-    yield from _limit_rules(config, device, in_device)
+def _config_rules(config: Config) -> Iterator[Mistake]:
+    """Where the configuration contradicts itself."""
     if config.usb.timeout_ms > LONGEST_TIMEOUT_MS:
         reason = f"must be at most {LONGEST_TIMEOUT_MS} ms: a silent board delays the end of force"
         yield Mistake(("usb", "timeout_ms"), config.usb.timeout_ms, f"{reason} by as much")
@@ -223,7 +286,16 @@ def _config_rules(config: Config, device: DeviceFile, in_device: Where) -> Itera
         corner_hz = getattr(config.environment, name).frequency_hz
         if corner_hz > highest_hz:
             reason = f"must be at most {highest_hz} Hz, {HIGHEST_CORNER} of realtime.rate_hz"
-            yield Mistake(("environment", name, "frequency_hz"), corner_hz, reason)
+            path = ("environment", name, "frequency_hz")
+            yield Mistake(path, corner_hz, reason, (("realtime", "rate_hz"),))
+
+
+def _between_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Mistake]:
+    """Where the configuration asks for more than the device or its travel allow."""
+    yield from _limit_rules(config, device, in_device)
+    built = config.simulation.effects
+    if built is not None:
+        yield from chosen_rules(device, ("simulation", "effects"), built)
     margin_m = config.environment.workspace.margin_m
     travel_m = device.travel.upper_m - device.travel.lower_m
     if 2 * margin_m > travel_m >= 0:  # a negative travel is a mistake of the device file

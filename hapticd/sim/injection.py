@@ -216,8 +216,8 @@ class Injector:
 
 def check_kind(kind: str, where: str) -> None:
     """Return if the board knows injections of this `kind`, else ConfigError that says `where`."""
-    if kind not in OUT_FAULTS and kind not in IN_FAULTS:
-        known = ", ".join(sorted((*OUT_FAULTS, *IN_FAULTS)))
+    if kind not in KINDS:
+        known = ", ".join(KINDS)
         raise ConfigError(f"{where}: injection kind {kind!r} is unknown; use one of {known}")
 
 
@@ -461,6 +461,7 @@ IN_FAULTS: dict[str, InKind] = {
         _saturated, "current, voltage, velocity and temperature are extreme", "counts (32767)"
     ),
 }
+KINDS = tuple(sorted((*OUT_FAULTS, *IN_FAULTS)))
 # what the board reads wrongly comes before what happens to its packet on the way
 SENSED = tuple(
     IN_FAULTS[kind].act

@@ -16,5 +16,6 @@ Importing the package imports nothing else; a script imports the modules that it
     walls       plan_walls, run_walls              impacts on virtual walls (the paper's Fig. 2)
     simulated, live, lockstep, sources             sources of a trial's record
     recorded    read_file                          the record in a file of any program
+    counters    counted, unwrapped                 lost rows of another system, by its counter
     portable    portable, compare                  NAME.zwidth files, and displays beside each other
 """

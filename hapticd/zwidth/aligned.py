@@ -82,7 +82,12 @@ class Alignment:
 
 
 def read_aligned(
-    path: Path, own_path: Path, force: str = "", velocity: str = "", rate_hz: float | None = None
+    path: Path,
+    own_path: Path,
+    force: str = "",
+    velocity: str = "",
+    rate_hz: float | None = None,
+    counter: str = "",
 ) -> TrialRecord:
     """The record in `path`, of any system at 4 kHz, on the samples of hapticd's own record of the
     same trial in `own_path`; names and rate as for `read_file`.
@@ -94,7 +99,7 @@ def read_aligned(
     mark_at = own.more.get(MARK_SAMPLE)
     if own.rendered is None or mark_at is None:
         raise AnalysisError(f"{own_path}: no marked trial of hapticd's own; {NO_MARK}")
-    foreign = read_foreign(path, force, velocity, rate_hz)
+    foreign = read_foreign(path, force, velocity, rate_hz, counter)
     if abs(foreign.rate_hz / PROBE_RATE_HZ - 1.0) > FASTEST:
         raise AnalysisError(
             f"{path}: a rate of {foreign.rate_hz:.9g} Hz; files at {PROBE_RATE_HZ} Hz +-"

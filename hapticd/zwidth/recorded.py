@@ -7,8 +7,8 @@ and lines that begin with # hold no sample. .npz and .mat with named arrays; .h5
 datasets. Force in N and velocity in m/s at the port, sampled together; the rate from `rate_hz`,
 from a column of seconds (`times`), or as the user states it where the file does not say. If the two
 differ, the record is refused: every limit is proportional to the rate or its square. Rows that a
-column of seconds shows to be missing are filled in and counted, as those that a live trial loses
-are (`watch`).
+column of seconds, or the counter that the user names, shows to be missing are filled in and
+counted, as those that a live trial loses are (`watch`). No column counts as a counter by its name.
 
 What would break it: channels that were not sampled together, or in other units that are not far
 enough off to be suspected (`analysis.channels`).
@@ -33,13 +33,16 @@ from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.counters import counted, unwrapped
 from hapticd.zwidth.own import of_recording, of_remark
 from hapticd.zwidth.store import (
+    LOSSES_BY,
     MARK_SAMPLE,
     RECORD_H5,
     RECORD_NPZ,
     RESTS_ON,
     SUMMARY,
+    LossesBy,
     RenderedEnvironment,
     TrialRecord,
     origin_of,
@@ -62,9 +65,6 @@ TIMES = {
     "time_ns": 1e-9,
 }  # in seconds
 RATES = ("rate_hz", "fs")
-COUNTERS = ("counter", "sample", "samples", "index")  # numbers of samples, from any number on
-COUNTER_BITS = 48  # of the longest counter, which then begins anew
-MOST_LOST_AT_ONCE = 1 << 24  # samples, an hour
 SAME_RATE = 1e-6
 ALIKE = 0.01  # rates of a file's rate and its times
 # N, m/s: beyond them it is no measurement
@@ -82,14 +82,19 @@ BROKEN = (
 
 
 def read_file(
-    path: Path, force: str = "", velocity: str = "", rate_hz: float | None = None
+    path: Path,
+    force: str = "",
+    velocity: str = "",
+    rate_hz: float | None = None,
+    counter: str = "",
 ) -> TrialRecord:
     """The record in `path`, or in the run folder `path`; `force`, `velocity`: names of its columns
-    where they are not the usual ones. What this package wrote itself (`own`) needs neither.
+    where they are not the usual ones; `counter`: the column that numbers its samples. What this
+    package wrote itself (`own`) needs none of them.
 
     `rate_hz`: where the file does not say, else the same. ConfigError for a file that is not there,
     of an unknown kind, or with something else than numbers; AnalysisError for one without force,
-    velocity or rate, with gaps, or with another rate.
+    velocity, rate or that counter, with gaps, or with another rate.
     """
     if path.is_dir():
         path = record_path(path)
@@ -107,13 +112,17 @@ def read_file(
             _recording(path)
             if recording
             else None
-            if force or velocity
+            if force or velocity or counter
             else _exported(path, columns)
         )
     if ours is None:
-        recorded = _foreign(path, columns, (force, velocity), rate_hz)
+        recorded = _foreign(path, columns, (force, velocity), rate_hz, counter)
         with _whole_file(path):
             return _of_trial(path, columns, recorded)
+    if counter:
+        raise AnalysisError(
+            f"{path}: a recording numbers its samples itself, --counter {counter}: leave that out"
+        )
     if rate_hz is not None and abs(rate_hz - ours.rate_hz) > SAME_RATE * ours.rate_hz:
         raise AnalysisError(
             f"{path}: a recording at {ours.rate_hz:g} Hz, --rate-hz {rate_hz:.9g} Hz: leave"
@@ -189,53 +198,65 @@ class ForeignSamples(NamedTuple):
     columns: Mapping[str, Floats]  # every column of numbers, by its name in lower case
 
 
-def read_foreign(path: Path, force: str, velocity: str, rate_hz: float | None) -> ForeignSamples:
+def read_foreign(
+    path: Path, force: str, velocity: str, rate_hz: float | None, counter: str = ""
+) -> ForeignSamples:
     """What another system recorded in `path`; 4 kHz where neither `rate_hz` nor the file says.
-    Errors as `read_file`.
+    Names and errors as `read_file`.
     """
     regular(path, SAMPLES_BYTES)
     if path.suffix not in READERS:
         raise ConfigError(f"{path}: files are read from {', '.join(READERS)}; convert it to .csv")
     known = _numbers(_columns(path))
     y, u = _channels(path, known, (force, velocity))
-    counter = next((name for name in COUNTERS if name in known and known[name].size == y.size), "")
     if rate_hz is None and not any(name in known for name in (*RATES, *TIMES)):
         rate_hz = float(PROBE_RATE_HZ)
     found = _sampling(path, known, rate_hz, y.size)
     place = np.arange(y.size) if found.place is None else found.place
     first = 0
     if counter:
-        place, first = _counted(path, counter, known[counter].ravel())
+        place, first = _counted(path, counter, known, y.size)
     return ForeignSamples(y, u, place, first, found.rate_hz, known)
 
 
-def _counted(path: Path, name: str, counts: Floats) -> tuple[Integers, int]:
-    """Places (n,) from 0 by a counter of samples, and its first number."""
-    steps = np.mod(np.diff(counts.astype(np.int64)), 1 << COUNTER_BITS)
-    if steps.size and (steps.min() < 1 or float(np.median(steps)) != 1.0 or not _near(steps)):
+def _counted(path: Path, name: str, known: dict[str, Floats], count: int) -> tuple[Integers, int]:
+    """Places (n,) from 0 of `count` rows by the counter that the user names, and its first
+    number.
+    """
+    if name.lower() not in known:
         raise AnalysisError(
-            f"{path}: column {name} counts by {steps.min()} to {steps.max()}, median"
-            f" {np.median(steps):g}; a number that grows by 1 with every sample was expected:"
-            " rename the column if it counts something else"
+            f"{path}: no column {name}; it has {', '.join(known)}; name its counter of samples with"
+            " --counter, or leave that out"
         )
-    return np.concatenate(([0], np.cumsum(steps))), int(counts[0])
-
-
-def _near(steps: Integers) -> bool:
-    """Whether no step of a counter is beyond what a record can have lost."""
-    return bool(steps.max() <= MOST_LOST_AT_ONCE)
+    counts = _column(path, name, known[name.lower()])
+    if counts.size != count:
+        raise AnalysisError(
+            f"{path}: column {name} has {counts.size} values, the force {count}: correct the file"
+        )
+    try:
+        return counted(name, counts)
+    except AnalysisError as error:
+        raise AnalysisError(f"{path}: {error}") from error
 
 
 def _numbers(columns: dict[str, Any]) -> dict[str, Floats]:
-    """Columns of numbers, by their names in lower case."""
+    """Columns of numbers, by their names in lower case; times as if their clock had not begun
+    anew.
+    """
     numbers = {
         name.lower(): np.asarray(values) for name, values in columns.items() if np.size(values)
     }
-    return {
+    known = {
         name: values.astype(np.float64)
         for name, values in numbers.items()
         if values.dtype.kind in "fiu"
     }
+    times = {
+        name: unwrapped(values.ravel()).reshape(values.shape)
+        for name, values in known.items()
+        if name in TIMES
+    }
+    return known | times
 
 
 def _channels(
@@ -255,14 +276,25 @@ def _channels(
 
 
 def _foreign(
-    path: Path, columns: dict[str, Any], stated: tuple[str, str], rate_hz: float | None
+    path: Path,
+    columns: dict[str, Any],
+    stated: tuple[str, str],
+    rate_hz: float | None,
+    counter: str,
 ) -> TrialRecord:
     """The record of any other program."""
     known = _numbers(columns)
     y, u = _channels(path, known, stated)
     found = _sampling(path, known, rate_hz, y.size)
-    recorded = TrialRecord(y, u, found.rate_hz, path.name, simulated=False)
-    return recorded if found.place is None else in_even_time(recorded, found.place)
+    place = found.place
+    losses: LossesBy = "times" if found.shows_losses else "nothing"
+    if counter:
+        place, _ = _counted(path, counter, known, y.size)
+        losses = "counter"
+    recorded = TrialRecord(
+        y, u, found.rate_hz, path.name, simulated=False, more={LOSSES_BY: losses}
+    )
+    return recorded if place is None else in_even_time(recorded, place)
 
 
 def _channel(path: Path, known: dict[str, Floats], stated: str, usual: tuple[str, ...]) -> Floats:
@@ -324,13 +356,13 @@ def _sampling(
     rate_hz = stated_hz if stated_hz is not None else named[0][1]
     _usable(path, rate_hz)
     if by_times is None:
-        return Sampling(rate_hz)
+        return Sampling(rate_hz, shows_losses=False)
     if abs(by_times.rate_hz - rate_hz) > ALIKE * rate_hz:
         raise AnalysisError(
             f"{path}: a rate of {rate_hz:.9g} Hz, but its times say {by_times.rate_hz:.9g} Hz:"
             " correct the file"
         )
-    return Sampling(rate_hz, by_times.place)
+    return replace(by_times, rate_hz=rate_hz)
 
 
 def _agrees(path: Path, stated_hz: float, said: list[tuple[str, float]], allowed: float) -> None:

@@ -35,7 +35,7 @@ from hapticd.plant.scene import Excitation, Scene
 from hapticd.settings.build import device_effects, rigid_effects
 from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import find_config, find_device, validated
-from hapticd.settings.toml import read, shipped
+from hapticd.settings.toml import Document, read, shipped
 from hapticd.units import PROBE_RATE_HZ
 
 TRIAL_S = 90.0
@@ -192,7 +192,7 @@ def device_scene(name: str) -> Scene | None:
     simulated.
     """
     try:
-        document = read(find_device(name, shipped("config") / "hapticd.toml", "device"))
+        document = _device_document(name)
     except ConfigError:
         return None
     device = validated(DeviceFile, document.data, document.where)
@@ -207,6 +207,16 @@ def device_scene(name: str) -> Scene | None:
         excitation=Excitation("noise"),
         seconds=TRIAL_S,
     )
+
+
+def device_file(name: str) -> DeviceFile:
+    """The device file `name`. ConfigError: there is none, or something in it is wrong."""
+    document = _device_document(name)
+    return validated(DeviceFile, document.data, document.where)
+
+
+def _device_document(name: str) -> Document:
+    return read(find_device(name, shipped("config") / "hapticd.toml", "device"))
 
 
 def scene_of_device(title: str) -> Scene | None:

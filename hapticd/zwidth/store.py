@@ -26,7 +26,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic_core import to_jsonable_python
@@ -67,7 +67,10 @@ RAN_AWAY = (
 )
 Progress = Callable[[str, int, int], None]  # of what is done, how many are done, and of how many
 MARK_SAMPLE = "mark_sample"  # of the record, at which the mark of the perturbation begins
-RESTS_ON = ("calibration_doubts", "certificate")  # what the numbers of a record rest on
+LossesBy = Literal["counter", "times", "nothing"]  # what shows that rows of a file are missing
+LOSSES_BY = "losses_by"
+# what the numbers of a record rest on
+RESTS_ON = ("calibration_doubts", "certificate", LOSSES_BY)
 OF_A_RECORD = (
     "simulated",
     "origin",

@@ -46,11 +46,12 @@ SPARE_UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 @dataclass(frozen=True, eq=False)
 class Sampling:
     """`rate_hz` of the clock; `place` (n,) of each row on it, from 0, None where rows simply
-    follow each other.
+    follow each other. `shows_losses`: a row that is missing would be seen.
     """
 
     rate_hz: float
     place: Integers | None = None
+    shows_losses: bool = True
 
 
 def sampling(time_s: Floats) -> Sampling:
@@ -112,7 +113,7 @@ def _rounded(time_s: Floats, steps: Floats) -> Sampling:
     first, counts = np.unique(time_s, return_index=True, return_counts=True)[1:]
     most = int(counts[1:-1].max(initial=0))
     if most < 2 or np.mean(counts[1:-1] == most) < MOSTLY:
-        return Sampling(1.0 / period_s)
+        return Sampling(1.0 / period_s, shows_losses=False)
     rank = np.arange(time_s.size) - np.repeat(first, counts)
     rank[: counts[0]] += most - counts[0]
     place = most * np.rint((time_s - time_s[0]) / usual_s).astype(np.int64) + rank

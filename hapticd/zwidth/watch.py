@@ -58,13 +58,20 @@ from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
 from hapticd.units import percent
-from hapticd.zwidth.store import TrialRecord
+from hapticd.zwidth.store import LOSSES_BY, TrialRecord
 
 BRIDGED = 40  # samples at most: 10 ms
 MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
 COUNTS = ("lost_samples", "samples", "lost_slots", "slots")  # as the run's summary names them
-REMEDY_OF_FILES = "rows are missing by the times in the file, record again without gaps"
+REMEDY_OF_FILES = {
+    "counter": "rows are missing by the counter in the file, record again without gaps",
+    "times": "rows are missing by the times in the file, record again without gaps",
+}
 REMEDY_OF_ALIGNED = "rows are missing in the file, record again without gaps"
+NOT_LOOKED_FOR = (
+    "lost rows were not looked for: neither times nor a counter of samples show them; name the"
+    " counter's column with --counter"
+)
 BETTER = "h_force reads |Z| better than spa"
 REMEDY = "close other programs on this computer, see `hapticd doctor`"
 CALM_SECONDS = 4  # before which nothing is known of calm
@@ -121,9 +128,11 @@ def in_even_time(recorded: TrialRecord, place: Integers) -> TrialRecord:
 
 def loss_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
     """Lost samples and slots by `counts` (`COUNTS`, those that are known), each with value,
-    share and remedy.
+    share and remedy; or that nothing shows them.
     """
-    remedy = REMEDY if "slots" in counts else REMEDY_OF_FILES
+    if counts.get(LOSSES_BY) == "nothing":
+        return (Finding("losses_unknown", NOT_LOOKED_FOR),)
+    remedy = REMEDY if "slots" in counts else REMEDY_OF_FILES[counts.get(LOSSES_BY, "times")]
     remedy = REMEDY_OF_ALIGNED if "alignment" in counts else remedy
     known = (
         (

@@ -15,7 +15,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from conftest import fresh_runtime
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect, sync_playwright
 from playwright.sync_api import TimeoutError as PageTimeoutError
 from support.console_page import (
@@ -29,7 +28,7 @@ from support.console_page import (
     picture,
     wait_text,
 )
-from support.daemon import QUIET, Daemon, last_record, until, zeroed
+from support.daemon import QUIET, Daemon, last_record, shared_daemon, until, zeroed
 
 from hapticd.client import Client, CommandError
 from hapticd.client.blocks import Block
@@ -89,10 +88,8 @@ def chromium() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def shared() -> Iterator[Daemon]:
     """A daemon that several tests use, each from `disabled` with nothing rendered."""
-    with pytest.MonkeyPatch.context() as patch:
-        for folder in fresh_runtime(patch):
-            with Daemon(folder) as daemon:
-                yield daemon
+    with shared_daemon() as daemon:
+        yield daemon
 
 
 @pytest.fixture(scope="module")

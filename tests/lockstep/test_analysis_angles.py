@@ -5,7 +5,7 @@ import pytest
 from support.guard_device import change, setup_of
 from support.narrow_modes import ClosedForm, Narrow, drawn
 
-from hapticd.analysis.allowed import Judgement
+from hapticd.analysis.allowed import Judgement, intervals
 from hapticd.analysis.angles import angles_of, least_between, unresolved_hz
 from hapticd.analysis.bases import Conditions, Theorem
 from hapticd.analysis.coupled import GROUND, Network, coupled_radius
@@ -108,6 +108,18 @@ def test_an_axis_whose_own_value_is_safe_has_an_interval(seed):
         for value, (name, interval) in zip(point, found.items(), strict=True):
             assert interval is not None, (name, point)
             assert interval[0] <= value <= interval[1], (name, point)
+
+
+def test_an_interval_that_was_hoped_for_in_vain_is_sought_again():
+    """All within 10 is hoped to be safe, and only what is below 2 is."""
+
+    def safe(values, sure):
+        return [(np.abs(one) < 10.0) & ((one < 2.0) | (not sure)) for one in values]
+
+    (found,) = intervals(safe, [(-100.0, 100.0)], [1.0])
+    assert found[0] == pytest.approx(-10.0, rel=0.01)
+    assert found[1] == pytest.approx(2.0, rel=0.01)
+    assert found[1] < 2.0
 
 
 def lossless():

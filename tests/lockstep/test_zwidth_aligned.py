@@ -150,7 +150,7 @@ def test_sample_of_an_aligned_record_is_the_sample_of_the_own_one(flown, foreign
 
 def test_counter_of_48_bits_that_begins_anew_tells_offset_and_gaps(flown, foreign, tmp_path):
     path = written(tmp_path / "other.csv", *foreign, counter=COUNTER)
-    found = read_aligned(path, flown.folder)
+    found = read_aligned(path, flown.folder, counter="counter")
     alignment = found.more["alignment"]
     assert alignment.offset == COUNTER + int(OFFSET)
     assert alignment.offset_fraction == pytest.approx(OFFSET % 1.0, abs=0.01)
@@ -199,19 +199,19 @@ def test_column_that_holds_the_mark_is_named(flown, foreign, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("columns", "said"),
+    ("columns", "counter", "said"),
     [
-        ({"rate_hz": 5000.0}, "a rate of 5000 Hz; files at 4000 Hz"),
-        ({"index": 4 * np.arange(ROWS)}, "column index counts by 4 to 4"),
-        ({"index": np.arange(ROWS)[::-1]}, "column index counts by"),
+        ({"rate_hz": 5000.0}, "", "a rate of 5000 Hz; files at 4000 Hz"),
+        ({"index": 4 * np.arange(ROWS)}, "index", "column index counts by 4 to 4"),
+        ({"index": np.arange(ROWS)[::-1]}, "index", "column index counts by"),
     ],
     ids=["rate", "counter", "backwards"],
 )
-def test_file_of_another_clock_is_refused(flown, foreign, tmp_path, columns, said):
+def test_file_of_another_clock_is_refused(flown, foreign, tmp_path, columns, counter, said):
     path = tmp_path / "other.npz"
     np.savez(path, force=foreign[0], velocity=foreign[1], **columns)
     with pytest.raises(AnalysisError, match=said):
-        read_aligned(path, flown.folder)
+        read_aligned(path, flown.folder, counter=counter)
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, 5000.0])

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.daemon import DEADLINE_S, QUIET, Daemon, last_record, until
+from support.daemon import DEADLINE_S, QUIET, Daemon, asking, last_record, until
 
 from hapticd.cli.app import main
 from hapticd.mailbox import files
@@ -31,13 +31,7 @@ def daemon(runtime: Path) -> Iterator[Daemon]:
 
 @pytest.fixture
 def ask(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
-    def ask(*words: str, code: int = 0) -> Any:
-        """The object that a verb prints with --json; its exit code is checked."""
-        capsys.readouterr()
-        assert daemon.cli(*words, "--json") == code
-        return json.loads(capsys.readouterr().out)
-
-    return ask
+    return asking(daemon, capsys)
 
 
 def gone(pid: int) -> bool:
@@ -303,9 +297,7 @@ def test_three_instances_on_one_machine_know_nothing_of_each_other(
     """Each has its own device, state and end; a name that is not there is said to be none."""
 
     def told(daemon: Daemon, *words: str) -> Any:
-        capsys.readouterr()
-        assert daemon.cli(*words, "--json") == 0
-        return json.loads(capsys.readouterr().out)
+        return asking(daemon, capsys)(*words)
 
     devices = {"-left": "simulated", "-middle": "ideal", "-right": "warming"}
     with contextlib.ExitStack() as stack:

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import fresh_runtime
-from support.daemon import DEADLINE_S, Daemon, until
+from support.daemon import DEADLINE_S, Daemon, shared_daemon, until
 from support.tree import ROOT
 
 from hapticd.client import Client
@@ -36,10 +35,8 @@ with Client(sys.argv[1], name="holder") as device:
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    with pytest.MonkeyPatch.context() as patch:
-        for folder in fresh_runtime(patch):
-            with Daemon(folder) as daemon:
-                yield daemon
+    with shared_daemon() as daemon:
+        yield daemon
 
 
 @pytest.fixture

@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import fresh_runtime
-from support.daemon import DEADLINE_S, QUIET, Daemon, until, zeroed
+from support.daemon import DEADLINE_S, QUIET, Daemon, asking, shared_daemon, until, zeroed
 
 from hapticd.client import Client
 
@@ -32,10 +31,8 @@ PATIENT = QUIET + "[safety]\nlost_slots_limit = 10000\nmissing_frames_limit = 10
 
 @pytest.fixture(scope="module")
 def daemon() -> Iterator[Daemon]:
-    with pytest.MonkeyPatch.context() as patch:
-        for folder in fresh_runtime(patch):
-            with Daemon(folder, settings=PATIENT, console=True) as daemon:
-                yield daemon
+    with shared_daemon(settings=PATIENT, console=True) as daemon:
+        yield daemon
 
 
 @pytest.fixture
@@ -50,13 +47,7 @@ def device(daemon: Daemon) -> Iterator[Client]:
 
 @pytest.fixture
 def ask(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
-    def ask(*words: str, code: int = 0) -> Any:
-        """The object that a verb prints with --json; its exit code is checked."""
-        capsys.readouterr()
-        assert daemon.cli(*words, "--json") == code
-        return json.loads(capsys.readouterr().out)
-
-    return ask
+    return asking(daemon, capsys)
 
 
 # it ends inside its lease, as one that is killed does

@@ -7,11 +7,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import pytest
+from conftest import fresh_runtime
 
 from hapticd.cli.app import main
 from hapticd.client import Client, CommandError
@@ -148,3 +150,23 @@ def last_record(ring: Path) -> Any:
     dtype = np.dtype([tuple(field) for field in layout.TELEMETRY])
     records = np.frombuffer(content, dtype, layout.RING_RECORDS, layout.TELEMETRY_OFFSET)
     return records[(head - 1) % layout.RING_RECORDS]
+
+
+@contextlib.contextmanager
+def shared_daemon(**options: Any) -> Iterator[Daemon]:
+    """A daemon in a runtime folder of its own, for a fixture of any scope; options of `Daemon`."""
+    with pytest.MonkeyPatch.context() as patch:
+        for folder in fresh_runtime(patch):
+            with Daemon(folder, **options) as daemon:
+                yield daemon
+
+
+def asking(daemon: Daemon, capsys: pytest.CaptureFixture[str]) -> Callable[..., Any]:
+    """What runs a verb on `daemon` and returns the object that it prints with --json."""
+
+    def ask(*words: str, code: int = 0) -> Any:
+        capsys.readouterr()
+        assert daemon.cli(*words, "--json") == code
+        return json.loads(capsys.readouterr().out)
+
+    return ask

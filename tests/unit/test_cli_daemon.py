@@ -468,7 +468,7 @@ def test_config_check_refuses_the_untouched_template(
     file = tmp_path / "hapticd.toml"
     file.write_text('device = "example-board"\n')
     assert main(["config", "check", str(file)]) == 78
-    assert "serial = 'CHANGE-ME' is the template's" in capsys.readouterr().err
+    assert "serial = 'CHANGE-ME': is the template's" in capsys.readouterr().err
 
 
 def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
@@ -497,6 +497,28 @@ def test_config_check_good_and_bad(tmp_path: Path, capsys: pytest.CaptureFixture
         f"hapticd: {bad}:3: realtime.priority = 0: must be at least 1",
         f"hapticd: {bad}:2: realtime.rate_hertz: is unknown; did you mean 'rate_hz'?",
     ]
+
+
+def test_config_check_tells_all_that_is_wrong_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each with value, limit and remedy, whoever looks for it."""
+    file = tmp_path / "bad.toml"
+    file.write_text(
+        "device = 'example-board'\nadded_damping_ns_per_m = 1740\n[usb]\ntimeout_ms = 6\n"
+        "[gateway]\ntcp_host = '0.0.0.0'\n[[simulation.injections]]\nkind = 'estop'\n"
+    )
+    assert main(["config", "check", str(file)]) == 78
+    said = capsys.readouterr().err
+    for one in (
+        f"{file}:2: added_damping_ns_per_m = 1740",
+        f"{file}:4: usb.timeout_ms = 6 ms: must be at most 5 ms",
+        f"{file}:6: gateway.tcp_host = '0.0.0.0': beyond this machine telemetry needs keys; set",
+        f"{file}:8: simulation.injections[0].kind = 'estop': is unknown; use one of",
+        ": serial = 'CHANGE-ME': is the template's; copy it to devices/",
+    ):
+        assert one in said
+    assert len(said.splitlines()) == 5
 
 
 def test_config_check_knows_open_telemetry(

@@ -95,7 +95,7 @@ def test_config_check_names_an_injection_that_no_board_knows(
     file.write_text('[[simulation.injections]]\nkind = "estop"\ntick = 5\n')
     assert main(["config", "check", str(file)]) == 78
     error = capsys.readouterr().err
-    assert f"{file}: injection kind 'estop' is unknown; use one of" in error
+    assert f"{file}:2: simulation.injections[0].kind = 'estop': is unknown; use one of" in error
     assert "emergency_stop" in error
 
 

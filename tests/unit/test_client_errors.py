@@ -16,6 +16,13 @@ def test_seconds_that_are_no_time_are_refused(seconds: float) -> None:
         Excerpt("servo.raw", seconds, None)
 
 
+def test_recording_of_no_time_is_refused_before_a_daemon_is_asked(tmp_path: Path) -> None:
+    """With value, limit and remedy."""
+    said = r"seconds = -1 s: must be above 0 and finite; ask for more, such as seconds=1\.0"
+    with Client(folder=tmp_path) as client, pytest.raises(ConfigError, match=said):
+        client.record(seconds=-1)
+
+
 @pytest.mark.parametrize("count", [-1, 0])
 def test_counts_that_are_none_are_refused(count: int) -> None:
     with pytest.raises(ConfigError, match=f"count = {count}: must be above 0"):

@@ -3,6 +3,7 @@ the one file that is not ours.
 """
 
 import asyncio
+import gc
 import hashlib
 import json
 import os
@@ -137,6 +138,63 @@ def test_a_foreign_socket_is_never_accepted() -> None:
     asked = headers(host="127.0.0.1:9873", origin="http://evil.example")
     sent = exchange({"type": "websocket", "path": "/live", "headers": asked, "subprotocols": []})
     assert [one["type"] for one in sent] == ["websocket.close"]
+
+
+class Leaver:
+    """A browser over ASGI: sends `messages`, then leaves; takes nothing if `gone`."""
+
+    def __init__(self, *messages: dict[str, Any], gone: bool = False) -> None:
+        self._messages = [{"type": "websocket.connect"}, *messages]
+        self._gone = gone
+        self.unhandled: list[dict[str, Any]] = []  # that the loop would print
+
+    async def receive(self) -> dict[str, Any]:
+        for _ in range(5):
+            await asyncio.sleep(0)  # what waits for it is sent meanwhile
+        last = {"type": "websocket.disconnect", "code": 1006}
+        return self._messages.pop(0) if self._messages else last
+
+    async def send(self, message: dict[str, Any]) -> None:
+        if self._gone and message["type"] == "websocket.send":
+            raise BrokenPipeError
+
+    async def visit(self) -> None:
+        """Come and go; raises what the application raises."""
+        handler = asyncio.get_running_loop().set_exception_handler
+        handler(lambda _loop, context: self.unhandled.append(context))
+        console = server.Console("nobody")
+        console.publish("board", "{}")
+        asked = headers(host="localhost:1", origin="http://localhost:1")
+        scope = {"type": "websocket", "path": "/live", "headers": asked, "subprotocols": []}
+        base = {"query_string": b"", "root_path": "", "http_version": "1.1", "scheme": "ws"}
+        await console.app()({**base, **scope}, self.receive, self.send)  # type: ignore[arg-type]
+        gc.collect()
+        await asyncio.sleep(0)
+
+
+def text_of_page(text: str) -> dict[str, Any]:
+    return {"type": "websocket.receive", "text": text}
+
+
+@pytest.mark.parametrize(
+    "messages",
+    [
+        [text_of_page('{"ack": 1}')],
+        [{"type": "websocket.receive", "bytes": b"{}"}],
+        [text_of_page("[" * 60_000)],
+        [text_of_page("{")],
+        [],
+    ],
+    ids=["message", "bytes", "deep", "half", "silent"],
+)
+@pytest.mark.parametrize("gone", [False, True], ids=["takes", "gone"])
+@pytest.mark.usefixtures("runtime")
+def test_a_browser_that_leaves_in_the_middle_of_a_message_is_no_error(
+    messages: list[dict[str, Any]], gone: bool
+) -> None:
+    browser = Leaver(*messages, gone=gone)
+    asyncio.run(browser.visit())
+    assert browser.unhandled == []
 
 
 @pytest.mark.usefixtures("runtime")

@@ -224,6 +224,7 @@ SIMULATED = (shipped("config") / "devices" / "simulated.toml").read_text()
 
 
 def message(tmp_path: Path, text: str, device: str | None = None) -> str:
+    tmp_path.mkdir(exist_ok=True)
     file = tmp_path / "hapticd.toml"
     file.write_text(text)
     if device is not None:
@@ -473,6 +474,41 @@ def test_all_mistakes_are_told_at_once(tmp_path: Path) -> None:
         "hapticd.toml:2",
         "hapticd.toml:3",
     ]
+
+
+BOTH_WRONG = SIMULATED.replace("force_n = 8.0", "force_n = 9.0", 1)
+
+
+def test_mistakes_of_both_files_and_of_rules_are_told_at_once(tmp_path: Path) -> None:
+    """A rule is looked at beside a value that is wrong by itself, or a key that is misspelt."""
+    text = "[usb]\ntimeout_ms = 6\n[realtime]\npriority = 0\n[environment]\nmas_kg = 1\n"
+    found = message(tmp_path, text, BOTH_WRONG).splitlines()
+    assert [line.split(" ")[0] for line in found] == [
+        "hapticd.toml:6:",
+        "hapticd.toml:4:",
+        "hapticd.toml:2:",
+        "devices/simulated.toml:" + found[3].split(":")[1] + ":",
+    ]
+    assert "usb.timeout_ms = 6 ms: must be at most 5 ms" in found[2]
+    assert "limits.force_n = 9.0 N: must be at most 8.0 N" in found[3]
+
+
+def test_rules_that_rest_on_what_is_wrong_are_not_told(tmp_path: Path) -> None:
+    """450 Hz is the limit at the default rate, which nobody asked for."""
+    text = "[realtime]\nrate_hz = '4000'\n[environment.velocity_filter]\nfrequency_hz = 600\n"
+    (found,) = message(tmp_path, text).splitlines()
+    assert "realtime.rate_hz = '4000': must be a number in Hz" in found
+    text = "[safety]\nforce_limit_n = 9\n"
+    (found,) = message(
+        tmp_path / "b", text, SIMULATED.replace("force_n = 8.0", "force_n = 'x'", 1)
+    ).splitlines()
+    assert "limits.force_n = 'x': must be a number in N" in found
+
+
+def test_missing_device_does_not_hide_what_else_is_wrong(tmp_path: Path) -> None:
+    found = message(tmp_path, "device = 'simulatd'\n[realtime]\npriority = 0\n").splitlines()
+    assert [line.split(": ")[0] for line in found] == ["hapticd.toml:3", "hapticd.toml:1"]
+    assert "no such device file; did you mean 'simulated'?" in found[1]
 
 
 def test_value_in_place_of_a_table(tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ import pytest
 from scipy.io import savemat
 
 from hapticd.errors import AnalysisError, ConfigError, HapticdError
-from hapticd.zwidth.recorded import read_file
+from hapticd.zwidth.counters import unwrapped
+from hapticd.zwidth.recorded import read_file, read_foreign
+from hapticd.zwidth.watch import loss_findings
 
 FORCE, VELOCITY = np.random.default_rng(1).normal(size=(2, 400))
 TIME = np.arange(400) / 4000.0
@@ -256,3 +258,110 @@ def test_file_that_was_tampered_with_is_refused_in_words(changed, said, tmp_path
     with pytest.raises(HapticdError) as caught:
         read_file(tmp_path / "a.npz")
     assert said in str(caught.value)
+
+
+WRAP = 1 << 48
+ROW = np.arange(400)
+
+
+@pytest.mark.parametrize("name", ["counter", "sample", "samples", "index"])
+def test_column_counts_samples_only_if_it_is_named_so(tmp_path, name):
+    """One that counts the cycles of the trial, say, has made a record into a thousand times
+    another.
+    """
+    path = tmp_path / "a.npz"
+    np.savez(path, force=FORCE, velocity=VELOCITY, **{name: 7 * ROW})
+    assert np.array_equal(read_foreign(path, "", "", None).place, ROW)
+    found = read_file(path, rate_hz=4000.0)
+    assert found.force_n.size == 400
+    assert "lost_samples" not in found.more
+    (finding,) = loss_findings(found.more)
+    assert finding.code == "losses_unknown"
+    assert not finding.voids
+    assert "lost rows were not looked for" in str(finding)
+    assert "--counter" in str(finding)
+
+
+def test_named_counter_shows_lost_rows_over_its_wrap(tmp_path):
+    there = (ROW < 100) | (ROW > 102)
+    count = (WRAP - 200 + ROW) % WRAP
+    path = tmp_path / "a.npz"
+    np.savez(path, force=FORCE[there], velocity=VELOCITY[there], Cycle=count[there])
+    found = read_file(path, rate_hz=4000.0, counter="Cycle")
+    assert (found.more["lost_samples"], found.more["samples"]) == (3, 400)
+    assert np.array_equal(found.force_n[there], FORCE[there])
+    (finding,) = loss_findings(found.more)
+    assert "by the counter in the file" in str(finding)
+
+
+def test_counter_without_a_loss_is_said_to_have_been_looked_at(tmp_path):
+    np.savez(tmp_path / "a.npz", force=FORCE, velocity=VELOCITY, n=ROW)
+    found = read_file(tmp_path / "a.npz", rate_hz=4000.0, counter="n")
+    assert found.more["lost_samples"] == 0
+    assert loss_findings(found.more) == ()
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [
+        (4 * ROW, "column n counts by 4 to 4, median 4"),
+        (ROW[::-1], "column n counts by"),
+        ((2**32 - 200 + ROW) % 2**32, "column n counts by 1 to"),
+        (ROW + 0.5, r"column n: 0\.5 at sample 1; a whole number"),
+        (np.where(ROW == 7, np.nan, ROW), "column n: nan at sample 8; a whole number"),
+        (ROW - 1, "column n: -1 at sample 1; a whole number"),
+        (ROW + WRAP, r"column n: .* at sample 1; a whole number from 0 to 2\^48 - 1"),
+        (ROW[1:], "column n has 399 values, the force 400"),
+        (["x"] * 400, "no column n; it has force, velocity"),
+    ],
+    ids=["fours", "backwards", "32 bits", "halves", "gap", "negative", "49 bits", "short", "text"],
+)
+def test_column_that_does_not_count_samples_is_refused(tmp_path, count, said):
+    np.savez(tmp_path / "a.npz", force=FORCE, velocity=VELOCITY, n=count)
+    with pytest.raises(AnalysisError, match=rf"a\.npz: {said}"):
+        read_file(tmp_path / "a.npz", rate_hz=4000.0, counter="n")
+
+
+TICKS_US = 250 * ROW  # at 4 kHz
+
+
+@pytest.mark.parametrize("gap", [0, 3])
+def test_clock_of_48_bits_may_begin_anew_once(tmp_path, gap):
+    """Rate and lost rows are those of a clock that did not, and the rate may be stated too."""
+    there = (ROW < 100) | (100 + gap <= ROW)
+    time = (WRAP - 150 * 250 + TICKS_US) % WRAP
+    path = tmp_path / "a.npz"
+    np.savez(path, force=FORCE[there], velocity=VELOCITY[there], time_us=time[there])
+    for stated_hz in (None, 4000.0):
+        found = read_file(path, rate_hz=stated_hz)
+        assert found.rate_hz == pytest.approx(4000.0, rel=1e-8)
+        assert found.force_n.size == 400
+        assert found.more.get("lost_samples", 0) == gap
+        assert found.more["losses_by"] == "times"
+    with pytest.raises(AnalysisError, match="column time_us says 4000"):
+        read_file(path, rate_hz=4100.0)
+
+
+@pytest.mark.parametrize(
+    "time",
+    [
+        (2**32 - 150 * 250 + TICKS_US) % 2**32,  # of fewer bits
+        np.where(ROW < 100, TICKS_US, TICKS_US - 250 * 50),  # set back
+        np.where(ROW < 100, WRAP - 10**9 + TICKS_US, TICKS_US),  # with a quarter of an hour lost
+        (WRAP - 1000 * (ROW // 2) + TICKS_US) % WRAP,  # back and forth
+    ],
+    ids=["32 bits", "set back", "gap", "twice"],
+)
+def test_clock_that_falls_back_otherwise_is_refused(tmp_path, time):
+    np.savez(tmp_path / "a.npz", force=FORCE, velocity=VELOCITY, time_us=time)
+    with pytest.raises(AnalysisError, match=r"a\.npz: column time_us: .*--rate-hz"):
+        read_file(tmp_path / "a.npz")
+    stated = read_file(tmp_path / "a.npz", rate_hz=4000.0)
+    assert stated.force_n.size == 400
+    assert stated.more["losses_by"] == "nothing"
+
+
+def test_small_fall_of_a_clock_stays() -> None:
+    """Moved up by 2^48 the rest would be a gap of years."""
+    time = np.array([0.0, 250.0, 100.0, 350.0])
+    assert np.array_equal(unwrapped(time), time)

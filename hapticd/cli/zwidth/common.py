@@ -19,6 +19,7 @@ from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
     from hapticd.plant.scene import Scene
+    from hapticd.settings.device import DeviceFile
     from hapticd.zwidth.outcomes import Conditions, Outcome
     from hapticd.zwidth.sources import Trial
     from hapticd.zwidth.store import TrialStore
@@ -187,6 +188,18 @@ def record_file(word: str, sources: tuple[str, ...]) -> Path:
         raise typer.BadParameter(f"{word!r} is not {', '.join(sources)} or a file{meant}")
     terminal.there(path)
     return path
+
+
+def device_of(name: str) -> "DeviceFile":
+    """The device file of that scene, or of that name; `scene_of` has found it before."""
+    from hapticd.errors import ConfigError
+    from hapticd.settings.scene import load_files
+    from hapticd.zwidth.scenes import device_file
+
+    try:
+        return load_files(name).device
+    except ConfigError:
+        return device_file(str(Path(name).resolve()) if name.endswith(".toml") else name)
 
 
 def conditions(

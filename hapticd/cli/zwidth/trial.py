@@ -150,6 +150,14 @@ class FileOptions:
         float | None,
         typer.Option("--rate-hz", metavar="HZ", help="Sample rate of FILE, where it does not say."),
     ] = None
+    counter: Annotated[
+        str,
+        typer.Option(
+            "--counter",
+            metavar="COLUMN",
+            help="Column of FILE that numbers its samples, in up to 48 bits: shows lost rows.",
+        ),
+    ] = ""
     skew: Annotated[
         float | None,
         typer.Option(
@@ -209,7 +217,11 @@ def trial(
     recorded = None
     if asked.source not in LIVE:
         recorded = read_file(
-            common.record_file(asked.source, LIVE), file.force, file.velocity, file.rate_hz
+            common.record_file(asked.source, LIVE),
+            file.force,
+            file.velocity,
+            file.rate_hz,
+            file.counter,
         )
     _tried(asked, file, recorded, instance, results)
 
@@ -566,11 +578,11 @@ def import_record(
         damping=rendered.damping,
         band=band,
     )
-    names = file.force, file.velocity
+    stated = file.force, file.velocity, file.rate_hz, file.counter
     recorded = (
-        read_aligned(rendered.source, rendered.align, *names, file.rate_hz)
+        read_aligned(rendered.source, rendered.align, *stated)
         if rendered.align
-        else read_file(rendered.source, *names, file.rate_hz)
+        else read_file(rendered.source, *stated)
     )
     results = TrialResultOptions(out=out, plot=plot, as_json=as_json)
     _tried(asked, file, recorded, "", results)

@@ -1,0 +1,49 @@
+"""How much K, B and M a client may ask of a device: bounds that keep out mistaken units.
+
+An end is ROOM times what the device renders passively there, on that axis alone and with the most
+active damping, where a model says so; else the stated number. Neither goes beyond VALUE_LIMITS,
+which the schema, the mailbox and the servo check by themselves.
+
+What would break it: a unit that is wrong by less than ROOM.
+"""
+
+from collections.abc import Mapping, Sequence
+
+from hapticd.mailbox.layout import VALUE_LIMITS, Value, ValueLimit
+from hapticd.params import EnvironmentLimits
+
+ROOM = 10.0
+AXES = {"K": Value.STIFFNESS, "B": Value.DAMPING, "M": Value.MASS}
+# where nothing is known, or nothing is passive: three times and more of what any shipped device
+# renders passively
+STATED: dict[str, ValueLimit] = {
+    "K": ValueLimit(-1e3, 5e4, "N/m"),
+    "B": ValueLimit(-5e1, 2e2, "N s/m"),
+    "M": ValueLimit(-0.5, 1.0, "kg"),
+}
+WIDEST = EnvironmentLimits(
+    tuple(VALUE_LIMITS[place].low for place in AXES.values()),
+    tuple(VALUE_LIMITS[place].high for place in AXES.values()),
+)
+UNKNOWN: Mapping[str, Sequence[float] | None] = {}
+
+
+def environment_limits(passive: Mapping[str, Sequence[float] | None]) -> EnvironmentLimits:
+    """Limits of a device that renders `passive` [SI] of each axis, from and to; of an axis that is
+    left out or None nothing is known.
+    """
+    ends = [_ends(axis, passive.get(axis) or (0.0, 0.0)) for axis in AXES]
+    return EnvironmentLimits(tuple(low for low, _ in ends), tuple(high for _, high in ends))
+
+
+def _ends(axis: str, passive: Sequence[float]) -> tuple[float, float]:
+    stated = STATED[axis]
+    widest = VALUE_LIMITS[AXES[axis]]
+    low = ROOM * passive[0] if passive[0] < 0.0 else stated.low
+    high = ROOM * passive[1] if passive[1] > 0.0 else stated.high
+    return max(_shown(low), widest.low), min(_shown(high), widest.high)
+
+
+def _shown(limit: float) -> float:
+    """As messages have it, so that the limit that is shown is the one that holds."""
+    return float(f"{limit:.3g}")
