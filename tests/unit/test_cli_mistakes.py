@@ -99,15 +99,16 @@ FIELDS: dict[str, tuple[int, str, dict[str, Any]]] = {  # exit code, code, field
     "set stiffness=100": (2, "usage", {"value": "stiffness", "remedy": "K=100"}),
     "set K=nan": (2, "usage", {"value": "nan", "unit": "N/m"}),
     "damping onn": (2, "usage", {"value": "onn", "unit": "N s/m"}),
-    "damping -1": (4, "invalid", {"loc": "value"}),
-    "set K=1e9": (4, "invalid", {"loc": "K"}),
+    "damping -1": (4, "invalid", {"loc": "value", "value": -1.0, "low": 0.0, "high": 2.0}),
+    "set K=1e9": (4, "invalid", {"loc": "K", "value": 1e9, "unit": "N/m", "high": 1e5}),
+    "perturb load strong.txt": (4, "invalid", {"value": 400.0, "unit": "N", "high": 1.0}),
     "get --instance nope": (3, "DaemonDown", {"remedy": "hapticd run --instance nope"}),
     "set K=100": (3, "DaemonDown", {"remedy": "hapticd run", "running": []}),
 }
 
 
 @pytest.mark.parametrize("words", FIELDS)
-def test_programs_have_value_unit_and_remedy_as_fields(words: str, answer: Answer) -> None:
+def test_programs_have_value_unit_limit_and_remedy_as_fields(words: str, answer: Answer) -> None:
     state = next(one.state for one in ROWS if one.words == words)
     code, error = answer(state, words)
     expected_code, name, fields = FIELDS[words]
