@@ -141,9 +141,24 @@ class SequenceError(CommandError):
 
 
 class DaemonDown(HapticdError):
-    """No daemon answers at the endpoint: start it with `hapticd run`."""
+    """No daemon answers at the endpoint: `command` starts it, where that would help.
+
+    `running` names the instances of this user that run.
+    """
 
     exit_code = 3
+
+    def __init__(self, message: str, command: str = "", running: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.command = command
+        self.running = running
+
+    def plain(self) -> dict[str, Any]:
+        """What --json shows of it."""
+        return {"remedy": self.command, "running": list(self.running)}
+
+    def __reduce__(self) -> tuple[type["DaemonDown"], tuple[Any, ...]]:
+        return type(self), (str(self), self.command, self.running)
 
 
 class GuardWarning(UserWarning):

@@ -25,6 +25,8 @@ MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "a test that is skipped fails the run, except " + ", ".join(sorted(MAY_BE_SKIPPED))
     parser.addoption("--all-must-run", action="store_true", help=text)
+    text = "write the answers to mistakes at the shell into support/data/cli_mistakes.txt"
+    parser.addoption("--write-texts", action="store_true", help=text)
 
 
 @pytest.hookimpl(trylast=True)
@@ -71,7 +73,7 @@ def fresh_runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     Directly in the temporary folder, since a socket's path may have 107 bytes only.
     """
     folder = Path(tempfile.mkdtemp(prefix="hapticd-test-"))
-    for name in ("RUNTIME_DIRECTORY", "HAPTICD_CONFIG"):
+    for name in ("RUNTIME_DIRECTORY", "HAPTICD_CONFIG", "HAPTICD_INSTANCE"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(folder))
     monkeypatch.setenv("XDG_CONFIG_HOME", str(folder / "config"))

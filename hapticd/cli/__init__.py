@@ -3,10 +3,12 @@
     app         all verbs under one name; errors become exit codes
     terminal    options that verbs share, what is printed where, the progress bar, figures on disk
     change      a connection to the daemon, NAME=VALUE words, receipts
+    numbers     numbers as people type them
     daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
                 mark, perturb
     monitor     the live screen (screen: what it shows)
     console     the operators' page
+    help        help VERB
     recording   record, rec, replay
     system      config, doctor, install-system
     keys        keys

@@ -16,55 +16,72 @@ from hapticd.cli import terminal
 from hapticd.errors import GuardWarning, HapticdError
 
 USAGE = 2
-VERBS = {  # module of this package, and function
-    "run": "daemon.run",
-    "set": "daemon.set_parameters",
-    "get": "daemon.get_parameters",
-    "damping": "daemon.damping",
-    "guard": "guard.guard",
-    "enable": "daemon.enable",
-    "disable": "daemon.disable",
-    "stop": "daemon.stop",
-    "reset": "daemon.reset",
-    "zero": "daemon.zero",
-    "home": "daemon.home",
-    "status": "daemon.status",
-    "monitor": "monitor.monitor",
-    "events": "monitor.events",
-    "console": "console.console",
-    "record": "recording.record",
-    "replay": "recording.replay",
-    "dump": "daemon.dump",
-    "mark": "daemon.mark",
-    "doctor": "system.doctor",
-    "accuracy": "sim.accuracy",
-    "sim-board": "sim_board.sim_board",
-    "install-system": "system.install_system",
+SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, and function
+    "Daily use": {
+        "run": "daemon.run",
+        "status": "daemon.status",
+        "enable": "daemon.enable",
+        "set": "daemon.set_parameters",
+        "get": "daemon.get_parameters",
+        "damping": "daemon.damping",
+        "guard": "guard.guard",
+        "disable": "daemon.disable",
+        "stop": "daemon.stop",
+        "reset": "daemon.reset",
+        "zero": "daemon.zero",
+        "home": "daemon.home",
+    },
+    "Look": {
+        "monitor": "monitor.monitor",
+        "events": "monitor.events",
+        "console": "console.console",
+        "help": "help.explain",
+    },
+    "Record": {
+        "record": "recording.record",
+        "mark": "daemon.mark",
+        "dump": "daemon.dump",
+        "replay": "recording.replay",
+    },
+    "Set up": {"doctor": "system.doctor", "install-system": "system.install_system"},
+    "Simulate": {"accuracy": "sim.accuracy", "sim-board": "sim_board.sim_board"},
 }
-GROUPS = {  # module, and its verbs
-    "perturb": "daemon.perturb_app",
-    "lease": "lease.lease_app",
-    "rec": "recording.rec_app",
-    "keys": "keys.app",
-    "bridge": "bridge.app",
-    "config": "system.config_app",
-    "sim": "sim.sim_app",
-    "rig": "rig.app",
-    "zwidth": "zwidth.app",
+SECTIONS_OF_GROUPS: dict[str, dict[str, str]] = {  # module, and its verbs
+    "Daily use": {"lease": "lease.lease_app"},
+    "Record": {"rec": "recording.rec_app"},
+    "Set up": {
+        "config": "system.config_app",
+        "rig": "rig.app",
+        "keys": "keys.app",
+        "bridge": "bridge.app",
+    },
+    "Simulate": {"sim": "sim.sim_app"},
+    "Measure": {"zwidth": "zwidth.app", "perturb": "daemon.perturb_app"},
 }
+CLASSES = {"damping": "numbers.SignedLevel"}  # of verbs that read their words in another way
+HELP_NAMES = {"help_option_names": ["-h", "--help"]}
+USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]  # what Typer calls a mistake
+INSTANCE_OPTION = "--instance"
 
 
 def command_line(asked: str = "") -> typer.Typer:
     """The whole command line, or only its part `asked` if that is a verb or a group."""
-    app = typer.Typer(name="hapticd", no_args_is_help=True, pretty_exceptions_enable=False)
+    app = typer.Typer(
+        name="hapticd",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings=HELP_NAMES,
+    )
     app.callback()(hapticd)
-    whole = asked not in VERBS | GROUPS
-    for name, place in VERBS.items():
-        if whole or name == asked:
-            terminal.verb(app, name)(_loaded(place))
-    for name, place in GROUPS.items():
-        if whole or name == asked:
-            app.add_typer(_loaded(place), name=name)
+    known = (*SECTIONS.values(), *SECTIONS_OF_GROUPS.values())
+    whole = not any(asked in names for names in known)
+    for section, verbs in SECTIONS.items():
+        for name in verbs if whole else verbs.keys() & {asked}:
+            kind = _loaded(CLASSES[name]) if name in CLASSES else None
+            terminal.verb(app, name, rich_help_panel=section, cls=kind)(_loaded(verbs[name]))
+    for section, groups in SECTIONS_OF_GROUPS.items():
+        for name in groups if whole else groups.keys() & {asked}:
+            app.add_typer(_loaded(groups[name]), name=name, rich_help_panel=section)
     return app
 
 
@@ -80,33 +97,61 @@ def _version(asked: bool) -> None:
 
 
 def hapticd(
+    context: typer.Context,
     _: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Say which, and end."),
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Show the version and exit."
+        ),
     ] = False,
+    instance: terminal.InstanceBefore = None,
 ) -> None:
     """A haptic display's servo daemon: run it, set it, watch it, stop it."""
+    verb = context.invoked_subcommand
+    group: Any = context.command
+    if instance is not None and verb and not _asks(group.commands[verb]):
+        raise typer.BadParameter(f"`hapticd {verb}` asks no daemon: leave --instance out")
+    context.obj = instance
+
+
+def _asks(command: Any) -> bool:
+    """Whether `command`, or a verb of that group, takes the name of a daemon."""
+    own = any(parameter.name == "instance" for parameter in command.params)
+    return own or any(map(_asks, getattr(command, "commands", {}).values()))
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run one command line; the exit code."""
+    as_json = "--json" in arguments
     try:
         with warnings.catch_warnings():
             # the verbs have words of their own for what the guard says
             warnings.simplefilter("ignore", GuardWarning)
-            command_line(*arguments[:1])(args=list(arguments), prog_name="hapticd")
+            app = command_line(_verb(arguments))
+            code = app(args=list(arguments), prog_name="hapticd", standalone_mode=False)
     except HapticdError as error:
-        terminal.complain(error, as_json="--json" in arguments)
+        terminal.complain(error, as_json=as_json)
         return error.exit_code
+    except USAGE_ERROR as error:
+        return terminal.explain(error, as_json)
+    except typer.Abort:
+        terminal.talk("Aborted.")
+        return HapticdError.exit_code
     except SystemExit as ending:
-        return _told(ending, "--json" in arguments)
-    return 0
+        return _code(ending)
+    return int(code or 0)
 
 
-def _told(ending: SystemExit, as_json: bool) -> int:
-    code = ending.code if isinstance(ending.code, int) else int(ending.code is not None)
-    if code == USAGE and as_json:
-        terminal.data_json(
-            {"ok": False, "error": {"code": "usage", "message": "see stderr", "detail": None}}
-        )
-    return code
+def _verb(arguments: Sequence[str]) -> str:
+    """The first word that is no option; empty without one."""
+    words = iter(arguments)
+    for word in words:
+        if word == INSTANCE_OPTION:
+            next(words, None)
+        elif not word.startswith("-"):
+            return word
+    return ""
+
+
+def _code(ending: SystemExit) -> int:
+    return ending.code if isinstance(ending.code, int) else int(ending.code is not None)

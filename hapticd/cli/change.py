@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.numbers import number, unknown
 from hapticd.client.words import receipt_text, thoughts, verdict_lines
 from hapticd.errors import CommandError
 from hapticd.gateway.limits import PLACES
@@ -22,16 +23,6 @@ if TYPE_CHECKING:
 NAMES = tuple(name for name in PLACES if name != "ramp_s")
 
 
-def number(name: str, text: str, expected: str = "a number") -> int | float:
-    """`text` as int or float."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    raise typer.BadParameter(f"{name}: {text!r} is not {expected}")
-
-
 def changes(words: Sequence[str]) -> dict[str, Any]:
     """K=100 wall.side=1 -> {"K": 100, "wall": {"side": 1}}, the arguments of Client.set."""
     found: dict[str, Any] = {}
@@ -40,11 +31,7 @@ def changes(words: Sequence[str]) -> dict[str, Any]:
         if not equals:
             raise typer.BadParameter(f"{word!r}: write NAME=VALUE, for example K=100")
         if name not in NAMES:
-            from hapticd.settings.toml import did_you_mean
-
-            raise typer.BadParameter(
-                f"{name!r} is unknown{did_you_mean(name, NAMES)}; see `hapticd set --help`"
-            )
+            raise unknown(name, text, NAMES)
         *tables, leaf = name.split(".")
         table = found.setdefault(tables[0], {}) if tables else found
         if leaf in table:

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.change import change, changes, connect, number
+from hapticd.cli.change import change, changes, connect
+from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.words import board_words, parameters, receipt_text
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
@@ -172,6 +173,7 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
         # without a gateway, as before the board is found
         servo = living_report(daemon_folder(instance))
         found = dict.fromkeys(MUST_HAVE) | {"state": "down", "reason": str(error), "servo": servo}
+        found |= error.plain()
     found["console"] = console_place(daemon_folder(instance))
     if as_json:
         terminal.data_json(found)
@@ -391,8 +393,9 @@ def damping(
 
     `on` gives the level that was asked for last, or that the guard chose; at first the configured.
     """
+    word = value.lower()
     expected = "on, off, auto or a level in N s/m"
-    asked = value if value in ("on", "off", "auto") else number("damping", value, expected)
+    asked = word if word in ("on", "off", "auto") else number("damping", value, expected, " ")
     change(instance, as_json, lambda client: client.damping(asked))  # type: ignore[arg-type]
 
 
@@ -408,15 +411,7 @@ def disable(
     change(instance, as_json, lambda client: client.disable())
 
 
-WhichOnes = Annotated[
-    str | None,
-    typer.Option(
-        "--instance", metavar="NAME", help="This one alone; else all of yours and the service."
-    ),
-]
-
-
-def stop(instance: WhichOnes = None, as_json: terminal.Json = False) -> None:
+def stop(instance: terminal.OneOfAll = None, as_json: terminal.Json = False) -> None:
     """Stop every daemon of yours and the service: force to 0 at once, latched until
     `hapticd reset`. Anyone may, at any time; never refused.
     """
@@ -502,7 +497,9 @@ perturb_app = typer.Typer(
 WaveformFile = Annotated[
     Path,
     typer.Argument(
-        metavar="FILE", help="Force in N: .npy of shape (n,), or text with one number a line."
+        metavar="FILE",
+        callback=terminal.there,
+        help="Force in N: .npy of shape (n,), or text with one number a line.",
     ),
 ]
 

@@ -16,11 +16,14 @@ if TYPE_CHECKING:
 
 Policy = Annotated[
     params.Policy | None,
-    typer.Argument(help="What is done with an environment that is not known to be passive."),
+    typer.Argument(
+        case_sensitive=False,
+        help="What is done with an environment that is not known to be passive.",
+    ),
 ]
 Basis = Annotated[
     params.BasisName | None,
-    typer.Option("--basis", help="What a verdict rests on."),
+    typer.Option("--basis", case_sensitive=False, help="What a verdict rests on."),
 ]
 Margin = Annotated[
     float | None,
@@ -28,7 +31,11 @@ Margin = Annotated[
 ]
 Mode = Annotated[
     params.DampingMode | None,
-    typer.Option("--mode", help="Active damping off, at its level, or the least that will do."),
+    typer.Option(
+        "--mode",
+        case_sensitive=False,
+        help="Active damping off, at its level, or the least that will do.",
+    ),
 ]
 
 

@@ -20,8 +20,24 @@ if TYPE_CHECKING:
     from hapticd.recording.replay import ReplayResult
 
 
+ENDING = ".h5"
+
+
+def _recording_name(file: Path) -> Path:
+    """`file` if a recording may be called that, else BadParameter."""
+    if file.suffix != ENDING:
+        right = f"{file.stem}{ENDING}"
+        raise typer.BadParameter(f"{file}: a recording is called NAME{ENDING}: {right}")
+    return file
+
+
 NewFile = Annotated[
-    Path, typer.Argument(metavar="FILE", help="NAME.h5; while it grows it is called NAME.part.h5.")
+    Path,
+    typer.Argument(
+        metavar="FILE",
+        callback=_recording_name,
+        help="NAME.h5; while it grows it is called NAME.part.h5.",
+    ),
 ]
 Seconds = Annotated[
     float | None,
@@ -78,7 +94,10 @@ def _progress_words(progress: "RecordingProgress") -> str:
 
 rec_app = typer.Typer(no_args_is_help=True, help="Finish, look at and convert recordings.")
 Source = Annotated[
-    Path, typer.Argument(metavar="FILE", help="NAME.h5, NAME.part.h5 or NAME.flight.")
+    Path,
+    typer.Argument(
+        metavar="FILE", callback=terminal.there, help="NAME.h5, NAME.part.h5 or NAME.flight."
+    ),
 ]
 Target = Annotated[
     Path | None,
@@ -181,7 +200,10 @@ def _beside(file: Path, ending: str) -> Path:
 
 
 ReplayFile = Annotated[
-    Path, typer.Argument(metavar="FILE", help="NAME.h5, NAME.part.h5 or NAME.flight.")
+    Path,
+    typer.Argument(
+        metavar="FILE", callback=terminal.there, help="NAME.h5, NAME.part.h5 or NAME.flight."
+    ),
 ]
 Held = Annotated[
     list[str] | None,

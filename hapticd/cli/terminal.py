@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.errors import CommandError, ConfigError, HapticdError
+from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, MailboxError
 from hapticd.extras import need
-from hapticd.mailbox.files import DEFAULT_INSTANCE
+from hapticd.mailbox.files import DEFAULT_INSTANCE, runtime_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -133,16 +133,102 @@ def complain(error: HapticdError, as_json: bool) -> None:
         talk(name + wrapped(f"hapticd: {line}").removeprefix("hapticd:"))
     if as_json:
         code = error.code if isinstance(error, CommandError) else type(error).__name__
-        detail = error.detail if isinstance(error, CommandError) else None
-        told = {"code": code, "message": str(error), "detail": detail}
+        told = {"code": code, "message": str(error), "detail": _detail(error)}
         if isinstance(error, CommandError) and error.guard:
             told["guard"] = dataclasses.asdict(error.guard)
         data_json({"ok": False, "error": told})
 
 
+def _detail(error: HapticdError) -> Any:
+    """What a program may go by."""
+    if isinstance(error, DaemonDown):
+        return error.plain()
+    return error.detail if isinstance(error, CommandError) else None
+
+
+def explain(mistake: Any, as_json: bool) -> int:
+    """What was mistyped, as Typer shows it; with --json also as an object on stdout. The exit
+    code.
+    """
+    from typer.rich_utils import rich_format_error
+
+    rich_format_error(mistake)
+    if as_json:
+        told = {"code": "usage", "message": mistake.format_message()}
+        told["detail"] = getattr(mistake, "detail", None)
+        data_json({"ok": False, "error": told})
+    return int(mistake.exit_code)
+
+
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 JsonLines = Annotated[bool, typer.Option("--json", help="One JSON object per line on stdout.")]
-Instance = Annotated[str, typer.Option("--instance", metavar="NAME", help="Which daemon.")]
+
+
+def _named(name: str | None, origin: str = "--instance") -> str | None:
+    """`name` if an instance can have it, else BadParameter that names its `origin`."""
+    try:
+        if name is not None:
+            runtime_folder(name)
+    except MailboxError as error:
+        raise typer.BadParameter(str(error), param_hint=f"'{origin}'") from None
+    return name
+
+
+def _before(name: str | None) -> str | None:
+    return _named(name)
+
+
+def _chosen(context: typer.Context, parameter: typer.CallbackParam, name: str | None) -> str | None:
+    """The name after the verb, else the one before it, else that of the environment or default."""
+    source = context.get_parameter_source(parameter.name or "")
+    origin = source.name if source else ""
+    if origin != "COMMANDLINE" and context.obj is not None:
+        return _named(context.obj)
+    return _named(name, INSTANCE_VARIABLE if origin == "ENVIRONMENT" else "--instance")
+
+
+def there(path: Path | None) -> Path | None:
+    """`path` if something is there, else BadParameter with the name that is nearly the same."""
+    if path is None or os.path.exists(path):
+        return path
+    from hapticd.settings.toml import did_you_mean
+
+    folder = path.parent
+    meant = did_you_mean(path.name, os.listdir(folder)) if os.access(folder, os.R_OK) else ""
+    raise typer.BadParameter(f"{path}: no such file; check the path and its permissions{meant}")
+
+
+INSTANCE_VARIABLE = "HAPTICD_INSTANCE"
+Instance = Annotated[
+    str,
+    typer.Option(
+        "--instance",
+        metavar="NAME",
+        envvar=INSTANCE_VARIABLE,
+        show_envvar=False,
+        callback=_chosen,
+        help=f"Which daemon; may also stand before the verb. Else ${INSTANCE_VARIABLE}.",
+    ),
+]
+InstanceBefore = Annotated[
+    str | None,
+    typer.Option(
+        "--instance",
+        metavar="NAME",
+        callback=_before,
+        help=f"Which daemon; may also stand after the verb. Else ${INSTANCE_VARIABLE}.",
+    ),
+]
+OneOfAll = Annotated[
+    str | None,
+    typer.Option(
+        "--instance",
+        metavar="NAME",
+        callback=_chosen,
+        help=f"This one alone; else all of yours and the service, whatever ${INSTANCE_VARIABLE}"
+        " says.",
+    ),
+]
 ConfigFile = Annotated[
     Path | None,
     typer.Option(

@@ -16,6 +16,7 @@ import msgpack
 from hapticd.client.verdict import GuardVerdict, verdict_of
 from hapticd.errors import CommandError, ConfigError, DaemonDown, MailboxError
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
+from hapticd.mailbox.daemons import down, instance_of
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.units import NS_PER_S
 
@@ -203,5 +204,5 @@ def socket_file(folder: Path, name: str) -> Path:
     """The socket `name` of the daemon in `folder`. DaemonDown if there is none."""
     path = folder / name
     if not path.exists():
-        raise DaemonDown(f"{path}: no daemon runs there; start it with `hapticd run`")
+        raise down(f"{path}: ", instance_of(folder))
     return path

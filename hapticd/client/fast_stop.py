@@ -55,7 +55,8 @@ def main(instance: str | None, as_json: bool) -> int:
         if as_json:
             import json
 
-            failure = {"code": type(error).__name__, "message": str(error), "detail": None}
+            detail = error.plain() if isinstance(error, DaemonDown) else None
+            failure = {"code": type(error).__name__, "message": str(error), "detail": detail}
             sys.stdout.write(json.dumps({"ok": False, "error": failure}) + "\n")
         return error.exit_code
     for reason in found.left_alone:
@@ -89,7 +90,7 @@ def stop(instance: str | None, actor: int = ACTOR_STOP_WORD) -> Outcome:
                 failed.append(str(error))
     if not pressed and not failed:
         reasons = "".join(f"; left alone: {reason}" for reason in left_alone)
-        raise DaemonDown(f"no daemon runs there; start it with `hapticd run`{reasons}")
+        raise daemons.down("", instance, reasons)
     taken = _taken(pressed)
     return Outcome([_stopped(place, place in taken) for place in pressed], left_alone, failed)
 

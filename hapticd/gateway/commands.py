@@ -328,7 +328,9 @@ def state(asked: AskedRequest, situation: Situation) -> AskedRequest:
         return asked
     if isinstance(request, Perturb) and not situation.samples:
         raise CommandError(
-            "refused", "perturb start: no waveform is loaded; send it with action load first"
+            "refused",
+            "perturb start: no waveform is loaded; load one first, at the shell with `hapticd"
+            " perturb load FILE`",
         )
     if isinstance(request, Perturb) and (why := view.report().get("unsampled")):
         raise CommandError("refused", f"perturb start: {why}")

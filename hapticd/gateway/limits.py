@@ -5,7 +5,7 @@ them (`mailbox.environment_limits`).
 """
 
 from collections.abc import Iterator, Sequence
-from math import inf
+from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hapticd.mailbox.environment_limits import AXES
@@ -124,15 +124,17 @@ class CommandLimits:
             narrower = ValueLimit(max(known.low, low), min(known.high, high), known.unit)
             self.of[name] = CommandLimit(*narrower, source)
 
-    def broken_by(self, given: dict[str, Any]) -> list[dict[str, str]]:
-        """One {loc, msg} for each number in `given`, nested as the request, beyond its limit."""
+    def broken_by(self, given: dict[str, Any]) -> list[dict[str, Any]]:
+        """One {loc, msg, value, unit, low, high} for each number in `given`, nested as the request,
+        beyond its limit.
+        """
         numbers = (
             (name, value)
             for name, value in flat(given)
             if isinstance(value, (int, float)) and name in self.of
         )
         return [
-            {"loc": name, "msg": self.complaint(name, value)}
+            {"loc": name, "msg": self.complaint(name, value), **self.numbers(name, value)}
             for name, value in numbers
             if not self.allows(name, value)
         ]
@@ -148,6 +150,14 @@ class CommandLimits:
             f"{where or quantity(name)} = {value:g} {limit.unit}: beyond the limit {limit}"
             f" ({limit.source}); {self._instead(name, value)}"
         )
+
+    def numbers(self, name: str, value: float) -> dict[str, Any]:
+        """What programs go by: {value, unit, low, high} of `value` in field `name`; a value that is
+        not finite is None, which any encoding has.
+        """
+        limit = self.of[name]
+        shown = float(value) if isfinite(value) else None
+        return {"value": shown, "unit": limit.unit, "low": limit.low, "high": limit.high}
 
     def _instead(self, name: str, value: float) -> str:
         """What to ask for in place of `value`: of a mass the same number in grams, if that fits."""

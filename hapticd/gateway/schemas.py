@@ -403,8 +403,10 @@ def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
     return request
 
 
-def invalid(detail: list[dict[str, str]]) -> CommandError:
-    """The error for a request that breaks the schema or a limit; detail is [{loc, msg}]."""
+def invalid(detail: list[dict[str, Any]]) -> CommandError:
+    """The error for a request that breaks the schema or a limit; detail is [{loc, msg}], of a
+    number beyond its limit [{loc, msg, value, unit, low, high}].
+    """
     detail = detail[:MOST_DETAILS]
     return CommandError("invalid", "; ".join(item["msg"] for item in detail), detail)
 

@@ -77,10 +77,10 @@ class Waveform:
         wrong = np.flatnonzero(~((force_n >= limit.low) & (force_n <= limit.high)))
         if wrong.size:
             first = int(wrong[0])
-            message = self._limits.complaint(
-                "samples_n", float(force_n[first]), f"samples_n[{offset + first}]"
-            )
-            raise invalid([{"loc": f"samples_n.{offset + first}", "msg": message}])
+            value_n = float(force_n[first])
+            message = self._limits.complaint("samples_n", value_n, f"samples_n[{offset + first}]")
+            found = {"loc": f"samples_n.{offset + first}", "msg": message}
+            raise invalid([found | self._limits.numbers("samples_n", value_n)])
 
 
 def samples_n(sent: list[float] | bytes) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ import stat
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hapticd.errors import MailboxError
+from hapticd.errors import DaemonDown, MailboxError
 from hapticd.mailbox import files
 from hapticd.mailbox.files import DEFAULT_INSTANCE, INSTANCE_PREFIX
 from hapticd.mailbox.stop_word import servo_lives
@@ -124,6 +124,39 @@ def _believe_service(folder: Path) -> None:
 def lives(folder: Path) -> bool:
     """Whether a servo or a gateway is alive in `folder`."""
     return servo_lives(folder) or gateway_lives(folder)
+
+
+def running() -> tuple[str, ...]:
+    """The instances that are alive where a client looks for them."""
+    return tuple(
+        name for name in (DEFAULT_INSTANCE, *_instances(files.runtime_folder())) if _reached(name)
+    )
+
+
+def _reached(instance: str) -> bool:
+    try:
+        return lives(daemon_folder(instance))
+    except MailboxError:
+        return False
+
+
+def down(where: str, instance: str | None, more: str = "") -> DaemonDown:
+    """The error for `instance` (None: any), of which nobody is alive at `where`."""
+    known = instance in (None, DEFAULT_INSTANCE)
+    command = "hapticd run" if known else f"hapticd run --instance {instance}"
+    others = running()
+    listed = f"; running: {', '.join(others)}" if others else ""
+    return DaemonDown(
+        f"{where}no daemon runs there; start it with `{command}`{listed}{more}", command, others
+    )
+
+
+def instance_of(folder: Path) -> str:
+    """The name of the daemon whose runtime folder is `folder`."""
+    name = folder.name
+    return (
+        name.removeprefix(INSTANCE_PREFIX) if name.startswith(INSTANCE_PREFIX) else DEFAULT_INSTANCE
+    )
 
 
 def read_report(folder: Path) -> dict[str, Any]:

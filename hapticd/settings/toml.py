@@ -126,6 +126,12 @@ def _lines(text: str) -> dict[KeyPath, int]:
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
     """`; did you mean 'x'?` for the nearest of `known`, or nothing."""
+    close = nearest(word, known)
+    return f"; did you mean {close!r}?" if close else ""
+
+
+def nearest(word: str, known: Sequence[str]) -> str:
+    """The one of `known` that `word` is nearly; empty if there is none."""
     lower = {name.lower(): name for name in known}
     close = difflib.get_close_matches(word.lower(), lower, 1, 0.6)
-    return f"; did you mean {lower[close[0]]!r}?" if close else ""
+    return lower[close[0]] if close else ""

@@ -336,6 +336,8 @@ def _sampling(
     if stated_hz is None and not named and by_times is not None:
         return by_times
     if stated_hz is None and not named:
+        if count == 1:
+            raise AnalysisError(f"{path} has one row of numbers; a record has one for each sample")
         missing = (
             f"{path}: the sample rate is not in the file ({', '.join((*RATES, *TIMES))}); say it"
             " with --rate-hz"

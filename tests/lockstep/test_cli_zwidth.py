@@ -100,7 +100,7 @@ def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
         (["trial", "x.csv", "--stepped-sine"], 2, "a record that exists cannot be perturbed again"),
         (["trial", "--seconds", "1"], 65, "a trial of 1 s: a verdict takes 3.84 s or more"),
         (["trial", "--scene", "fgi4"], 78, "did you mean 'fig4'?"),
-        (["trial", "nothing.csv"], 78, "no such file"),
+        (["trial", "nothing.csv"], 2, "no such file"),
         (["trial", "--band", "1", "500", "--seconds", "8"], 65, "band from 1 Hz"),
         (["limits", "--axis", "X"], 2, "use one or more of the letters K, B, M"),
         (["limits", "--damping", "on"], 2, "numbers in N s/m"),

@@ -68,7 +68,7 @@ def test_from_start_to_stop(
     assert ask("get")["parameters"]["filters"]["velocity_hz"] == 80.0
 
     assert "beyond the limit" in ask("set", "K=1e9", code=4)["error"]["message"]
-    assert ask("set", "K=nan", code=4)["error"]["code"] == "invalid"
+    assert ask("set", "K=nan", code=2)["error"]["code"] == "usage"
     assert ask("set", "K=1", "--at-tick", "1", code=4)["error"]["code"] == "refused"
     ahead = ask("status")["tick"] + 1_000_000
     assert ask("set", "K=1", "--at-tick", str(ahead))["result"] == "scheduled"

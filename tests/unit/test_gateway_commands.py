@@ -81,7 +81,7 @@ def test_unsettled_state_is_left_to_the_servo(rig: DeskRig) -> None:
 
 def test_start_without_waveform_is_refused(rig: DeskRig) -> None:
     with pytest.raises(
-        CommandError, match="perturb start: no waveform is loaded; send it with action load first"
+        CommandError, match=r"perturb start: no waveform is loaded; .*`hapticd perturb load FILE`"
     ):
         commands.admit({"cmd": "perturb", "action": "start"}, 16, situation(rig))
 

@@ -490,6 +490,10 @@ def test_sample_beyond_limit_is_named(rig: DeskRig, bad: float) -> None:
                 f"samples_n[5] = {bad} N: beyond the limit -1..1 N (the device file sets it); ask"
                 " for a value inside"
             ),
+            "value": pytest.approx(bad, rel=1e-6),
+            "unit": "N",
+            "low": -1.0,
+            "high": 1.0,
         }
     ]
     assert rig.servo.mailbox.waveform[4] == 0
@@ -498,6 +502,7 @@ def test_sample_beyond_limit_is_named(rig: DeskRig, bad: float) -> None:
 def test_sample_that_is_no_number_is_named(rig: DeskRig) -> None:
     error = load(rig, np.array([0.0, np.nan], "<f4").tobytes())["error"]
     assert error["detail"][0]["loc"] == "samples_n.1"
+    assert error["detail"][0]["value"] is None
 
 
 def test_broken_bytes_are_refused(rig: DeskRig) -> None:

@@ -155,13 +155,27 @@ def test_request_is_understood(plain: dict[str, Any]) -> None:
     assert given == plain
 
 
+def details(error: CommandError) -> list[dict[str, Any]]:
+    assert isinstance(error.detail, list)
+    return error.detail
+
+
 @pytest.mark.parametrize(("plain", "loc", "message"), WRONG, ids=[str(row[0]) for row in WRONG])
 def test_wrong_request_is_explained(plain: dict[str, Any], loc: str, message: str) -> None:
     with pytest.raises(CommandError) as caught:
         parse(plain, LIMITS)
     assert caught.value.code == "invalid"
-    assert caught.value.detail == [{"loc": loc, "msg": message}]
+    (item,) = details(caught.value)
+    assert (item["loc"], item["msg"]) == (loc, message)
     assert str(caught.value) == message
+
+
+def test_number_beyond_its_limit_is_told_in_fields() -> None:
+    with pytest.raises(CommandError) as caught:
+        parse({"cmd": "set", "K": 200000.0}, LIMITS)
+    (item,) = details(caught.value)
+    found = {name: item[name] for name in ("value", "unit", "low", "high")}
+    assert found == {"value": 200000.0, "unit": "N/m", "low": -1e4, "high": 1e5}
 
 
 def test_unknown_command_lists_the_known() -> None:

@@ -178,6 +178,18 @@ def scene_of(name: str) -> "Scene":
         return found
 
 
+def record_file(word: str, sources: tuple[str, ...]) -> Path:
+    """The record that `word` names, which is none of `sources`. BadParameter if it is not there."""
+    from hapticd.settings.toml import did_you_mean
+
+    path = Path(word)
+    meant = did_you_mean(word, sources)
+    if meant and not path.exists():
+        raise typer.BadParameter(f"{word!r} is not {', '.join(sources)} or a file{meant}")
+    terminal.there(path)
+    return path
+
+
 def device_of(name: str) -> "DeviceFile":
     """The device file of that scene, or of that name; `scene_of` has found it before."""
     from hapticd.errors import ConfigError

@@ -217,7 +217,11 @@ def trial(
     recorded = None
     if asked.source not in LIVE:
         recorded = read_file(
-            Path(asked.source), file.force, file.velocity, file.rate_hz, file.counter
+            common.record_file(asked.source, LIVE),
+            file.force,
+            file.velocity,
+            file.rate_hz,
+            file.counter,
         )
     _tried(asked, file, recorded, instance, results)
 
@@ -524,7 +528,7 @@ def draw_trial(
 class ImportOptions:
     """The file, and what was rendered while it was recorded."""
 
-    source: Annotated[Path, typer.Argument(metavar="FILE", help=FILES)]
+    source: Annotated[Path, typer.Argument(metavar="FILE", callback=terminal.there, help=FILES)]
     stiffness: Annotated[
         float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")
     ] = None
@@ -540,6 +544,7 @@ class ImportOptions:
         typer.Option(
             "--align",
             metavar="OWN",
+            callback=terminal.there,
             help="hapticd's own record of the same trial, marked: clock and gaps of FILE by it.",
         ),
     ] = None
