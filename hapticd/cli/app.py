@@ -15,7 +15,6 @@ from hapticd import __version__
 from hapticd.cli import terminal
 from hapticd.errors import GuardWarning, HapticdError
 
-USAGE = 2
 SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, and function
     "Daily use": {
         "run": "daemon.run",

@@ -247,8 +247,8 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         CommandError: a step cannot be done, and nothing was sent. SequenceError: it ended before
         the last step, by a refusal or a lost daemon; force was then switched off, or stopped, or,
         with "hold", left as it was. A lost daemon is stopped by the stop word, but with "hold".
-        `lead_s`: how long before its tick a step is sent; left out: half a second. Its
-        `GuardWarning`s come at its end.
+        `lead_s`: how long before its tick a step is sent; left out: half a second. It
+        emits each `GuardWarning` at its end.
         """
         from hapticd.client.sequence import course
 
