@@ -353,7 +353,8 @@ def in_slots(requests: tuple[Request, ...], lost: int) -> tuple[Request, ...]:
 
 def _until_slot(values: tuple[float, ...], lost: int) -> tuple[float, ...]:
     place = Value.UNTIL_TICK
-    if len(values) <= place or not int(values[Value.MASK]) >> place & 1:
+    # not looked at yet: a mask that is none is refused by the command that it came with
+    if not names_places(values) or place not in masked_places(values):
         return values
     return (*values[:place], values[place] + lost, *values[place + 1 :])
 

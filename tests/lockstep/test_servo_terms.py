@@ -8,7 +8,8 @@ from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.gateway.view import as_records
-from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value
+from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
+from hapticd.servo.plan import in_slots
 
 OURS = 7.0
 OTHERS = 6.0
@@ -71,3 +72,20 @@ def test_end_of_a_bounded_change_is_cancelled_by_a_stop_alone(stack: LockStep) -
 @pytest.mark.parametrize("values", [{}, {Value.TERMS: -1.0}, {Value.TERMS: float("nan")}])
 def test_terms_without_a_number_are_refused(stack: LockStep, values: dict[Value, float]) -> None:
     assert stack.do(Command.TERMS, values).result is Result.REFUSED_RANGE
+
+
+@pytest.mark.parametrize("mask", [float("nan"), float("inf"), -1.0, 2.0**60])
+def test_a_mask_that_is_none_ends_no_servo_that_has_lost_slots(mask: float) -> None:
+    """Ticks become slots before the command is looked at."""
+    values = (mask, *values_of({Value.UNTIL_TICK: 90.0})[1:])
+    requests = ((1, int(Command.SET), 16, 80, values), (2, 100, 0, 0, (5.0,)))
+    shifted = in_slots(requests, 3)
+    assert [one[3] for one in shifted] == [83, 0]
+    assert shifted[0][4] is values
+    assert shifted[1] == requests[1]
+
+
+def test_both_ticks_of_a_bounded_change_become_slots() -> None:
+    values = values_of({Value.STIFFNESS: 5.0, Value.UNTIL_TICK: 90.0})
+    ((_, _, _, begin, after),) = in_slots(((1, int(Command.SET), 16, 80, values),), 3)
+    assert (begin, after[Value.UNTIL_TICK], after[Value.STIFFNESS]) == (83, 93.0, 5.0)
