@@ -285,11 +285,17 @@ def within(allowed: Circles, kbm: Floats) -> Flags:
     return outside
 
 
-def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> Flags:
+def _sums(lifted: Lift, spare: float, angles: Integers) -> tuple[Floats, Floats, Complexes]:
+    """a, b and p of the module's text at some `angles`, for that damping to spare."""
     share = 1.0 / np.maximum(lifted.resistance[angles] - spare, _CLOSEST)
     out, back, both = (
         (weights[angles] * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
     )
+    return out, back, both
+
+
+def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> Flags:
+    out, back, both = _sums(lifted, spare, angles)
     c = gain[angles]
     cp = c * both
     form = 2.0 + cp.real - np.sqrt(np.maximum(np.abs(c) ** 2 * out * back - cp.imag**2, 0.0))
@@ -357,10 +363,7 @@ def _spare_between(lifted: Lift, law: Complexes, spare: float, span: float) -> f
 
 def _outside(lifted: Lift, law: Complexes, spare: float, angles: Integers) -> Floats:
     """How far -1/C is outside the circles of `circles`, |1 + C g|^2 - R^2 |C|^2 (n,)."""
-    share = 1.0 / np.maximum(lifted.resistance[angles] - spare, _CLOSEST)
-    out, back, both = (
-        (weights[angles] * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
-    )
+    out, back, both = _sums(lifted, spare, angles)
     c = law[angles]
     centre = lifted.inner[angles] + 0.5 * both
     size = c.real**2 + c.imag**2
