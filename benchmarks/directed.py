@@ -90,9 +90,8 @@ def _summary(level: SearchCheck) -> str:
         f"prediction {level.share(level.predicted):.1f} %, noise of the grid"
         f" {level.share(level.other_noise):.1f} %"
     )
-    return (
-        f"{level.damping_ns_per_m:g} N s/m: {', '.join(shares)}, {rest} of {level.passive} passive"
-    )
+    whole = f"{rest} of {level.passive} passive"
+    return f"{level.active_damping_ns_per_m:g} N s/m: {', '.join(shares)}, {whole}"
 
 
 def _trials(bend: float) -> int | None:

@@ -46,7 +46,7 @@ FIGURES = {
     "guard_verdict_ms": "verdict",
 }
 LEVEL_NS_PER_M = 1.74
-FREE = {"K": 0.0, "B": 0.0, "M": 0.0, "damping": LEVEL_NS_PER_M}
+FREE = {"K": 0.0, "B": 0.0, "M": 0.0, "active_damping": LEVEL_NS_PER_M}
 REQUEST = {
     "ask": "change",
     "n": 1,

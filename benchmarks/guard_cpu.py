@@ -26,7 +26,7 @@ def measure() -> Iterator[Figure]:
     """CPU time of the gateway with and without a subscriber of `guard`."""
     with daemon.running("guard-cpu") as instance, Client(instance) as client:
         _until_up(client)
-        client.set(K=500, B=2, damping=1.74)
+        client.set(K=500, B=2, active_damping=1.74)
         client.enable()
         gateway = int(client.status()["gateway"]["pid"])
         worker = int(client.guard()["pid"])

@@ -35,7 +35,7 @@ from hapticd.mailbox.layout import State
 
 REQUESTS = 8
 QUIET_TICKS = 300  # after the last request, without the person
-COLUMNS = ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg")
+COLUMNS = ("stiffness_n_per_m", "virtual_damping_ns_per_m", "mass_kg")
 
 
 class Flight(NamedTuple):
@@ -83,7 +83,7 @@ def in_force(found: np.ndarray) -> list[Point]:
     """What records say was rendered and damped, each once; filters as they are by default."""
     live = found[found["state"] == State.ENABLED]
     scaled = [live["gain"] * live[name] for name in COLUMNS]
-    rows = np.stack((*scaled, live["damping_effect_ns_per_m"].astype(float)), axis=1)
+    rows = np.stack((*scaled, live["active_damping_effect_ns_per_m"].astype(float)), axis=1)
     distinct = np.unique(rows.round(6), axis=0).tolist()
     return [Point(*row) for row in distinct]
 

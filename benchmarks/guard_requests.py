@@ -45,14 +45,23 @@ from hapticd.servo.safety import State
 Answering = Callable[[dict[str, Any]], dict[str, Any]]  # the guard: a request in, its answer out
 
 POLICIES = ("refuse", "clamp", "follow")
-PLAIN = {"K": 6, "B": 4, "M": 3, "damping": 5}  # kinds of parameters, and how often each comes
+PLAIN = {
+    "K": 6,
+    "B": 4,
+    "M": 3,
+    "active_damping": 5,
+}  # kinds of parameters, and how often each comes
 EVERYTHING = PLAIN | {"wall": 1, "filters": 1}
 REQUESTS = 10  # of a sequence
 EACH = 8  # ticks between two looks at a ramp
 LONGEST_WAIT = 1500  # ticks until everything has arrived
 VALUES = 2  # place in a posting
-WALL = {Value.WALL_STIFFNESS: "stiffness_n_per_m", Value.WALL_DAMPING: "damping_ns_per_m",
-        Value.WALL_POSITION: "position_m", Value.WALL_SIDE: "side"}  # fmt: skip
+WALL = {
+    Value.WALL_STIFFNESS: "stiffness_n_per_m",
+    Value.WALL_VIRTUAL_DAMPING: "virtual_damping_ns_per_m",
+    Value.WALL_POSITION: "position_m",
+    Value.WALL_SIDE: "side",
+}
 
 
 class Asked(NamedTuple):
@@ -86,12 +95,12 @@ def display_of(plan: Plan, tick: int | None, params: ServoParams) -> dict[str, A
         return ramp.end if tick is None else ramp.value(tick)
 
     first, second = plan.filters
-    asked = plan.added_asked if plan.added_on else 0.0
+    asked = plan.active_damping_asked if plan.active_damping_on else 0.0
     level = asked if tick is None else plan.added
     wall = {name: value(place) for place, name in WALL.items()}
     return {
         "K": value(Value.STIFFNESS),
-        "B": value(Value.DAMPING),
+        "B": value(Value.VIRTUAL_DAMPING),
         "M": value(Value.MASS),
         "wall": wall | {"side": (wall["side"] > 0.0) - (wall["side"] < 0.0)},
         "filters": {
@@ -100,14 +109,14 @@ def display_of(plan: Plan, tick: int | None, params: ServoParams) -> dict[str, A
             "acceleration_hz": second.frequency_hz,
             "acceleration_zeta": second.damping_ratio,
         },
-        "damping": params.device.damping.to_value(damping_count(level, params)),
+        "active_damping": params.device.active_damping.to_value(damping_count(level, params)),
     }
 
 
 def merged(display: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
     """`display` after `change`, which names parts of it."""
     tables = {name: display[name] | change.get(name, {}) for name in ("wall", "filters")}
-    plain = {name: change.get(name, display[name]) for name in ("K", "B", "M", "damping")}
+    plain = {name: change.get(name, display[name]) for name in ("K", "B", "M", "active_damping")}
     return plain | tables
 
 
@@ -115,17 +124,17 @@ def points_of(display: dict[str, Any], gain: float = 1.0) -> tuple[Point, Point 
     """The environment free, and in contact if there is a wall."""
     filters = display["filters"]
     free = Point(
-        gain * display["K"], gain * display["B"], gain * display["M"], display["damping"],
+        gain * display["K"], gain * display["B"], gain * display["M"], display["active_damping"],
         filters["velocity_hz"], filters["velocity_zeta"],
         filters["acceleration_hz"], filters["acceleration_zeta"],
     )  # fmt: skip
     wall = display["wall"]
     share = gain * wall["side"] ** 2
-    if not share or not (wall["stiffness_n_per_m"] or wall["damping_ns_per_m"]):
+    if not share or not (wall["stiffness_n_per_m"] or wall["virtual_damping_ns_per_m"]):
         return free, None
     return free, free._replace(
         stiffness=free.stiffness + share * wall["stiffness_n_per_m"],
-        damping=free.damping + share * wall["damping_ns_per_m"],
+        active_damping=free.damping + share * wall["virtual_damping_ns_per_m"],
     )
 
 
@@ -152,7 +161,7 @@ class Plans:
     @property
     def effect_ns_per_m(self) -> float:
         """The damping that the board reports."""
-        return display_of(self.plan, self.tick, self.params)["damping"]
+        return display_of(self.plan, self.tick, self.params)["active_damping"]
 
     @property
     def revision(self) -> int:
@@ -226,7 +235,7 @@ class Guarded:
         self.policy = policy
         self.delay_periods = delay_periods
         self.seed = seed
-        self.mode = {"mode": "off", "level": params.added_damping_ns_per_m}
+        self.mode = {"mode": "off", "level": params.active_damping_ns_per_m}
         self.expected = 0  # revision for which the next stage was judged
         self.stages: list[dict[str, Any]] = []
         self.scheduled: list[tuple[int, dict[str, Any]]] = []  # tick and change
@@ -301,7 +310,7 @@ class Guarded:
         plans = self.plans
         while self.stages:
             stage = self.stages[0]
-            least = stage.get("damping_at_least")
+            least = stage.get("active_damping_at_least")
             if least is not None and plans.effect_ns_per_m < least - 1e-3:
                 return
             if stage.get("after_ramps") and plans.ramping:
@@ -359,7 +368,7 @@ def drawn(random: Random, kinds: Mapping[str, int]) -> dict[str, Any]:
 def _wall(random: Random) -> dict[str, Any]:
     wall = {
         "stiffness_n_per_m": random.choice((0.0, 10.0 ** random.uniform(2.0, 3.5))),
-        "damping_ns_per_m": random.choice((0.0, random.uniform(0.0, 4.0))),
+        "virtual_damping_ns_per_m": random.choice((0.0, random.uniform(0.0, 4.0))),
         "side": random.choice((-1, 0, 1, 1)),
     }
     return dict(random.sample(sorted(wall.items()), random.randint(1, 3)))
@@ -381,7 +390,7 @@ _VALUES: dict[str, Callable[[Random], Any]] = {
     ),
     "B": lambda random: random.choice((0.0, random.uniform(-1.5, 6.0))),
     "M": lambda random: random.choice((0.0, random.uniform(-0.015, 0.02))),
-    "damping": lambda random: random.choice((0.0, 0.0, 1.74, random.uniform(0.0, 4.0))),
+    "active_damping": lambda random: random.choice((0.0, 0.0, 1.74, random.uniform(0.0, 4.0))),
     "wall": _wall,
     "filters": _filters,
 }  # fmt: skip
@@ -415,7 +424,7 @@ def _configured(params: ServoParams, random: Random) -> EnvironmentParams:
     return replace(
         params.environment,
         stiffness_n_per_m=_VALUES["K"](random),
-        damping_ns_per_m=_VALUES["B"](random),
+        virtual_damping_ns_per_m=_VALUES["B"](random),
         mass_kg=_VALUES["M"](random),
     )
 

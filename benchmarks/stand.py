@@ -13,7 +13,7 @@ from hapticd.assembly.resolve import resolve
 from hapticd.settings.load import Override, Settings, load
 from hapticd.settings.toml import shipped
 
-ENVIRONMENT = {"stiffness_n_per_m": 100.0, "damping_ns_per_m": 1.0, "mass_kg": 0.01}
+ENVIRONMENT = {"stiffness_n_per_m": 100.0, "virtual_damping_ns_per_m": 1.0, "mass_kg": 0.01}
 HOST_S = 125e-6
 
 

@@ -55,7 +55,7 @@ class Delivered(NamedTuple):
     """What one moment of the flight shows."""
 
     winding_c: float
-    damping_ns_per_m: float
+    active_damping_ns_per_m: float
     torque_gain: float
 
 
@@ -86,7 +86,7 @@ def touched(board: BoardParams, cycles: int) -> BoardParams:
 
 def flown(params: ServoParams, board: BoardParams, cycles: int) -> Iterator[Delivered]:
     """The moments of a flight, the first one at ambient temperature."""
-    damping = {Value.ADDED_DAMPING: DAMPING_NS_PER_M, Value.ADDED_DAMPING_ON: 1.0}
+    damping = {Value.ACTIVE_DAMPING: DAMPING_NS_PER_M, Value.ACTIVE_DAMPING_ON: 1.0}
     with LockStep(params, touched(board, cycles), keep=False) as stack:
         stack.do(Command.DAMPING, damping)
         stack.do(Command.SET, {Value.STIFFNESS: STIFFNESS_N_PER_M, Value.RAMP_S: 0.0})
@@ -124,7 +124,7 @@ def _delivered(
 def deviation_pct(moments: list[Delivered]) -> float:
     """Largest deviation of damping or torque gain from those of the first moment."""
     first = moments[0]
-    shares = [one.damping_ns_per_m / first.damping_ns_per_m for one in moments]
+    shares = [one.active_damping_ns_per_m / first.active_damping_ns_per_m for one in moments]
     shares += [one.torque_gain / first.torque_gain for one in moments]
     return 100.0 * max(abs(share - 1.0) for share in shares)
 

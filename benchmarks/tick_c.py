@@ -102,8 +102,8 @@ class CReference:
         sensors = (device.temperature, device.current, device.voltage, device.emf_velocity)
         now, law, ledger, _, _ = state
         bound = bounds(self._params)
-        damping_slope = device.damping.to_value(1.0) - device.damping.to_value(0.0)
-        damping_start = device.damping.to_value(0.0)
+        damping_slope = device.active_damping.to_value(1.0) - device.active_damping.to_value(0.0)
+        damping_start = device.active_damping.to_value(0.0)
         rate_hz = self._params.realtime.rate_hz
         force = device.force
         return HELD.pack(
@@ -118,7 +118,7 @@ class CReference:
             damping_slope * rate_hz,
             bound.kept,
             self._params.realtime.rate_hz / US_PER_S,
-            device.damping.to_value(1.0),
+            device.active_damping.to_value(1.0),
             *(scale.to_value(1.0) for scale in sensors),
             tick,
             head[BOARD_US] - period_us,

@@ -79,14 +79,14 @@ static uint32_t law(struct servo *s, double x, struct record *r)
     l[4] = c[6] * dd - c[8] * a + l[5];
     l[5] = c[7] * dd - c[9] * a;
     r->position_m = x, r->velocity_m_per_s = v, r->acceleration_m_per_s2 = a;
-    r->stiffness_force_n = -e[0] * x, r->damping_force_n = -e[1] * v, r->mass_force_n = -e[2] * a, r->field_force_n = 0.0;
+    r->stiffness_force_n = -e[0] * x, r->virtual_damping_force_n = -e[1] * v, r->mass_force_n = -e[2] * a, r->field_force_n = 0.0;
     if (e[8] != 0.0 && (x - e[7]) * e[8] > 0.0) {
         double push = e[5] * (x - e[7]) * e[8] + e[6] * v * e[8];
         r->field_force_n = push > 0.0 ? -push * e[8] : 0.0;
     }
     if (!(e[9] <= x && x <= e[10]))
         r->field_force_n -= e[11] * (x < e[9] ? x - e[9] : x - e[10]);
-    double total = e[3] + r->stiffness_force_n + r->damping_force_n + r->mass_force_n + r->field_force_n;
+    double total = e[3] + r->stiffness_force_n + r->virtual_damping_force_n + r->mass_force_n + r->field_force_n;
     r->force_n = !(total <= e[4]) ? e[4] : total < -e[4] ? -e[4] : total;
     return r->force_n != total ? FLAG_CLAMPED : 0;
 }
@@ -142,7 +142,7 @@ int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int c
         r->voltage_v = in->voltage * s->slope[2], r->emf_velocity_m_per_s = in->emf_velocity * s->slope[3];
         r->wake_ns = 0, r->read_ns = got - start, r->step_ns = stepped - got, r->write_ns = sent - stepped;
         r->publish_ns = publish, r->lost_slots = 0;
-        r->delay_spread_us = spread, r->damping_effect_ns_per_m = in->damping_effect * s->damping_slope;
+        r->delay_spread_us = spread, r->active_damping_effect_ns_per_m = in->damping_effect * s->damping_slope;
         if (!(s->tick & 255)) {
             spread = most > least ? most - least : 0;
             least = 1 << 30, most = 0;

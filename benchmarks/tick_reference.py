@@ -124,7 +124,7 @@ class ReferenceTick:
 
 def yardstick(environment: EnvironmentParams, rate_hz: float) -> ReferenceTick:
     """The tick with the servo's environment."""
-    kbm = (environment.stiffness_n_per_m, environment.damping_ns_per_m, environment.mass_kg)
+    kbm = (environment.stiffness_n_per_m, environment.virtual_damping_ns_per_m, environment.mass_kg)
     filters = (
         _coefficients(environment.velocity_filter, rate_hz),
         _coefficients(environment.acceleration_filter, rate_hz),

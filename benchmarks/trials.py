@@ -40,7 +40,7 @@ PROCESS_S = 120.0
 def measure() -> Iterator[Figure]:
     """Timings first, then fresh processes."""
     weir = load_scene(SCENE)
-    level_ns_per_m = weir.damping[0].level_ns_per_m
+    level_ns_per_m = weir.active_damping[0].level_ns_per_m
     yield _batch("trials_1000_c", model(), model(), 1, 0.0)
     for substeps in (1, 4):
         yield _batch(f"trials_weir_{substeps}_c", weir, compose(weir), substeps, level_ns_per_m)

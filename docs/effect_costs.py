@@ -43,8 +43,8 @@ device = "weir2008"
 effects = {effects}
 [environment]
 stiffness_n_per_m = 50.0
-damping_ns_per_m = 2.0
-[[damping]]
+virtual_damping_ns_per_m = 2.0
+[[active_damping]]
 level_ns_per_m = 1.74
 [excitation]
 kind = "noise"

@@ -125,7 +125,7 @@ def _last_passed(device: Display, level: float, axis: int, near: float, seed: in
 def _passed(device: Display, level: float, points: Floats, seed: int) -> Flags:
     """Which environments (n, 3) are passive in a trial, by the paper's rule."""
     found = simulate(
-        device.model, points, conditions(MAIN).seconds, seed, damping=level,
+        device.model, points, conditions(MAIN).seconds, seed, active_damping=level,
         filters=device.filters, excitation=device.excitation, substeps=4, dtype="f32",
         keep="spectra",
     )  # fmt: skip

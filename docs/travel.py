@@ -52,7 +52,7 @@ def farthest_m(level: float, seed: int) -> Floats:
     """The largest distance from the start (n,) in a trial of each of PLACES."""
     given = conditions(MAIN)
     found = simulate(
-        given.scene, PLACES[level], given.seconds, seed, damping=level, start=(0.0, 0.0),
+        given.scene, PLACES[level], given.seconds, seed, active_damping=level, start=(0.0, 0.0),
         excitation=given.excitation, substeps=given.substeps, keep="ticks",
     )  # fmt: skip
     return np.array([abs(found.traces(trial)[0]).max() for trial in range(len(PLACES[level]))])

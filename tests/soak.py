@@ -180,7 +180,7 @@ class Operator(threading.Thread):
 # how often each comes, beside the others
 COMMANDS = {
     "set": 12.0,
-    "damping": 4.0,
+    "active_damping": 4.0,
     "enable": 6.0,
     "disable": 0.5,
     "stop": 1.5,

@@ -25,16 +25,16 @@ class Display(NamedTuple):
     """What is rendered and damped at one time."""
 
     stiffness_n_per_m: float
-    damping_ns_per_m: float  # virtual damping B
+    virtual_damping_ns_per_m: float  # virtual damping B
     mass_kg: float
     wall: WallParams
     filters: tuple[FilterParams, FilterParams]  # of velocity and acceleration
-    added_ns_per_m: float  # level of active damping
+    active_damping_ns_per_m: float  # level of active damping
 
     @property
     def free(self) -> Point:
         """K, B, M outside the wall."""
-        return self.stiffness_n_per_m, self.damping_ns_per_m, self.mass_kg
+        return self.stiffness_n_per_m, self.virtual_damping_ns_per_m, self.mass_kg
 
     @property
     def contact(self) -> Point | None:
@@ -43,7 +43,7 @@ class Display(NamedTuple):
             return None
         return (
             self.stiffness_n_per_m + self.wall.stiffness_n_per_m,
-            self.damping_ns_per_m + self.wall.damping_ns_per_m,
+            self.virtual_damping_ns_per_m + self.wall.virtual_damping_ns_per_m,
             self.mass_kg,
         )
 
@@ -54,14 +54,16 @@ class Display(NamedTuple):
     def with_free(self, free: Point) -> "Display":
         """The display with another K, B, M."""
         stiffness, damping, mass = (float(value) for value in free)
-        return self._replace(stiffness_n_per_m=stiffness, damping_ns_per_m=damping, mass_kg=mass)
+        return self._replace(
+            stiffness_n_per_m=stiffness, virtual_damping_ns_per_m=damping, mass_kg=mass
+        )
 
     def scaled(self, share: float) -> "Display":
         """The display with all its forces times `share`, as the gain of an enable has it."""
         wall = replace(
             self.wall,
             stiffness_n_per_m=share * self.wall.stiffness_n_per_m,
-            damping_ns_per_m=share * self.wall.damping_ns_per_m,
+            virtual_damping_ns_per_m=share * self.wall.virtual_damping_ns_per_m,
         )
         stiffness, damping, mass = self.free
         return self.with_free((share * stiffness, share * damping, share * mass))._replace(
@@ -97,7 +99,7 @@ def changed(display: Display, change: Mapping[str, Any]) -> Display:
         )
         for name, one in zip(("velocity", "acceleration"), display.filters, strict=True)
     )
-    level = float(change.get("damping", display.added_ns_per_m))
+    level = float(change.get("active_damping", display.active_damping_ns_per_m))
     return Display(stiffness, damping, mass, wall, (first, second), level)
 
 
@@ -120,7 +122,7 @@ def plain_of(display: Display) -> dict[str, Any]:
         "M": mass,
         "wall": {
             "stiffness_n_per_m": wall.stiffness_n_per_m,
-            "damping_ns_per_m": wall.damping_ns_per_m,
+            "virtual_damping_ns_per_m": wall.virtual_damping_ns_per_m,
             "position_m": wall.position_m,
             "side": wall.side,
         },
@@ -130,7 +132,7 @@ def plain_of(display: Display) -> dict[str, Any]:
             "acceleration_hz": second.frequency_hz,
             "acceleration_zeta": second.damping_ratio,
         },
-        "damping": display.added_ns_per_m,
+        "active_damping": display.active_damping_ns_per_m,
     }
 
 
@@ -174,10 +176,12 @@ def between(one: Display, other: Display, share: float, levels: Sequence[float] 
     wall = replace(
         other.wall,
         stiffness_n_per_m=strength(one.wall.stiffness_n_per_m, other.wall.stiffness_n_per_m),
-        damping_ns_per_m=strength(one.wall.damping_ns_per_m, other.wall.damping_ns_per_m),
+        virtual_damping_ns_per_m=strength(
+            one.wall.virtual_damping_ns_per_m, other.wall.virtual_damping_ns_per_m
+        ),
         side=one.wall.side if going else other.wall.side,
     )
-    level = kept_level(one.added_ns_per_m, other.added_ns_per_m, share, levels)
+    level = kept_level(one.active_damping_ns_per_m, other.active_damping_ns_per_m, share, levels)
     stiffness, damping, mass = (part(*pair) for pair in zip(one.free, other.free, strict=True))
     return Display(stiffness, damping, mass, wall, other.filters, level)
 
@@ -197,12 +201,12 @@ def mixed(displays: Sequence[Display]) -> list[Display]:
     """
     places = [one.free for one in displays]
     ranges = [sorted({min(axis), max(axis)}) for axis in zip(*places, strict=True)]
-    levels = [one.added_ns_per_m for one in displays]
+    levels = [one.active_damping_ns_per_m for one in displays]
     sides = [one.wall.side for one in displays if one.wall.side != 0]
     wall = replace(
         displays[-1].wall,
         stiffness_n_per_m=max(one.wall.stiffness_n_per_m for one in displays),
-        damping_ns_per_m=max(one.wall.damping_ns_per_m for one in displays),
+        virtual_damping_ns_per_m=max(one.wall.virtual_damping_ns_per_m for one in displays),
         side=sides[0] if sides else 0,
     )
     filters = dict.fromkeys(one.filters for one in displays)

@@ -55,7 +55,7 @@ SAMPLE = np.dtype(
     [
         ("position_m", "f8"),
         ("stiffness_n", "f8"),  # parts of the law's force
-        ("damping_n", "f8"),
+        ("virtual_damping_n", "f8"),
         ("mass_n", "f8"),
         ("field_n", "f8"),  # walls, ends, and any push that is not of the law
         ("clamped_n", "f8"),  # their sum inside the limit
@@ -64,8 +64,8 @@ SAMPLE = np.dtype(
         ("periods", "f8"),  # since the sample before; 0: nothing is known of the motion before
         ("in_effect_n", "f8"),  # as the board reports at this sample
         ("since", "f8"),  # periods that this force had been in effect, at this sample
-        ("added_ns_per_m", "f8"),  # active damping in effect, as the board reports
-        ("added_asked_ns_per_m", "f8"),  # as sent
+        ("active_damping_ns_per_m", "f8"),  # active damping in effect, as the board reports
+        ("active_damping_asked_ns_per_m", "f8"),  # as sent
         ("mass_kg", "f8"),  # virtual mass
         ("wall_n_per_m", "f8"),
         ("wall_m", "f8"),
@@ -75,7 +75,7 @@ SAMPLE = np.dtype(
 )
 CAUSES = (
     "stiffness",
-    "damping",
+    "virtual_damping",
     "mass",
     "fields",
     "hold_delay",
@@ -119,7 +119,10 @@ def book(
     found["clamp"] = _held(samples["clamped_n"] - _law(samples), way, lead)
     found["quantisation"] = _held(samples["sent_n"] - samples["clamped_n"], way, lead)
     dissipated = -(way**2) / (periods * period_s)
-    for name, level in (("electrical", "added"), ("electrical_commanded", "added_asked")):
+    for name, level in (
+        ("electrical", "active_damping"),
+        ("electrical_commanded", "active_damping_asked"),
+    ):
         found[name] = _mean(samples[f"{level}_ns_per_m"]) * dissipated
     motor = np.zeros(len(samples))
     done = _reported(samples, way, periods)
@@ -155,14 +158,14 @@ def _book_ideal(
         - _stored_in_fields(samples[_rows_before(len(samples), 1)], middle, ends_m)
     ) * moving
     found["ramp"] = from_spring + from_mass + from_fields
-    found["damping"] = _ideal(samples["damping_n"], way)
+    found["virtual_damping"] = _ideal(samples["virtual_damping_n"], way)
     found["mass"] = _ideal(samples["mass_n"], way) - from_mass
     found["fields"] = _ideal(samples["field_n"], way) - from_fields
 
 
 def _law(samples: Table) -> Floats:
     """The law's force before its limit."""
-    parts = ("stiffness_n", "damping_n", "mass_n", "field_n")
+    parts = ("stiffness_n", "virtual_damping_n", "mass_n", "field_n")
     return np.asarray(sum(samples[name] for name in parts))
 
 

@@ -74,7 +74,7 @@ def with_viscous(model: Model, ns_per_m: tuple[float, ...]) -> Model:
 def close_loop(
     model: Model,
     frequency_hz: Floats,
-    damping_ns_per_m: float = 0.0,
+    active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
 ) -> Loop:
     """Close the loop around `model` at that level of active damping, with filters of velocity
@@ -83,10 +83,10 @@ def close_loop(
     f = np.asarray(frequency_hz, np.float64)
     turn = np.exp(2j * np.pi * f / model.rate_hz)
     ports = port_states(model)
-    p = responses(model, f, damping_ns_per_m)
+    p = responses(model, f, active_damping_ns_per_m)
     hold = held(f, model.rate_hz, model.delay_periods)
     law = np.stack((np.ones_like(turn), *derivatives(turn, model.rate_hz, filters)))
-    pulse = pulse_transfer(model, turn, damping_ns_per_m)
+    pulse = pulse_transfer(model, turn, active_damping_ns_per_m)
     common = np.concatenate((np.ones((1, f.size)), pulse * law))
 
     def closed(open_loop: Complexes, back: Complexes, seen: Complexes) -> Complexes:
@@ -97,7 +97,7 @@ def close_loop(
     for a in range(len(ports)):
         for b in range(len(ports)):
             admittance[a, b] = closed(p.velocity[a, 1 + b], p.velocity[a, 0], p.encoder[1 + b])
-    torque, mean_velocity = recorded_channels(model, f, damping_ns_per_m)
+    torque, mean_velocity = recorded_channels(model, f, active_damping_ns_per_m)
     means = np.sinc(f / PROBE_RATE_HZ) ** 2
     recorded = closed(mean_velocity, p.recorded_velocity * means, p.encoder[1]) / torque
     return Loop(f, admittance, common, recorded)
@@ -118,11 +118,13 @@ def port_states(model: Model) -> list[int]:
     return [rotor, *(contact.velocity for contact in model.contacts if contact.velocity != rotor)]
 
 
-def responses(model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0) -> Responses:
+def responses(
+    model: Model, frequency_hz: Floats, active_damping_ns_per_m: float = 0.0
+) -> Responses:
     """Continuous-time responses of the device alone."""
     ports = port_states(model)
     outputs = model.outputs
-    level = damping_ns_per_m
+    level = active_damping_ns_per_m
     s = 2j * np.pi * frequency_hz
     columns = [
         model.inputs.command,
@@ -143,12 +145,12 @@ def responses(model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0)
 
 
 def recorded_channels(
-    model: Model, frequency_hz: Floats, damping_ns_per_m: float = 0.0
+    model: Model, frequency_hz: Floats, active_damping_ns_per_m: float = 0.0
 ) -> Complexes:
     """Recorded torque and recorded mean velocity (2, F) of the device alone, per torque that is
     held over each interval of 4 kHz; exact.
     """
-    step = discretise(model, 1.0 / PROBE_RATE_HZ, damping_ns_per_m)
+    step = discretise(model, 1.0 / PROBE_RATE_HZ, active_damping_ns_per_m)
     outputs = model.outputs
     turn = np.exp(2j * np.pi * frequency_hz / PROBE_RATE_HZ)
     push = np.broadcast_to(step.b[:, [model.inputs.torque]], (turn.size, len(step.a), 1))
@@ -156,8 +158,8 @@ def recorded_channels(
     slope = (turn - 1.0) * PROBE_RATE_HZ
     torque = np.ones_like(turn)
     if outputs.recorded_impulse is not None:
-        torque += slope * (x @ outputs.recorded_impulse.row(damping_ns_per_m))
-    return np.stack((torque, slope * (x @ outputs.recorded_travel.row(damping_ns_per_m))))
+        torque += slope * (x @ outputs.recorded_impulse.row(active_damping_ns_per_m))
+    return np.stack((torque, slope * (x @ outputs.recorded_travel.row(active_damping_ns_per_m))))
 
 
 def _force_column(model: Model, state: int) -> int:
@@ -209,17 +211,19 @@ class Sampled:
     row: Floats  # (n,) of the encoder
 
 
-def sampled(model: Model, damping_ns_per_m: float = 0.0) -> Sampled:
+def sampled(model: Model, active_damping_ns_per_m: float = 0.0) -> Sampled:
     """The exact map over one tick; a command that arrives inside the tick is split there."""
-    whole = discretise(model, 1.0 / model.rate_hz, damping_ns_per_m)
+    whole = discretise(model, 1.0 / model.rate_hz, active_damping_ns_per_m)
     steps, fraction = delay_steps(model.delay_periods, 1)
     old, new = late_command(model, whole, fraction)
-    return Sampled(whole.a, new, old, steps, model.outputs.encoder.row(damping_ns_per_m))
+    return Sampled(whole.a, new, old, steps, model.outputs.encoder.row(active_damping_ns_per_m))
 
 
-def pulse_transfer(model: Model, turn: Complexes, damping_ns_per_m: float = 0.0) -> Complexes:
+def pulse_transfer(
+    model: Model, turn: Complexes, active_damping_ns_per_m: float = 0.0
+) -> Complexes:
     """Pulse transfer G(z) from command to encoder at z = `turn` (F,)."""
-    device = sampled(model, damping_ns_per_m)
+    device = sampled(model, active_damping_ns_per_m)
     late = np.stack((device.new, device.old), axis=1)
     x = np.linalg.solve(
         turn[:, None, None] * np.eye(len(late)) - device.a,
@@ -241,10 +245,12 @@ class Tick:
     drifts: bool  # nothing in the device itself holds it in place
 
 
-def tick_of(model: Model, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS) -> Tick:
+def tick_of(
+    model: Model, active_damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS
+) -> Tick:
     """One tick of `model` at that level of active damping, to be closed by any environment."""
-    parts = _tick(sampled(model, damping_ns_per_m), model.rate_hz, filters)
-    return Tick(*parts, _drifts(model, damping_ns_per_m))
+    parts = _tick(sampled(model, active_damping_ns_per_m), model.rate_hz, filters)
+    return Tick(*parts, _drifts(model, active_damping_ns_per_m))
 
 
 def radii(tick: Tick, points: Floats) -> Floats:
@@ -261,18 +267,21 @@ def radii(tick: Tick, points: Floats) -> Floats:
 
 
 def spectral_radius(
-    model: Model, points: Floats, damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS
+    model: Model,
+    points: Floats,
+    active_damping_ns_per_m: float = 0.0,
+    filters: Filters = PAPER_FILTERS,
 ) -> Floats:
     """Largest |eigenvalue| (N,) of one tick of `model` under the environments `points` (N, 3):
     K, B, M in SI.
     """
-    return radii(tick_of(model, damping_ns_per_m, filters), points)
+    return radii(tick_of(model, active_damping_ns_per_m, filters), points)
 
 
-def _drifts(model: Model, damping_ns_per_m: float) -> bool:
+def _drifts(model: Model, active_damping_ns_per_m: float) -> bool:
     """Whether nothing in the device itself holds it in place."""
     shift = np.array([1.0 if state.name.endswith("_position") else 0.0 for state in model.states])
-    return not bool((model.a(damping_ns_per_m) @ shift).any())
+    return not bool((model.a(active_damping_ns_per_m) @ shift).any())
 
 
 def _tick(device: Sampled, rate_hz: float, filters: Filters) -> tuple[Floats, Floats, Floats]:

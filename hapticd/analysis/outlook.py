@@ -70,7 +70,7 @@ class Outlook:
 def outlook(
     model: Model,
     point: npt.ArrayLike,
-    damping_ns_per_m: float,
+    active_damping_ns_per_m: float,
     filters: Filters,
     perturbation: Perturbation,
     band_hz: tuple[float, float],
@@ -79,12 +79,12 @@ def outlook(
     unless these are finite.
     """
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
-    lifted = lift(model, damping_ns_per_m, filters)
-    radius = float(spectral_radius(model, kbm, damping_ns_per_m, filters)[0])
+    lifted = lift(model, active_damping_ns_per_m, filters)
+    radius = float(spectral_radius(model, kbm, active_damping_ns_per_m, filters)[0])
     safe = radius < 1.0 and bool(kbm[0, 0] >= 0.0 and withstands(lifted, kbm)[0])
     sought = radius < 1.0 and not safe and kbm[0, 0] >= 0.0
     true, recorded = (
-        predict(model, kbm, damping_ns_per_m, filters, perturbation, band_hz, True, seen)
+        predict(model, kbm, active_damping_ns_per_m, filters, perturbation, band_hz, True, seen)
         for seen in (False, True)
     )  # fmt: skip
     return Outlook(
@@ -93,7 +93,7 @@ def outlook(
         theorem_margin=float(lifted_margin(lifted, kbm)[0]),
         theorem_passive=radius < 1.0 and bool(lifted_passive(lifted, kbm)[0]),
         withstands=safe,
-        shaker=_shaker(model, kbm, damping_ns_per_m, filters) if sought else None,
+        shaker=_shaker(model, kbm, active_damping_ns_per_m, filters) if sought else None,
         true=true,
         recorded=recorded,
     )

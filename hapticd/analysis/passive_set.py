@@ -38,7 +38,7 @@ class Limits:
     """Smallest and largest passive values along each axis."""
 
     stiffness: tuple[float, float]  # (least, most), N/m
-    damping: tuple[float, float]  # (least, most), N s/m
+    virtual_damping: tuple[float, float]  # (least, most), N s/m
     mass: tuple[float, float]  # (least, most), kg
 
 

@@ -45,16 +45,20 @@ def _axes(
     judgement: Judgement, display: Display, level_on: float, most_k: float, most_b: float
 ) -> tuple[Floats, Floats]:
     """K from 0 and B round 0, so that the safe set and the display in force are inside."""
-    free = display._replace(stiffness_n_per_m=0.0, damping_ns_per_m=0.0, added_ns_per_m=level_on)
+    free = display._replace(
+        stiffness_n_per_m=0.0, virtual_damping_ns_per_m=0.0, active_damping_ns_per_m=level_on
+    )
     lowest = (0.0, -most_b, display.mass_kg)
     highest = (most_k, most_b, display.mass_kg)
     alone = judgement.allowed(free, lowest, highest)
     low, high = alone["B"] or [-1.0, 1.0]
-    middle = free._replace(damping_ns_per_m=0.5 * (low + high))
+    middle = free._replace(virtual_damping_ns_per_m=0.5 * (low + high))
     farthest = max(_end(alone["K"]), _end(judgement.allowed(middle, lowest, highest)["K"]), 1.0)
     stiffest = _ROOM * max(farthest, min(display.stiffness_n_per_m, 4.0 * farthest))
-    reach = _ROOM * max(-low, high, min(abs(display.damping_ns_per_m), 4.0 * max(-low, high)))
-    bottom = max(-reach, 2.0 * min(low, display.damping_ns_per_m, -0.1 * reach))
+    reach = _ROOM * max(
+        -low, high, min(abs(display.virtual_damping_ns_per_m), 4.0 * max(-low, high))
+    )
+    bottom = max(-reach, 2.0 * min(low, display.virtual_damping_ns_per_m, -0.1 * reach))
     return np.linspace(0.0, stiffest, _COLUMNS), np.linspace(bottom, reach, _ROWS)
 
 
@@ -66,7 +70,7 @@ def _edges(
     judgement: Judgement, display: Display, level: float, stiffness: Floats, damping: Floats
 ) -> dict[str, list[float | None]]:
     """Lowest and highest safe B (columns,) of each K."""
-    damped = display._replace(added_ns_per_m=level)
+    damped = display._replace(active_damping_ns_per_m=level)
 
     def safe(at_k: Floats, at_b: Floats) -> Flags:
         points = np.column_stack((at_k, at_b, np.full(len(at_k), display.mass_kg)))

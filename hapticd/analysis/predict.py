@@ -83,7 +83,7 @@ class Prediction:
 def predict(
     model: Model,
     points: npt.ArrayLike,
-    damping_ns_per_m: float = 0.0,
+    active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
     perturbation: Perturbation | None = None,
     band_hz: tuple[float, float] = DEFAULT_BAND_HZ,
@@ -100,7 +100,9 @@ def predict(
     first look at many points. AnalysisError for a wrong shape.
     """
     kbm = environments(points)
-    start, loop = _nominal(model, (band_hz[0], band_hz[1]), damping_ns_per_m, filters, perturbation)
+    start, loop = _nominal(
+        model, (band_hz[0], band_hz[1]), active_damping_ns_per_m, filters, perturbation
+    )
     f = loop.frequency_hz
     inside = (f >= band_hz[0]) & (f <= band_hz[1])
 
@@ -111,7 +113,7 @@ def predict(
 
         def at(which: Integers, hz: Floats) -> Complexes:
             lines, line = np.unique(hz, return_inverse=True)
-            own = close_loop(rubbed(model, start), lines, damping_ns_per_m, filters)
+            own = close_loop(rubbed(model, start), lines, active_damping_ns_per_m, filters)
             return impedance_each(own, line, part[which], dampers[:, which], recorded)
 
         return bottom(f[inside], z[:, inside], at), found
@@ -125,7 +127,7 @@ def predict(
     radius = np.full(len(kbm), np.nan)
     if stability:
         radius[hopeful] = _radius(
-            model, kbm[hopeful], friction[:, hopeful], damping_ns_per_m, filters
+            model, kbm[hopeful], friction[:, hopeful], active_damping_ns_per_m, filters
         )
     return Prediction(
         points=kbm,
@@ -148,7 +150,7 @@ def predicted_impedance(
     model: Model,
     point: npt.ArrayLike,
     frequency_hz: npt.ArrayLike,
-    damping_ns_per_m: float = 0.0,
+    active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
     perturbation: Perturbation | None = None,
     recorded: bool = True,
@@ -161,9 +163,9 @@ def predicted_impedance(
     """
     f = np.asarray(frequency_hz, np.float64)
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
-    start, loop = _nominal(model, DEFAULT_BAND_HZ, damping_ns_per_m, filters, perturbation)
+    start, loop = _nominal(model, DEFAULT_BAND_HZ, active_damping_ns_per_m, filters, perturbation)
     level = linearise(loop, kbm, coulomb(model), start, perturbation).friction[:, 0]
-    exact = close_loop(rubbed(model, level), f, damping_ns_per_m, filters)
+    exact = close_loop(rubbed(model, level), f, active_damping_ns_per_m, filters)
     z = linearise(exact, kbm, np.zeros(len(level)), np.zeros(len(level)), None).impedance
     return np.asarray((recorded_impedance(exact, kbm, z) if recorded else z)[0])
 
@@ -172,7 +174,7 @@ def recorded_impedances(
     model: Model,
     points: Floats,
     frequency_hz: Floats,
-    damping_ns_per_m: float,
+    active_damping_ns_per_m: float,
     filters: Filters,
     perturbation: Perturbation,
 ) -> Complexes:
@@ -183,8 +185,8 @@ def recorded_impedances(
     added to the ports of a loop that has the device's own friction, as it is without an
     environment.
     """
-    start, loop = _nominal(model, DEFAULT_BAND_HZ, damping_ns_per_m, filters, perturbation)
-    own = close_loop(rubbed(model, start), frequency_hz, damping_ns_per_m, filters)
+    start, loop = _nominal(model, DEFAULT_BAND_HZ, active_damping_ns_per_m, filters, perturbation)
+    own = close_loop(rubbed(model, start), frequency_hz, active_damping_ns_per_m, filters)
     parts = []
     for part in chunks(points):
         level = linearise(loop, part, coulomb(model), start, perturbation).friction
@@ -245,7 +247,7 @@ def rubbed(model: Model, level: Floats) -> Model:
 def _nominal(
     model: Model,
     band_hz: tuple[float, float],
-    damping_ns_per_m: float,
+    active_damping_ns_per_m: float,
     filters: Filters,
     perturbation: Perturbation | None,
 ) -> tuple[Floats, Loop]:
@@ -257,11 +259,11 @@ def _nominal(
     force = coulomb(model)
     start = np.where(force > 0.0, NOMINAL_NS_PER_M if perturbation else 0.0, 0.0)
     for _ in range(2 if start.any() else 0):
-        loop = close_loop(rubbed(model, start), f, damping_ns_per_m, filters)
+        loop = close_loop(rubbed(model, start), f, active_damping_ns_per_m, filters)
         start = linearise(loop, np.zeros((1, 3)), force, start, perturbation).friction[:, 0]
     near = rubbed(model, start)
-    lines = np.union1d(f, mode_lines(near, damping_ns_per_m, f[f <= band_hz[1]]))
-    return start, close_loop(near, lines, damping_ns_per_m, filters)
+    lines = np.union1d(f, mode_lines(near, active_damping_ns_per_m, f[f <= band_hz[1]]))
+    return start, close_loop(near, lines, active_damping_ns_per_m, filters)
 
 
 def chunks(kbm: Floats) -> list[Floats]:
@@ -270,7 +272,7 @@ def chunks(kbm: Floats) -> list[Floats]:
 
 
 def _radius(
-    model: Model, kbm: Floats, friction: Floats, damping_ns_per_m: float, filters: Filters
+    model: Model, kbm: Floats, friction: Floats, active_damping_ns_per_m: float, filters: Filters
 ) -> Floats:
     """Spectral radius (N,) with `friction` (ports, N): exact at a few values of the friction,
     for which one map each is made, and linear between them. From one to the next the port that
@@ -288,12 +290,12 @@ def _radius(
             node[order[rank - 1], np.arange(len(kbm))] += 1.0
         level = np.zeros_like(friction)
         level[rubbing] = _FRICTION_STEP**node
-        radius += weight * _radius_at(model, kbm, level, damping_ns_per_m, filters)
+        radius += weight * _radius_at(model, kbm, level, active_damping_ns_per_m, filters)
     return radius
 
 
 def _radius_at(
-    model: Model, kbm: Floats, level: Floats, damping_ns_per_m: float, filters: Filters
+    model: Model, kbm: Floats, level: Floats, active_damping_ns_per_m: float, filters: Filters
 ) -> Floats:
     """Spectral radius (N,) with friction `level` (ports, N), by one map for each level that
     occurs.
@@ -302,5 +304,7 @@ def _radius_at(
     radius = np.empty(len(kbm))
     for place, node in enumerate(nodes.T):
         mine = which.ravel() == place
-        radius[mine] = spectral_radius(rubbed(model, node), kbm[mine], damping_ns_per_m, filters)
+        radius[mine] = spectral_radius(
+            rubbed(model, node), kbm[mine], active_damping_ns_per_m, filters
+        )
     return radius

@@ -64,7 +64,7 @@ class ModelPrior:
         model: Model,
         box: Box,
         frequency_hz: Floats,
-        damping_ns_per_m: float,
+        active_damping_ns_per_m: float,
         filters: Filters,
         perturbation: Perturbation,
     ) -> None:
@@ -73,9 +73,9 @@ class ModelPrior:
         f = np.union1d(frequencies((frequency_hz[0], frequency_hz[-1]), perturbation), frequency_hz)
         self._at = np.searchsorted(f, frequency_hz)
         self._start = np.where(self._coulomb > 0.0, NOMINAL_NS_PER_M, 0.0)
-        self._loop = close_loop(rubbed(model, self._start), f, damping_ns_per_m, filters)
+        self._loop = close_loop(rubbed(model, self._start), f, active_damping_ns_per_m, filters)
         rest = self._linearised(np.zeros((1, 3)))[0].friction[:, 0]
-        self._needed = _Table(box, _needed(model, box, rest, damping_ns_per_m, filters))
+        self._needed = _Table(box, _needed(model, box, rest, active_damping_ns_per_m, filters))
         self._last: Known | None = None
 
     def resistance(self, environments: Floats) -> Floats:
@@ -109,7 +109,7 @@ class ModelPrior:
 
 
 def _needed(
-    model: Model, box: Box, rest: Floats, damping_ns_per_m: float, filters: Filters
+    model: Model, box: Box, rest: Floats, active_damping_ns_per_m: float, filters: Filters
 ) -> Floats:
     """Least friction (N,) [N s/m] at which the loop is stable on the table's grid; between two
     values of friction the radius is taken for a straight line.
@@ -117,7 +117,7 @@ def _needed(
     places = grid(_axes(box))
     usual = float(rest.sum()) or 1.0
     growth = [
-        spectral_radius(rubbed(model, share * rest), places, damping_ns_per_m, filters) - 1.0
+        spectral_radius(rubbed(model, share * rest), places, active_damping_ns_per_m, filters) - 1.0
         for share in SHARES
     ]
     needed = np.full(len(places), SHARES[0])

@@ -41,7 +41,7 @@ class Stage(NamedTuple):
     """One command of a change, and what it waits for."""
 
     change: dict[str, Any]  # fields as in `set`, absolute values
-    damping_at_least: float | None = None  # N s/m that the board has to report before
+    active_damping_at_least: float | None = None  # N s/m that the board has to report before
     after_ramps: bool = False  # ramps before it must have ended
 
     def plain(self) -> dict[str, Any]:
@@ -103,10 +103,10 @@ class Ways:
         target = self.request.target
         legs = []
         for stage in stages:
-            if stage.damping_at_least is not None:
-                now = now._replace(added_ns_per_m=target.added_ns_per_m)
+            if stage.active_damping_at_least is not None:
+                now = now._replace(active_damping_ns_per_m=target.active_damping_ns_per_m)
             if stage.after_ramps:
-                now = target._replace(added_ns_per_m=now.added_ns_per_m)
+                now = target._replace(active_damping_ns_per_m=now.active_damping_ns_per_m)
             end = changed(target, stage.change)
             legs.append(Leg(now, target, end))
             target = end
@@ -138,11 +138,13 @@ class Ways:
         if known and not request.enable:
             return self._overlapping(plan)
         displays = [*request.passed, request.target, plan.end, *later]
-        if plan.stages[-1].damping_at_least is not None:
+        if plan.stages[-1].active_damping_at_least is not None:
             # nothing is felt before the damping that is asked for is in effect
-            here = request.passed[0]._replace(added_ns_per_m=plan.end.added_ns_per_m)
+            here = request.passed[0]._replace(
+                active_damping_ns_per_m=plan.end.active_damping_ns_per_m
+            )
             displays[0] = here if request.enable else displays[0]
-        environments = {one._replace(added_ns_per_m=0.0) for one in displays}
+        environments = {one._replace(active_damping_ns_per_m=0.0) for one in displays}
         return mixed(displays) if len(environments) > 1 else []
 
     def _overlapping(self, plan: Plan) -> list[Display]:
@@ -169,19 +171,21 @@ class Ways:
     def _orders(self) -> list[list[Stage]]:
         change = self.request.change
         wanted = self.request.wanted
-        here = self.request.target.added_ns_per_m
-        damping = {"damping": wanted.added_ns_per_m} if "damping" in change else {}
-        rest = {name: value for name, value in change.items() if name != "damping"}
+        here = self.request.target.active_damping_ns_per_m
+        damping = (
+            {"active_damping": wanted.active_damping_ns_per_m} if "active_damping" in change else {}
+        )
+        rest = {name: value for name, value in change.items() if name != "active_damping"}
         if not rest:
             return [[Stage(damping)], [Stage(damping, after_ramps=True)]]
         orders = self._environment_orders(fields_of(rest, wanted))
-        if wanted.added_ns_per_m > here:
-            level = self._reported(wanted.added_ns_per_m)
+        if wanted.active_damping_ns_per_m > here:
+            level = self._reported(wanted.active_damping_ns_per_m)
             return [[Stage(damping), *_waiting(stages, level)] for stages in orders]
-        if wanted.added_ns_per_m < here:
+        if wanted.active_damping_ns_per_m < here:
             return [[*stages, Stage(damping, after_ramps=True)] for stages in orders]
         whole = [_with(stages, damping) for stages in orders]
-        if self.request.now.added_ns_per_m >= here:
+        if self.request.now.active_damping_ns_per_m >= here:
             return whole
         return whole + [_waiting(stages, self._reported(here)) for stages in whole]
 
@@ -210,17 +214,19 @@ class Ways:
         end = self.request.wanted
         change = fields_of(self.request.change, end)
         if not waits:
-            start = end._replace(added_ns_per_m=self.request.now.added_ns_per_m)
+            start = end._replace(active_damping_ns_per_m=self.request.now.active_damping_ns_per_m)
             return Plan([Stage(change)], [Leg(start, start, end, gain=True)], end)
-        level = self._reported(end.added_ns_per_m)
+        level = self._reported(end.active_damping_ns_per_m)
         stages = [Stage(change)] if change else []
         return Plan(
-            [*stages, Stage({}, damping_at_least=level)], [Leg(end, end, end, gain=True)], end
+            [*stages, Stage({}, active_damping_at_least=level)],
+            [Leg(end, end, end, gain=True)],
+            end,
         )
 
 
 def _waiting(stages: list[Stage], level: float) -> list[Stage]:
-    return [stages[0]._replace(damping_at_least=level), *stages[1:]]
+    return [stages[0]._replace(active_damping_at_least=level), *stages[1:]]
 
 
 def _with(stages: list[Stage], fields: dict[str, Any]) -> list[Stage]:
@@ -230,12 +236,17 @@ def _with(stages: list[Stage], fields: dict[str, Any]) -> list[Stage]:
 def groups(leg: Leg) -> int:
     """How many things move by themselves: what is asked, what is under way, the damping."""
     asked, under_way = _parts(leg)
-    return asked + under_way + (leg.start.added_ns_per_m != leg.end.added_ns_per_m)
+    return (
+        asked + under_way + (leg.start.active_damping_ns_per_m != leg.end.active_damping_ns_per_m)
+    )
 
 
 def _parts(leg: Leg) -> tuple[bool, bool]:
     """Whether what was asked moves the environment, and whether something else is under way."""
-    asked = leg.end._replace(added_ns_per_m=leg.under_way.added_ns_per_m) != leg.under_way
+    asked = (
+        leg.end._replace(active_damping_ns_per_m=leg.under_way.active_damping_ns_per_m)
+        != leg.under_way
+    )
     left = any(
         start != end and before == end
         for start, before, end in zip(
@@ -247,7 +258,7 @@ def _parts(leg: Leg) -> tuple[bool, bool]:
 
 def _numbers(display: Display) -> tuple[float, ...]:
     wall = display.wall
-    return (*display.free, wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.side)
+    return (*display.free, wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m, wall.side)
 
 
 def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Display]:
@@ -270,7 +281,7 @@ def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Display]
     shares = np.linspace(0.0, 1.0, side).tolist()
     still = [1.0]
     asked, left = _parts(leg)
-    damped = leg.start.added_ns_per_m != leg.end.added_ns_per_m
+    damped = leg.start.active_damping_ns_per_m != leg.end.active_damping_ns_per_m
     grid = product(
         shares if asked else still, shares if left else still, shares if damped else still
     )
@@ -287,7 +298,7 @@ def _gained(leg: Leg, count: int) -> list[Display]:
     """The gain from 0 to 1. Damping that is still on its way does not count before it is there."""
     if count < 3:
         return []
-    here = leg.end._replace(added_ns_per_m=leg.start.added_ns_per_m)
+    here = leg.end._replace(active_damping_ns_per_m=leg.start.active_damping_ns_per_m)
     rising = [here.scaled((place + 1) / (count - 1)) for place in range(count - 1)]
     return [*rising, leg.end]
 
@@ -308,8 +319,10 @@ def _patch(leg: Leg, asked: float, left: float, level: float, levels: Sequence[f
     wall = replace(
         leg.end.wall,
         stiffness_n_per_m=numbers[3],
-        damping_ns_per_m=numbers[4],
+        virtual_damping_ns_per_m=numbers[4],
         side=int(numbers[5]),
     )
-    added = kept_level(leg.start.added_ns_per_m, leg.end.added_ns_per_m, level, levels)
+    added = kept_level(
+        leg.start.active_damping_ns_per_m, leg.end.active_damping_ns_per_m, level, levels
+    )
     return Display(numbers[0], numbers[1], numbers[2], wall, leg.end.filters, added)

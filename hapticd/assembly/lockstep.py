@@ -146,7 +146,7 @@ def scene_params(
     scene = build_scene(files)
     model = compose(scene)
     timing = sample_timing(model.delay_periods)._asdict()
-    levels = tuple(step.level_ns_per_m for step in scene.damping)
+    levels = tuple(step.level_ns_per_m for step in scene.active_damping)
     board = board_of(device, scene.rate_hz, scene.effects, levels, seed=seed, **timing)
     limit_n = model.force_limit_n or device.limits.force_n
     servo = ServoParams(
@@ -156,11 +156,11 @@ def scene_params(
         device=replace(device_params(device), force_smoothing_hz=smoothing_hz(scene.effects)),
         safety=SafetyParams(
             force_limit_n=limit_n,
-            damping_slew_ns_per_m_s=AT_ONCE_NS_PER_M_S,
+            active_damping_slew_ns_per_m_s=AT_ONCE_NS_PER_M_S,
             limit_cycle_faults=False,
         ),
         realtime=RealtimeParams(rate_hz=scene.rate_hz, mode="off"),
         usb=UsbParams(serial=device.serial),
-        added_damping_ns_per_m=max(levels),
+        active_damping_ns_per_m=max(levels),
     )
     return servo, board

@@ -53,7 +53,7 @@ COMPUTED = [
     ("velocity_m_per_s", "<f8"),
     ("acceleration_m_per_s2", "<f8"),
     ("stiffness_force_n", "<f8"),
-    ("damping_force_n", "<f8"),
+    ("virtual_damping_force_n", "<f8"),
     ("mass_force_n", "<f8"),
     ("field_force_n", "<f8"),
     ("force_n", "<f8"),

@@ -24,7 +24,7 @@ SYMBOLS = {  # what people call a parameter
     "mass": "M",
     "virtual_mass": "M",
     "inertia": "M",
-    "active_damping": "damping",
+    "damping": "active_damping",  # as the verb `damping` means it
 }
 NO_UNITS = ("1", "side")
 _WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s.,].*)")
@@ -57,7 +57,7 @@ def number(name: str, text: str, expected: str = "a number", joint: str = "=") -
 
 def unit_of(name: str) -> str:
     """The unit of parameter `name`; empty without one."""
-    unit = VALUE_LIMITS[PLACES[name]].unit
+    unit = VALUE_LIMITS[PLACES["active_damping" if name == "damping" else name]].unit
     return "" if unit in NO_UNITS else unit
 
 

@@ -270,8 +270,8 @@ def _instead(words: list[str]) -> "dict[Value, float]":
     from hapticd.mailbox.layout import Value
 
     found = {PLACES[name]: float(value) for name, value in flat(changes(words))}
-    if Value.ADDED_DAMPING in found:
-        found[Value.ADDED_DAMPING_ON] = float(found[Value.ADDED_DAMPING] != 0.0)
+    if Value.ACTIVE_DAMPING in found:
+        found[Value.ACTIVE_DAMPING_ON] = float(found[Value.ACTIVE_DAMPING] != 0.0)
     return found
 
 

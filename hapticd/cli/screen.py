@@ -85,7 +85,7 @@ MOST_HEIGHT = 8  # of a chart
 CHARTS = (  # title, unit, field, factor, whether the chart begins at 0
     ("position", "mm", "position_m", 1e3, False),
     ("force", "N", "force_n", 1.0, False),
-    ("active damping", "N s/m", "added_damping_ns_per_m", 1.0, True),
+    ("active damping", "N s/m", "active_damping_ns_per_m", 1.0, True),
     ("delay from sample to force", "us", "delay_us", 1.0, True),
     ("wake-up latency", "us", "wake_ns", 1e-3, True),
 )
@@ -96,7 +96,7 @@ class History:
 
     def __init__(self) -> None:
         self.length = 1  # records in SHOWN_S
-        self.delivered: dict[str, Any] = {}  # `delivered_damping` of the newest state
+        self.delivered: dict[str, Any] = {}  # `delivered_active_damping` of the newest state
         self.guard: dict[str, Any] = {}  # `guard` of the newest state
         self.force_limit_n = float("nan")
         self.event = ""  # the newest, in words
@@ -105,7 +105,7 @@ class History:
 
     def told(self, state: dict[str, Any]) -> None:
         """Take what a message of topic `state` says and no record holds."""
-        self.delivered = state.get("delivered_damping", {})
+        self.delivered = state.get("delivered_active_damping", {})
         self.guard = state.get("guard", {})
 
     def follow(self, block: "Block") -> "History":
@@ -179,7 +179,7 @@ def _drawn(
     values = factor * history.column(field)
     low = min(0.0, float(values.min())) if from_zero else float(values.min())
     drawn = strip(values, history.length, width, height, low, float(values.max()))
-    more = _delivered(history.delivered) if field == "added_damping_ns_per_m" else ""
+    more = _delivered(history.delivered) if field == "active_damping_ns_per_m" else ""
     if field == "force_n" and history.force_limit_n == history.force_limit_n:
         more = f"   limit {history.force_limit_n:g} N"
     return [_title(title, unit, values, more), Text("\n".join(drawn))]
@@ -199,8 +199,9 @@ def _lamp(newest: Any) -> Text:
 
 
 def _environment(newest: Any) -> Text:
-    # in telemetry damping_ns_per_m is the virtual B, added_damping_ns_per_m the active damping
-    text = Text(f"K {newest['stiffness_n_per_m']:g} N/m  B {newest['damping_ns_per_m']:g} N s/m")
+    text = Text(
+        f"K {newest['stiffness_n_per_m']:g} N/m  B {newest['virtual_damping_ns_per_m']:g} N s/m"
+    )
     text.append(f"  M {newest['mass_kg']:g} kg  gain {newest['gain']:.2f}")
     off = [bit.name.lower() for bit in Watched if not int(newest["watches"]) & bit]
     if int(newest["watches"]) & COMMISSIONING:
@@ -241,7 +242,10 @@ def _time_axis(width: int) -> Text:
 
 def _leased(newest: Any) -> str:
     """Who holds environment and damping, by the numbers that `hapticd lease show` names."""
-    holders = {"environment": newest["lease_control"], "damping": newest["lease_damping"]}
+    holders = {
+        "environment": newest["lease_control"],
+        "active_damping": newest["lease_active_damping"],
+    }
     found = [f"{part} by actor {int(actor)}" for part, actor in holders.items() if actor]
     return f"  leased: {', '.join(found)}" if found else ""
 

@@ -127,7 +127,9 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     from hapticd.zwidth.store import to_json
 
     loaded = load_scene(scene)
-    found = explain(compose(loaded), sorted({step.level_ns_per_m for step in loaded.damping}))
+    found = explain(
+        compose(loaded), sorted({step.level_ns_per_m for step in loaded.active_damping})
+    )
     spent = cost(loaded, scene, time.process_time_ns)
     if as_json:
         costs = {"cost": to_json(spent), "substeps": SUBSTEPS}

@@ -34,7 +34,7 @@ from hapticd.client.blocks import Records
 from hapticd.client.conversation import Receipt
 from hapticd.errors import ConfigError
 
-IN_FORCE = ("K", "B", "M", "damping")
+IN_FORCE = ("K", "B", "M", "active_damping")
 TICKS = ("revision", "first_tick", "ramp_end_tick")
 GUARD = ("guard_safe", "guard_margin")
 

@@ -24,7 +24,7 @@ from typing import Any, Self
 from hapticd.errors import CommandError, HapticdError
 
 RENEWALS = 3  # in the time after which it would end
-KEPT_ALIVE = ("environment", "damping")
+KEPT_ALIVE = ("environment", "active_damping")
 
 
 def lost_error(text: str) -> CommandError:

@@ -41,7 +41,7 @@ COLUMNS = {  # the fields of the record that are summed
     "position_m": ("position_m",),
     "velocity_m_per_s": ("velocity_m_per_s",),
     "force_n": ("force_n",),
-    "damping_ns_per_m": ("damping_effect_ns_per_m",),
+    "active_damping_ns_per_m": ("active_damping_effect_ns_per_m",),
     "wake_ns": ("wake_ns",),
     "work_ns": ("read_ns", "step_ns", "write_ns", "publish_ns"),
 }
@@ -51,11 +51,11 @@ NOW = (
     "revision",
     "gain",
     "stiffness_n_per_m",
-    "damping_ns_per_m",
+    "virtual_damping_ns_per_m",
     "mass_kg",
-    "added_damping_asked_ns_per_m",
-    "added_damping_ns_per_m",
-    "damping_effect_ns_per_m",
+    "active_damping_asked_ns_per_m",
+    "active_damping_ns_per_m",
+    "active_damping_effect_ns_per_m",
     "position_m",
     "force_n",
     "winding_c",
@@ -106,7 +106,7 @@ def _now(record: np.void) -> dict[str, Any]:
     return {
         "state": STATES[found["state"]],
         "fault": BY_NUMBER[found["fault"]].code,
-        "damping_count": None if known["damping_effect_ns_per_m"] is None else count,
+        "damping_count": None if known["active_damping_effect_ns_per_m"] is None else count,
         **known,
     }
 
@@ -141,7 +141,7 @@ class Watch:
         """Until the end. DaemonDown or MailboxError: there is no daemon to follow yet."""
         ticks = BlockDecoder()
         with Client(self._instance, name="page") as client:
-            self._level_on = float(client.get()["parameters"]["damping_level"])
+            self._level_on = float(client.get()["parameters"]["active_damping_level"])
             for message in client.messages(TOPICS, look_s=0.0):
                 if self._ending.is_set():
                     return
@@ -159,8 +159,8 @@ class Watch:
             self._publish("frame", frame(block))
 
     def _take(self, topic: str, told: dict[str, Any]) -> None:
-        if topic == "state" and told.get("added_damping_asked_ns_per_m"):
-            self._level_on = float(told["added_damping_asked_ns_per_m"])
+        if topic == "state" and told.get("active_damping_asked_ns_per_m"):
+            self._level_on = float(told["active_damping_asked_ns_per_m"])
         elif topic == "guard":
             self._planes.follow(told, self._level_on)
         elif topic == "event":

@@ -187,7 +187,7 @@ def simulate(
     seconds: float | None = None,
     seed: int | None = None,
     *,
-    damping: float | Sequence[tuple[float, float]] | None = None,
+    active_damping: float | Sequence[tuple[float, float]] | None = None,
     environment: EnvironmentParams | None = None,
     filters: Filters | None = None,
     excitation: Excitation | npt.ArrayLike | None = None,
@@ -204,7 +204,7 @@ def simulate(
     params       (n, 3) stiffness [N/m], damping [Ns/m], mass [kg]
     seconds      length of a trial
     seed         of everything random
-    damping      active damping [Ns/m], or steps (time s, level)
+    active_damping  active damping [Ns/m], or steps (time s, level)
     environment  filters, wall and soft ends of the law; its K, B, M are not used
     filters      of velocity and acceleration in place of those; None for raw differences
     excitation   of the probe, or forces [N] at 4 kHz that repeat: (samples,), with own_torque (n,
@@ -234,7 +234,7 @@ def simulate(
         scene,
         seconds,
         seed,
-        damping,
+        active_damping,
         environment,
         filters,
         excitation,
@@ -270,7 +270,7 @@ def _job(
     scene: Scene | Model,
     seconds: float | None,
     seed: int | None,
-    damping: float | Sequence[tuple[float, float]] | None,
+    active_damping: float | Sequence[tuple[float, float]] | None,
     environment: EnvironmentParams | None,
     filters: Filters | None,
     excitation: Excitation | npt.ArrayLike | None,
@@ -304,7 +304,7 @@ def _job(
         model=model,
         environment=rendered,
         filters=filters or (rendered.velocity_filter, rendered.acceleration_filter),
-        damping=given.damping if damping is None else _steps(damping),
+        active_damping=given.active_damping if active_damping is None else _steps(active_damping),
         excitation=probe if isinstance(probe, Excitation) else np.asarray(probe, dtype=np.float64),
         ticks=round(length_s * model.rate_hz),
         seed=number,

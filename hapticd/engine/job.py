@@ -63,7 +63,7 @@ class Job:
     model: Model
     environment: EnvironmentParams  # wall and ends; its K, B, M are not used
     filters: Filters  # of velocity and acceleration
-    damping: tuple[DampingStep, ...]  # active damping over time
+    active_damping: tuple[DampingStep, ...]  # active damping over time
     excitation: Excitation | Array  # of the probe, or forces [N] at 4 kHz
     ticks: int  # in a trial
     seed: int
@@ -105,7 +105,7 @@ class Prepared:
 @lru_cache(maxsize=CACHED)
 def prepared(job: Job) -> Prepared:
     """The kernel and what feeds it, made once per job. ConfigError as `shape_of` and `kernel`."""
-    damped = any(step.level_ns_per_m != 0.0 for step in job.damping)
+    damped = any(step.level_ns_per_m != 0.0 for step in job.active_damping)
     model, coordinates = reduced(job.model, damped)
     shape = shape_of(model, job.environment, damped, job.substeps, job.dtype)
     if job.keep not in KEEPS:
@@ -369,9 +369,11 @@ class Inputs:
 def level_at(job: Job, tick: int) -> float:
     """Active damping [Ns/m] that acts from `tick` on, as its DAC gives it."""
     asked = [
-        step.level_ns_per_m for step in job.damping if round(step.at_s * job.model.rate_hz) <= tick
+        step.level_ns_per_m
+        for step in job.active_damping
+        if round(step.at_s * job.model.rate_hz) <= tick
     ]
-    return float(rounded(asked[-1], job.model.damping_quantum_ns_per_m))
+    return float(rounded(asked[-1], job.model.active_damping_quantum_ns_per_m))
 
 
 @lru_cache(maxsize=2)
@@ -409,5 +411,5 @@ def _borders(job: Job, made: Prepared, period: int) -> list[int]:
     if made.model.winding is not None:
         steps.append(max(1, round(REFRESH_S * job.model.rate_hz)))
     ticks = {tick for step in steps for tick in range(0, job.ticks, step)}
-    ticks |= {round(step.at_s * job.model.rate_hz) for step in job.damping}
+    ticks |= {round(step.at_s * job.model.rate_hz) for step in job.active_damping}
     return sorted({tick for tick in ticks if 0 <= tick < job.ticks} | {job.ticks})

@@ -46,7 +46,12 @@ def law_numbers(
     coefficients = _derivative(filters[0], rate_hz, rate_hz) + _derivative(
         filters[1], rate_hz, rate_hz**2
     )
-    solid = (wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.position_m, float(wall.side))
+    solid = (
+        wall.stiffness_n_per_m,
+        wall.virtual_damping_ns_per_m,
+        wall.position_m,
+        float(wall.side),
+    )
     return {
         **dict(zip(FILTERS, coefficients, strict=True)),
         **dict(zip(WALL, solid, strict=True)),
@@ -103,7 +108,7 @@ def _own_responses(model: Model, whole: Map) -> list[float]:
 def _output_rows(model: Model, shape: Shape, whole: Map) -> dict[str, float]:
     outputs = model.outputs
     place = model.inputs
-    level = whole.damping_ns_per_m
+    level = whole.active_damping_ns_per_m
     rows = _named("TRAVEL", outputs.recorded_travel.row(level)) | _named(
         "MOTOR", outputs.motor_force.row(level)
     )

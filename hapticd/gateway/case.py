@@ -15,7 +15,14 @@ from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Judged, Reque
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
 
-JUDGED = ("K", "B", "M", "wall", "filters", "damping")  # fields of `set` that a verdict is about
+JUDGED = (
+    "K",
+    "B",
+    "M",
+    "wall",
+    "filters",
+    "active_damping",
+)  # fields of `set` that a verdict is about
 TABLES = ("wall", "filters")
 
 
@@ -23,7 +30,7 @@ class Stage(NamedTuple):
     """A part of a change that may be in force by itself."""
 
     change: dict[str, Any]  # fields as in `set`, absolute values
-    damping_at_least: float | None  # N s/m that the board reports before it is posted
+    active_damping_at_least: float | None  # N s/m that the board reports before it is posted
     after_ramps: bool  # those of the stage before have ended
 
 
@@ -74,7 +81,7 @@ def change_of(request: Request, level: float) -> dict[str, Any]:
             return {}
         named = {"on": level, "off": 0.0}
         value = request.value
-        return {"damping": named[value] if isinstance(value, str) else float(value)}
+        return {"active_damping": named[value] if isinstance(value, str) else float(value)}
     if isinstance(request, Set):
         given = request.given
         return {name: given[name] for name in JUDGED if given.get(name, {}) != {}}
@@ -88,18 +95,18 @@ def until_tick(request: Request) -> int:
 
 def changes_environment(stages: tuple[Stage, ...]) -> bool:
     """Whether `stages` change more than the active damping."""
-    return any(stage.change.keys() - {"damping"} for stage in stages)
+    return any(stage.change.keys() - {"active_damping"} for stage in stages)
 
 
 def ends_force(request: Request, target: dict[str, Any]) -> bool:
     """Whether nothing is rendered after `request`, and active damping stays: the set of passive
     environments is convex and holds 0, so every ramp there is passive where its begin is.
     """
-    if not isinstance(request, Set) or request.at_tick or "damping" in request.given:
+    if not isinstance(request, Set) or request.at_tick or "active_damping" in request.given:
         return False
     wall = target["wall"] | request.given.get("wall", {})
     rendered = [request.given.get(name, target[name]) for name in "KBM"]
-    return not any((*rendered, wall["stiffness_n_per_m"], wall["damping_ns_per_m"]))
+    return not any((*rendered, wall["stiffness_n_per_m"], wall["virtual_damping_ns_per_m"]))
 
 
 def concerns(request: Request) -> bool:
@@ -113,7 +120,7 @@ def auto_of(request: Request) -> bool | None:
     """Whether `request` leaves the level of damping to the guard; None: as before."""
     if isinstance(request, Damping):
         return request.value == "auto"
-    return False if isinstance(request, Set) and "damping" in request.given else None
+    return False if isinstance(request, Set) and "active_damping" in request.given else None
 
 
 def damping_by(asked: GuardRequest) -> Damping:
@@ -139,7 +146,7 @@ def _stage(plain: Any) -> Stage:
     for name, value in flat(change):
         if name not in PLACES or isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ValueError(f"a stage that changes {name[:20]!r}")
-    least = plain.get("damping_at_least")
+    least = plain.get("active_damping_at_least")
     if least is not None and not isinstance(least, (int, float)):
         raise ValueError("a stage that waits for no number")
     return Stage(change, least, bool(plain.get("after_ramps")))

@@ -125,7 +125,7 @@ class Delivered:
         return self.estimate._asdict()
 
     def _block(self, records: Records) -> list[Low]:
-        commanded = float(records["added_damping_ns_per_m"][-1])
+        commanded = float(records["active_damping_ns_per_m"][-1])
         if self._servo.device.motor_n_per_a <= 0.0:
             self.estimate = NOTHING._replace(basis=NO_DEVICE, commanded=commanded)
             return []
@@ -143,7 +143,7 @@ class Delivered:
     def _steady(self, records: Records) -> bool:
         """Whether one level was in force all the time; what was seen at another is forgotten."""
         levels = np.stack(
-            [records["added_damping_ns_per_m"], records["damping_effect_ns_per_m"]]
+            [records["active_damping_ns_per_m"], records["active_damping_effect_ns_per_m"]]
         ).astype(float)
         latest = levels[:, -1]
         margin = STEADY * max(0.5, float(latest[0]))

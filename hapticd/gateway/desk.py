@@ -216,10 +216,10 @@ IN_FORCE = (
     "tick",
     "gain",
     "stiffness_n_per_m",
-    "damping_ns_per_m",
+    "virtual_damping_ns_per_m",
     "mass_kg",
-    "added_damping_asked_ns_per_m",
-    "added_damping_ns_per_m",
+    "active_damping_asked_ns_per_m",
+    "active_damping_ns_per_m",
 )
 MOST_QUEUED = 100  # requests that wait for their turn
 TOO_MANY = CommandError(

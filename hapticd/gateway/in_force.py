@@ -116,25 +116,27 @@ class InForce:
         moving = bool(int(record["flags"]) & IN_MOTION)
         wall = {
             "stiffness_n_per_m": record["wall_stiffness_n_per_m"],
-            "damping_ns_per_m": self._wall_damping.follow(
-                self._view.life, target["wall"]["damping_ns_per_m"], moving
+            "virtual_damping_ns_per_m": self._wall_damping.follow(
+                self._view.life, target["wall"]["virtual_damping_ns_per_m"], moving
             ),
             "position_m": record["wall_position_m"],
             "side": record["wall_side"] or (self._side.value if moving else 0),
         }
-        effect = record["damping_effect_ns_per_m"]
+        effect = record["active_damping_effect_ns_per_m"]
         return target | {
             "K": record["stiffness_n_per_m"],
-            "B": record["damping_ns_per_m"],
+            "B": record["virtual_damping_ns_per_m"],
             "M": record["mass_kg"],
             "wall": wall,
-            "damping": max(effect, 0.0) if effect == effect else 0.0,  # NaN: the board did not say
+            "active_damping": max(effect, 0.0)
+            if effect == effect
+            else 0.0,  # NaN: the board did not say
         }
 
     @property
     def empty(self) -> bool:
         """Whether nothing is rendered: K, B, M and the wall are 0 and stay so."""
-        wall = ("stiffness_n_per_m", "damping_ns_per_m")
+        wall = ("stiffness_n_per_m", "virtual_damping_ns_per_m")
         return not any(
             value
             for one in (self.now(), self.target())
@@ -144,4 +146,4 @@ class InForce:
     @property
     def level(self) -> float:
         """Active damping that `damping on` would give, N s/m."""
-        return float(self._view.targets[Value.ADDED_DAMPING])
+        return float(self._view.targets[Value.ACTIVE_DAMPING])

@@ -46,13 +46,13 @@ from hapticd.units import NS_PER_S
 
 FORMER = "a client of the gateway before this one"
 UNANSWERED_NS = NS_PER_S  # after which the servo is told again
-DAMPING_PLACES = (Value.ADDED_DAMPING, Value.ADDED_DAMPING_ON)
+DAMPING_PLACES = (Value.ACTIVE_DAMPING, Value.ACTIVE_DAMPING_ON)
 NOTHING = (
     Value.STIFFNESS,
-    Value.DAMPING,
+    Value.VIRTUAL_DAMPING,
     Value.MASS,
     Value.WALL_STIFFNESS,
-    Value.WALL_DAMPING,
+    Value.WALL_VIRTUAL_DAMPING,
 )  # 0 of these is no environment
 SCHEDULABLE = {
     ENVIRONMENT: {*PLACES.values(), Value.LIMIT_CYCLE_FAULTS} - {*DAMPING_PLACES, Value.RAMP_S},
@@ -187,7 +187,7 @@ class LeaseDesk:
             lease = self.leases.holder(part)
             return float(lease.actor if lease else 0)
 
-        return {Value.LEASE_CONTROL: actor(ENVIRONMENT), Value.LEASE_DAMPING: actor(DAMPING)}
+        return {Value.LEASE_CONTROL: actor(ENVIRONMENT), Value.LEASE_ACTIVE_DAMPING: actor(DAMPING)}
 
     def _tell(self, actor: int, more: dict[Value, float]) -> None:
         self._do(Command.SET, self._holders() | more, actor)
@@ -211,7 +211,7 @@ class LeaseDesk:
             return
         self._known = True
         record = self._view.record
-        holders = {ENVIRONMENT: record["lease_control"], DAMPING: record["lease_damping"]}
+        holders = {ENVIRONMENT: record["lease_control"], DAMPING: record["lease_active_damping"]}
         if self._view.mailbox is not None:
             holders[PERTURBATION] = self._view.mailbox.perturbation_lease
         if holders[ENVIRONMENT] == holders[DAMPING]:  # of both, so perhaps of all
@@ -247,7 +247,7 @@ class LeaseDesk:
         holders = self._holders()
         shown = {
             Value.LEASE_CONTROL: float(record["lease_control"]),
-            Value.LEASE_DAMPING: float(record["lease_damping"]),
+            Value.LEASE_ACTIVE_DAMPING: float(record["lease_active_damping"]),
         }
         wrong = dict(holders) if shown != holders else {}
         if self.leases.measuring and record["watches"] & Watched.FORCE_AT_LIMIT:

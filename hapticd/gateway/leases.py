@@ -30,7 +30,7 @@ from hapticd.errors import CommandError
 from hapticd.units import NS_PER_S, round_half_up
 
 ENVIRONMENT = "environment"
-DAMPING = "damping"
+DAMPING = "active_damping"
 PERTURBATION = "perturbation"
 MEASURING = "measuring"
 PARTS = {

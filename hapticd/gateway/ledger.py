@@ -101,7 +101,7 @@ def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Tab
     usable = records[rows]
     found = np.zeros(len(rows), SAMPLE)
     found["position_m"] = usable["position_m"]
-    for part in ("stiffness", "damping", "mass"):
+    for part in ("stiffness", "virtual_damping", "mass"):
         found[f"{part}_n"] = usable[f"{part}_force_n"]
     rate_hz = servo.realtime.rate_hz
     found["periods"] = _periods(usable, rate_hz)
@@ -110,7 +110,7 @@ def samples(records: Records, rows: NDArray[np.intp], servo: ServoParams) -> Tab
     found["wall_m"] = usable["wall_position_m"]
     found["wall_side"] = usable["wall_side"]
     _reported(found, records, rows, rate_hz)
-    found["added_asked_ns_per_m"] = usable["added_damping_ns_per_m"]
+    found["active_damping_asked_ns_per_m"] = usable["active_damping_ns_per_m"]
     found["mass_kg"] = usable["gain"] * usable["mass_kg"]
     found["end_n_per_m"] = usable["gain"] * servo.soft_ends.stiffness_n_per_m
     return found
@@ -137,7 +137,7 @@ def _reported(found: Table, records: Records, rows: NDArray[np.intp], rate_hz: f
     found["in_effect_n"] = np.where(granted, _last_known(force, told & (rows >= back)), 0.0)
     delay = usable["delay_us"] * (rate_hz / US_PER_S)
     found["delay"] = _last_known(delay, delay >= 0.0)
-    found["added_ns_per_m"] = usable["damping_effect_ns_per_m"]
+    found["active_damping_ns_per_m"] = usable["active_damping_effect_ns_per_m"]
 
 
 def _bytes(frames: NDArray[np.void]) -> NDArray[np.uint8]:
@@ -154,7 +154,7 @@ def _last_known(values: NDArray[np.float64], known: NDArray[np.bool_]) -> NDArra
 def _forces(found: Table, usable: Records, servo: ServoParams) -> None:
     """The law's field, what was left of its force by the limit, and what was sent."""
     sent = usable["force_n"]
-    law = sum(found[f"{part}_n"] for part in ("stiffness", "damping", "mass"))
+    law = sum(found[f"{part}_n"] for part in ("stiffness", "virtual_damping", "mass"))
     law = law + usable["field_force_n"]
     clamped = (usable["flags"] & Flag.CLAMPED) != 0
     # the push of homing is not of the law: what rounding cannot explain

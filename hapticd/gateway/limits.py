@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 
 PLACES: dict[str, Value] = {
     "K": Value.STIFFNESS,
-    "B": Value.DAMPING,
+    "B": Value.VIRTUAL_DAMPING,
     "M": Value.MASS,
     "filters.velocity_hz": Value.VELOCITY_FILTER_HZ,
     "filters.velocity_zeta": Value.VELOCITY_FILTER_ZETA,
     "filters.acceleration_hz": Value.ACCELERATION_FILTER_HZ,
     "filters.acceleration_zeta": Value.ACCELERATION_FILTER_ZETA,
     "wall.stiffness_n_per_m": Value.WALL_STIFFNESS,
-    "wall.damping_ns_per_m": Value.WALL_DAMPING,
+    "wall.virtual_damping_ns_per_m": Value.WALL_VIRTUAL_DAMPING,
     "wall.position_m": Value.WALL_POSITION,
     "wall.side": Value.WALL_SIDE,
-    "damping": Value.ADDED_DAMPING,
+    "active_damping": Value.ACTIVE_DAMPING,
     "ramp_s": Value.RAMP_S,
 }
 # what people call a field where its name alone does not say it
 QUANTITIES = {"value": "active damping"}
 SOURCES = {
-    Value.ADDED_DAMPING: "the device file sets it",
+    Value.ACTIVE_DAMPING: "the device file sets it",
     Value.VELOCITY_FILTER_HZ: "it is 0.45 of the servo rate",
     Value.ACCELERATION_FILTER_HZ: "it is 0.45 of the servo rate",
 }
@@ -75,7 +75,7 @@ class CommandLimits:
 
     def __init__(self, params: "ServoParams") -> None:
         device = params.device
-        damping = device.damping_limit_ns_per_m
+        damping = device.active_damping_limit_ns_per_m
         self._fill(params.realtime.rate_hz, damping, device.commissioning, device.probe_limit_n)
         if device.environment_limits is not None:
             limits = device.environment_limits
@@ -86,7 +86,7 @@ class CommandLimits:
         """Those of the daemon whose reply to `hello` holds `servo`."""
         found = cls.__new__(cls)
         device = servo["device"]
-        damping = device["damping_limit_ns_per_m"]
+        damping = device["active_damping_limit_ns_per_m"]
         rate_hz = servo["realtime"]["rate_hz"]
         found._fill(rate_hz, damping, device["commissioning"], device["probe_limit_n"])
         if bounds := device["environment_limits"]:
@@ -95,25 +95,25 @@ class CommandLimits:
 
     @classmethod
     def simulated(
-        cls, rate_hz: float, damping_ns_per_m: float, bounds: "EnvironmentLimits"
+        cls, rate_hz: float, active_damping_ns_per_m: float, bounds: "EnvironmentLimits"
     ) -> "CommandLimits":
         """Those of a daemon that would run such a device, whose probe may push without limit."""
         found = cls.__new__(cls)
-        found._fill(rate_hz, damping_ns_per_m, False, inf)
+        found._fill(rate_hz, active_damping_ns_per_m, False, inf)
         found._bound(bounds.lowest, bounds.highest)
         return found
 
     def _fill(
-        self, rate_hz: float, damping_ns_per_m: float, commissioning: bool, probe_n: float
+        self, rate_hz: float, active_damping_ns_per_m: float, commissioning: bool, probe_n: float
     ) -> None:
-        table = value_limits(rate_hz, damping_ns_per_m, commissioning)
+        table = value_limits(rate_hz, active_damping_ns_per_m, commissioning)
         boxed = dict.fromkeys(COMMISSIONING_LIMITS if commissioning else (), UNVERIFIED)
         sources = SOURCES | boxed
         self.of = {
             name: CommandLimit(*table[place], sources.get(place, "it is fixed in this version"))
             for name, place in PLACES.items()
         }
-        self.of["value"] = self.of["damping"]
+        self.of["value"] = self.of["active_damping"]
         self.of["samples_n"] = CommandLimit(-probe_n, probe_n, "N", "the device file sets it")
 
     def _bound(self, lowest: Sequence[float], highest: Sequence[float]) -> None:

@@ -44,10 +44,10 @@ RECORD_FIELDS_SHOWN = (
     "perturbing",
     "gain",
     "stiffness_n_per_m",
-    "damping_ns_per_m",
+    "virtual_damping_ns_per_m",
     "mass_kg",
-    "added_damping_asked_ns_per_m",
-    "added_damping_ns_per_m",
+    "active_damping_asked_ns_per_m",
+    "active_damping_ns_per_m",
     "position_m",
     "force_n",
     "delay_us",
@@ -66,7 +66,7 @@ NEWS = (
 )  # a change of one of these is published at once
 
 
-LAMPS = ("state", "fault", "damping_effect_ns_per_m")  # somebody waits for a change of these
+LAMPS = ("state", "fault", "active_damping_effect_ns_per_m")  # somebody waits for a change of these
 EARLY_NS = 20 * NS_PER_MS  # between two blocks that leave before they are whole
 
 
@@ -388,7 +388,7 @@ class Publisher:
     def without_guard(self, unix_ns: int) -> dict[str, Any]:
         """The topic `state` but for what the guard tells."""
         found = state_map(self._view, self._actors, self._leases, unix_ns)
-        return found | {"delivered_damping": self._delivered.plain()}
+        return found | {"delivered_active_damping": self._delivered.plain()}
 
 
 def _packed(content: dict[str, Any]) -> bytes:

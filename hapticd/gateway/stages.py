@@ -58,7 +58,7 @@ class Stages:
         self._view = view
         self._post = post
         self._tell = tell
-        half_count = abs(view.params.device.damping.per_count) / 2
+        half_count = abs(view.params.device.active_damping.per_count) / 2
         self.resolution_ns_per_m = half_count + 1e-6  # the wire rounds to the nearest count
 
     def summary(self) -> dict[str, Any] | None:
@@ -115,9 +115,9 @@ class Stages:
         elif int(self._view.record["flags"]) & Flag.PAUSED:
             case.since_ns = now_ns
         elif now_ns - case.since_ns >= self._patience_ns(case):
-            effect = float(self._view.record["damping_effect_ns_per_m"])
+            effect = float(self._view.record["active_damping_effect_ns_per_m"])
             stage = case.stages[case.place]
-            least = stage.damping_at_least
+            least = stage.active_damping_at_least
             lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
             self.cancel(f"the next stage waited too long: {lacks}")
 
@@ -169,14 +169,14 @@ class Stages:
         moving = int(record["flags"]) & IN_MOTION
         if stage.after_ramps and (moving or self._view.tick < case.ramp_end_tick):
             return False
-        least = stage.damping_at_least
-        effect = float(record["damping_effect_ns_per_m"])
+        least = stage.active_damping_at_least
+        effect = float(record["active_damping_effect_ns_per_m"])
         return least is None or effect >= least - self.resolution_ns_per_m
 
     def _patience_ns(self, case: Case) -> int:
         safety = self._view.params.safety
-        level = self._view.params.device.damping_limit_ns_per_m
-        rising_s = level / safety.damping_slew_ns_per_m_s
+        level = self._view.params.device.active_damping_limit_ns_per_m
+        rising_s = level / safety.active_damping_slew_ns_per_m_s
         return STAGE_NS + round((rising_s + ramp_s(case.request, safety.default_ramp_s)) * NS_PER_S)
 
     def cancel(self, why: str) -> None:
@@ -219,7 +219,11 @@ class Stages:
             return Command.ENABLE, 0, values_of(values)
         extras = {name: case.request.given[name] for name in self._extras(case)}
         values |= values_given(extras | stage.change)
-        kind = Command.DAMPING if set(stage.change) == {"damping"} and not extras else Command.SET
+        kind = (
+            Command.DAMPING
+            if set(stage.change) == {"active_damping"} and not extras
+            else Command.SET
+        )
         return kind, case.at_tick if case.place == 0 else 0, values_of(values)
 
     def _extras(self, case: Case) -> list[str]:

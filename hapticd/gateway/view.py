@@ -74,17 +74,17 @@ def configured(params: ServoParams) -> tuple[float, ...]:
     acceleration = environment.acceleration_filter
     places = {
         Value.STIFFNESS: environment.stiffness_n_per_m,
-        Value.DAMPING: environment.damping_ns_per_m,
+        Value.VIRTUAL_DAMPING: environment.virtual_damping_ns_per_m,
         Value.MASS: environment.mass_kg,
         Value.VELOCITY_FILTER_HZ: velocity.frequency_hz,
         Value.VELOCITY_FILTER_ZETA: velocity.damping_ratio,
         Value.ACCELERATION_FILTER_HZ: acceleration.frequency_hz,
         Value.ACCELERATION_FILTER_ZETA: acceleration.damping_ratio,
         Value.WALL_STIFFNESS: wall.stiffness_n_per_m,
-        Value.WALL_DAMPING: wall.damping_ns_per_m,
+        Value.WALL_VIRTUAL_DAMPING: wall.virtual_damping_ns_per_m,
         Value.WALL_POSITION: wall.position_m,
         Value.WALL_SIDE: wall.side,
-        Value.ADDED_DAMPING: params.added_damping_ns_per_m,
+        Value.ACTIVE_DAMPING: params.active_damping_ns_per_m,
         Value.LIMIT_CYCLE_FAULTS: params.safety.limit_cycle_faults,
     }
     return tuple(

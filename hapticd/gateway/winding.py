@@ -38,8 +38,8 @@ def compensation(record: dict[str, Any], device: DeviceParams) -> dict[str, Any]
     if not isfinite(winding_c):
         return found
     residual_ohm = ohm(table, winding_c) - compensated_ohm
-    effect = float(record.get("damping_effect_ns_per_m", nan))
-    ceiling = device.damping_limit_ns_per_m
+    effect = float(record.get("active_damping_effect_ns_per_m", nan))
+    ceiling = device.active_damping_limit_ns_per_m
     return found | {
         "winding_c": winding_c,
         "winding_ohm": ohm(table, winding_c),

@@ -115,7 +115,7 @@ def _stated(hello: HelloFrame, device: DeviceParams) -> tuple[Stated, ...]:
         scale(
             "damping full scale",
             hello.damping_full_scale_ns_per_m,
-            device.damping,
+            device.active_damping,
             "N s/m",
             U16_HIGHEST,
         ),

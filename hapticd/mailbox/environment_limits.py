@@ -13,7 +13,7 @@ from hapticd.mailbox.layout import VALUE_LIMITS, Value, ValueLimit
 from hapticd.params import EnvironmentLimits
 
 ROOM = 10.0
-AXES = {"K": Value.STIFFNESS, "B": Value.DAMPING, "M": Value.MASS}
+AXES = {"K": Value.STIFFNESS, "B": Value.VIRTUAL_DAMPING, "M": Value.MASS}
 # where nothing is known, or nothing is passive: three times and more of what any shipped device
 # renders passively
 STATED: dict[str, ValueLimit] = {

@@ -131,22 +131,22 @@ class Value(IntEnum):
     MASK = 0
     RAMP_S = 1
     STIFFNESS = 2  # N/m
-    DAMPING = 3  # N s/m, virtual
+    VIRTUAL_DAMPING = 3  # N s/m, virtual
     MASS = 4  # kg
     VELOCITY_FILTER_HZ = 5
     VELOCITY_FILTER_ZETA = 6
     ACCELERATION_FILTER_HZ = 7
     ACCELERATION_FILTER_ZETA = 8
     WALL_STIFFNESS = 9
-    WALL_DAMPING = 10
+    WALL_VIRTUAL_DAMPING = 10
     WALL_POSITION = 11
     WALL_SIDE = 12
-    ADDED_DAMPING = 13  # N s/m, level of the active damping
-    ADDED_DAMPING_ON = 14  # 0 or 1
+    ACTIVE_DAMPING = 13  # N s/m, level of the active damping
+    ACTIVE_DAMPING_ON = 14  # 0 or 1
     SAMPLES = 15  # PERTURB_START: length of the waveform
     LOOP = 16  # PERTURB_START: 0 or 1
     LEASE_CONTROL = 17
-    LEASE_DAMPING = 18
+    LEASE_ACTIVE_DAMPING = 18
     STOP_OWNER = 19  # answers: actor who pressed stop, 0: several, or the servo itself
     LIMIT_CYCLE_FAULTS = 20  # 0 or 1: faults force_at_limit and energy
     # of what is rendered and damped: for which a change was judged; in answers, as it is now
@@ -180,22 +180,22 @@ LONGEST_SILENCE_S: Final = 1.0
 VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.RAMP_S: ValueLimit(0.0, 60.0, "s"),
     Value.STIFFNESS: ValueLimit(-1e4, 1e5, "N/m"),
-    Value.DAMPING: ValueLimit(-1e2, 1e3, "N s/m"),
+    Value.VIRTUAL_DAMPING: ValueLimit(-1e2, 1e3, "N s/m"),
     Value.MASS: ValueLimit(-1.0, 10.0, "kg"),
     Value.VELOCITY_FILTER_HZ: ValueLimit(0.1, 1e5, "Hz"),
     Value.VELOCITY_FILTER_ZETA: ValueLimit(0.05, 10.0, "1"),
     Value.ACCELERATION_FILTER_HZ: ValueLimit(0.1, 1e5, "Hz"),
     Value.ACCELERATION_FILTER_ZETA: ValueLimit(0.05, 10.0, "1"),
     Value.WALL_STIFFNESS: ValueLimit(0.0, 1e5, "N/m"),
-    Value.WALL_DAMPING: ValueLimit(0.0, 1e3, "N s/m"),
+    Value.WALL_VIRTUAL_DAMPING: ValueLimit(0.0, 1e3, "N s/m"),
     Value.WALL_POSITION: ValueLimit(-10.0, 10.0, "m"),
     Value.WALL_SIDE: ValueLimit(-1.0, 1.0, "side"),
-    Value.ADDED_DAMPING: ValueLimit(0.0, 1e3, "N s/m"),
-    Value.ADDED_DAMPING_ON: ValueLimit(0.0, 1.0, "switch"),
+    Value.ACTIVE_DAMPING: ValueLimit(0.0, 1e3, "N s/m"),
+    Value.ACTIVE_DAMPING_ON: ValueLimit(0.0, 1.0, "switch"),
     Value.SAMPLES: ValueLimit(1.0, float(PERTURBATION_SAMPLES), "samples"),
     Value.LOOP: ValueLimit(0.0, 1.0, "switch"),
     Value.LEASE_CONTROL: ValueLimit(0.0, float((1 << 32) - 1), "id"),  # a u4 of the record
-    Value.LEASE_DAMPING: ValueLimit(0.0, float((1 << 32) - 1), "id"),
+    Value.LEASE_ACTIVE_DAMPING: ValueLimit(0.0, float((1 << 32) - 1), "id"),
     Value.LIMIT_CYCLE_FAULTS: ValueLimit(0.0, 1.0, "switch"),
     Value.ENVIRONMENT_REVISION: ValueLimit(0.0, float((1 << 32) - 1), "revision"),
     Value.FAULT_NUMBER: ValueLimit(0.0, 255.0, "fault"),
@@ -207,23 +207,23 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
 # until the signs of a device are verified: with the wrong one every spring and damper drives
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
     Value.STIFFNESS: ValueLimit(0.0, 100.0, "N/m"),
-    Value.DAMPING: ValueLimit(0.0, 2.0, "N s/m"),
+    Value.VIRTUAL_DAMPING: ValueLimit(0.0, 2.0, "N s/m"),
     Value.MASS: ValueLimit(0.0, 0.0, "kg"),
     Value.WALL_STIFFNESS: ValueLimit(0.0, 100.0, "N/m"),
-    Value.WALL_DAMPING: ValueLimit(0.0, 2.0, "N s/m"),
+    Value.WALL_VIRTUAL_DAMPING: ValueLimit(0.0, 2.0, "N s/m"),
 }
 FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 
 
 def value_limits(
-    rate_hz: float, added_damping_limit_ns_per_m: float, commissioning: bool = False
+    rate_hz: float, active_damping_limit_ns_per_m: float, commissioning: bool = False
 ) -> dict[Value, ValueLimit]:
     """VALUE_LIMITS as narrowed by the servo rate [Hz], the device's damping limit [N s/m] and
     signs that are not verified yet.
     """
     boxed = COMMISSIONING_LIMITS if commissioning else {}
     narrower = {
-        Value.ADDED_DAMPING: added_damping_limit_ns_per_m,
+        Value.ACTIVE_DAMPING: active_damping_limit_ns_per_m,
         Value.VELOCITY_FILTER_HZ: FILTER_LIMIT * rate_hz,
         Value.ACCELERATION_FILTER_HZ: FILTER_LIMIT * rate_hz,
     }
@@ -285,13 +285,13 @@ TELEMETRY = (
     ("homed", "u1"),
     ("actor", "<u4"),
     ("lease_control", "<u4"),
-    ("lease_damping", "<u4"),
+    ("lease_active_damping", "<u4"),
     ("gain", "<f4"),
     ("stiffness_n_per_m", "<f8"),
-    ("damping_ns_per_m", "<f8"),
+    ("virtual_damping_ns_per_m", "<f8"),
     ("mass_kg", "<f8"),
-    ("added_damping_asked_ns_per_m", "<f8"),
-    ("added_damping_ns_per_m", "<f8"),
+    ("active_damping_asked_ns_per_m", "<f8"),
+    ("active_damping_ns_per_m", "<f8"),
     ("wall_stiffness_n_per_m", "<f8"),
     ("wall_position_m", "<f8"),
     ("wall_side", "<i4"),
@@ -310,7 +310,7 @@ TELEMETRY = (
     ("velocity_m_per_s", "<f8"),
     ("acceleration_m_per_s2", "<f8"),
     ("stiffness_force_n", "<f8"),
-    ("damping_force_n", "<f8"),
+    ("virtual_damping_force_n", "<f8"),
     ("mass_force_n", "<f8"),
     ("field_force_n", "<f8"),
     ("force_n", "<f8"),
@@ -332,7 +332,7 @@ TELEMETRY = (
     ("delay_spread_us", "<i4"),  # greatest minus least delay of the last whole 256 ticks
     # of the IN frame when it was read, by both clocks; -1: unknown, or the board holds torque back
     ("frame_age_us", "<i4"),
-    ("damping_effect_ns_per_m", "<f4"),  # active damping in effect, as the board says
+    ("active_damping_effect_ns_per_m", "<f4"),  # active damping in effect, as the board says
     ("in_frame", "V64"),
     ("out_frame", "V32"),
     ("tail", "<u8"),  # = tick; differs while the record is being overwritten

@@ -135,7 +135,7 @@ def compose(scene: Scene) -> Model:
     """
     model = compose_device(scene.name, scene.effects, scene.rate_hz)
     if not scene.allow_unstable:
-        levels = [step.level_ns_per_m for step in scene.damping]
+        levels = [step.level_ns_per_m for step in scene.active_damping]
         refuse_unstable(model, levels, "; set allow_unstable = true to simulate it all the same")
     return model
 

@@ -54,7 +54,7 @@ POSITION: Final = 0
 VELOCITY: Final = 1
 WINDING: Final = -1
 Step = Callable[[State, float, float, float, int], State]  # as `plant.step.make_step` returns it
-View = Callable[[State, float, float], float]  # of (state, force_n, damping_ns_per_m)
+View = Callable[[State, float, float], float]  # of (state, force_n, active_damping_ns_per_m)
 
 TOLERANCE_OHM = 1e-4  # drift of the winding before its maps are loaded anew: 0.02 K of 1.6 ohm
 LEAPS = {4: "d", 2: "b"}  # sub-steps of a leap, and its block of coefficients
@@ -203,7 +203,7 @@ class RowTerms:
 
 
 def viewer(terms: RowTerms, name: str) -> View:
-    """`view(state, force_n, damping_ns_per_m)` of the output `name`."""
+    """`view(state, force_n, active_damping_ns_per_m)` of the output `name`."""
     state = ", ".join(f"x{i}" for i in range(terms.n)) + (", _" if terms.params.heating else "")
     source = (
         f"def view(state, force_n, level):\n    {state}, = state\n    return"
@@ -303,12 +303,12 @@ def _step(terms: RowTerms, substep_s: float, torque_constant_n_per_a: float) -> 
     near = f"-{TOLERANCE_OHM!r} < residual_ohm - residual < {TOLERANCE_OHM!r}"
     drifted = f" or not {near}" if heat else ""
     return [
-        "    def step(state, force_n, torque_n, damping_ns_per_m, n_substeps):",
+        "    def step(state, force_n, torque_n, active_damping_ns_per_m, n_substeps):",
         "        nonlocal level, residual",
         f"        {state} = state",
         *(_ohms(heat) if heat else []),
-        f"        if damping_ns_per_m != level{drifted}:",
-        "            level = damping_ns_per_m",
+        f"        if active_damping_ns_per_m != level{drifted}:",
+        "            level = active_damping_ns_per_m",
         f"            residual = {'residual_ohm' if heat else repr(params.residuals_ohm[0])}",
         "            load()",
         *(
@@ -543,7 +543,7 @@ def _warmed(
 
     Euler's rule is enough: a piece is a ten-thousandth of the time constant.
     """
-    force = output_text(terms, "motor_force", "damping_ns_per_m")
+    force = output_text(terms, "motor_force", "active_damping_ns_per_m")
     per_w = heat.thermal_resistance_k_per_w / torque_constant_n_per_a**2
     return [
         f"        force = {force}",
@@ -584,8 +584,9 @@ def composed_step(params: PlantParams, board: BoardParams, substep_s: float) -> 
 
 
 def rotor_response(params: PlantParams) -> Callable[[float], tuple[float, float]]:
-    """`response(damping_ns_per_m)`: by how much a force of 1 N on the rotor, held for one sub-step,
-    changes its position [m] and its velocity [m/s] by the end; at the first residual resistance.
+    """`response(active_damping_ns_per_m)`: by how much a force of 1 N on the rotor, held for one
+    sub-step, changes its position [m] and its velocity [m/s] by the end; at the first residual
+    resistance.
     """
     lookup = Lookup(params)
     column = len(params.states) + params.columns.index("torque")

@@ -80,20 +80,22 @@ def _balance(matrix: Array) -> Array:
 SNAP = 1e-9  # of a step: a delay this near to a whole step is one
 
 
-def discretise(model: Model, duration_s: float, damping_ns_per_m: float = 0.0) -> Map:
+def discretise(model: Model, duration_s: float, active_damping_ns_per_m: float = 0.0) -> Map:
     """The exact map of `model` over `duration_s` at that damping level, inputs held.
 
     ConfigError if its numbers are out of reach.
     """
     n, m = model.b0.shape
     whole = np.zeros((n + m, n + m))
-    what = f"the map over {duration_s:g} s at {damping_ns_per_m:g} N s/m"
+    what = f"the map over {duration_s:g} s at {active_damping_ns_per_m:g} N s/m"
     with computable(model.name, what):
-        whole[:n, :n] = model.a(damping_ns_per_m)
-        whole[:n, n:] = model.b(damping_ns_per_m)
+        whole[:n, :n] = model.a(active_damping_ns_per_m)
+        whole[:n, n:] = model.b(active_damping_ns_per_m)
         response = expm(whole * duration_s)
     require_finite(model.name, what, response)
-    return Map(duration_s, damping_ns_per_m, frozen(response[:n, :n]), frozen(response[:n, n:]))
+    return Map(
+        duration_s, active_damping_ns_per_m, frozen(response[:n, :n]), frozen(response[:n, n:])
+    )
 
 
 def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Array]:
@@ -102,7 +104,7 @@ def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Arra
     It changes `fraction` (0..1) of the step after its start.
     """
     column = model.inputs.command
-    rest = discretise(model, (1.0 - fraction) * whole.duration_s, whole.damping_ns_per_m)
+    rest = discretise(model, (1.0 - fraction) * whole.duration_s, whole.active_damping_ns_per_m)
     return whole.b[:, column] - rest.b[:, column], rest.b[:, column]
 
 

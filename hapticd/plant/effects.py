@@ -382,7 +382,7 @@ class DampingDac(Effect):
 
     def build(self, plan: Blueprint) -> None:
         """State the damping of one count."""
-        plan.numbers["damping_quantum_ns_per_m"] = self.quantum_ns_per_m
+        plan.numbers["active_damping_quantum_ns_per_m"] = self.quantum_ns_per_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -82,13 +82,13 @@ class Output:
     d0: Array  # (inputs,)
     d1: Array  # (inputs,), per Ns/m
 
-    def row(self, damping_ns_per_m: float = 0.0) -> Array:
+    def row(self, active_damping_ns_per_m: float = 0.0) -> Array:
         """C at that level, (states,)."""
-        return self.c0 + damping_ns_per_m * self.c1
+        return self.c0 + active_damping_ns_per_m * self.c1
 
-    def through(self, damping_ns_per_m: float = 0.0) -> Array:
+    def through(self, active_damping_ns_per_m: float = 0.0) -> Array:
         """D at that level, (inputs,)."""
-        return self.d0 + damping_ns_per_m * self.d1
+        return self.d0 + active_damping_ns_per_m * self.d1
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ class Model:
     encoder_quantum_m: float | None = None
     force_quantum_n: float | None = None  # one count of the force DAC
     force_limit_n: float | None = None  # largest magnitude of the command; None for no limit
-    damping_quantum_ns_per_m: float | None = None  # one count of the damping DAC
+    active_damping_quantum_ns_per_m: float | None = None  # one count of the damping DAC
     ends: Ends | None = None  # mechanical ends of travel
     # that are not linear; at most columns of Inputs.rotor_force
     rotor_forces: tuple[RotorForce, ...] = ()
@@ -154,13 +154,13 @@ class Model:
     residual_ohm: float = 0.0  # that the damping circuit does not cancel
     notes: tuple[Note, ...] = ()  # the effects in words
 
-    def a(self, damping_ns_per_m: float = 0.0) -> Array:
+    def a(self, active_damping_ns_per_m: float = 0.0) -> Array:
         """A at that level, (n, n)."""
-        return self.a0 + damping_ns_per_m * self.a1
+        return self.a0 + active_damping_ns_per_m * self.a1
 
-    def b(self, damping_ns_per_m: float = 0.0) -> Array:
+    def b(self, active_damping_ns_per_m: float = 0.0) -> Array:
         """B at that level, (n, m)."""
-        return self.b0 + damping_ns_per_m * self.b1
+        return self.b0 + active_damping_ns_per_m * self.b1
 
     def translation(self) -> Array:
         """All bodies moved by the same amount: 1 for every position, else 0, (n,)."""
@@ -196,6 +196,6 @@ class Map:
     """Exact response over a step to inputs that are held: x' = a x + b u."""
 
     duration_s: float  # of the step
-    damping_ns_per_m: float  # damping level that it holds for
+    active_damping_ns_per_m: float  # damping level that it holds for
     a: Array  # (n, n)
     b: Array  # (n, m)

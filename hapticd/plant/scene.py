@@ -50,7 +50,9 @@ class Scene:
     effects: tuple[Effect, ...]  # in the order of composition
     # K, B, M and walls that the servo renders
     environment: EnvironmentParams = field(default_factory=EnvironmentParams)
-    damping: tuple[DampingStep, ...] = (DampingStep(0.0, 0.0),)  # sorted by time, the first at 0 s
+    active_damping: tuple[DampingStep, ...] = (
+        DampingStep(0.0, 0.0),
+    )  # sorted by time, the first at 0 s
     excitation: Excitation = field(default_factory=Excitation)
     seconds: float = 10.0  # length of the simulation
     rate_hz: float = 1000.0  # of the servo

@@ -43,10 +43,10 @@ class Stability:
     reason: str  # why it is unstable, or that it nearly is; else empty
 
 
-def stability(model: Model, damping_ns_per_m: float = 0.0) -> Stability:
+def stability(model: Model, active_damping_ns_per_m: float = 0.0) -> Stability:
     """Stability of the device alone at that damping level. ConfigError: out of reach."""
-    growth = float(modes(model, damping_ns_per_m).real.max())
-    asked = model.level_gain * damping_ns_per_m + model.level_offset_ns_per_m
+    growth = float(modes(model, active_damping_ns_per_m).real.max())
+    asked = model.level_gain * active_damping_ns_per_m + model.level_offset_ns_per_m
     with computable(model.name, "the gain of the damping circuit"):
         loop = asked * model.residual_ohm / model.torque_constant_n_per_a**2
     stable = growth <= GROWTH_PER_S
@@ -56,11 +56,11 @@ def stability(model: Model, damping_ns_per_m: float = 0.0) -> Stability:
 
 
 def modes(
-    model: Model, damping_ns_per_m: float = 0.0
+    model: Model, active_damping_ns_per_m: float = 0.0
 ) -> "np.ndarray[tuple[int], np.dtype[np.complex128]]":
     """Eigenvalues [1/s] of the device, its free translation left out. ConfigError: out of reach."""
-    with computable(model.name, f"the modes at {damping_ns_per_m:g} N s/m"):
-        a = model.a(damping_ns_per_m)
+    with computable(model.name, f"the modes at {active_damping_ns_per_m:g} N s/m"):
+        a = model.a(active_damping_ns_per_m)
         shift = model.translation()
         if not (a @ shift).any():
             a = _quotient(a, shift)
@@ -115,7 +115,7 @@ class Mode:
 class AtLevel:
     """The open device at one damping level."""
 
-    damping_ns_per_m: float  # active damping
+    active_damping_ns_per_m: float  # active damping
     stability: Stability
     alpha: float  # factor on damping and force at DC
     modes: tuple[Mode, ...]  # from slow to fast
@@ -136,7 +136,7 @@ class Explanation:
 def explain(model: Model, levels_ns_per_m: Iterable[float] = (0.0,)) -> Explanation:
     """What `model` consists of, with its modes at these damping levels."""
     found = tuple(at_level(model, level) for level in levels_ns_per_m)
-    highest = max(level.damping_ns_per_m for level in found)
+    highest = max(level.active_damping_ns_per_m for level in found)
     return Explanation(
         states=model.states,
         nonlinearities=tuple(
@@ -149,13 +149,13 @@ def explain(model: Model, levels_ns_per_m: Iterable[float] = (0.0,)) -> Explanat
     )
 
 
-def at_level(model: Model, damping_ns_per_m: float) -> AtLevel:
+def at_level(model: Model, active_damping_ns_per_m: float) -> AtLevel:
     """Stability and modes of the open device at that damping level."""
-    verdict = stability(model, damping_ns_per_m)
-    upper = [complex(value) for value in modes(model, damping_ns_per_m) if value.imag >= 0.0]
+    verdict = stability(model, active_damping_ns_per_m)
+    upper = [complex(value) for value in modes(model, active_damping_ns_per_m) if value.imag >= 0.0]
     slow_first = sorted(upper, key=abs)
     return AtLevel(
-        damping_ns_per_m,
+        active_damping_ns_per_m,
         verdict,
         1.0 / (1.0 + verdict.loop_gain),
         tuple(_mode(value) for value in slow_first),

@@ -94,10 +94,10 @@ _SOURCE = """\
 def bind(response):
     level, rows = None, {{}}
 
-    def step(state, force_n, torque_n, damping_ns_per_m, n_substeps):
+    def step(state, force_n, torque_n, active_damping_ns_per_m, n_substeps):
         nonlocal level
-        if damping_ns_per_m != level:
-            level = damping_ns_per_m
+        if active_damping_ns_per_m != level:
+            level = active_damping_ns_per_m
             rows.clear()
         try:
             decay, velocity_per_n, position_per_velocity, position_per_n = rows[n_substeps]
@@ -145,11 +145,10 @@ def step_source(params: BoardParams) -> str:
 
 
 def make_step(params: BoardParams) -> Step:
-    """`step(state, force_n, torque_n, damping_ns_per_m, n_substeps) -> state`, inputs held.
+    """`step(state, force_n, torque_n, active_damping_ns_per_m, n_substeps) -> state`, inputs held.
 
     force_n is the motor force, torque_n the perturbation torque as endpoint force, both to positive
-    x; damping_ns_per_m is the active damping; n_substeps a whole number of T / 16. ConfigError if
-    the numbers describe no device.
+    x; n_substeps a whole number of T / 16. ConfigError if the numbers describe no device.
     """
     step: Step = compiled(step_source(params), "plant step")["bind"](held_force_response)
     return step
@@ -158,7 +157,7 @@ def make_step(params: BoardParams) -> Step:
 class Plant(NamedTuple):
     """What a board moves, and what it measures of it.
 
-    A view is called with (state, force_n, damping_ns_per_m).
+    A view is called with (state, force_n, active_damping_ns_per_m).
     """
 
     rest: Callable[[float], State]  # state of everything still at a position, m

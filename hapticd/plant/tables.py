@@ -42,7 +42,7 @@ def plant_params(
 
     They are exact at `exact_levels` [Ns/m], which are rounded to counts as the DAC rounds them.
     """
-    quantum = model.damping_quantum_ns_per_m
+    quantum = model.active_damping_quantum_ns_per_m
     levels = {float(level) for level in np.linspace(0.0, highest_ns_per_m, GRID)}
     levels |= {_dac(level, quantum) for level in exact_levels}
     residuals = _residuals(model, trim_ohm)

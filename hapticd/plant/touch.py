@@ -132,8 +132,8 @@ def touched_step(
 ) -> Step:
     """`step` of a device without stops and friction at its rotor, touched as `params` say.
 
-    `response(damping_ns_per_m)` is that of one sub-step; `stops_m` is where stops begin to yield,
-    infinite without. ConfigError if the numbers describe no contact.
+    `response(active_damping_ns_per_m)` is that of one sub-step; `stops_m` is where stops begin to
+    yield, infinite without. ConfigError if the numbers describe no contact.
     """
     _check(params)
     lower, upper = stops_m
@@ -205,15 +205,19 @@ def touched_step(
         return after if on and inside else None
 
     def touched(
-        state: State, force_n: float, torque_n: float, damping_ns_per_m: float, n_substeps: int
+        state: State,
+        force_n: float,
+        torque_n: float,
+        active_damping_ns_per_m: float,
+        n_substeps: int,
     ) -> State:
         nonlocal count
-        after = slid(state, force_n, torque_n, damping_ns_per_m, n_substeps)
+        after = slid(state, force_n, torque_n, active_damping_ns_per_m, n_substeps)
         if after is not None:
             count += n_substeps
             return after
         for _ in range(n_substeps):
-            state = substep(state, force_n, torque_n, damping_ns_per_m)
+            state = substep(state, force_n, torque_n, active_damping_ns_per_m)
             count += 1
         return state
 

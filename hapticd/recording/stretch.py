@@ -33,9 +33,9 @@ SERVO_COLUMNS = {"tick", "revision", "force_n"}  # a table that has these is one
 PROBE_COLUMNS = {"index", "torque", "velocity", "time_ns"}  # one of probe samples
 RENDERED_COLUMNS = (
     "stiffness_n_per_m",
-    "damping_ns_per_m",
+    "virtual_damping_ns_per_m",
     "mass_kg",
-    "added_damping_asked_ns_per_m",
+    "active_damping_asked_ns_per_m",
 )
 JSON_ATTRIBUTES = ("calibration_doubts", "certificate")  # their text is JSON
 REMARK_ATTRIBUTES = (
@@ -59,7 +59,7 @@ class Stretch:
     first: int  # row of the probe
     after: int  # row after the last
     environment: tuple[float, float, float]  # K [N/m], B [N s/m], M [kg] that were rendered
-    added_damping_ns_per_m: float  # active damping
+    active_damping_ns_per_m: float  # active damping
     max_command_n: float  # largest |force|
     command_limit_n: float
     lost_slots: int

@@ -53,9 +53,9 @@ def comparison_figure(found: Comparison) -> Figure:
         for level in display.levels:
             look = {
                 "color": _device(rank)["color"],
-                "linestyle": "-" if level.damping_ns_per_m else OFF["linestyle"],
+                "linestyle": "-" if level.active_damping_ns_per_m else OFF["linestyle"],
             }
-            words = f"{display.name} {level_label(level.damping_ns_per_m)}"
+            words = f"{display.name} {level_label(level.active_damping_ns_per_m)}"
             for name, shown in (("size", level.envelope), ("mass", level.per_mass)):
                 if shown is not None:
                     edges(
@@ -119,7 +119,7 @@ def _reaches(found: Comparison) -> Table:
         (
             f"{reach.name} {UNITS[reach.name]}",
             display.name,
-            level.damping_ns_per_m,
+            level.active_damping_ns_per_m,
             *(SCALES[reach.name] * value for value in (reach.value, reach.lower, reach.upper)),
             reach.per_mass,
         )
@@ -151,7 +151,7 @@ def _widths(found: Comparison) -> Table:
     rows: list[list[Cell]] = []
     for display, level, bands in every:
         widths = [bands.get(name, float("nan")) for name in names]
-        rows.append([display.name, level.damping_ns_per_m, *widths, *level.numbers.values()])
+        rows.append([display.name, level.active_damping_ns_per_m, *widths, *level.numbers.values()])
     others = ("K-B area N^2 s/m^2", "dK/dB 1/s", "free to Hz")
     return table(("Z-width dB", "added N s/m", *names, *others), rows)
 
@@ -184,9 +184,11 @@ def _limits(axis: Axes, found: Comparison, name: str) -> None:
         look = _device(rank)
         ends = sorted(SCALES[name] * end for end in (reach.lower, reach.upper))
         axis.vlines(at, ends[0], ends[1], color=look["color"])
-        filled = look["color"] if level.damping_ns_per_m else "white"
+        filled = look["color"] if level.active_damping_ns_per_m else "white"
         axis.plot(at, SCALES[name] * reach.value, linestyle="", markerfacecolor=filled, **look)
-    axis.set_xticks(range(len(reached)), [f"{level.damping_ns_per_m:g}" for _, level, _ in reached])
+    axis.set_xticks(
+        range(len(reached)), [f"{level.active_damping_ns_per_m:g}" for _, level, _ in reached]
+    )
     axis.set(
         xlim=(-0.6, len(reached) - 0.4),
         ylabel=f"{name} ({UNITS[name]})",

@@ -109,7 +109,7 @@ def set_figure(result: MapResult) -> Figure:
     figure, places = axes(
         rows, columns, 0.6 + 3.0 * columns, 2.7 * rows + 1.2, title, sharex=True, sharey=True
     )
-    styles = level_styles([level.damping_ns_per_m for level in result.levels])
+    styles = level_styles([level.active_damping_ns_per_m for level in result.levels])
     for panel, place in zip(shown, places, strict=True):
         for turn, (level, look) in enumerate(zip(result.levels, styles, strict=True)):
             _plane(place, level, int(panel), look, turn, len(styles))
@@ -117,7 +117,7 @@ def set_figure(result: MapResult) -> Figure:
         place.label_outer()
     handles = [
         *(
-            mark(level_label(level.damping_ns_per_m), **look)
+            mark(level_label(level.active_damping_ns_per_m), **look)
             for level, look in zip(result.levels, styles, strict=True)
         ),
         mark("trial passes", marker=ANSWERS["passes"], **MARKS),
@@ -192,7 +192,7 @@ def search_figure(results: Sequence[SearchResult]) -> Figure:
     )
     panels = [[[row]] for row in (*rows, below)]
     figure, places = mosaic(panels, 11.0, 3.1 * len(panels) + 1.3, title)
-    levels = [one.plan.params.damping_ns_per_m for one in results]
+    levels = [one.plan.params.active_damping_ns_per_m for one in results]
     styles = level_styles(levels)
     for row, foreseen, result, look in zip(rows, below, results, styles, strict=True):
         _slices([places[name] for name in row], result, look)
@@ -225,7 +225,7 @@ def _slices(places: list[Axes], result: SearchResult, look: Look) -> None:
     ]  # K = B = M = 0 is, or there had been no search
     tried = np.array([step.outcome.environment for step in result.steps])
     reach = NEAR * float(passive[-1] - passive[0])
-    level = f"{level_label(result.plan.params.damping_ns_per_m)}\n"
+    level = f"{level_label(result.plan.params.active_damping_ns_per_m)}\n"
     cuts = [
         slice_at(result, value)
         for value in slice_masses(tried[:, 2], np.quantile(passive, SHARES), reach)
@@ -234,11 +234,11 @@ def _slices(places: list[Axes], result: SearchResult, look: Look) -> None:
     for panel, (place, cut) in enumerate(zip(places, cuts, strict=True)):
         place.set(
             xlabel="B (N s/m)",
-            xlim=(-0.02 * cut.damping[-1], cut.damping[-1]),
+            xlim=(-0.02 * cut.virtual_damping[-1], cut.virtual_damping[-1]),
             ylim=(-0.02 * top, 1.15 * top),
         )
-        area(place, cut.damping, _closed(cut.held), look)
-        place.plot(cut.damping, _closed(cut.predicted), **PREDICTED)
+        area(place, cut.virtual_damping, _closed(cut.held), look)
+        place.plot(cut.virtual_damping, _closed(cut.predicted), **PREDICTED)
         _trials(place, result.steps, np.abs(tried[:, 2] - cut.mass_kg) <= reach, look)
         place.set_title(f"{'' if panel else level}M = {1e3 * cut.mass_kg:.3g} g")
         place.tick_params(labelleft=panel == 0)
@@ -332,7 +332,7 @@ def _foreseen(place: Axes, result: SearchResult, look: Look) -> None:
         xlim=(0.0, len(result.steps) + 1.0),
         ylim=(foot, max(0.8, 1.4 * high)),
         title=(
-            f"{level_label(result.plan.params.damping_ns_per_m)}: {len(escaped)} of"
+            f"{level_label(result.plan.params.active_damping_ns_per_m)}: {len(escaped)} of"
             f" {len(result.steps)} trials escape"
         ),
     )
@@ -364,7 +364,7 @@ def limits_figure(result: LimitsResult) -> Figure:
             name = f"by trials, {level_label(group)}" if many else "by trials"
             _limit_line(
                 place,
-                [one for one in mine if not many or one.scan.damping_ns_per_m == group],
+                [one for one in mine if not many or one.scan.active_damping_ns_per_m == group],
                 many,
                 look,
                 name,
@@ -386,7 +386,7 @@ def _limit_line(place: Axes, limits: list[AxisLimit], many: bool, look: Look, na
     factor = AXIS_LABELS[limits[0].name][1]
     x = np.array(
         [
-            limit.perturbation_psd / PSD_UNIT if many else limit.scan.damping_ns_per_m
+            limit.perturbation_psd / PSD_UNIT if many else limit.scan.active_damping_ns_per_m
             for limit in limits
         ]
     )
@@ -458,7 +458,7 @@ def _walls(place: Axes, result: WallResult, level: float, look: Look, rank: int)
     lines = result.at(level)
     damping, highest, first = (
         np.array([getattr(line, name) for line in lines])
-        for name in ("wall_damping_ns_per_m", "highest_n_per_m", "first_unstable_n_per_m")
+        for name in ("wall_virtual_damping_ns_per_m", "highest_n_per_m", "first_unstable_n_per_m")
     )
     rests = highest > 0.0
     shown: Look = {

@@ -32,7 +32,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.errors import ConfigError
 from hapticd.extras import need
-from hapticd.params import ADDED_DAMPING_NS_PER_M
+from hapticd.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.zwidth.store import FIGURE_KINDS
 
 if TYPE_CHECKING:
@@ -243,8 +243,8 @@ def level_styles(levels: Sequence[float]) -> list[Look]:
     some; the others in order.
     """
     first = (
-        ADDED_DAMPING_NS_PER_M
-        if ADDED_DAMPING_NS_PER_M in levels
+        ACTIVE_DAMPING_NS_PER_M
+        if ACTIVE_DAMPING_NS_PER_M in levels
         else next((level for level in levels if level), None)
     )
     others = iter(MORE)

@@ -42,7 +42,7 @@ def measure(
     servo = ready_to_move(bench)
     if not servo["device"]["motor_n_per_a"]:
         return StepResult("audit", (), [_unknown()])
-    wanted = 0.5 * servo["device"]["damping_limit_ns_per_m"] if level is None else level
+    wanted = 0.5 * servo["device"]["active_damping_limit_ns_per_m"] if level is None else level
     with undamped(bench):
         bench.damping(wanted)
         pieces = moved(bench, ask, seconds)

@@ -91,7 +91,7 @@ def row_of(records: Records, force: ScaleParams, m_per_count: float, rate_hz: fl
     begin = _begin(records, commanded, away, edge, rate_hz)
     seconds = max(_end(away, abs(went), edge) - begin, 1.0) * period_s
     impulse = direction * float((commanded - commanded[0]).sum()) * period_s
-    level = records["damping_effect_ns_per_m"].astype(np.float64)
+    level = records["active_damping_effect_ns_per_m"].astype(np.float64)
     damped = float(level[1:] @ np.diff(away))
     current = records["current_a"].astype(np.float64)
     charge = direction * float((current - current[:rest].mean()).sum()) * period_s

@@ -37,8 +37,8 @@ RAW = (
     "force_n",
     "current_a",
     "emf_velocity_m_per_s",
-    "added_damping_ns_per_m",
-    "damping_effect_ns_per_m",
+    "active_damping_ns_per_m",
+    "active_damping_effect_ns_per_m",
     "resistance_count",
     "winding_c",
 )

@@ -35,7 +35,7 @@ class Environment(NamedTuple):
     """What is rendered meanwhile."""
 
     stiffness_n_per_m: float
-    damping_ns_per_m: float
+    virtual_damping_ns_per_m: float
     mass_kg: float = 0.0
 
 

@@ -27,7 +27,7 @@ LEADS_S = (0.2, 0.6, 2.0)
 AFTER_S = 0.1
 LOOK_S = 0.1
 GAIN_S = 0.2  # beyond the ramp of the gain
-FREE = {"stiffness_n_per_m": 0.0, "damping_ns_per_m": 0.0, "side": 0.0}
+FREE = {"stiffness_n_per_m": 0.0, "virtual_damping_ns_per_m": 0.0, "side": 0.0}
 
 
 class Pushed(NamedTuple):
@@ -57,7 +57,7 @@ def wall_of(force_n: float, at_m: float) -> dict[str, float]:
     """The wall that pushes a handle at `at_m` with `force_n`."""
     return {
         "stiffness_n_per_m": abs(force_n) / FAR_M,
-        "damping_ns_per_m": 0.0,
+        "virtual_damping_ns_per_m": 0.0,
         "position_m": at_m + (FAR_M if force_n > 0.0 else -FAR_M),
         "side": -1.0 if force_n > 0.0 else 1.0,
     }

@@ -96,12 +96,12 @@ def narrowed(bench: Client, tripped_s: float) -> Iterator[Silence]:
 def some_damping(bench: Client) -> Iterator[None]:
     """Active damping on; what is switched on for this is switched off, at its old level."""
     device = bench.hello()["servo"]["device"]
-    least = COUNTS * float(device["damping"]["per_count"])
-    asked = collect(bench, AFTER_S).records["added_damping_asked_ns_per_m"][-1]
+    least = COUNTS * float(device["active_damping"]["per_count"])
+    asked = collect(bench, AFTER_S).records["active_damping_asked_ns_per_m"][-1]
     if asked >= least:
         yield
         return
-    level = bench.damping("off").effective["damping_level"]
+    level = bench.damping("off").effective["active_damping_level"]
     try:
         bench.damping(least)
         collect(bench, AFTER_S)
@@ -130,8 +130,8 @@ def silence(bench: Client, seconds: float) -> Silence:
         passed_us / US_PER_S,
         bool(status & StatusBit.WATCHDOG),
         bool(status & StatusBit.ENABLED),
-        float(answer["damping_effect_ns_per_m"]),
-        float(answer["added_damping_ns_per_m"]),
+        float(answer["active_damping_effect_ns_per_m"]),
+        float(answer["active_damping_ns_per_m"]),
         not int(found["status"][after[-1]]) & StatusBit.WATCHDOG,
     )
 

@@ -94,12 +94,12 @@ def _effective(plan: Plan, params: ServoParams) -> tuple[float, ...]:
     effective[Value.VELOCITY_FILTER_ZETA] = first.damping_ratio
     effective[Value.ACCELERATION_FILTER_HZ] = second.frequency_hz
     effective[Value.ACCELERATION_FILTER_ZETA] = second.damping_ratio
-    effective[Value.ADDED_DAMPING] = params.device.damping.to_value(
-        damping_count(plan.added_asked, params)
+    effective[Value.ACTIVE_DAMPING] = params.device.active_damping.to_value(
+        damping_count(plan.active_damping_asked, params)
     )
-    effective[Value.ADDED_DAMPING_ON] = float(plan.added_on)
+    effective[Value.ACTIVE_DAMPING_ON] = float(plan.active_damping_on)
     effective[Value.LIMIT_CYCLE_FAULTS] = float(plan.limit_cycle_faults)
-    effective[Value.LEASE_CONTROL], effective[Value.LEASE_DAMPING] = plan.leases
+    effective[Value.LEASE_CONTROL], effective[Value.LEASE_ACTIVE_DAMPING] = plan.leases
     effective[Value.STOP_OWNER] = plan.stop_owner
     effective[Value.ENVIRONMENT_REVISION] = plan.environment_revision
     return tuple(effective)

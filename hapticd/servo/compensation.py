@@ -65,7 +65,7 @@ def _looked(
     trim_ohm = winding.trim_ohm
     if heard:
         sensor_c = None if host & NO_TEMPERATURE else device.temperature.to_value(temperature)
-        target = target_ohm(table, winding, sensor_c, device.damping_limit_ns_per_m)
+        target = target_ohm(table, winding, sensor_c, device.active_damping_limit_ns_per_m)
         trim_ohm = approach(trim_ohm, target, table.slew_ohm_per_s * min(elapsed_s, UNKNOWN_S))
     return winding._replace(
         tick=tick,

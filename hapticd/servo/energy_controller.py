@@ -46,10 +46,10 @@ STEP: Final = 0.025  # of it: what may leak before the next halving
 SHOWS_TICKS: Final = 3  # from a step to what the board makes of it, at a delay of two periods
 HALVED: Final = (
     Value.STIFFNESS,
-    Value.DAMPING,
+    Value.VIRTUAL_DAMPING,
     Value.MASS,
     Value.WALL_STIFFNESS,
-    Value.WALL_DAMPING,
+    Value.WALL_VIRTUAL_DAMPING,
 )
 
 
@@ -93,13 +93,13 @@ def controlled(
         return plan
     if plan.state is not State.ENABLED or plan.unauthorised:
         return plan
-    ceiling = params.device.damping_limit_ns_per_m
+    ceiling = params.device.active_damping_limit_ns_per_m
     now = Control(plan.control.places, tick, excess_j)
-    if ceiling > (plan.added_asked if plan.added_on else 0.0):
-        more = changed(plan, now, (Value.ADDED_DAMPING,))
-        return more._replace(added_asked=ceiling, added_on=True)
+    if ceiling > (plan.active_damping_asked if plan.active_damping_on else 0.0):
+        more = changed(plan, now, (Value.ACTIVE_DAMPING,))
+        return more._replace(active_damping_asked=ceiling, active_damping_on=True)
     leaked = leaked_since(plan.control, now, bound) / params.device.energy_limit_j
-    untried = plan.control.places == (Value.ADDED_DAMPING,)
+    untried = plan.control.places == (Value.ACTIVE_DAMPING,)
     waiting = not untried and tick - plan.control.tick < shows_ticks(params)
     if waiting or leaked <= (2.0 if untried else 1.0) * STEP:
         return plan

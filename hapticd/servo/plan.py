@@ -55,15 +55,19 @@ NO_WAVE: Wave = (0, 0, False)
 WAVE_COMMAND: Final = 0  # place in a Wave
 BUMPLESS = (
     Value.STIFFNESS,
-    Value.DAMPING,
+    Value.VIRTUAL_DAMPING,
     Value.MASS,
     Value.WALL_STIFFNESS,
-    Value.WALL_DAMPING,
+    Value.WALL_VIRTUAL_DAMPING,
     Value.WALL_POSITION,
     Value.WALL_SIDE,
 )
-ADDED = frozenset({Value.ADDED_DAMPING, Value.ADDED_DAMPING_ON})  # active damping
-FILTERED = (Value.DAMPING, Value.MASS, Value.WALL_DAMPING)  # act on filtered derivatives
+ADDED = frozenset({Value.ACTIVE_DAMPING, Value.ACTIVE_DAMPING_ON})  # active damping
+FILTERED = (
+    Value.VIRTUAL_DAMPING,
+    Value.MASS,
+    Value.WALL_VIRTUAL_DAMPING,
+)  # act on filtered derivatives
 FILTERS = frozenset(
     {
         Value.VELOCITY_FILTER_HZ,
@@ -102,8 +106,8 @@ class Plan(NamedTuple):
     # by layout.Value: K, B, M and the wall; its side too, on whose square the wall's force depends
     values: dict[int, Ramp]
     filters: tuple[FilterParams, FilterParams]  # of velocity and acceleration
-    added_asked: float  # active damping, N s/m
-    added_on: bool
+    active_damping_asked: float  # active damping, N s/m
+    active_damping_on: bool
     added: float  # slewed level, N s/m
     added_entry: float  # level when a latched state was entered, N s/m
     scheduled: tuple["Scheduled", ...]
@@ -149,10 +153,10 @@ def initial_plan(params: ServoParams) -> Plan:
     wall = environment.wall
     start = (
         environment.stiffness_n_per_m,
-        environment.damping_ns_per_m,
+        environment.virtual_damping_ns_per_m,
         environment.mass_kg,
         wall.stiffness_n_per_m,
-        wall.damping_ns_per_m,
+        wall.virtual_damping_ns_per_m,
         wall.position_m,
         float(wall.side),
     )
@@ -173,8 +177,8 @@ def initial_plan(params: ServoParams) -> Plan:
             for place, value in zip(BUMPLESS, start, strict=True)
         },
         filters=(environment.velocity_filter, environment.acceleration_filter),
-        added_asked=params.added_damping_ns_per_m,
-        added_on=False,
+        active_damping_asked=params.active_damping_ns_per_m,
+        active_damping_on=False,
         added=0.0,
         added_entry=0.0,
         scheduled=(),
@@ -229,7 +233,7 @@ def out_of_range(values: tuple[float, ...], params: ServoParams) -> bool:
         int(place): limit
         for place, limit in value_limits(
             params.realtime.rate_hz,
-            params.device.damping_limit_ns_per_m,
+            params.device.active_damping_limit_ns_per_m,
             params.device.commissioning,
         ).items()
     }
@@ -262,15 +266,17 @@ def with_values(
     )
     if not JUDGED.isdisjoint(places):
         changed = changed._replace(environment_revision=following(plan.environment_revision))
-    if Value.ADDED_DAMPING in places:
-        changed = changed._replace(added_asked=values[Value.ADDED_DAMPING])
+    if Value.ACTIVE_DAMPING in places:
+        changed = changed._replace(active_damping_asked=values[Value.ACTIVE_DAMPING])
     if Value.LIMIT_CYCLE_FAULTS in places:
         changed = changed._replace(limit_cycle_faults=values[Value.LIMIT_CYCLE_FAULTS] != 0.0)
-    if Value.ADDED_DAMPING_ON in places:
-        changed = changed._replace(added_on=values[Value.ADDED_DAMPING_ON] != 0.0)
+    if Value.ACTIVE_DAMPING_ON in places:
+        changed = changed._replace(active_damping_on=values[Value.ACTIVE_DAMPING_ON] != 0.0)
     leases = tuple(
         int(values[p]) if p in places else old
-        for p, old in zip((Value.LEASE_CONTROL, Value.LEASE_DAMPING), plan.leases, strict=True)
+        for p, old in zip(
+            (Value.LEASE_CONTROL, Value.LEASE_ACTIVE_DAMPING), plan.leases, strict=True
+        )
     )
     return changed._replace(leases=(leases[0], leases[1])), tick + (ticks if ramps else 0)
 
@@ -411,7 +417,7 @@ def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
         return held_damping(
             plan.added_entry, (tick - plan.since_tick) / params.realtime.rate_hz, params.safety
         )
-    return plan.added_asked if plan.added_on else 0.0
+    return plan.active_damping_asked if plan.active_damping_on else 0.0
 
 
 def advance_added(plan: Plan, tick: int, elapsed: int, params: ServoParams) -> Plan:
@@ -420,8 +426,8 @@ def advance_added(plan: Plan, tick: int, elapsed: int, params: ServoParams) -> P
     """
     target = added_target(plan, tick, params)
     releasing = plan.state in LATCHED and target < plan.added
-    slew = params.safety.damping_slew_ns_per_m_s
-    if Value.ADDED_DAMPING in plan.control.places and target > plan.added:
+    slew = params.safety.active_damping_slew_ns_per_m_s
+    if Value.ACTIVE_DAMPING in plan.control.places and target > plan.added:
         slew = max(slew, CONTROL_SLEW_NS_PER_M_S)
     step = elapsed * slew / params.realtime.rate_hz
     added = target if releasing else approach(plan.added, target, step)
@@ -430,8 +436,8 @@ def advance_added(plan: Plan, tick: int, elapsed: int, params: ServoParams) -> P
 
 def damping_count(level: float, params: ServoParams) -> int:
     """DAC count for `level` [N s/m], inside the DAC and the device's limit."""
-    return params.device.damping.to_count(
-        min(level, params.device.damping_limit_ns_per_m), 0, U16_HIGHEST
+    return params.device.active_damping.to_count(
+        min(level, params.device.active_damping_limit_ns_per_m), 0, U16_HIGHEST
     )
 
 
@@ -442,7 +448,7 @@ def flat_plan(
     gain = plan.gain.value(tick)
     at = {place: ramp.value(tick) for place, ramp in plan.values.items()}
     count = damping_count(plan.added, params)
-    added = params.device.damping.to_value(count)
+    added = params.device.active_damping.to_value(count)
     blob = layout.PLAN.pack(
         plan.revision,
         plan.state,
@@ -453,7 +459,7 @@ def flat_plan(
         *plan.leases,
         gain,
         at[Value.STIFFNESS],
-        at[Value.DAMPING],
+        at[Value.VIRTUAL_DAMPING],
         at[Value.MASS],
         added_target(plan, tick, params),
         added,
@@ -511,12 +517,12 @@ def environment_of(
     bias = _bias(plan, tick)
     return (
         gain * at[Value.STIFFNESS].value(tick),
-        gain * at[Value.DAMPING].value(tick),
+        gain * at[Value.VIRTUAL_DAMPING].value(tick),
         gain * at[Value.MASS].value(tick),
         bias,
         limit_n if bias else gain * limit_n,
         gain * at[Value.WALL_STIFFNESS].value(tick),
-        gain * at[Value.WALL_DAMPING].value(tick),
+        gain * at[Value.WALL_VIRTUAL_DAMPING].value(tick),
         at[Value.WALL_POSITION].value(tick),
         at[Value.WALL_SIDE].value(tick),
         workspace.lower_m,
@@ -548,7 +554,7 @@ def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
         events.append(plan.winding.due_tick)
     if plan.state in LATCHED:
         held = plan.since_tick + round_half_up(
-            params.safety.damping_hold_s * params.realtime.rate_hz
+            params.safety.active_damping_hold_s * params.realtime.rate_hz
         )
         if plan.added > 0.0:
             events.append(max(held, tick + 1))

@@ -37,7 +37,7 @@ from hapticd.render.ramp import Ramp
 from hapticd.servo.plan import Booking, Plan
 
 SHARES: Final = 20  # of a second: 21 bookings at most, in a checkpoint too
-DAMPINGS = frozenset({Value.DAMPING, Value.WALL_DAMPING})  # store nothing
+DAMPINGS = frozenset({Value.VIRTUAL_DAMPING, Value.WALL_VIRTUAL_DAMPING})  # store nothing
 GAIN: Final = -1  # no place of a command
 MOVES = frozenset({Value.WALL_POSITION, Value.WALL_SIDE})
 

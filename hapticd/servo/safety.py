@@ -89,13 +89,13 @@ def held_damping(entry_level: float, elapsed_s: float, safety: SafetyParams) -> 
     """Active damping [N s/m] of a latched state `elapsed_s` after it was entered with
     `entry_level`.
     """
-    hold = max(entry_level, safety.safe_damping_ns_per_m)
-    released_s = elapsed_s - safety.damping_hold_s
+    hold = max(entry_level, safety.safe_active_damping_ns_per_m)
+    released_s = elapsed_s - safety.active_damping_hold_s
     if released_s <= 0.0:
         return hold
     return (
-        hold * (1.0 - released_s / safety.damping_release_s)
-        if released_s < safety.damping_release_s
+        hold * (1.0 - released_s / safety.active_damping_release_s)
+        if released_s < safety.active_damping_release_s
         else 0.0
     )
 

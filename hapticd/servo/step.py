@@ -103,9 +103,9 @@ def make_step(params: ServoParams) -> Step:
     slow_m = -fast_m
     own_resistance = bound.resistance
     resistance_per_count = (
-        params.device.damping.to_value(1.0) - params.device.damping.to_value(0.0)
+        params.device.active_damping.to_value(1.0) - params.device.active_damping.to_value(0.0)
     ) * rate_hz
-    resistance_at_0 = own_resistance + params.device.damping.to_value(0.0) * rate_hz
+    resistance_at_0 = own_resistance + params.device.active_damping.to_value(0.0) * rate_hz
     kept = bound.kept
     most_j = bound.energy_j
     look_j = min(most_j, budget_j(params))

@@ -377,7 +377,7 @@ def make_attend(params: ServoParams) -> Attend:
         flags = 0
         if usable:
             plan, positions, flags = filled(plan, law, sample, tick)
-            resistance = own_resistance + params.device.damping.to_value(effect) * rate_hz
+            resistance = own_resistance + params.device.active_damping.to_value(effect) * rate_hz
             law, ledger = bridge(
                 law, ledger, positions, settled.environment, coefficients, resistance, kept
             )

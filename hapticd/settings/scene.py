@@ -87,7 +87,7 @@ class SceneFile(TomlTable):
     allow_unstable: bool = False
     """Simulate a device whose damping circuit oscillates by itself."""
     environment: Environment = Environment()
-    damping: tuple[DampingStepTable, ...] = Field((), strict=False)
+    active_damping: tuple[DampingStepTable, ...] = Field((), strict=False)
     excitation: ExcitationTable = ExcitationTable()
     start: Start = Start()
     model: dict[str, dict[str, Any]] = Field(default_factory=dict)
@@ -151,7 +151,7 @@ def build_scene(files: SceneFiles) -> Scene:
     """The validated files as the values that `compose` takes."""
     name, scene, device = files
     assert device.model is not None
-    in_time = sorted(scene.damping, key=lambda step: step.at_s)
+    in_time = sorted(scene.active_damping, key=lambda step: step.at_s)
     steps = tuple(DampingStep(step.at_s, step.level_ns_per_m) for step in in_time)
     return Scene(
         name=name,
@@ -159,7 +159,7 @@ def build_scene(files: SceneFiles) -> Scene:
         device=scene.device,
         effects=effects_of(device.model, scene.effects, converter_effects(device)),
         environment=environment_params(scene.environment, device.travel),
-        damping=steps if steps and steps[0].at_s == 0.0 else (DampingStep(0.0, 0.0), *steps),
+        active_damping=steps if steps and steps[0].at_s == 0.0 else (DampingStep(0.0, 0.0), *steps),
         excitation=Excitation(**scene.excitation.model_dump()),
         seconds=scene.seconds,
         rate_hz=scene.rate_hz,

@@ -214,11 +214,11 @@ class Axis:
         "_trim_ohm_per_count",
         "_tripped",
         "_watchdog",
+        "active_damping_gain",
         "amplifier",
         "believed_ohm",
         "clamped",
         "damping_count",
-        "damping_gain",
         "damping_n",
         "diverged_at",
         "faults",
@@ -252,7 +252,7 @@ class Axis:
         self._trim_ohm_per_count = params.trim_full_scale_ohm / I16_HIGHEST
         self.probe = Probe(params)
         self.amplifier: Amplifier | None = None
-        self.damping_gain = 1.0  # of the circuit: damping over what is commanded
+        self.active_damping_gain = 1.0  # of the circuit: damping over what is commanded
         self.levels = READY  # Status bits of the hard-wired emergency stop, which has no memory
         self.state = self.plant.rest(0.0)
         self.power_up()
@@ -428,7 +428,9 @@ class Axis:
 
     def _damp(self, count: int) -> None:
         self.damping_count = count
-        self.damping_n = self.damping_gain * count * self._params.damping_ns_per_m_per_count
+        self.damping_n = (
+            self.active_damping_gain * count * self._params.active_damping_ns_per_m_per_count
+        )
 
     def _compensate(self, count: int) -> None:
         """The circuit believes in the resistance of this count from now on; with the DAC not

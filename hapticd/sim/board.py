@@ -245,13 +245,13 @@ class BoardModel:
         self._axis.amplifier = amplifier
 
     @property
-    def damping_gain(self) -> float:
+    def active_damping_gain(self) -> float:
         """Of the damping circuit, from the next OUT on: damping over what is commanded."""
-        return self._axis.damping_gain
+        return self._axis.active_damping_gain
 
-    @damping_gain.setter
-    def damping_gain(self, gain: float) -> None:
-        self._axis.damping_gain = gain
+    @active_damping_gain.setter
+    def active_damping_gain(self, gain: float) -> None:
+        self._axis.active_damping_gain = gain
 
     def stop_watchdog(self) -> None:
         """The watchdog does not work until the next OUT is obeyed."""
@@ -420,7 +420,7 @@ def hello(params: BoardParams) -> HelloFrame:
         watchdog_ms=round(params.watchdog_ms),
         serial=params.hello_serial or params.serial,
         force_full_scale_n=params.force_n_per_count * codec.I16_HIGHEST,
-        damping_full_scale_ns_per_m=params.damping_ns_per_m_per_count * codec.U16_HIGHEST,
+        damping_full_scale_ns_per_m=params.active_damping_ns_per_m_per_count * codec.U16_HIGHEST,
         probe_torque_full_scale_n=params.probe_torque_n_per_count * codec.I16_HIGHEST,
         probe_velocity_full_scale_m_s=params.probe_velocity_m_per_s_per_count * codec.I16_HIGHEST,
         current_full_scale_a=params.current_a_per_count * codec.I16_HIGHEST,

@@ -195,7 +195,7 @@ class Injector:
         self.tick += 1
         self._in_faults.clear()
         self.board.amplifier = None
-        self.board.damping_gain = 1.0
+        self.board.active_damping_gain = 1.0
         for number, item in enumerate(self._injections):
             if tick == item.tick or (item.probability and self.random.random() < item.probability):
                 self._until[number] = tick + item.count
@@ -314,7 +314,7 @@ def _amplifier(act: Callable[[float, float], float]) -> OutFault:
 
 
 def _damped(injector: Injector, packet: memoryview, value: float, t_ns: int) -> memoryview:
-    injector.board.damping_gain = value
+    injector.board.active_damping_gain = value
     return packet
 
 
@@ -413,7 +413,7 @@ OUT_FAULTS: dict[str, OutKind] = {
         "the amplifier has another gain, or the other polarity",
         "force over commanded force",
     ),
-    "damping_gain": OutKind(
+    "active_damping_gain": OutKind(
         _damped,
         "the damping circuit damps less, or more, than is commanded",
         "damping over commanded damping",

@@ -101,7 +101,7 @@ def impedance(
         scene,
         [kbm] * GROUP,
         params.seconds,
-        damping=level(scene),
+        active_damping=level(scene),
         environment=free_of_walls(scene),
         excitation=own.excitation,
         start=(0.0, 0.0),

@@ -226,7 +226,7 @@ def free_figure(result: FutureWorkResult) -> Figure:
 
 def _rendered(motion: Motion) -> str:
     active = f"{motion.level:g} N s/m active" if motion.level else "no active damping"
-    damping = f", B = {motion.damping:.2f} N s/m" if motion.damping else ""
+    damping = f", B = {motion.virtual_damping:.2f} N s/m" if motion.virtual_damping else ""
     return active + damping + (f", M = {1e3 * motion.mass_kg:.1f} g" if motion.mass_kg else "")
 
 

@@ -140,8 +140,8 @@ def _free_motion(result: FutureWorkResult) -> Section:
     words = (
         "No grid matters where no stiffness is rendered. Mean |Z| in 2-20 Hz is"
         f" {off.low_db().mean():.1f} dB without active damping and {on.low_db().mean():.1f} dB"
-        f" with it. B = {alone.damping:.2f} N s/m alone gives {alone.low_db().mean():.1f} dB,"
-        " because the lag of the loop turns it into mass; with"
+        f" with it. B = {alone.virtual_damping:.2f} N s/m alone gives"
+        f" {alone.low_db().mean():.1f} dB, because the lag of the loop turns it into mass; with"
         f" M = {1e3 * both.mass_kg:.1f} g beside it {both.low_db().mean():.1f} dB is left, lighter"
         f" than the device without active damping below {heavier:.0f} Hz and heavier above. All"
         " four are passive for every input without friction, the last with"
@@ -151,7 +151,7 @@ def _free_motion(result: FutureWorkResult) -> Section:
     rows = []
     for motion in free.motions:
         note = (
-            f"B {motion.damping:.3g} Ns/m, M {1e3 * motion.mass_kg:.3g} g;"
+            f"B {motion.virtual_damping:.3g} Ns/m, M {1e3 * motion.mass_kg:.3g} g;"
             f" {motion.reserve_ns_per_m:.3g} Ns/m in reserve by the lifted theorem, without"
             f" friction{f'; {len(motion.runs)} of {count} seeds pass' if count else ''}"
         )
@@ -291,7 +291,7 @@ def _search_words(found: SearchCheck) -> str:
         f"{found.share(points):.1f} % after {count}" for count, points in found.searched.items()
     )
     return (
-        f"At {found.damping_ns_per_m:g} N s/m the search answers wrongly, in shares of the"
+        f"At {found.active_damping_ns_per_m:g} N s/m the search answers wrongly, in shares of the"
         f" passive points, {wrong} trials; prediction alone {found.share(found.predicted):.1f} %,"
         f" the grid repeated with other noise {found.share(found.other_noise):.1f} %."
     )

@@ -243,7 +243,7 @@ class Motion:
 
     name: str
     level: float  # active damping, N s/m
-    damping: float  # virtual damping B, N s/m
+    virtual_damping: float  # virtual damping B, N s/m
     mass_kg: float  # virtual mass M
     predicted: Floats
     runs: Floats
@@ -340,7 +340,7 @@ class SearchCheck:
     `found` is the search with all of its trials.
     """
 
-    damping_ns_per_m: float
+    active_damping_ns_per_m: float
     points: int
     passive: int
     predicted: int
@@ -649,21 +649,23 @@ def _set(bench: Bench, level: float, limits: Floats) -> tuple[float, tuple[str, 
 
 def compared_with_grid(
     conditions: Conditions,
-    damping_ns_per_m: float,
+    active_damping_ns_per_m: float,
     budgets: tuple[int, ...] = BUDGETS,
     tell: Progress = silent,
 ) -> SearchCheck:
     """Try the whole grid twice, search once with `budgets[-1]` trials; the search after fewer
     trials is a part of that one.
     """
-    params = MapParams(conditions, SEARCHED[damping_ns_per_m], (damping_ns_per_m,), everywhere=True)
+    params = MapParams(
+        conditions, SEARCHED[active_damping_ns_per_m], (active_damping_ns_per_m,), everywhere=True
+    )
     prediction = plan_map(params).levels[0].prediction
     noises = (*GRID_SEEDS, SEARCH_SEED)
     *grids, own = (
         conditions.perturbed(more_seed=seed - conditions.excitation.seed) for seed in noises
     )
     reference, again = (_passive(replace(params, conditions=given), tell) for given in grids)
-    search = plan_search(SearchParams(own, damping_ns_per_m, budgets[-1], doubt=0.0))
+    search = plan_search(SearchParams(own, active_damping_ns_per_m, budgets[-1], doubt=0.0))
     found = run_search(search, TrialStore(None), tell)
     searched = {}
     for count in budgets:  # what is tried does not depend on how many trials are to follow
@@ -674,7 +676,13 @@ def compared_with_grid(
         searched[count] = int((predicted_passive(known, prediction.points) != reference).sum())
     predicted, floor = (int((other != reference).sum()) for other in (prediction.passive, again))
     return SearchCheck(
-        damping_ns_per_m, reference.size, int(reference.sum()), predicted, floor, searched, found
+        active_damping_ns_per_m,
+        reference.size,
+        int(reference.sum()),
+        predicted,
+        floor,
+        searched,
+        found,
     )
 
 

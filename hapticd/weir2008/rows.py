@@ -398,8 +398,8 @@ def _walls(walls: WallResult) -> Iterator[PaperRow]:
         best = max(walls.at(level), key=lambda line: line.highest_n_per_m)
         known = 100.0 * (best.first_unstable_n_per_m / best.highest_n_per_m - 1.0)
         note = (
-            f"of the wall with B {best.wall_damping_ns_per_m:g} Ns/m, known to {known:.0f} %; the"
-            " paper prints no value"
+            f"of the wall with B {best.wall_virtual_damping_ns_per_m:g} Ns/m, known to"
+            f" {known:.0f} %; the paper prints no value"
         )
         yield PaperRow(
             f"fig2_wall_K_{mode}", nan, best.highest_n_per_m, "N/m", "independent", MAIN, note=note

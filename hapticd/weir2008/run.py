@@ -326,7 +326,7 @@ def limits_of(
     return tuple(
         Limit(
             params.conditions.scene.device,
-            scan.damping_ns_per_m,
+            scan.active_damping_ns_per_m,
             scan.axis,
             params.base,
             scan.predicted,
@@ -398,7 +398,8 @@ def worth_trying(plan: MapPlan) -> MapPlan:
     levels = [
         replace(
             level,
-            near=level.prediction.passive | device.passive(NEAR * POINTS, level.damping_ns_per_m),
+            near=level.prediction.passive
+            | device.passive(NEAR * POINTS, level.active_damping_ns_per_m),
         )
         for level in plan.levels
     ]
@@ -412,7 +413,8 @@ def _of_map(level: LevelMap) -> GridResult:
     passed = [outcome for outcome in level.outcomes if outcome.passes]
     if level.envelope is None:
         raise AnalysisError(
-            f"no trial of the grid passed at {level.damping_ns_per_m:g} N s/m: there is no envelope"
+            f"no trial of the grid passed at {level.active_damping_ns_per_m:g} N s/m: there is no"
+            " envelope"
         )
     undecided = sum(outcome.answer != "passive" for outcome in passed)
     environments = np.array([outcome.environment for outcome in passed])

@@ -77,7 +77,7 @@ class Scan:
     """One limit to be found; `predicted` nan where even the base is not passive."""
 
     axis: int  # 0 K, 1 B, 2 M
-    damping_ns_per_m: float  # active damping
+    active_damping_ns_per_m: float  # active damping
     amplitude: float  # factor of the perturbation's force
     predicted: float  # N/m, N s/m or kg
 
@@ -224,7 +224,7 @@ def search_limit(
     for values in _rounds(params, scan, tried):
         points = np.tile(params.base, (len(values), 1))
         points[:, scan.axis] = begin + values
-        tried += yield [TrialBatch(conditions, scan.damping_ns_per_m, points_of(points))]
+        tried += yield [TrialBatch(conditions, scan.active_damping_ns_per_m, points_of(points))]
         tried.sort(key=lambda outcome: abs(outcome.environment[scan.axis] - begin))
     return tried
 

@@ -73,7 +73,7 @@ class LevelPlan:
     boundary.
     """
 
-    damping_ns_per_m: float
+    active_damping_ns_per_m: float
     prediction: Prediction
     near: Flags
 
@@ -102,7 +102,7 @@ class LevelMap:
     `envelope` is None if no trial passed.
     """
 
-    damping_ns_per_m: float
+    active_damping_ns_per_m: float
     found: PassiveSet
     tried: Flags
     outcomes: tuple[Outcome, ...]
@@ -220,10 +220,12 @@ def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
     lines = [restored(line) for line in store.known.values() if "environment" in line]
     for level in plan.levels:
         mine = {
-            one.environment: one for one in lines if one.damping_ns_per_m == level.damping_ns_per_m
+            one.environment: one
+            for one in lines
+            if one.active_damping_ns_per_m == level.active_damping_ns_per_m
         }
         batches = [
-            TrialBatch(given, level.damping_ns_per_m, tuple(mine))
+            TrialBatch(given, level.active_damping_ns_per_m, tuple(mine))
             for given in (replace(conditions, substeps=1), conditions)
         ]
         for point, one in mine.items():
@@ -257,12 +259,12 @@ def _batches(params: MapParams, level: LevelPlan) -> list[TrialBatch]:
     """Near the boundary with the conditions that are asked for, elsewhere with one sub-step."""
     conditions = params.conditions
     points = level.prediction.points
-    batches = [TrialBatch(conditions, level.damping_ns_per_m, points_of(points[level.near]))]
+    batches = [TrialBatch(conditions, level.active_damping_ns_per_m, points_of(points[level.near]))]
     if params.everywhere:
         batches.append(
             TrialBatch(
                 replace(conditions, substeps=1),
-                level.damping_ns_per_m,
+                level.active_damping_ns_per_m,
                 points_of(points[~level.near]),
             )
         )
@@ -309,7 +311,9 @@ def _level_map(
     passing = [outcome for outcome in outcomes if outcome.passes]
     envelope = envelope_of(passing) if passing else None
     unlike = _unlike(params, level, outcomes)
-    return LevelMap(level.damping_ns_per_m, found, tried.ravel(), tuple(outcomes), envelope, unlike)
+    return LevelMap(
+        level.active_damping_ns_per_m, found, tried.ravel(), tuple(outcomes), envelope, unlike
+    )
 
 
 def _unlike(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> int:
@@ -319,7 +323,7 @@ def _unlike(params: MapParams, level: LevelPlan, outcomes: list[Outcome]) -> int
     expected = dict(zip(points_of(level.prediction.points), level.prediction.passive, strict=True))
     new = [outcome.environment for outcome in outcomes if outcome.environment not in expected]
     if new:
-        guess = _predicted(params, level.damping_ns_per_m, np.array(new))
+        guess = _predicted(params, level.active_damping_ns_per_m, np.array(new))
         expected |= dict(zip(new, guess.passive, strict=True))
     return sum(bool(expected[outcome.environment]) != outcome.passes for outcome in outcomes)
 

@@ -108,7 +108,7 @@ class Outcome:
     """
 
     environment: Point
-    damping_ns_per_m: float  # active damping
+    active_damping_ns_per_m: float  # active damping
     answer: str  # passive, not_passive or undecided
     passes: bool  # by the paper's rule
     margin_ns_per_m: float  # least Re Z
@@ -142,13 +142,15 @@ def kept_frequencies(band_hz: tuple[float, float] | None = None) -> Floats:
     return np.union1d(frequencies(KEPT_BAND_HZ, FREQUENCIES), band_hz or ())
 
 
-def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) -> list[Outcome]:
+def run_trials(
+    conditions: Conditions, active_damping_ns_per_m: float, points: Floats
+) -> list[Outcome]:
     """Simulate and judge trials of `points` (n, 3): K [N/m], B [N s/m], M [kg]. Those whose verdict
     needs the record are simulated again, with the same noise, and judged on it.
 
     ConfigError as `simulate`, AnalysisError as `judge`.
     """
-    found = _simulated(conditions, damping_ns_per_m, points, "spectra")
+    found = _simulated(conditions, active_damping_ns_per_m, points, "spectra")
     whole = np.flatnonzero(~found.diverged).tolist()
     pairs = {
         trial: _with_verdict(conditions, found, trial, found.spectra(trial)) for trial in whole
@@ -159,7 +161,7 @@ def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) 
     for first in range(0, len(unsure), TOGETHER):
         some = unsure[first : first + TOGETHER]
         again = np.asarray(found.params[some], np.float64)
-        records = _simulated(conditions, damping_ns_per_m, again, "records")
+        records = _simulated(conditions, active_damping_ns_per_m, again, "records")
         shared = _shared_transform(records)
         for place, trial in enumerate(some):
             record = records.record(place)
@@ -170,14 +172,14 @@ def run_trials(conditions: Conditions, damping_ns_per_m: float, points: Floats) 
                 pairs[trial] = _with_verdict(conditions, found, trial, finer, low)
     limit_n = conditions.display.force_limit_n
     return [
-        _outcome(conditions, damping_ns_per_m, limit_n, found, trial, pairs.get(trial))
+        _outcome(conditions, active_damping_ns_per_m, limit_n, found, trial, pairs.get(trial))
         for trial in range(len(points))
     ]
 
 
 def _simulated(
     conditions: Conditions,
-    damping_ns_per_m: float,
+    active_damping_ns_per_m: float,
     points: Floats,
     keep: str,
 ) -> BatchResult:
@@ -186,7 +188,7 @@ def _simulated(
         points,
         conditions.seconds,
         conditions.excitation.seed,
-        damping=damping_ns_per_m,
+        active_damping=active_damping_ns_per_m,
         environment=free_of_walls(conditions.scene),
         excitation=conditions.excitation,
         start=(0.0, 0.0),
@@ -264,7 +266,7 @@ def _outcome(
     z = _kept_impedance(spectra, conditions.band_hz)
     return Outcome(
         environment=(k, b, m),
-        damping_ns_per_m=damping,
+        active_damping_ns_per_m=damping,
         answer="undecided" if doubtful and verdict.answer == "passive" else verdict.answer,
         passes=accepted(verdict, "within_90_deg") and not doubtful,
         margin_ns_per_m=verdict.margin_ns_per_m.value,
@@ -367,13 +369,13 @@ class TrialBatch:
     """Trials under one set of conditions."""
 
     conditions: Conditions
-    damping_ns_per_m: float
+    active_damping_ns_per_m: float
     points: tuple[Point, ...]
 
     @cached_property
     def keys(self) -> dict[Point, str]:
         """The key of each point in a store."""
-        shared = FORMAT, __version__, fingerprint(self.conditions), self.damping_ns_per_m
+        shared = FORMAT, __version__, fingerprint(self.conditions), self.active_damping_ns_per_m
         return {point: fingerprint((*shared, point))[:32] for point in self.points}
 
     def known(self, store: TrialStore) -> list[Outcome]:
@@ -427,7 +429,9 @@ def run_all(
             for batch in asked[place]:
                 for task in batch.tasks(store):
                     waiting[
-                        pool.submit(run_trials, batch.conditions, batch.damping_ns_per_m, task)
+                        pool.submit(
+                            run_trials, batch.conditions, batch.active_damping_ns_per_m, task
+                        )
                     ] = (
                         place,
                         batch,

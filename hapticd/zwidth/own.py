@@ -86,7 +86,7 @@ def _cut(
             "slots": trial.slots,
             **_mark(column, trial.first, index),
         },
-        rendered=RenderedEnvironment(trial.environment, trial.added_damping_ns_per_m),
+        rendered=RenderedEnvironment(trial.environment, trial.active_damping_ns_per_m),
     )
     return in_even_time(recorded, index[part])
 

@@ -85,7 +85,7 @@ class SearchParams:
     """
 
     conditions: Conditions
-    damping_ns_per_m: float
+    active_damping_ns_per_m: float
     budget: int = 40
     together: int = 4
     doubt: float = 0.02
@@ -143,7 +143,7 @@ def plan_search(params: SearchParams) -> SearchPlan:
     f = learnt_at(params.conditions)
     device = params.conditions.display
     known = ModelPrior(
-        device.model, box, f, params.damping_ns_per_m, device.filters, device.perturbation
+        device.model, box, f, params.active_damping_ns_per_m, device.filters, device.perturbation
     )
     begin = Search(box, known.resistance, known.headroom, np.gradient(f) / INDEPENDENT_HZ)
     return SearchPlan(params, box, begin)
@@ -206,7 +206,9 @@ def _batches(params: SearchParams, wanted: Floats, done: int) -> list[TrialBatch
     """A trial each of `wanted` (n, 3) after `done` trials, with noise of its own."""
     points = enumerate(points_of(wanted), done)
     return [
-        TrialBatch(params.conditions.perturbed(more_seed=place), params.damping_ns_per_m, (point,))
+        TrialBatch(
+            params.conditions.perturbed(more_seed=place), params.active_damping_ns_per_m, (point,)
+        )
         for place, point in points
     ]
 
@@ -219,7 +221,7 @@ def rounded(wanted: Floats) -> Floats:
 def _box(params: SearchParams) -> Box:
     given = params.conditions
     limits = [
-        predicted_limit(given.display, params.damping_ns_per_m, axis, band_hz=given.band_hz)
+        predicted_limit(given.display, params.active_damping_ns_per_m, axis, band_hz=given.band_hz)
         for axis in range(3)
     ]
     k, b, m = (room * limit for room, limit in zip(ROOM, limits, strict=True))
@@ -254,7 +256,7 @@ def _passive_face(params: SearchParams, box: Box, axis: int, end: float) -> bool
     sides[axis] = np.array([end])
     points = grid((sides[0], sides[1], sides[2]))
     given = params.conditions
-    return bool(given.display.passive(points, params.damping_ns_per_m, given.band_hz).any())
+    return bool(given.display.passive(points, params.active_damping_ns_per_m, given.band_hz).any())
 
 
 def _expected(search: Search, wanted: Floats) -> Floats:
@@ -310,7 +312,7 @@ class Slice:
     """
 
     mass_kg: float
-    damping: Floats
+    virtual_damping: Floats
     held: Floats
     predicted: Floats
 
@@ -322,7 +324,7 @@ def slice_at(result: SearchResult, mass_kg: float) -> Slice:
     params = result.plan.params
     box = result.plan.box
     given = params.conditions
-    level = params.damping_ns_per_m
+    level = params.active_damping_ns_per_m
     damping = np.linspace(box.low[1], box.high[1], SLICE[1])
 
     held = partial(predicted_passive, result.search)

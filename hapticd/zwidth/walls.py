@@ -62,9 +62,9 @@ class Impact:
     `deepest_m` how far the wall gave way.
     """
 
-    damping_ns_per_m: float
+    active_damping_ns_per_m: float
     wall_stiffness_n_per_m: float
-    wall_damping_ns_per_m: float
+    wall_virtual_damping_ns_per_m: float
     stable: bool
     late_m_per_s: float
     deepest_m: float
@@ -76,8 +76,8 @@ class WallLine:
     stiffest that was tried is stable.
     """
 
-    damping_ns_per_m: float
-    wall_damping_ns_per_m: float
+    active_damping_ns_per_m: float
+    wall_virtual_damping_ns_per_m: float
     highest_n_per_m: float
     open: bool
     impacts: tuple[Impact, ...]
@@ -102,7 +102,7 @@ class WallResult:
 
     def at(self, level: float) -> tuple[WallLine, ...]:
         """The boundary at one active damping, by wall damping."""
-        return tuple(line for line in self.lines if line.damping_ns_per_m == level)
+        return tuple(line for line in self.lines if line.active_damping_ns_per_m == level)
 
 
 def plan_walls(params: WallMapParams) -> WallPlan:
@@ -175,12 +175,14 @@ def hit(plan: WallPlan, level: float, stiffness: float, damping: float) -> Impac
     """
     scene = plan.params.scene
     params = plan.params
-    wall = replace(scene.environment.wall, stiffness_n_per_m=stiffness, damping_ns_per_m=damping)
+    wall = replace(
+        scene.environment.wall, stiffness_n_per_m=stiffness, virtual_damping_ns_per_m=damping
+    )
     found = simulate(
         plan.model,
         [[0.0, 0.0, 0.0]],
         scene.seconds,
-        damping=level,
+        active_damping=level,
         environment=replace(scene.environment, wall=wall),
         excitation=scene.excitation,
         start=(scene.start_position_m, scene.start_velocity_m_per_s),

@@ -104,7 +104,19 @@ def test_report_of_a_device_of_ones_own_is_written(tmp_path, capsys, monkeypatch
     (tmp_path / "own.toml").write_text(RIGID.replace('"ideal"', '"mine"'))
     monkeypatch.chdir(tmp_path)
     assert (
-        main(["zwidth", "report", "own.toml", "--seconds", "4", "--damping", "0", "--out", "out"])
+        main(
+            [
+                "zwidth",
+                "report",
+                "own.toml",
+                "--seconds",
+                "4",
+                "--active-damping",
+                "0",
+                "--out",
+                "out",
+            ]
+        )
         == 0
     ), capsys.readouterr().err
     found = json.loads((tmp_path / "out" / "mine.zwidth").read_text())

@@ -65,7 +65,7 @@ def test_limits_table_names_its_conditions(tmp_path, capsys):
         *SHORT,
         "--axis",
         "B",
-        "--damping",
+        "--active-damping",
         "0",
         "--amplitudes",
         "2",
@@ -90,7 +90,7 @@ def test_map_goes_on_and_is_drawn_again(tmp_path, capsys):
         *SHORT,
         "--out",
         str(tmp_path),
-        "--damping",
+        "--active-damping",
         "1.74",
         *GRID_OF_27,
     ]
@@ -114,7 +114,7 @@ def test_limits_tell_outcomes_with_their_limit(tmp_path, capsys):
         *SHORT,
         "--axis",
         "BM",
-        "--damping",
+        "--active-damping",
         "0",
         "--amplitudes",
         "2",
@@ -143,11 +143,24 @@ def test_search_tells_outcomes_and_runs_where_it_is_told(tmp_path, capsys, monke
 
     def searched(plan, store, tell, pool, hear):
         pools.append(pool)
-        hear(run_trials(plan.params.conditions, plan.params.damping_ns_per_m, np.zeros((2, 3))))
+        hear(
+            run_trials(
+                plan.params.conditions, plan.params.active_damping_ns_per_m, np.zeros((2, 3))
+            )
+        )
         raise KeyboardInterrupt
 
     monkeypatch.setattr(search, "run_search", searched)
-    words = ["search", *SHORT, "--damping", "1.74", "--json", "--out", str(tmp_path), "--executor"]
+    words = [
+        "search",
+        *SHORT,
+        "--active-damping",
+        "1.74",
+        "--json",
+        "--out",
+        str(tmp_path),
+        "--executor",
+    ]
     for where in ("thread", "process"):
         code, out, err = run([*words, where], capsys)
         assert code == 130
@@ -165,7 +178,7 @@ def test_maps_run_on_dask(tmp_path, capsys):
     ) as it:
         there = ["--executor", it.scheduler_address.replace("tcp://", "dask://")]
         assert run(small_map(tmp_path / "there", *there), capsys)[0] == 0
-        words = ["limits", *SHORT, "--axis", "B", "--damping", "0", "--no-plot", "--json"]
+        words = ["limits", *SHORT, "--axis", "B", "--active-damping", "0", "--no-plot", "--json"]
         for place, more in (("ours", []), ("theirs", there)):
             assert run([*words, *more, "--out", str(tmp_path / place)], capsys)[0] == 0
     assert trials(tmp_path / "there") == trials(tmp_path / "here")
@@ -174,7 +187,8 @@ def test_maps_run_on_dask(tmp_path, capsys):
 
 def test_search_reports_its_doubt(tmp_path, capsys):
     code, out, err = run(
-        ["search", *SHORT, "--damping", "1.74", "--budget", "8", "--out", str(tmp_path)], capsys
+        ["search", *SHORT, "--active-damping", "1.74", "--budget", "8", "--out", str(tmp_path)],
+        capsys,
     )
     assert code == 0
     (level,) = json.loads((tmp_path / "run.json").read_text())["levels"]
@@ -207,7 +221,9 @@ def test_walls_prints_the_boundary(tmp_path, capsys):
     code, out, _ = run(words, capsys)
     assert code == 0
     lines = json.loads(out)["lines"]
-    assert [(line["damping_ns_per_m"], line["wall_damping_ns_per_m"]) for line in lines] == [
+    assert [
+        (line["active_damping_ns_per_m"], line["wall_virtual_damping_ns_per_m"]) for line in lines
+    ] == [
         (0, 0),
         (0, 2),
         (1.74, 0),
@@ -222,7 +238,7 @@ def test_report_of_a_device_has_every_figure(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(maps, "GRID", (3, 3))
     (tmp_path / "walls.png").touch()  # of the run before
     code, out, _ = run(
-        ["report", "weir2008", *SHORT, "--damping", "1.74", "--out", str(tmp_path)], capsys
+        ["report", "weir2008", *SHORT, "--active-damping", "1.74", "--out", str(tmp_path)], capsys
     )
     assert code == 0
     for name in ("trial.png", "limits.png", "set.png", "envelope.png", "weir2008.zwidth"):

@@ -38,7 +38,8 @@ def test_damping_is_electrical_and_viscous_is_virtual(virtual, tmp_path, capsys)
         ["import", str(tmp_path / "a.npz")],
     ):
         code, out, _ = run(
-            [*words, virtual, "3", "--damping", "1.74", "--out", str(tmp_path / words[0])], capsys
+            [*words, virtual, "3", "--active-damping", "1.74", "--out", str(tmp_path / words[0])],
+            capsys,
         )
         assert code == 0
         assert "K 0 N/m, B 3 N s/m, M 0 kg, active damping 1.74 N s/m\n" in out

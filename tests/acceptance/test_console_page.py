@@ -115,7 +115,7 @@ def client(daemon: Daemon) -> Iterator[Client]:
     with PatientClient(daemon.instance, name="test") as client:
         client.call("stop")  # answered: one whose answer came late would stop the next test
         until(lambda: daemon.cli("reset") == 0, "reset")
-        client.set(K=0.0, B=0.0, M=0.0, damping=0.0)
+        client.set(K=0.0, B=0.0, M=0.0, active_damping=0.0)
         zeroed(client)  # a busy machine may have cost the board its origin
         yield client
 
@@ -381,7 +381,7 @@ def test_damping_lamp_is_what_the_board_reports(page: Page, client: Client) -> N
 
 def reported(client: Client) -> float:
     """Active damping [N s/m] in effect, as the board says."""
-    return float(client.record(0.02)[0]["damping_effect_ns_per_m"][-1])
+    return float(client.record(0.02)[0]["active_damping_effect_ns_per_m"][-1])
 
 
 def test_values_are_set_together_with_a_receipt_in_words(page: Page, client: Client) -> None:
@@ -458,7 +458,7 @@ def read_in_full(page: Page, place: str) -> bool:
 
 
 def test_a_receipt_of_the_guard_says_policy_basis_and_verdict(page: Page, client: Client) -> None:
-    client.set(K=100.0, B=1.0, damping=1.74)
+    client.set(K=100.0, B=1.0, active_damping=1.74)
     wait_text(page, "#verdict", "K = 100 N/m, B = 1 N s/m, M = 0 kg")
     page.select_option("#policy", "refuse")
     wait_text(page, "#log", "guard: refuse, by theorem")
@@ -540,7 +540,7 @@ def test_what_the_servo_waits_for_is_told_once_for_each_reason(told: Told) -> No
 
 
 def test_margin_and_allowed_range_come_from_the_guard(page: Page, client: Client) -> None:
-    client.set(K=100.0, B=1.0, damping=1.74)
+    client.set(K=100.0, B=1.0, active_damping=1.74)
     wait_text(page, "#margin", "spare")
     until(lambda: f"passive {allowed(client)}" in page.inner_text("#K-range"), "the range of K")
     client.damping("off")
@@ -629,7 +629,7 @@ def test_verdict_margin_and_level_are_read_in_full(
     served: Served, chromium: Browser, client: Client, size: tuple[int, int]
 ) -> None:
     page = opened(chromium, served.url, viewport={"width": size[0], "height": size[1]})
-    client.set(K=500.0, B=2.0, damping=0.7143)
+    client.set(K=500.0, B=2.0, active_damping=0.7143)
     client.damping("off")
     wait_text(page, "#verdict", "K = 500 N/m, B = 2 N s/m, M = 0 kg with 0 N s/m of damping")
     assert read_in_full(page, "#guard")
@@ -670,12 +670,17 @@ def test_a_lease_of_the_page_is_kept_while_it_is_open_and_ends_with_it(
 ) -> None:
     page = opened(chromium, served.url)
     wait_text(page, "#lamp", "disabled")
-    page.select_option("#lease-what", "damping")
+    page.select_option("#lease-what", "active_damping")
     page.click("#lease-take")
     wait_text(page, "#lease-holder", "damping: this page")
-    taken = client.status()["leases"]["damping"]
-    until(lambda: client.status()["leases"]["damping"]["left_s"] < taken["ttl_s"] - 0.5, "time")
-    until(lambda: client.status()["leases"]["damping"]["left_s"] > taken["ttl_s"] - 0.4, "renewed")
+    taken = client.status()["leases"]["active_damping"]
+    until(
+        lambda: client.status()["leases"]["active_damping"]["left_s"] < taken["ttl_s"] - 0.5, "time"
+    )
+    until(
+        lambda: client.status()["leases"]["active_damping"]["left_s"] > taken["ttl_s"] - 0.4,
+        "renewed",
+    )
     with pytest.raises(CommandError):
         client.damping("on")
     page.context.close()

@@ -25,14 +25,14 @@ class Inline(Executor):
 
 @pytest.fixture(scope="module")
 def reference():
-    return simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, keep="records")
+    return simulate(WEIR, PARAMS, 0.5, 7, active_damping=1.74, keep="records")
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 64])
 @pytest.mark.parametrize("threads", [1, 2])
 def test_bytes_do_not_depend_on_chunks_or_threads(reference, chunk, threads, monkeypatch):
     monkeypatch.setattr(batch, "workers", lambda: threads)
-    again = simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, keep="records", chunk=chunk)
+    again = simulate(WEIR, PARAMS, 0.5, 7, active_damping=1.74, keep="records", chunk=chunk)
     assert same_bytes(reference, again)
 
 
@@ -53,7 +53,8 @@ def test_sums_do_not_depend_on_what_is_kept(dtype):
 
 def test_any_executor_gives_the_same_bytes(reference):
     assert same_bytes(
-        reference, simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, keep="records", executor=Inline())
+        reference,
+        simulate(WEIR, PARAMS, 0.5, 7, active_damping=1.74, keep="records", executor=Inline()),
     )
 
 
@@ -72,7 +73,7 @@ def test_sums_are_those_of_the_records(reference):
 
 @pytest.mark.parametrize("dtype", ["f64", "f32"])
 def test_summary_keeps_the_same_sums_and_no_record(reference, dtype):
-    summary = simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, dtype=dtype)
+    summary = simulate(WEIR, PARAMS, 0.5, 7, active_damping=1.74, dtype=dtype)
     assert summary.velocity_m_per_s is None
     assert summary.torque_n is None
     for name in SUMS:

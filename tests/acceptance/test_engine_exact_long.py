@@ -37,7 +37,9 @@ def test_friction_and_rounding_are_solved_as_defined(extra, substeps):
 def test_multiplier_offset_and_estimate_noise_push():
     model = device(*STAR, Multiplier(velocity_offset_m_per_s=0.01), noise=Noise(estimate_psd=1e-9))
     silent = np.zeros(400)
-    result = simulate(model, TRIALS, 0.1, seed=5, excitation=silent, damping=1.74, keep="records")
+    result = simulate(
+        model, TRIALS, 0.1, seed=5, excitation=silent, active_damping=1.74, keep="records"
+    )
     noise = held_noise(400, 1e-9, 5, Stream.ESTIMATE)
     expected, _, _ = Straight(model, TRIALS[0], level=1.74).play(silent, noise)
     assert abs(expected).max() > 1e-3

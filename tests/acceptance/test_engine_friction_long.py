@@ -39,7 +39,7 @@ def test_stuck_body_records_exactly_nothing(parts, substeps, dtype):
     change.
     """
     options = {"start": (1e-5, 0.0), "excitation": BELOW_FRICTION_N, "substeps": substeps}
-    options |= {"dtype": dtype, "damping": 1.74}
+    options |= {"dtype": dtype, "active_damping": 1.74}
     records = simulate(device(*parts), FIG4, 1.0, keep="records", **options)
     assert not records.velocity_m_per_s.any()
     assert records.max_force_n.all()

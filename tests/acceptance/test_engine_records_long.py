@@ -15,7 +15,7 @@ from hapticd.settings.scene import load_scene
 @pytest.mark.parametrize(("dtype", "tolerance"), [("f64", 1e-12), ("f32", 2e-6)])
 @pytest.mark.parametrize("seconds", [2.048, 3.3, 4.6])
 def test_spectra_are_those_of_the_records(dtype, tolerance, seconds):
-    spectra, records = both(WEIR, PARAMS, seconds, 3, damping=1.74, dtype=dtype, substeps=2)
+    spectra, records = both(WEIR, PARAMS, seconds, 3, active_damping=1.74, dtype=dtype, substeps=2)
     assert_alike(spectra, records, (0, 31, 69), tolerance)
 
 

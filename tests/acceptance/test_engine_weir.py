@@ -22,7 +22,7 @@ def test_figure_7_has_its_impedance_and_its_phase_advantage():
     impedance = []
     for level in (0.0, 1.74):
         result = simulate(
-            scene, [[50.0, 2.0, 0.0]], 90.0, 1, damping=level, substeps=4, keep="records"
+            scene, [[50.0, 2.0, 0.0]], 90.0, 1, active_damping=level, substeps=4, keep="records"
         )
         spectra = spa(*result.record(0), frequency_hz=FREQUENCY_HZ)
         impedance.append(spectra.cross / spectra.velocity)

@@ -26,7 +26,7 @@ FIELDS = [
     "M",
     "filters",
     "wall",
-    "damping",
+    "active_damping",
     "ramp_s",
     "at_tick",
     "if_rev",
@@ -52,7 +52,7 @@ VALUES = st.recursive(
 )
 REQUESTS = st.fixed_dictionaries(
     {"cmd": st.sampled_from(list(MODELS)) | VALUES},
-    optional=dict.fromkeys(FIELDS, VALUES) | {"K": NUMBERS, "damping": NUMBERS},
+    optional=dict.fromkeys(FIELDS, VALUES) | {"K": NUMBERS, "active_damping": NUMBERS},
 )
 MANY = settings(
     max_examples=700,

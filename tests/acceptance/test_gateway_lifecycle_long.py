@@ -16,7 +16,7 @@ from hapticd.mailbox.layout import State
 from hapticd.units import NS_PER_MS
 
 CLIENTS = st.sampled_from([b"a", b"b"])
-STAGES = [stage({"damping": 1.5}), stage({"K": 100.0}, at_least=1.5)]
+STAGES = [stage({"active_damping": 1.5}), stage({"K": 100.0}, at_least=1.5)]
 
 
 class Lifecycle(RuleBasedStateMachine):
@@ -51,7 +51,7 @@ class Lifecycle(RuleBasedStateMachine):
 
     @rule(client=CLIENTS)
     def change(self, client: bytes) -> None:
-        self.rig.send(packed(cmd="set", K=5, damping=1.5), client=client)
+        self.rig.send(packed(cmd="set", K=5, active_damping=1.5), client=client)
 
     @rule(client=CLIENTS)
     def leave(self, client: bytes) -> None:

@@ -69,61 +69,61 @@ def damping_still_rises_when_a_scheduled_spring_comes(client: Client) -> None:
     """1.74 N s/m take 87 ms at 20 N s/m/s."""
     client.enable()
     soon = client.guarded.tick + 100
-    client.schedule(soon, damping=1.74)
+    client.schedule(soon, active_damping=1.74)
     client.schedule(soon + 5, K=1500.0, ramp_s=0.0)
 
 
 def scheduled_spring_is_still_there_when_damping_goes(client: Client) -> None:
-    client.ask(damping=1.74)
+    client.ask(active_damping=1.74)
     client.ask(K=1500.0)
     client.enable()
     soon = client.guarded.tick + 50
     client.schedule(soon, K=100.0, ramp_s=1.0)
-    client.schedule(soon + 10, damping=0.0)
+    client.schedule(soon + 10, active_damping=0.0)
 
 
 def spring_is_still_there_when_force_comes_on(client: Client) -> None:
-    client.ask(damping=1.74)
+    client.ask(active_damping=1.74)
     client.ask(K=1500.0)
-    client.ask(200, K=100.0, damping=0.0, ramp_s=10.0)
+    client.ask(200, K=100.0, active_damping=0.0, ramp_s=10.0)
     client.enable()
 
 
 def wall_is_still_there_when_damping_goes(client: Client) -> None:
     """Its side comes to 0 on a ramp, on whose square its force depends."""
-    client.ask(damping=1.74)
-    client.ask(wall={"side": 1, "stiffness_n_per_m": 1500.0, "damping_ns_per_m": 0.0})
+    client.ask(active_damping=1.74)
+    client.ask(wall={"side": 1, "stiffness_n_per_m": 1500.0, "virtual_damping_ns_per_m": 0.0})
     client.enable()
     client.ask(50, wall={"side": 0}, ramp_s=2.0)
-    client.ask(damping=0.0)
+    client.ask(active_damping=0.0)
 
 
 def negative_mass_is_easier_with_the_longest_delay(client: Client) -> None:
     """M = -8 g needs 2.32 N s/m at T / 8 and 2.05 at 1.5 T."""
     client.guarded.delay_periods = 1.5
-    client.ask(damping=1.85)
+    client.ask(active_damping=1.85)
     client.ask(M=-0.008)
     client.enable()
 
 
 def ramps_of_different_length_are_under_way_when_damping_goes(client: Client) -> None:
     """K goes slowly and B comes quickly: on no line between both is K still there with all of B."""
-    client.ask(damping=1.74)
+    client.ask(active_damping=1.74)
     client.ask(K=1000.0)
     client.enable()
     client.ask(10, K=100.0, ramp_s=5.0)
     client.ask(10, B=1.5, ramp_s=0.2)
-    client.ask(damping=0.9)
+    client.ask(active_damping=0.9)
 
 
 def stages_left_over_from_a_refused_change(client: Client) -> None:
     """Filters in use are refused by the servo; what was to come after them must not come."""
-    client.ask(damping=3.0)
-    client.ask(wall={"side": 1, "stiffness_n_per_m": 1700.0, "damping_ns_per_m": 3.3})
+    client.ask(active_damping=3.0)
+    client.ask(wall={"side": 1, "stiffness_n_per_m": 1700.0, "virtual_damping_ns_per_m": 3.3})
     client.enable()
     client.guarded.choose("auto")
     client.ask(filters={"velocity_hz": 300.0})
-    client.ask(damping=0.0)
+    client.ask(active_damping=0.0)
 
 
 WAYS = [

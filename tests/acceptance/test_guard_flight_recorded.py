@@ -20,7 +20,12 @@ HAND = gripping(0.3, 3200.0)
 def environments(found: np.ndarray) -> list[Point]:
     """What the records say was in force, each once."""
     live = found[found["state"] == State.ENABLED]
-    columns = ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg", "damping_effect_ns_per_m")
+    columns = (
+        "stiffness_n_per_m",
+        "virtual_damping_ns_per_m",
+        "mass_kg",
+        "active_damping_effect_ns_per_m",
+    )
     scaled = [live["gain"] * live[name] for name in columns[:3]]
     rows = np.stack((*scaled, live[columns[3]]), axis=1)
     return [Point(*row) for row in np.unique(rows.round(6), axis=0).tolist()]

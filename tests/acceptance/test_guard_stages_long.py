@@ -26,11 +26,11 @@ def test_toggled_damping_never_outruns_the_environment(flight: Flight) -> None:
         flight.ask(cmd="damping", value="off" if place % 2 == 0 else "on")
         flown.append(flight.fly(pause))
     for record in np.concatenate(flown)[::7]:
-        level = float(record["damping_effect_ns_per_m"])
-        bare = {"wall": {"side": 0}, "M": 0.0, "damping": level}
+        level = float(record["active_damping_effect_ns_per_m"])
+        bare = {"wall": {"side": 0}, "M": 0.0, "active_damping": level}
         now = bare | {
             "K": float(record["stiffness_n_per_m"]),
-            "B": float(record["damping_ns_per_m"]),
+            "B": float(record["virtual_damping_ns_per_m"]),
         }
         question = {
             "ask": "look",

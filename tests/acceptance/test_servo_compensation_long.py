@@ -25,7 +25,7 @@ def test_board_without_the_dac_gets_0_and_loses_what_theory_says():
     moments = list(flown(*device(("resistance",)), 6))
     for one in moments:
         gain = 1.0 / (1.0 + DAMPING_NS_PER_M * (copper(one.winding_c) - 1.5) / 1.65**2)
-        assert one.damping_ns_per_m == pytest.approx(DAMPING_NS_PER_M * gain, rel=0.01)
+        assert one.active_damping_ns_per_m == pytest.approx(DAMPING_NS_PER_M * gain, rel=0.01)
     assert deviation_pct(moments) > 15.0
     with LockStep(*device(("resistance",))) as stack:
         ticks = np.frombuffer(stack.run(500), dtype=RECORD)
@@ -45,7 +45,7 @@ def test_sensor_that_breaks_in_flight_never_over_compensates_the_circuit(reads_c
         axis = stack.backend._port._axis
         honest = stack.backend._port._celsius
         stack.do(Command.SET, {Value.STIFFNESS: 600.0, Value.RAMP_S: 0.0})
-        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: CEILING, Value.ADDED_DAMPING_ON: 1.0})
+        stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: CEILING, Value.ACTIVE_DAMPING_ON: 1.0})
         stack.do(Command.ENABLE)
         gains = []
         for step in range(200):

@@ -28,7 +28,7 @@ def test_wall_at_five_times_its_limit_stays_bounded(lag_hz, delay, hand):
         assert held.plan.state is State.ENABLED
         assert max(held.leaks) <= BALANCE_J
         assert held.acted
-        assert held.blob["added_damping_ns_per_m"] == pytest.approx(CEILING)
+        assert held.blob["active_damping_ns_per_m"] == pytest.approx(CEILING)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -82,9 +82,9 @@ def test_slice_of_a_search_ends_where_theory_says():
     cut = slice_at(result, 0.0)
     assert cut.predicted[0] == pytest.approx(2000.0, rel=0.02)
     assert 1500.0 < cut.held[0] < 2040.0
-    ends = [cut.damping[np.isfinite(edge)][-1] for edge in (cut.predicted, cut.held)]
+    ends = [cut.virtual_damping[np.isfinite(edge)][-1] for edge in (cut.predicted, cut.held)]
     assert ends == pytest.approx([2.184, 2.184], rel=0.04)
-    assert np.isnan(cut.held[cut.damping > 1.04 * 2.184]).all()
+    assert np.isnan(cut.held[cut.virtual_damping > 1.04 * 2.184]).all()
 
 
 def test_trials_of_a_search_have_noise_of_their_own():

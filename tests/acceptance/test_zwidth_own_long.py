@@ -33,7 +33,7 @@ def flight() -> RecordedFlight:
     with RecordedFlight() as flown:
         flown.move()
         flown.fly(1000)
-        flown.stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+        flown.stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0})
         flown.fly(1000 * SECONDS)
     return flown
 
@@ -95,10 +95,10 @@ def test_import_of_it_gives_a_verdict_with_badge_and_environment(name, files, tm
     assert (told["simulated"], told["rate_hz"], told["device_name"]) == (True, 4000.0, "simulated")
     assert told["environment"] == {
         "stiffness_n_per_m": 50.0,
-        "damping_ns_per_m": 2.0,
+        "active_damping_ns_per_m": 2.0,
         "mass_kg": 0.0,
     }
-    assert told["added_damping_ns_per_m"] == 1.74
+    assert told["active_damping_ns_per_m"] == 1.74
     assert name in told["origin"]
 
 

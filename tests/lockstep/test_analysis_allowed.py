@@ -161,7 +161,7 @@ def test_a_safe_display_has_an_interval_for_each() -> None:
     """Also at rest and free, where the loop drifts and an end of B is an eigenvalue of 1 twice."""
     for added in (0.0, 1.74, 10.0):
         judge = Judge(setup_of(rigid(0.36, 0.125)))
-        allowed = change(judge, {}, now={"damping": added})["verdict"]["allowed"]
+        allowed = change(judge, {}, now={"active_damping": added})["verdict"]["allowed"]
         low, high = allowed["B"]
         assert low == pytest.approx(-0.36 - added, rel=1e-2)
         assert low < 0.0 < high

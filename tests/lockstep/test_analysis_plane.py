@@ -54,7 +54,9 @@ def test_active_damping_makes_it_larger_and_the_verdict_names_the_same_edges() -
     without = [low is not None for low in found["without"]["low"]]
     damped = [low is not None for low in found["with"]["low"]]
     assert sum(damped) > 3 * sum(without) > 0
-    allowed = change(judge, {"K": 0.0, "damping": LEVEL}, delay_periods=0.375)["verdict"]["allowed"]
+    allowed = change(judge, {"K": 0.0, "active_damping": LEVEL}, delay_periods=0.375)["verdict"][
+        "allowed"
+    ]
     edges = [found["with"][edge][0] for edge in ("low", "high")]
     assert edges == pytest.approx(allowed["B"], abs=0.01)
 

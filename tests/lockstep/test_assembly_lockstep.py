@@ -25,9 +25,9 @@ from hapticd.servo.safety import State
 from hapticd.wire import codec
 from hapticd.wire.frames import OutFlag, StatusBit
 
-FIG_4 = {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
+FIG_4 = {Value.STIFFNESS: 100.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
 FREE = {Value.STIFFNESS: 0.0, Value.RAMP_S: 0.0}
-FIG_7 = {Value.STIFFNESS: 50.0, Value.DAMPING: 2.0, Value.MASS: 0.0, Value.RAMP_S: 0.0}
+FIG_7 = {Value.STIFFNESS: 50.0, Value.VIRTUAL_DAMPING: 2.0, Value.MASS: 0.0, Value.RAMP_S: 0.0}
 FAULTS = [
     ("drop_out", 1, 0.0),
     ("drop_out", 3, 0.0),
@@ -70,7 +70,7 @@ def test_figure_4_environment_renders_on_the_simulated_board():
         flown = as_records(stack.run(5000))
     assert set(flown["state"]) == {State.ENABLED}
     assert not flown["flags"].any()
-    expected = flown["stiffness_force_n"] + flown["damping_force_n"] + flown["mass_force_n"]
+    expected = flown["stiffness_force_n"] + flown["virtual_damping_force_n"] + flown["mass_force_n"]
     assert np.abs(flown["force_n"] - expected).max() <= 0.5 * 8.0 / 32767 * 1.0001
     assert np.allclose(flown["stiffness_force_n"], -100.0 * flown["position_m"], rtol=1e-12, atol=0)
     assert 1e-5 < np.abs(flown["position_m"]).max() < 5e-3
@@ -82,20 +82,20 @@ def test_figure_7_added_damping_is_toggled_live_and_slows_the_device():
         perturbed(stack)
         without = as_records(stack.run(8000))
         receipt = stack.do(
-            Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}
+            Command.DAMPING, {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0}
         )
-        assert receipt.effective[Value.ADDED_DAMPING] == pytest.approx(1.74, abs=COUNT_NS_PER_M)
+        assert receipt.effective[Value.ACTIVE_DAMPING] == pytest.approx(1.74, abs=COUNT_NS_PER_M)
         stack.run(200)
         added = as_records(stack.run(8000))
-        stack.do(Command.DAMPING, {Value.ADDED_DAMPING_ON: 0.0})
+        stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING_ON: 0.0})
         stack.run(200)
         again = as_records(stack.run(8000))
-    assert set(added["added_damping_ns_per_m"]) == {receipt.effective[Value.ADDED_DAMPING]}
+    assert set(added["active_damping_ns_per_m"]) == {receipt.effective[Value.ACTIVE_DAMPING]}
     slow = added["velocity_m_per_s"].std()
     fast = without["velocity_m_per_s"].std()
     assert slow < 0.8 * fast
     assert again["velocity_m_per_s"].std() == pytest.approx(fast, rel=0.1)
-    assert set(again["added_damping_ns_per_m"]) == {0.0}
+    assert set(again["active_damping_ns_per_m"]) == {0.0}
 
 
 def test_free_decay_shows_the_damping_that_was_commanded():
@@ -104,7 +104,7 @@ def test_free_decay_shows_the_damping_that_was_commanded():
     """
     with LockStep(servo_params(), board_params()) as stack:
         enable(stack, FREE)
-        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
+        stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 2.0, Value.ACTIVE_DAMPING_ON: 1.0})
         stack.run(300)
         stack.load_waveform([16000] * 80)
         stack.do(Command.PERTURB_START, {Value.SAMPLES: 80.0, Value.LOOP: 0.0})
@@ -150,11 +150,11 @@ def test_spread_of_the_delay_shows_a_frame_that_was_latched_late():
 
 def test_damping_in_effect_is_what_the_board_says():
     with LockStep(servo_params(), board_params()) as stack:
-        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+        stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0})
         flown = as_records(stack.run(300))
-    assert flown["damping_effect_ns_per_m"][-1] == pytest.approx(1.74, abs=COUNT_NS_PER_M)
-    asked = flown["added_damping_ns_per_m"]
-    assert flown["damping_effect_ns_per_m"][1:] == pytest.approx(asked[:-1], abs=1e-6)
+    assert flown["active_damping_effect_ns_per_m"][-1] == pytest.approx(1.74, abs=COUNT_NS_PER_M)
+    asked = flown["active_damping_ns_per_m"]
+    assert flown["active_damping_effect_ns_per_m"][1:] == pytest.approx(asked[:-1], abs=1e-6)
 
 
 @pytest.mark.parametrize(("kind", "count", "value"), FAULTS)

@@ -36,7 +36,7 @@ def eventful() -> tuple[RecordedFlight, replay.Segment]:
         flight.move()
         flight.fly(800)
         stack = flight.stack
-        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+        stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0})
         flight.fly(400)
         stack.do(Command.SET, {Value.WALL_STIFFNESS: 500.0, Value.WALL_SIDE: 1.0})
         stack.command(
@@ -65,7 +65,7 @@ def test_flight_had_everything(flown: tuple[RecordedFlight, replay.Segment]) -> 
     assert {State.DISABLED, State.ENABLED, State.STOPPED} <= set(records["state"].tolist())
     assert records["arrival"].min() < -1
     assert records["arrival"].max() > 1
-    assert np.ptp(records["added_damping_ns_per_m"]) > 1.0
+    assert np.ptp(records["active_damping_ns_per_m"]) > 1.0
     assert np.abs(records["force_n"]).max() > 0.01
 
 
@@ -135,7 +135,9 @@ def test_held_settings_act_from_the_first_tick_to_the_last(
 ) -> None:
     flight, leg = flown
     other = replay.replay(
-        flight.params, leg, {Value.STIFFNESS: 10.0, Value.DAMPING: 0.0, Value.ADDED_DAMPING_ON: 0.0}
+        flight.params,
+        leg,
+        {Value.STIFFNESS: 10.0, Value.VIRTUAL_DAMPING: 0.0, Value.ACTIVE_DAMPING_ON: 0.0},
     )
     enabled = (other["gain"] == 1.0) & (leg.records["arrival"] >= 0)
     assert set(other["stiffness_n_per_m"].tolist()) == {10.0}
@@ -145,8 +147,8 @@ def test_held_settings_act_from_the_first_tick_to_the_last(
         rtol=1e-12,
         atol=1e-12,
     )
-    assert other["damping_force_n"].any() == np.False_
-    assert other["added_damping_asked_ns_per_m"].max() == pytest.approx(0.0)
+    assert other["virtual_damping_force_n"].any() == np.False_
+    assert other["active_damping_asked_ns_per_m"].max() == pytest.approx(0.0)
     assert np.array_equal(other["position_m"], leg.records["position_m"])
 
 
@@ -164,7 +166,7 @@ def test_other_settings_stay_as_they_were_asked(
     flown: tuple[RecordedFlight, replay.Segment],
 ) -> None:
     flight, leg = flown
-    other = replay.replay(flight.params, leg, {Value.DAMPING: 5.0})
+    other = replay.replay(flight.params, leg, {Value.VIRTUAL_DAMPING: 5.0})
     assert np.array_equal(other["stiffness_n_per_m"], leg.records["stiffness_n_per_m"])
     assert np.array_equal(other["state"], leg.records["state"])
 

@@ -15,7 +15,7 @@ from hapticd.mailbox.layout import Command, Result, Value, values_of
 from hapticd.params import HandParams, TouchParams
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
 
-SPRING = {Value.STIFFNESS: 200.0, Value.DAMPING: 2.0, Value.RAMP_S: 0.0}
+SPRING = {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 2.0, Value.RAMP_S: 0.0}
 BOARD = board_params(touch=TouchParams(hands=(HandParams("push", force_n=1.0),)), watchdog_ms=20.0)
 
 

@@ -22,7 +22,7 @@ Polls = Callable[[Callable[[], None]], list[float]]
 
 def staged(asked: dict[str, Any]) -> dict[str, Any]:
     """Damping first; force once the board reports it."""
-    stages = [stage({"damping": 1.5}), stage({}, at_least=1.5)]
+    stages = [stage({"active_damping": 1.5}), stage({}, at_least=1.5)]
     return {"action": "stage", "stages": stages, "verdict": verdict()}
 
 
@@ -71,7 +71,7 @@ def test_enable_in_stages_is_waited_for_and_told_with_its_last_receipt(
     assert main(["enable"]) == 0
     assert waits
     assert rig.servo.state is State.ENABLED
-    assert rig.servo.values[Value.ADDED_DAMPING] == 1.5
+    assert rig.servo.values[Value.ACTIVE_DAMPING] == 1.5
     assert capsys.readouterr().out.startswith("enabled: applied at tick")
 
 

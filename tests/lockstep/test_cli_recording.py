@@ -131,7 +131,10 @@ def test_replay_with_other_settings_draws_both(
     file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert (
-        main(["replay", str(file), "--set", "B=5", "--set", "damping=0", "--filter-hz", "60"]) == 0
+        main(
+            ["replay", str(file), "--set", "B=5", "--set", "active_damping=0", "--filter-hz", "60"]
+        )
+        == 0
     )
     lines = capsys.readouterr().out.splitlines()
     assert lines[-3:] == [
@@ -141,13 +144,13 @@ def test_replay_with_other_settings_draws_both(
     ]
     assert all(Path(line).stat().st_size > 10_000 for line in lines[-3:])
     assert any(line.startswith("force replayed") for line in lines)
-    assert "with B=5, damping=0, " in lines[0]
+    assert "with B=5, active_damping=0, " in lines[0]
     assert "the force is another from tick" in lines[0]
     assert any(line.startswith("left out: ") for line in lines)
     assert not any(" was " in line for line in lines)  # that B is 5 was asked for
     svg = Path(lines[-2]).read_text()
     assert "SIMULATED" in svg
-    assert "B=5, damping=0, filters.velocity_hz=60, filters.acceleration_hz=60" in svg
+    assert "B=5, active_damping=0, filters.velocity_hz=60, filters.acceleration_hz=60" in svg
 
 
 def test_replay_without_force_says_so(

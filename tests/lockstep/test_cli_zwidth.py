@@ -103,8 +103,8 @@ def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
         (["trial", "nothing.csv"], 2, "no such file"),
         (["trial", "--band", "1", "500", "--seconds", "8"], 65, "band from 1 Hz"),
         (["limits", "--axis", "X"], 2, "use one or more of the letters K, B, M"),
-        (["limits", "--damping", "on"], 2, "numbers in N s/m"),
-        (["limits", "--damping", "-1"], 2, "levels must be finite and not negative"),
+        (["limits", "--active-damping", "on"], 2, "numbers in N s/m"),
+        (["limits", "--active-damping", "-1"], 2, "levels must be finite and not negative"),
         (
             ["map", "--executor", "ray"],
             78,
@@ -154,8 +154,8 @@ def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
 
 
 TRIAL = ["trial", "--seconds", "8"]
-MAP = ["map", "--no-plot", "--seconds", "8", "--damping", "0"]
-WALLS = ["walls", "--no-plot", "--damping", "0"]
+MAP = ["map", "--no-plot", "--seconds", "8", "--active-damping", "0"]
+WALLS = ["walls", "--no-plot", "--active-damping", "0"]
 
 
 @pytest.mark.parametrize(
@@ -166,12 +166,12 @@ WALLS = ["walls", "--no-plot", "--damping", "0"]
         ([*TRIAL, "--psd", "inf"], 65, "perturbation of inf N^2/Hz"),
         ([*TRIAL, "--behind-mass", "inf"], 65, "mass behind the port of inf kg"),
         ([*TRIAL, "--hottest", "nan"], 65, "winding limit of nan degC"),
-        ([*TRIAL, "--damping", "inf"], 65, "active damping of inf N s/m"),
+        ([*TRIAL, "--active-damping", "inf"], 65, "active damping of inf N s/m"),
         ([*TRIAL, "--viscous", "inf"], 65, "damping of inf N s/m"),
         ([*TRIAL, "-K", "nan"], 65, "stiffness of nan N/m"),
         ([*TRIAL, "--band", "2", "5000"], 65, "say nothing above 2000 Hz"),
-        ([*MAP, "--damping", "nan"], 2, "levels must be finite and not negative"),
-        ([*MAP, "--damping", "0,inf"], 2, "levels must be finite and not negative"),
+        ([*MAP, "--active-damping", "nan"], 2, "levels must be finite and not negative"),
+        ([*MAP, "--active-damping", "0,inf"], 2, "levels must be finite and not negative"),
         ([*MAP, "--band", "500", "2"], 65, "band of 500..2 Hz"),
         ([*MAP, "--band", "2", "nan"], 65, "band of 2..nan Hz"),
         ([*MAP, "--stiffness", "0", "1000", "-1"], 2, "--stiffness 0 1000 -1"),
@@ -198,8 +198,16 @@ WALLS = ["walls", "--no-plot", "--damping", "0"]
             "11000000 environ",
         ),
         ([*MAP, "--seconds", "0.2"], 78, "more than the window of 2048"),
-        (["limits", "--no-plot", "--damping", "0", "--band", "500", "2"], 65, "band of 500..2 Hz"),
-        (["search", "--no-plot", "--damping", "0", "--band", "500", "2"], 65, "band of 500..2 Hz"),
+        (
+            ["limits", "--no-plot", "--active-damping", "0", "--band", "500", "2"],
+            65,
+            "band of 500..2 Hz",
+        ),
+        (
+            ["search", "--no-plot", "--active-damping", "0", "--band", "500", "2"],
+            65,
+            "band of 500..2 Hz",
+        ),
         ([*WALLS, "--stiffness", "0", "100", "3"], 65, "above 0 N/m"),
         ([*WALLS, "--stiffness", "10", "nan", "3"], 2, "--stiffness 10 nan 3"),
         ([*WALLS, "--viscous", "0", "1", "0"], 2, "--viscous 0 1 0"),

@@ -16,8 +16,8 @@ from hapticd.settings.scene import load_scene
 from hapticd.zwidth.scenes import display
 
 BAND = (2.0, 500.0)
-REFUSED = ["-K", "-34", "-B", "-0.86", "-M", "0.0048", "--damping", "1.74"]
-DIFFERING = ["-K", "800", "-B", "1", "-M", "0.020", "--damping", "1.74"]
+REFUSED = ["-K", "-34", "-B", "-0.86", "-M", "0.0048", "--active-damping", "1.74"]
+DIFFERING = ["-K", "800", "-B", "1", "-M", "0.020", "--active-damping", "1.74"]
 
 
 def told(words, capsys):
@@ -72,7 +72,7 @@ def test_theorem_and_prediction_may_differ(capsys):
 def test_safe_environment_has_no_hand(capsys):
     found = told(["--scene", "fig7"], capsys)
     assert found["environment"] == [50.0, 2.0, 0.0]
-    assert found["damping_ns_per_m"] == 1.74
+    assert found["active_damping_ns_per_m"] == 1.74
     assert found["withstands_every_hand"]
     assert found["hand"] is None
     assert found["theorem"]["passive"]
@@ -90,7 +90,7 @@ def test_unstable_environment_needs_no_hand(capsys):
 def test_what_is_left_out_is_zero_without_a_scene(capsys):
     found = told(["-K", "30"], capsys)
     assert found["environment"] == [30.0, 0.0, 0.0]
-    assert found["damping_ns_per_m"] == 0.0
+    assert found["active_damping_ns_per_m"] == 0.0
     assert "K 30 N/m, B 0 N s/m, M 0 g, active damping 0 N s/m" in said(["-K", "30"], capsys)
 
 
@@ -116,8 +116,8 @@ def test_theorem_of_a_rigid_device_is_colgate_and_schenkels(point):
     [
         (["-K", "nan"], 2, "-K nan: a finite number of N/m"),
         (["-M", "inf"], 2, "-M inf: a finite number of kg"),
-        (["--damping", "inf"], 2, "--damping inf"),
-        (["--damping", "-1"], 2, "not in the range x>=0"),
+        (["--active-damping", "inf"], 2, "--active-damping inf"),
+        (["--active-damping", "-1"], 2, "not in the range x>=0"),
         (["--scene", "nothing"], 78, "'nothing': no such scene"),
         (["--band", "500", "2"], 65, "band of 500..2 Hz"),
     ],

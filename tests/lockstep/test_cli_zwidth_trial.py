@@ -100,7 +100,7 @@ def test_longer_window_is_kept_with_the_run(tmp_path, capsys):
 @pytest.mark.parametrize("verb", ["trial", "import", "limits", "map", "search", "walls", "report"])
 def test_help_has_one_name_for_each_damping(verb, capsys):
     told = " ".join(run([verb, "--help"], capsys)[1].split())
-    assert "--damping" in told
+    assert "--active-damping" in told
     assert "--added-damping" not in told
 
 

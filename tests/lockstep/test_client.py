@@ -156,7 +156,7 @@ def test_set_returns_a_receipt(client: Client) -> None:
         M=0.010,
         wall={"side": 1},
         filters={"velocity_hz": 90.0},
-        damping=1.0,
+        active_damping=1.0,
         ramp_s=0.1,
     )
     assert isinstance(receipt, Receipt)
@@ -171,11 +171,11 @@ def test_every_verb_has_its_method(client: Client) -> None:
         "disabled",
         "disabled",
     ]
-    assert client.damping("on").effective["damping"] == 1.74
-    assert client.damping(0.5).effective["damping"] == 0.5
-    assert client.damping("off").effective["damping"] == 0.0
+    assert client.damping("on").effective["active_damping"] == 1.74
+    assert client.damping(0.5).effective["active_damping"] == 0.5
+    assert client.damping("off").effective["active_damping"] == 0.0
     assert [client.stop().state, client.reset().state] == ["stopped", "disabled"]
-    assert client.get()["parameters"]["damping_level"] == 0.5
+    assert client.get()["parameters"]["active_damping_level"] == 0.5
     assert client.hello()["server"] == "hapticd"
     assert client.status()["state"] == "disabled"
     assert "$defs" in client.schema()
@@ -186,7 +186,7 @@ def test_refusal_is_a_command_error(client: Client) -> None:
     with pytest.raises(
         CommandError, match=r"damping = 9 N s/m: beyond the limit 0..2 N s/m"
     ) as caught:
-        client.set(damping=9)
+        client.set(active_damping=9)
     assert caught.value.code == "invalid"
     client.stop()
     with pytest.raises(CommandError, match="enable in state stopped") as caught:
@@ -465,9 +465,9 @@ def test_lease_is_held_inside_its_context_alone(client: Client, folder: Path) ->
 
 def test_lease_that_was_lost_is_told_at_its_next_use_and_at_its_end(client: Client) -> None:
     def lose() -> None:
-        with client.lease("damping", ttl_s=20.0) as lease:
+        with client.lease("active_damping", ttl_s=20.0) as lease:
             with Client(name="operator", timeout_s=10.0) as operator:
-                operator.lease("damping", take_over=True).take()
+                operator.lease("active_damping", take_over=True).take()
             for use in (lambda: client.damping("on"), lease.renew, lambda: lease.sleep(9.0)):
                 with pytest.raises(CommandError, match="was taken over by operator"):
                     use()
@@ -478,10 +478,10 @@ def test_lease_that_was_lost_is_told_at_its_next_use_and_at_its_end(client: Clie
 
 
 def test_lease_may_be_released_before_its_context_ends(client: Client) -> None:
-    with client.lease("damping", ttl_s=20.0) as lease:
+    with client.lease("active_damping", ttl_s=20.0) as lease:
         assert lease.release() == ""
         assert client.status()["leases"] == {}
-    with client.lease("damping", ttl_s=20.0) as lease:
+    with client.lease("active_damping", ttl_s=20.0) as lease:
         lease.release()
         lease.take()
     assert client.status()["leases"] == {}
@@ -489,8 +489,8 @@ def test_lease_may_be_released_before_its_context_ends(client: Client) -> None:
 
 def test_error_inside_a_lease_is_the_one_that_is_told(client: Client) -> None:
     def fail() -> None:
-        with client.lease("damping", ttl_s=20.0):
-            client.lease("damping").release()
+        with client.lease("active_damping", ttl_s=20.0):
+            client.lease("active_damping").release()
             raise ValueError("my own")
 
     with pytest.raises(ValueError, match="my own"):
@@ -506,7 +506,7 @@ def test_long_waits_keep_a_lease(client: Client, monkeypatch: pytest.MonkeyPatch
         waits.append(seconds)
         now_s[0] += seconds
 
-    with client.lease("damping", ttl_s=20.0) as lease:
+    with client.lease("active_damping", ttl_s=20.0) as lease:
         monkeypatch.setattr("hapticd.client.lease.time.sleep", wait)
         monkeypatch.setattr("hapticd.client.lease.time.monotonic", lambda: now_s[0])
         asked: list[str] = []

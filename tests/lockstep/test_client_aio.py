@@ -54,13 +54,13 @@ def test_every_verb_is_awaited() -> None:
             assert isinstance(receipt, Receipt)
             assert (receipt.result, receipt.effective["K"]) == ("applied", 100.0)
             assert (await device.enable()).state == "enabled"
-            assert (await device.damping(0.5)).effective["damping"] == 0.5
+            assert (await device.damping(0.5)).effective["active_damping"] == 0.5
             assert (await device.stop()).state == "stopped"
             assert (await device.reset()).state == "disabled"
             assert (await device.status())["actor_name"] == "test"
             await device.wait_for("disabled")
             with pytest.raises(CommandError, match=r"beyond the limit 0\.\.2 N s/m"):
-                await device.set(damping=9)
+                await device.set(active_damping=9)
 
     asyncio.run(ask())
 
@@ -80,7 +80,7 @@ def test_streams_give_whole_records_while_others_ask() -> None:
     async def ask() -> tuple[np.ndarray, int, str]:
         async with client() as device:
             recorded, found = await asyncio.gather(device.record(0.5), device.get())
-            return recorded[0], recorded[1], found["parameters"]["damping_level"]
+            return recorded[0], recorded[1], found["parameters"]["active_damping_level"]
 
     records, lost, _ = asyncio.run(ask())
     assert (len(records), lost) == (500, 0)

@@ -69,7 +69,7 @@ def test_change_that_acts_and_is_not_safe_warns_with_value_margin_and_remedy(
     text = str(warning)
     assert "K = 500 N/m, B = 2 N s/m, M = 0 kg with 0 N s/m of damping" in text
     assert f"margin {warning.margin_ns_per_m:.3g} N s/m" in text
-    assert f"{receipt.guard.least_damping_ns_per_m:.4g} N s/m" in warning.remedy
+    assert f"{receipt.guard.least_active_damping_ns_per_m:.4g} N s/m" in warning.remedy
     assert warning.remedy in text
     assert found[0].filename == __file__
 
@@ -196,7 +196,7 @@ def test_table_has_verdict_and_margin_of_each_condition(
 def still_damped(flight: Flight) -> bool:
     """Whether the board has had the damping and the environment all the time."""
     records = flight.fly(300)
-    damped = records["damping_effect_ns_per_m"].min() >= 0.999 * LEVEL_NS_PER_M
+    damped = records["active_damping_effect_ns_per_m"].min() >= 0.999 * LEVEL_NS_PER_M
     return damped and set(records["stiffness_n_per_m"].tolist()) == {STIFF["K"]}
 
 
@@ -219,7 +219,7 @@ def test_strict_client_has_no_command_that_goes_past_the_guard(
     rendering(flight, "warn")
     device = client(strict=True)
     for ask in (
-        lambda: device.set(damping=0.0),
+        lambda: device.set(active_damping=0.0),
         lambda: device.guard(mode="off"),
         lambda: device.call("damping", value="off"),
     ):

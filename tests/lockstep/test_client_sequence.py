@@ -199,7 +199,7 @@ def test_force_that_waits_for_its_damping_comes_on_and_the_sequence_goes_on(
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (step("set", damping=9), r"step 2: damping = 9 N s/m: .*limit 0\.\.2 N s/m"),
+        (step("set", active_damping=9), r"step 2: damping = 9 N s/m: .*limit 0\.\.2 N s/m"),
         (step("set", k=9), "step 2: k: unknown field, did you mean 'K'"),
         (step("dance"), "step 2: 'dance' is no step of a sequence"),
         (step("perturb", action="load", samples_n=[0.0]), "step 2: .* `perturb_load`"),
@@ -225,7 +225,7 @@ def test_one_step_that_cannot_be_done_and_nothing_is_sent(
 
 def test_every_wrong_step_is_named_at_once(script: Script) -> None:
     with pytest.raises(CommandError) as caught:
-        script.run(step("set", damping=9), step("enable"), step("zero"))
+        script.run(step("set", active_damping=9), step("enable"), step("zero"))
     assert [item["loc"] for item in caught.value.detail] == ["step 1", "step 3"]  # type: ignore[attr-defined]
 
 

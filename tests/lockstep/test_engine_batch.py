@@ -33,16 +33,16 @@ def test_energy_counts_from_the_start_however_many_blocks(keep):
 
 @pytest.mark.parametrize("chunk", [1, 7, 64])
 def test_own_torque_does_not_depend_on_chunks(chunk):
-    options = {"damping": 1.74, "keep": "records", "own_torque": True}
+    options = {"active_damping": 1.74, "keep": "records", "own_torque": True}
     whole = simulate(WEIR, PARAMS, 0.1, 7, **options)
     assert same_bytes(whole, simulate(WEIR, PARAMS, 0.1, 7, chunk=chunk, **options))
     assert len({row.tobytes() for row in whole.torque_n}) == len(PARAMS)
 
 
 def test_own_torque_of_a_trial_is_a_record_like_any_other():
-    whole = simulate(WEIR, PARAMS[:3], 0.1, 7, damping=1.74, keep="records", own_torque=True)
+    whole = simulate(WEIR, PARAMS[:3], 0.1, 7, active_damping=1.74, keep="records", own_torque=True)
     alone = simulate(
-        WEIR, PARAMS[2:3], 0.1, damping=1.74, keep="records", excitation=whole.torque_n[2]
+        WEIR, PARAMS[2:3], 0.1, active_damping=1.74, keep="records", excitation=whole.torque_n[2]
     )
     assert np.allclose(alone.velocity_m_per_s, whole.velocity_m_per_s[2:3], rtol=1e-11, atol=1e-15)
 
@@ -84,9 +84,9 @@ def test_diverged_trial_leaves_its_neighbours_alone():
 
 
 def test_damping_is_switched_at_its_tick():
-    steps = simulate(WEIR, [[50.0, 2.0, 0.0]], 0.4, 7, damping=[(0.2, 1.74)], keep="records")
+    steps = simulate(WEIR, [[50.0, 2.0, 0.0]], 0.4, 7, active_damping=[(0.2, 1.74)], keep="records")
     off, on = (
-        simulate(WEIR, [[50.0, 2.0, 0.0]], 0.4, 7, damping=level, keep="records")
+        simulate(WEIR, [[50.0, 2.0, 0.0]], 0.4, 7, active_damping=level, keep="records")
         for level in (0.0, 1.74)
     )
     assert np.allclose(
@@ -101,8 +101,8 @@ def test_damping_is_switched_at_its_tick():
 
 def test_damping_level_is_rounded_by_its_dac():
     coarse = device(*STAR, DampingDac(quantum_ns_per_m=0.5))
-    rounded = simulate(coarse, [[0.0, 0.0, 0.0]], 0.1, damping=1.74)
-    exact = simulate(device(*STAR), [[0.0, 0.0, 0.0]], 0.1, damping=1.5)
+    rounded = simulate(coarse, [[0.0, 0.0, 0.0]], 0.1, active_damping=1.74)
+    exact = simulate(device(*STAR), [[0.0, 0.0, 0.0]], 0.1, active_damping=1.5)
     assert rounded.sigma_v_m_per_s[0] == pytest.approx(exact.sigma_v_m_per_s[0], rel=1e-12)
 
 
@@ -134,11 +134,12 @@ def test_sensor_noise_and_counts_are_in_the_record_alone():
 def test_scene_brings_its_own_length_damping_and_seed():
     scene = Scene(
         "test", "test", "none", (Masses(rotor_kg=0.008), *RIGID[1:], *STAR[5:8]),
-        damping=(DampingStep(0.0, 1.0),), excitation=Excitation("noise", seed=9), seconds=0.25,
+        active_damping=(DampingStep(0.0, 1.0),), excitation=Excitation("noise", seed=9),
+        seconds=0.25,
     )  # fmt: skip
     by_scene = simulate(scene, PARAMS[:3], keep="records")
     by_hand = simulate(
-        device(*scene.effects, delay=0), PARAMS[:3], 0.25, 9, damping=1.0, keep="records"
+        device(*scene.effects, delay=0), PARAMS[:3], 0.25, 9, active_damping=1.0, keep="records"
     )
     assert same_bytes(by_scene, by_hand)
 
@@ -157,8 +158,8 @@ def test_scene_brings_its_own_length_damping_and_seed():
         ({"dtype": "f16"}, "f32 or f64"),
         ({"keep": "everything"}, "summary, spectra, records, ticks"),
         ({"substeps": 0}, "0 sub-steps"),
-        ({"damping": np.nan}, "finite times"),
-        ({"damping": [(0.0, 1.0), (np.inf, 0.0)]}, "finite times"),
+        ({"active_damping": np.nan}, "finite times"),
+        ({"active_damping": [(0.0, 1.0), (np.inf, 0.0)]}, "finite times"),
         ({"keep": "spectra", "seconds": 0.512}, "more than the window of 2048 samples"),
         ({"excitation": Excitation("chirp")}, "'chirp'"),
         ({"excitation": Excitation("noise", band_hz=3000.0)}, "3000 Hz"),

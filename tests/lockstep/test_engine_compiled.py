@@ -14,7 +14,9 @@ from hapticd.render.law import at_rest, design_coefficients, render
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [600.0, 0.5, -0.002], [5000.0, 8.0, 0.001]]
 SOLID = EnvironmentParams(
     velocity_filter=FilterParams(120.0, 1.1, "matched"),
-    wall=WallParams(stiffness_n_per_m=3000.0, damping_ns_per_m=2.0, position_m=3e-5, side=1),
+    wall=WallParams(
+        stiffness_n_per_m=3000.0, virtual_damping_ns_per_m=2.0, position_m=3e-5, side=1
+    ),
     workspace=WorkspaceParams(-4e-5, 6e-5, 900.0),
 )
 

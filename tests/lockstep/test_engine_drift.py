@@ -61,7 +61,7 @@ def test_over_compensated_circuit_grows_as_its_eigenvalue_says():
         model,
         [[0.0, 0.0, 0.0]],
         20.0 / growth,
-        damping=level,
+        active_damping=level,
         excitation=Excitation("none"),
         start=(0.0, 1e-6),
         keep="records",

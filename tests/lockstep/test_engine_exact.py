@@ -59,7 +59,9 @@ def test_position_dependent_forces_are_as_defined(extra):
 
 
 def test_servo_rate_filters_walls_and_ends_reach_the_law():
-    wall = WallParams(stiffness_n_per_m=2000.0, damping_ns_per_m=1.0, position_m=1e-4, side=1)
+    wall = WallParams(
+        stiffness_n_per_m=2000.0, virtual_damping_ns_per_m=1.0, position_m=1e-4, side=1
+    )
     environment = EnvironmentParams(
         velocity_filter=FilterParams(200.0, 1.0, "matched"),
         wall=wall,

@@ -161,7 +161,7 @@ def test_count_is_far_below_what_binds_the_device():
             [[600.0, 0.0, 0.0]],
             20.0,
             3,
-            damping=1.74,
+            active_damping=1.74,
         )
         for extra in ((), (COUNTS,))
     )

@@ -37,7 +37,7 @@ def holding(stiffness, seconds, level=0.0):
         [[stiffness, 0.0, 0.0], [0.0, 0.0, 0.0]],
         seconds,
         excitation=push,
-        damping=level,
+        active_damping=level,
         keep="ticks",
     )
 

@@ -65,11 +65,11 @@ def flown(model, level, monkeypatch):
     monkeypatch.setattr(lockstep, "simulated_backend", watched)
     settings = {
         Value.STIFFNESS: KBM[0],
-        Value.DAMPING: KBM[1],
+        Value.VIRTUAL_DAMPING: KBM[1],
         Value.MASS: KBM[2],
         Value.RAMP_S: 0.0,
     }
-    damping = {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0 if level else 0.0}
+    damping = {Value.ACTIVE_DAMPING: level, Value.ACTIVE_DAMPING_ON: 1.0 if level else 0.0}
     params = replace(board_params(), **board_fields(model, [level], 10.0))
     with LockStep(servo_params(), params) as stack:
         stack.run(5)
@@ -114,7 +114,13 @@ def test_engine_and_whole_stack_agree_over_ten_seconds(extra, level, monkeypatch
     ticks = len(counts) // 4
     torque = counts[: 4 * ticks] * board_params().probe_torque_n_per_count
     result = simulate(
-        model, [KBM], ticks / 1000, excitation=torque, damping=level, substeps=4, keep="ticks"
+        model,
+        [KBM],
+        ticks / 1000,
+        excitation=torque,
+        active_damping=level,
+        substeps=4,
+        keep="ticks",
     )
     assert np.count_nonzero(counts) > 4 * (TICKS - 50)
 

@@ -16,7 +16,7 @@ from hapticd.plant.scene import Excitation
 
 def test_damping_switched_within_a_section_is_in_the_spectra():
     steps = [(0.7, 1.74), (1.3, 0.0)]
-    spectra, records = both(WEIR, PARAMS[:3], 2.5, 3, damping=steps)
+    spectra, records = both(WEIR, PARAMS[:3], 2.5, 3, active_damping=steps)
     assert_alike(spectra, records, (0, 2), 1e-12)
 
 
@@ -24,7 +24,9 @@ def test_section_of_a_trial_that_diverges_counts_whole_or_not_at_all():
     """However its legs are cut by steps of the damping."""
     steps = [(0.1 * k, 0.0) for k in range(1, 20)]
     plain = device(*STAR)
-    found = simulate(plain, np.array([[-30.0, 0.0, 0.0]]), 2.0, 3, damping=steps, keep="spectra")
+    found = simulate(
+        plain, np.array([[-30.0, 0.0, 0.0]]), 2.0, 3, active_damping=steps, keep="spectra"
+    )
     assert found.diverged.all()
     assert not found.section_rms_m_per_s.any()
 

@@ -57,13 +57,13 @@ def shaken(stack: LockStep, seed: int, rms_n: float, ticks: int) -> None:
 
 
 def damped(stack: LockStep, level: float) -> None:
-    on = {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0}
-    stack.do(Command.DAMPING, on if level else {Value.ADDED_DAMPING_ON: 0.0})
+    on = {Value.ACTIVE_DAMPING: level, Value.ACTIVE_DAMPING_ON: 1.0}
+    stack.do(Command.DAMPING, on if level else {Value.ACTIVE_DAMPING_ON: 0.0})
 
 
 def rendered(environment: Sequence[float]) -> dict[Value, float]:
     """Values of a set that takes K, B, M at once."""
-    places = (Value.STIFFNESS, Value.DAMPING, Value.MASS)
+    places = (Value.STIFFNESS, Value.VIRTUAL_DAMPING, Value.MASS)
     return {**dict(zip(places, environment, strict=True)), Value.RAMP_S: 0.0}
 
 
@@ -211,7 +211,7 @@ def failed(kinds: tuple[tuple[str, float], ...]) -> tuple[ServoParams, Records]:
 
 @pytest.mark.parametrize("gain", [0.0, 0.3, 0.6])
 def test_circuit_that_delivers_less_is_found_and_told_once(gain):
-    found, lows = followed(*failed((("damping_gain", gain),)))
+    found, lows = followed(*failed((("active_damping_gain", gain),)))
     assert holds(found, circuit(gain * LEVEL))
     assert found.high < 0.8 * LEVEL
     assert [(low.warn, low.fault) for low in lows] == [(True, False)]
@@ -219,7 +219,7 @@ def test_circuit_that_delivers_less_is_found_and_told_once(gain):
 
 
 def test_amplifier_that_stands_still_delivers_no_damping():
-    found, lows = followed(*failed((("amplifier_stuck", 0.2), ("damping_gain", 0.0))))
+    found, lows = followed(*failed((("amplifier_stuck", 0.2), ("active_damping_gain", 0.0))))
     assert holds(found, 0.0)
     assert len(lows) == 1
 
@@ -234,13 +234,13 @@ def test_gain_of_the_force_is_not_taken_for_damping(gain):
 @pytest.mark.parametrize(("relied_on", "faults"), [(0.5, 0), (1.2, 1), (None, 0)])
 def test_fault_is_asked_for_once_and_only_where_the_damping_is_relied_on(relied_on, faults):
     """0.6 of 1.74 are about 1.1 N s/m."""
-    _, lows = followed(*failed((("damping_gain", 0.6),)), relied_on=relied_on)
+    _, lows = followed(*failed((("active_damping_gain", 0.6),)), relied_on=relied_on)
     assert sum(low.warn for low in lows) == 1
     assert sum(low.fault for low in lows) == faults
 
 
 def test_low_damping_is_told_after_it_was_low_for_three_seconds():
-    servo, records = failed((("damping_gain", 0.3),))
+    servo, records = failed((("active_damping_gain", 0.3),))
     delivered = Delivered(servo, lambda: None)
     since = None
     for start in range(0, len(records), 256):
@@ -319,7 +319,7 @@ def test_no_record_ends_the_gateway(seed):
     random = np.random.default_rng(seed)
     wild = records.copy()
     names = ("position_m", "force_n", "current_a", "voltage_v", "emf_velocity_m_per_s")
-    for name in (*names, "winding_c", "board_us", "added_damping_ns_per_m"):
+    for name in (*names, "winding_c", "board_us", "active_damping_ns_per_m"):
         places = random.random(len(wild)) < random.choice([0.0, 0.003, 0.3])
         odd = random.choice([0.0, 1.0, -1e30, 1e-30, np.nan, np.inf], len(wild))
         values = wild[name].astype(float)
@@ -367,7 +367,7 @@ def test_lost_frames_and_gaps_in_the_records_are_left_out():
 def test_what_was_seen_at_another_level_does_not_count():
     """Damping is switched at 4 s, and slewed: unknown for 2 s, then what is delivered now."""
     servo, board = parts()
-    slewed = replace(servo, safety=replace(servo.safety, damping_slew_ns_per_m_s=5.0))
+    slewed = replace(servo, safety=replace(servo.safety, active_damping_slew_ns_per_m_s=5.0))
     with LockStep(slewed, board) as stack:
         begun(stack, DISPLAY, 4.0)
         shaken(stack, 1, 0.21, 9000)
@@ -447,7 +447,7 @@ def test_device_files_say_the_force_per_ampere():
 
 def counted_on(least: float | None) -> StubWorker:
     """A worker by which the environment needs `least` N s/m."""
-    found = verdict(least_damping_ns_per_m=least)
+    found = verdict(least_active_damping_ns_per_m=least)
     return StubWorker(lambda asked: {"verdict": found} if asked["ask"] == "look" else None)
 
 
@@ -455,14 +455,14 @@ def flown_with_gateway(
     policy: str, worker: StubWorker, gain: float, environment: Sequence[float] = DISPLAY
 ) -> RecordedFlight:
     """10 s, the circuit fails at 3 s."""
-    injections = (InjectionParams("damping_gain", tick=3000, count=100_000, value=gain),)
+    injections = (InjectionParams("active_damping_gain", tick=3000, count=100_000, value=gain),)
     flight = RecordedFlight(*parts(injections=injections), policy=policy, worker=worker)
     with flight:
         flight.stack.run(5)
         flight.stack.command(Command.SET, rendered(environment))
         flight.stack.command(Command.ENABLE)
         flight.fly(20)
-        on = {Value.ADDED_DAMPING: LEVEL, Value.ADDED_DAMPING_ON: 1.0}
+        on = {Value.ACTIVE_DAMPING: LEVEL, Value.ACTIVE_DAMPING_ON: 1.0}
         flight.stack.command(Command.DAMPING, on)
         flight.fly(20)
         noise = np.random.default_rng(1).integers(-6000, 6001, 40_000)
@@ -500,7 +500,7 @@ def test_servo_ends_force_where_the_guard_counts_on_the_damping(policy, least, e
 def test_healthy_damping_that_is_counted_on_ends_nothing():
     flight = flown_with_gateway("refuse", counted_on(1.5), 1.0)
     assert int(flight.records["state"][-1]) == State.ENABLED
-    found = flight.publisher.state(0)["delivered_damping"]
+    found = flight.publisher.state(0)["delivered_active_damping"]
     assert found["low"] <= circuit(LEVEL) <= found["high"]
     assert found["ratio"] == pytest.approx(1.0, abs=0.05)
 

@@ -14,9 +14,9 @@ from hapticd.params import InjectionParams
 from hapticd.wire import codec
 from hapticd.wire.frames import StatusBit
 
-SPRING = {Value.STIFFNESS: 300.0, Value.DAMPING: 0.0, Value.MASS: 0.0, Value.RAMP_S: 0.1}
+SPRING = {Value.STIFFNESS: 300.0, Value.VIRTUAL_DAMPING: 0.0, Value.MASS: 0.0, Value.RAMP_S: 0.1}
 EVERYTHING = SPRING | {
-    Value.DAMPING: 2.0,
+    Value.VIRTUAL_DAMPING: 2.0,
     Value.MASS: 0.005,
     Value.WALL_STIFFNESS: 500.0,
     Value.WALL_POSITION: 2e-4,
@@ -35,7 +35,7 @@ def flown(settings, ticks=1500, **board):
         stack.do(Command.ENABLE)
         stack.load_waveform(np.round(wave).astype(int).tolist())
         stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0})
-        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 0.5, Value.ADDED_DAMPING_ON: 1.0})
+        stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 0.5, Value.ACTIVE_DAMPING_ON: 1.0})
         stack.run(ticks)
         return params, as_records(b"".join(stack.blocks))
 

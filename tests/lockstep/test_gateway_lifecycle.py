@@ -39,7 +39,7 @@ def rig(tmp_path: Path, worker: StubWorker) -> DeskRig:
 
 def staged(asked: dict[str, Any]) -> dict[str, Any]:
     """Damping first; force, or K, once the board reports it."""
-    stages = [stage({"damping": 1.5}), stage({"K": 100.0}, at_least=1.5)]
+    stages = [stage({"active_damping": 1.5}), stage({"K": 100.0}, at_least=1.5)]
     return {"action": "stage", "stages": stages, "verdict": verdict()}
 
 
@@ -119,7 +119,7 @@ def test_change_in_stages_goes_on_though_its_client_has_left(
     rig.ask(cmd="guard", policy="clamp")
     worker.script = staged
     rig.servo.effect = 0.0
-    rig.ask(cmd="set", K=100, damping=1.5)
+    rig.ask(cmd="set", K=100, active_damping=1.5)
     rig.desk.leave(b"a")
     comes(rig)
     assert rig.servo.values[Value.STIFFNESS] == 100.0
@@ -331,7 +331,7 @@ def bounded(flight: Flight, policy: str, **fields: Any) -> tuple[dict[str, Any],
     return flight.ask(cmd="set", ramp_s=0.0, at_tick=begin, until_tick=begin + 20, **fields), begin
 
 
-PUSH = {"stiffness_n_per_m": 25.0, "damping_ns_per_m": 0.0, "position_m": 0.02, "side": -1}
+PUSH = {"stiffness_n_per_m": 25.0, "virtual_damping_ns_per_m": 0.0, "position_m": 0.02, "side": -1}
 
 
 @pytest.mark.parametrize("policy", ["warn", *STRICT])
@@ -352,11 +352,11 @@ def test_bounded_push_ends_at_its_tick(flight: Flight, policy: str, after: str) 
 
 @pytest.mark.parametrize("policy", STRICT)
 def test_bounded_level_of_active_damping_ends_at_its_tick(flight: Flight, policy: str) -> None:
-    reply, begin = bounded(flight, policy, damping=LEVEL_NS_PER_M)
+    reply, begin = bounded(flight, policy, active_damping=LEVEL_NS_PER_M)
     assert reply["ok"]
     flight.worker.silent = True
     records = flight.fly(400)
-    asked = records["added_damping_asked_ns_per_m"]
+    asked = records["active_damping_asked_ns_per_m"]
     assert asked[records["tick"] == begin + 1] > 1.7
     assert asked[records["tick"] == begin + 21] == 0.0
 

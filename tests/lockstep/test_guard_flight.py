@@ -19,9 +19,9 @@ def test_refuse_leaves_everything_as_it_is() -> None:
         assert reply["error"]["code"] == "guard"
         assert "short at 114 Hz" in reply["error"]["message"]
         assert verdict(reply)["worst_hz"] == pytest.approx(WORST_HZ, rel=0.02)
-        assert verdict(reply)["least_damping_ns_per_m"] >= 0.957
+        assert verdict(reply)["least_active_damping_ns_per_m"] >= 0.957
     live = found.records[found.records["state"] == State.ENABLED]
-    assert np.all(live["damping_effect_ns_per_m"] > 1.739)
+    assert np.all(live["active_damping_effect_ns_per_m"] > 1.739)
     assert set(live["stiffness_n_per_m"]) == {STIFFNESS}
 
 
@@ -31,9 +31,9 @@ def test_clamp_gives_as_little_damping_as_is_safe() -> None:
     assert first["ok"]
     assert verdict(first)["clamped"] is True
     assert "clamped" in verdict(first)["text"]
-    given = verdict(first)["given"]["damping"]
+    given = verdict(first)["given"]["active_damping"]
     assert 0.957 <= given < 1.74
-    assert first["receipt"]["effective"]["damping"] == pytest.approx(given, abs=2e-4)
+    assert first["receipt"]["effective"]["active_damping"] == pytest.approx(given, abs=2e-4)
 
 
 def test_follow_shrinks_the_environment_before_damping_goes() -> None:
@@ -44,6 +44,6 @@ def test_follow_shrinks_the_environment_before_damping_goes() -> None:
     assert ended is not None
     assert ended["result"] == "applied"
     live = found.records[found.records["state"] == State.ENABLED]
-    falling = live[np.flatnonzero(np.diff(live["damping_effect_ns_per_m"]) < 0.0)[0] + 1]
+    falling = live[np.flatnonzero(np.diff(live["active_damping_effect_ns_per_m"]) < 0.0)[0] + 1]
     assert falling["stiffness_n_per_m"] == pytest.approx(verdict(reply)["given"]["K"])
     assert falling["stiffness_n_per_m"] < STIFFNESS

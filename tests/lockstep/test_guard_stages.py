@@ -21,7 +21,9 @@ def flight() -> Iterator[Flight]:
 
 def moving(records: Records) -> np.ndarray:
     """Ticks in which K or B is not yet, or no longer, that of the stiff environment."""
-    return (records["stiffness_n_per_m"] < STIFF["K"]) | (records["damping_ns_per_m"] < STIFF["B"])
+    return (records["stiffness_n_per_m"] < STIFF["K"]) | (
+        records["virtual_damping_ns_per_m"] < STIFF["B"]
+    )
 
 
 @pytest.mark.parametrize("policy", ["refuse", "clamp", "follow"])
@@ -29,30 +31,36 @@ def test_damping_is_in_effect_before_stiffness_grows(flight: Flight, policy: str
     assert flight.ask(cmd="guard", policy=policy)["ok"]
     assert flight.ask(cmd="enable")["ok"]
     flight.fly(600)
-    assert flight.ask(cmd="set", **STIFF, damping=LEVEL_NS_PER_M)["receipt"]["result"] == "staged"
+    assert (
+        flight.ask(cmd="set", **STIFF, active_damping=LEVEL_NS_PER_M)["receipt"]["result"]
+        == "staged"
+    )
     records = flight.fly(400)
     assert flight.ends() == ["applied"]
     grows = records["stiffness_n_per_m"] > 0.0
     assert records["stiffness_n_per_m"][-1] == STIFF["K"]
-    assert records["damping_effect_ns_per_m"][grows].min() >= 0.999 * LEVEL_NS_PER_M
+    assert records["active_damping_effect_ns_per_m"][grows].min() >= 0.999 * LEVEL_NS_PER_M
 
 
 def test_warned_change_of_both_lets_damping_rise_first_too(flight: Flight) -> None:
     assert flight.ask(cmd="enable")["ok"]
     flight.fly(600)
-    assert flight.ask(cmd="set", **STIFF, damping=LEVEL_NS_PER_M)["receipt"]["result"] == "staged"
+    assert (
+        flight.ask(cmd="set", **STIFF, active_damping=LEVEL_NS_PER_M)["receipt"]["result"]
+        == "staged"
+    )
     records = flight.fly(400)
     grows = records["stiffness_n_per_m"] > 0.0
-    assert records["damping_effect_ns_per_m"][grows].min() >= 0.999 * LEVEL_NS_PER_M
+    assert records["active_damping_effect_ns_per_m"][grows].min() >= 0.999 * LEVEL_NS_PER_M
 
 
 def test_refused_change_moves_nothing(flight: Flight) -> None:
     rendering(flight, "refuse")
     error = flight.ask(cmd="damping", value="off")["error"]
-    assert error["guard"]["least_damping_ns_per_m"] is not None
+    assert error["guard"]["least_active_damping_ns_per_m"] is not None
     records = flight.fly(300)
     assert not moving(records).any()
-    assert records["damping_effect_ns_per_m"].min() >= 0.999 * LEVEL_NS_PER_M
+    assert records["active_damping_effect_ns_per_m"].min() >= 0.999 * LEVEL_NS_PER_M
 
 
 def test_follow_shrinks_the_environment_before_damping_falls(flight: Flight) -> None:
@@ -62,9 +70,9 @@ def test_follow_shrinks_the_environment_before_damping_falls(flight: Flight) -> 
     records = flight.fly(600)
     assert flight.ends() == ["applied"]
     last = records[-1]
-    assert (last["damping_effect_ns_per_m"], last["added_damping_ns_per_m"]) == (0.0, 0.0)
+    assert (last["active_damping_effect_ns_per_m"], last["active_damping_ns_per_m"]) == (0.0, 0.0)
     assert 0.0 < last["stiffness_n_per_m"] < STIFF["K"]
-    falls = records["damping_effect_ns_per_m"] < 0.999 * LEVEL_NS_PER_M
+    falls = records["active_damping_effect_ns_per_m"] < 0.999 * LEVEL_NS_PER_M
     assert set(records["stiffness_n_per_m"][falls].tolist()) == {last["stiffness_n_per_m"]}
     given = {name: reply["guard"]["given"][name] for name in ("K", "B", "M")}
     again = flight.ask(cmd="set", **given)
@@ -92,15 +100,15 @@ def test_auto_damps_when_passivity_needs_it_and_not_otherwise(flight: Flight) ->
     assert flight.ask(cmd="guard", policy="refuse", mode="auto")["ok"]
     assert flight.ask(cmd="enable")["ok"]
     flight.fly(600)
-    assert flight.fly(1)[-1]["added_damping_ns_per_m"] == 0.0
+    assert flight.fly(1)[-1]["active_damping_ns_per_m"] == 0.0
     assert flight.ask(cmd="set", **STIFF)["ok"]
     records = flight.fly(600)
     grows = records["stiffness_n_per_m"] > 0.0
-    level = records[-1]["added_damping_ns_per_m"]
+    level = records[-1]["active_damping_ns_per_m"]
     assert 0.0 < level < LEVEL_NS_PER_M
-    assert records["damping_effect_ns_per_m"][grows].min() >= 0.999 * level
+    assert records["active_damping_effect_ns_per_m"][grows].min() >= 0.999 * level
     assert flight.ask(cmd="set", K=20, B=0)["ok"]
-    assert flight.fly(1500)[-1]["added_damping_ns_per_m"] == 0.0
+    assert flight.fly(1500)[-1]["active_damping_ns_per_m"] == 0.0
 
 
 def test_stop_in_the_middle_of_a_change_cancels_the_rest(flight: Flight) -> None:
@@ -109,4 +117,4 @@ def test_stop_in_the_middle_of_a_change_cancels_the_rest(flight: Flight) -> None
     assert flight.ask(cmd="stop")["state"] == "stopped"
     flight.fly(100)
     assert flight.ends() == ["cancelled"]
-    assert flight.fly(1)[-1]["added_damping_asked_ns_per_m"] > 0.0
+    assert flight.fly(1)[-1]["active_damping_asked_ns_per_m"] > 0.0

@@ -202,7 +202,7 @@ def test_engine_plays_it_exactly():
     )
     torque = 0.3 * np.random.default_rng(5).standard_normal(400)
     kbm = [50.0, 2.0, 0.0]
-    found = simulate(model, [kbm], 0.1, excitation=torque, damping=LEVEL, keep="ticks")
+    found = simulate(model, [kbm], 0.1, excitation=torque, active_damping=LEVEL, keep="ticks")
     expected = Straight(model, kbm, None, LEVEL, 1, (0.0, 0.0)).play(torque)
     for ours, theirs in zip(
         (found.velocity_m_per_s[0], found.force_n[0], found.position_m[0]), expected, strict=True

@@ -50,12 +50,12 @@ def test_units_are_those_of_udunits(recording_file: Path) -> None:
     with h5py.File(recording_file) as content:
         units = {
             name: content["servo"][name].attrs["units"].decode()
-            for name in ("position_m", "velocity_m_per_s", "damping_ns_per_m", "tick")
+            for name in ("position_m", "velocity_m_per_s", "virtual_damping_ns_per_m", "tick")
         }
     assert units == {
         "position_m": "m",
         "velocity_m_per_s": "m s-1",
-        "damping_ns_per_m": "N s m-1",
+        "virtual_damping_ns_per_m": "N s m-1",
         "tick": "",
     }
 
@@ -81,7 +81,7 @@ def test_mat_file_holds_what_the_recording_holds(recording_file: Path, tmp_path:
         force = recording.column("servo", "force_n")
     content = scipy.io.loadmat(tmp_path / "run.mat", squeeze_me=True, struct_as_record=False)
     assert np.array_equal(content["servo"].force_n, force)
-    assert content["servo"].added_damping_asked_ns_per_m.shape == force.shape
+    assert content["servo"].active_damping_asked_ns_per_m.shape == force.shape
     assert content["info"].device_serial == "SIM0001"
 
 

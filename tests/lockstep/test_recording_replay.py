@@ -16,7 +16,7 @@ from hapticd.report.trial import replay_figure
 def test_recording_is_replayed_bit_by_bit(recording_file: Path) -> None:
     with open_recording(recording_file) as recording:
         same = replay_recording(recording)
-        other = replay_recording(recording, {Value.DAMPING: 5.0})
+        other = replay_recording(recording, {Value.VIRTUAL_DAMPING: 5.0})
     assert same.to_json()["bit_exact"] is True
     assert len(same.segments) == 1
     assert len(same.replayed) > 2500

@@ -40,7 +40,11 @@ def reference(positions, params):
     second = signal.butter(2, 72.0, fs=RATE_HZ)
     v = signal.lfilter(*first, velocity)
     a = signal.lfilter(*second, acceleration)
-    return -(params.stiffness_n_per_m * x + params.damping_ns_per_m * v + params.mass_kg * a), v, a
+    return (
+        -(params.stiffness_n_per_m * x + params.virtual_damping_ns_per_m * v + params.mass_kg * a),
+        v,
+        a,
+    )
 
 
 @pytest.mark.parametrize(
@@ -58,7 +62,7 @@ def test_force_equals_scipy_reference(k, b, m):
 
 
 def test_constant_speed_gives_exact_damping_force():
-    params = EnvironmentParams(damping_ns_per_m=2.0)
+    params = EnvironmentParams(virtual_damping_ns_per_m=2.0)
     force, v, a = fly([1e-5 * n for n in range(2000)], params)
     assert v[-1] == pytest.approx(0.01, rel=1e-12)
     assert force[-1] == pytest.approx(-0.02, rel=1e-12)

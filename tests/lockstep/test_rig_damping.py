@@ -26,7 +26,7 @@ RECORD = np.dtype(
         ("slot", "<u8"),
         ("position_m", "<f8"),
         ("force_n", "<f8"),
-        ("damping_effect_ns_per_m", "<f4"),
+        ("active_damping_effect_ns_per_m", "<f4"),
         ("current_a", "<f4"),
         ("delay_us", "<i4"),
     ]
@@ -61,7 +61,7 @@ def recorded(mass_kg, damping, friction_n, force_n, push_s, level=0.0):
     records["slot"] = np.arange(len(t))
     records["position_m"] = COUNT_M * np.floor(x / COUNT_M + 0.5)
     records["force_n"] = np.where((t >= 0.0) & (t < push_s - 1e-9), force_n, 0.0)
-    records["damping_effect_ns_per_m"] = level
+    records["active_damping_effect_ns_per_m"] = level
     records["delay_us"] = -1  # no clock tells it
     return records, x[-1], rest_s
 
@@ -264,7 +264,7 @@ def test_authority_that_is_lost_ends_the_step():
         pressed = []
 
         def stopped(**fields):
-            if fields.get("damping") and not pressed:
+            if fields.get("active_damping") and not pressed:
                 pressed.append(True)
                 hand.axis.press_stop(True)
             return type(hand.bench).set(hand.bench, **fields)
@@ -282,7 +282,7 @@ def test_damping_waits_for_the_signs():
 
 
 def test_a_device_that_may_not_be_damped_is_not_measured():
-    with Hand({"damping_limit_ns_per_m": 0.0}) as hand:
+    with Hand({"active_damping_limit_ns_per_m": 0.0}) as hand:
         result = measure(hand.bench, nothing)
     assert result.findings[0].verdict == "not done"
     assert not result.changes

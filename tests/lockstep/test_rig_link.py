@@ -64,7 +64,7 @@ def test_the_time_of_a_watchdog_lies_in_an_interval_of_a_period(ms):
     assert "tripped, it holds the damping" in [one.what for one in result.findings]
     assert status["state"] == 0
     assert not status["status"] & StatusBit.WATCHDOG
-    assert status["added_damping_ns_per_m"] == 0.0
+    assert status["active_damping_ns_per_m"] == 0.0
     assert lost == 0
 
 

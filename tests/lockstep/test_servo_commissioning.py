@@ -43,11 +43,11 @@ def pushed(params, wall, ticks=2000, **board):
     [
         (Value.STIFFNESS, 100.0, 101.0),
         (Value.STIFFNESS, 0.0, -1.0),
-        (Value.DAMPING, 2.0, 2.1),
-        (Value.DAMPING, 0.0, -0.1),
+        (Value.VIRTUAL_DAMPING, 2.0, 2.1),
+        (Value.VIRTUAL_DAMPING, 0.0, -0.1),
         (Value.MASS, 0.0, 0.001),
         (Value.WALL_STIFFNESS, 100.0, 101.0),
-        (Value.WALL_DAMPING, 2.0, 2.1),
+        (Value.WALL_VIRTUAL_DAMPING, 2.0, 2.1),
     ],
 )
 def test_only_a_box_is_taken_until_signs_are_verified(place, inside, outside):
@@ -69,12 +69,14 @@ def test_what_is_out_of_the_box_is_refused_with_the_reason_and_the_way_out():
 
 
 def test_a_configuration_beyond_the_box_begins_at_its_edge():
-    environment = EnvironmentParams(stiffness_n_per_m=500.0, damping_ns_per_m=5.0, mass_kg=0.1)
+    environment = EnvironmentParams(
+        stiffness_n_per_m=500.0, virtual_damping_ns_per_m=5.0, mass_kg=0.1
+    )
     params = dataclasses.replace(unverified(), environment=environment)
     flight = Flight(params)
     values = flight.state[0].plan.values
     assert values[Value.STIFFNESS].end == 100.0
-    assert values[Value.DAMPING].end == 2.0
+    assert values[Value.VIRTUAL_DAMPING].end == 2.0
     assert values[Value.MASS].end == 0.0
 
 

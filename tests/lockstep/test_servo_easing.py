@@ -19,7 +19,7 @@ from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
 
 FAR = 38_000  # counts = 19 mm
 ROUNDING_N = 1.001 * COUNT_N  # of the force as sent, up on one tick and down on the next
-SOLID = {Value.WALL_STIFFNESS: 5000.0, Value.WALL_DAMPING: 5.0, Value.WALL_SIDE: 1.0}
+SOLID = {Value.WALL_STIFFNESS: 5000.0, Value.WALL_VIRTUAL_DAMPING: 5.0, Value.WALL_SIDE: 1.0}
 
 
 def params_with(step_n, enable_ramp_s=0.5):
@@ -97,7 +97,7 @@ CHANGES = [
     ({**SOLID, Value.WALL_POSITION: 1.0}, {Value.WALL_POSITION: 0.0}),
     ({**SOLID, Value.WALL_POSITION: -1.0}, {Value.WALL_POSITION: 0.02}),
     (SOLID, {Value.WALL_SIDE: -1.0}),
-    ({}, {**SOLID, Value.STIFFNESS: 200.0, Value.DAMPING: 50.0, Value.MASS: 1.0}),
+    ({}, {**SOLID, Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 50.0, Value.MASS: 1.0}),
 ]
 
 
@@ -140,7 +140,7 @@ def test_in_motion_only_the_law_itself_steps_further(seed):
         encoder = round(20_000 * math.sin(0.05 * n))
         change = {
             Value.STIFFNESS: random.uniform(0.0, 2000.0),
-            Value.DAMPING: random.uniform(0.0, 20.0),
+            Value.VIRTUAL_DAMPING: random.uniform(0.0, 20.0),
             Value.MASS: random.uniform(0.0, 0.1),
             Value.WALL_POSITION: random.uniform(-0.02, 0.02),
             Value.RAMP_S: random.choice([0.0, 0.01]),
@@ -155,7 +155,7 @@ def test_in_motion_only_the_law_itself_steps_further(seed):
 
 
 def test_a_stiff_wall_that_is_hit_steps_as_it_must():
-    flight = enabled(params_with(0.1), {**SOLID, Value.WALL_DAMPING: 0.0})
+    flight = enabled(params_with(0.1), {**SOLID, Value.WALL_VIRTUAL_DAMPING: 0.0})
     assert flight.fly(1, encoder=2000)[8] == pytest.approx(-5.0, abs=COUNT_N)
 
 

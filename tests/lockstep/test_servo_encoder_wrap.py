@@ -29,7 +29,9 @@ def flown(first_count, *injections):
         axis.zero_m -= first_count * COUNT_M
         stack.run(5)
         assert stack.do(Command.ZERO).result is Result.APPLIED
-        stack.do(Command.SET, {Value.STIFFNESS: 20.0, Value.DAMPING: 1.0, Value.RAMP_S: 0.0})
+        stack.do(
+            Command.SET, {Value.STIFFNESS: 20.0, Value.VIRTUAL_DAMPING: 1.0, Value.RAMP_S: 0.0}
+        )
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         stack.run(1000)
         return as_records(b"".join(stack.blocks))

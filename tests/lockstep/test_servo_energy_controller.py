@@ -67,14 +67,16 @@ def test_whole_stack_leans_on_a_wall_at_five_times_its_limit(on):
     assert moves < 2e-6
     assert np.abs(records["position_m"]).max() < 2e-3
     assert records["excess_j"].max() < 2e-3
-    assert records["damping_effect_ns_per_m"][-1] == pytest.approx(CEILING)
+    assert records["active_damping_effect_ns_per_m"][-1] == pytest.approx(CEILING)
 
 
 @pytest.mark.parametrize(("delay", "hand"), list(product((0.125, 0.5, 1.125), HANDS)))
 def test_device_without_active_damping_gives_up_stiffness(delay, hand):
     """Its ceiling is 0: the cut comes at once."""
     for seed in range(2):
-        held = against_a_wall(True, seed, 0.0, delay, hand, damps=False, damping_limit_ns_per_m=0.0)
+        held = against_a_wall(
+            True, seed, 0.0, delay, hand, damps=False, active_damping_limit_ns_per_m=0.0
+        )
         assert held.plan.state is State.ENABLED
         assert max(held.leaks) <= BALANCE_J
         assert held.blob["wall_stiffness_n_per_m"] < 1.3 * passive_limit(delay, 0.0)
@@ -96,12 +98,12 @@ def test_long_good_credit_does_not_delay_it(seed):
     """
     swung = Hand(0.008, 30.0, 0.5, wander_n=1.0)
     late = flight(True, swung)
-    late.begun({Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+    late.begun({Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0})
     late.pushed(wander(swung, 10_000, seed))
     credit_j = -late.leaks[-1]
     assert credit_j > 0.02
     assert not late.acted
-    late.do(Command.DAMPING, {Value.ADDED_DAMPING_ON: 0.0})
+    late.do(Command.DAMPING, {Value.ACTIVE_DAMPING_ON: 0.0})
     late.pushed([0.0] * 1000)  # at rest
     before = len(late.leaks)
     late.do(Command.SET, wall(5.0 * passive_limit(0.125, 0.0)) | {Value.RAMP_S: 0.0})
@@ -129,9 +131,9 @@ def test_it_is_a_change_that_the_servo_gives_itself():
     blob = found.blob
     assert blob["actor"] == 0
     assert (blob["revision"], blob["environment_revision"]) == (before.revision, 2)
-    assert blob["added_damping_asked_ns_per_m"] == pytest.approx(CEILING)
+    assert blob["active_damping_asked_ns_per_m"] == pytest.approx(CEILING)
     found.fly(3)
-    assert found.blob["added_damping_ns_per_m"] >= 3 * 500.0 * T  # a slew of its own
+    assert found.blob["active_damping_ns_per_m"] >= 3 * 500.0 * T  # a slew of its own
     assert found.out[9] & Flag.CONTROLLED
 
 
@@ -145,7 +147,7 @@ def test_what_it_did_stays_until_a_change_asks_for_it_again():
     assert found.blob["wall_stiffness_n_per_m"] == cut
     assert found.do(Command.SET, {Value.WALL_STIFFNESS: 100.0}) is Result.APPLIED
     assert found.out[9] & Flag.CONTROLLED  # the damping
-    assert found.do(Command.DAMPING, {Value.ADDED_DAMPING_ON: 0.0}) is Result.APPLIED
+    assert found.do(Command.DAMPING, {Value.ACTIVE_DAMPING_ON: 0.0}) is Result.APPLIED
     assert not found.fly()[9] & Flag.CONTROLLED
 
 
@@ -176,11 +178,11 @@ def test_it_is_off_by_default_and_without_a_known_damping():
 
 def test_damping_at_its_ceiling_already_leaves_only_the_cut():
     found = flight(True, damps=False)
-    level = {Value.ADDED_DAMPING: CEILING, Value.ADDED_DAMPING_ON: 1.0}
+    level = {Value.ACTIVE_DAMPING: CEILING, Value.ACTIVE_DAMPING_ON: 1.0}
     found.begun(wall(5.0 * passive_limit(0.125, 0.0)) | level)
     found.pushed(wander(found.hand, 1200, 0))
     assert max(found.leaks) <= BALANCE_J
-    assert Value.ADDED_DAMPING not in found.plan.control.places
+    assert Value.ACTIVE_DAMPING not in found.plan.control.places
     assert found.blob["wall_stiffness_n_per_m"] < passive_limit(0.125, 0.0)
 
 
@@ -193,7 +195,7 @@ def test_stop_in_the_middle_ends_force_as_ever():
     entry = found.plan.added_entry
     stiffness = found.blob["wall_stiffness_n_per_m"]
     found.fly(1000)
-    assert found.blob["added_damping_ns_per_m"] == pytest.approx(entry, abs=1e-3)
+    assert found.blob["active_damping_ns_per_m"] == pytest.approx(entry, abs=1e-3)
     assert found.blob["wall_stiffness_n_per_m"] == stiffness
 
 
@@ -213,10 +215,10 @@ def test_it_needs_no_gateway():
 def test_lost_slots_count_as_time():
     """The damping goes as far in one tick behind two lost slots as in three ticks."""
     found = leaking()
-    level = found.blob["added_damping_ns_per_m"]
+    level = found.blob["active_damping_ns_per_m"]
     found.tick += 2
     found.fly()
-    assert found.blob["added_damping_ns_per_m"] - level == pytest.approx(6.0, rel=0.01)
+    assert found.blob["active_damping_ns_per_m"] - level == pytest.approx(6.0, rel=0.01)
 
 
 def test_excess_that_is_not_a_number_is_a_fault_and_is_forgotten():

@@ -83,9 +83,9 @@ def test_whatever_grows_ends(settings):
 @pytest.mark.parametrize(
     "settings",
     [
-        {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.01},
+        {Value.STIFFNESS: 100.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.01},
         {Value.STIFFNESS: 500.0},
-        {Value.DAMPING: 4.0},
+        {Value.VIRTUAL_DAMPING: 4.0},
     ],
 )
 def test_stable_settings_beyond_the_credited_damping_go_on(settings):
@@ -219,7 +219,7 @@ def test_active_damping_is_credited_as_the_board_reports_it():
     time = np.arange(2000) * T
     path = 7e-3 * np.sin(2.0 * np.pi * 8.0 * time)
     params = watched(**WATCHED)
-    in_effect = params.device.damping.to_count(1.74, 0, 65535)
+    in_effect = params.device.active_damping.to_count(1.74, 0, 65535)
     for count, state in ((in_effect, State.ENABLED), (0, State.FAULT)):
         flight = Flight(params)
         flight.fly()
@@ -253,7 +253,7 @@ def test_faults_that_were_switched_off_come_back_when_force_is_off():
 
 def test_nan_erases_no_history():
     flight = followed(
-        watched(**WATCHED), 0.01 * np.sin(np.arange(500) * 0.05), {Value.DAMPING: 3.0}
+        watched(**WATCHED), 0.01 * np.sin(np.arange(500) * 0.05), {Value.VIRTUAL_DAMPING: 3.0}
     )
     settled, law, ledger, held, signs = flight.state
     assert ledger[0] < -1e-4

@@ -29,9 +29,9 @@ def budgeted(budget_j=RAMP_ENERGY_J, **changes):
     return servo_params(device=device_params(ramp_energy_j=budget_j), **changes)
 
 
-def hand(budget_j, damping_ns_per_m, start_m):
+def hand(budget_j, virtual_damping_ns_per_m, start_m):
     """1 kg under 40 N/m, at rest at `start_m`."""
-    flight = HeldFlight(budgeted(budget_j), 1.0, damping_ns_per_m)
+    flight = HeldFlight(budgeted(budget_j), 1.0, virtual_damping_ns_per_m)
     assert flight.do(Command.SET, SOFT) is Result.APPLIED
     flight.do(Command.ENABLE)
     flight.fly(520)
@@ -204,7 +204,12 @@ def test_gain_of_an_enable_is_booked():
 
 def waiting_flight():
     flight = stiffened()
-    asked = {Value.STIFFNESS: 2000.0, Value.DAMPING: 4.0, Value.MASS: 0.01, Value.RAMP_S: 0.1}
+    asked = {
+        Value.STIFFNESS: 2000.0,
+        Value.VIRTUAL_DAMPING: 4.0,
+        Value.MASS: 0.01,
+        Value.RAMP_S: 0.1,
+    }
     flight.do(Command.SET, asked)
     flight.fly(60)
     assert flight.out[9] & Flag.PAUSED
@@ -213,11 +218,11 @@ def waiting_flight():
 
 def test_what_falls_is_never_held():
     flight = waiting_flight()
-    damping = flight.blob["damping_ns_per_m"]
-    flight.do(Command.SET, {Value.DAMPING: 0.0, Value.RAMP_S: 0.02})
+    damping = flight.blob["virtual_damping_ns_per_m"]
+    flight.do(Command.SET, {Value.VIRTUAL_DAMPING: 0.0, Value.RAMP_S: 0.02})
     flight.fly(10)
     assert flight.out[9] & Flag.PAUSED  # the spring
-    assert flight.blob["damping_ns_per_m"] == pytest.approx(0.5 * damping)
+    assert flight.blob["virtual_damping_ns_per_m"] == pytest.approx(0.5 * damping)
     flight.do(Command.SET, {Value.STIFFNESS: 0.0, Value.MASS: 0.0, Value.RAMP_S: 0.02})
     flight.fly(20)
     assert flight.blob["stiffness_n_per_m"] == flight.blob["mass_kg"] == 0.0

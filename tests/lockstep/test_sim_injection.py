@@ -315,7 +315,7 @@ def test_amplifier_makes_another_force_of_the_command(kind, value, force_n):
 
 
 def test_damping_circuit_delivers_another_damping_and_reports_what_was_commanded():
-    port = one("damping_gain", value=0.3)
+    port = one("active_damping_gain", value=0.3)
     count = 10_000
     told = []
     levels = []
@@ -323,7 +323,7 @@ def test_damping_circuit_delivers_another_damping_and_reports_what_was_commanded
         port.on_out(out_packet(tick, damping=count), tick * TICK_NS)
         levels.append(port.board._axis.damping_n)
         told.append(codec.decode_in(port.poll_in((tick + 1) * TICK_NS - 1)).damping_effect)
-    right = count * board_params().damping_ns_per_m_per_count
+    right = count * board_params().active_damping_ns_per_m_per_count
     assert levels == pytest.approx([right] * 2 + [0.3 * right] + [right] * 3)
     assert told == [count] * 6
 

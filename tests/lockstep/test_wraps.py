@@ -38,13 +38,15 @@ def flown(begin: Callable[[LockStep], None] = lambda stack: None, **board: Any) 
         stack.run(5)
         begin(stack)
         stack.blocks.clear()
-        stack.do(Command.SET, {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.01})
+        stack.do(
+            Command.SET, {Value.STIFFNESS: 100.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.01}
+        )
         stack.do(Command.ENABLE)
         stack.load_waveform(np.random.default_rng(3).integers(-3000, 3001, 800).tolist())
         stack.do(Command.PERTURB_START, {Value.SAMPLES: 800.0, Value.LOOP: 1.0})
         for number in range(8):
             stack.do(Command.SET, {Value.STIFFNESS: 50.0 * number, Value.RAMP_S: 0.05})
-            level = {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: float(number % 2)}
+            level = {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: float(number % 2)}
             stack.do(Command.DAMPING, level)
             stack.run(TICKS // 8)
         stack.do(Command.STOP)

@@ -269,7 +269,7 @@ def test_recording_of_the_daemon_is_an_own_record_too(tmp_path):
     with RecordedFlight() as flight:
         scale = flight.params.device.probe_torque
         flight.stack.run(5)
-        flight.stack.do(Command.SET, {Value.STIFFNESS: 50.0, Value.DAMPING: 2.0})
+        flight.stack.do(Command.SET, {Value.STIFFNESS: 50.0, Value.VIRTUAL_DAMPING: 2.0})
         flight.stack.do(Command.ENABLE)
         flight.fly(600)
         flight.stack.load_waveform(

@@ -181,7 +181,7 @@ def test_map_tries_only_near_the_predicted_boundary_and_agrees_there():
     assert int(level.tried.sum()) == plan.trials
     assert level.disagreements <= 0.15 * plan.trials
     predicted = passive_set(AXES, plan.levels[0].prediction.decided_margin)
-    assert set_limits(level.found).damping == set_limits(predicted).damping
+    assert set_limits(level.found).virtual_damping == set_limits(predicted).virtual_damping
     everywhere = plan_map(MapParams(conditions(), AXES, (0.0,), everywhere=True))
     assert everywhere.trials == 96
     (full,) = run_map(everywhere, TrialStore(None)).levels
@@ -250,7 +250,8 @@ def test_midpoint_that_passes_moves_the_limit():
     finer = replace(coarse, params=replace(coarse.params, refine=1))
     store = TrialStore(None)
     limits = [
-        set_limits(run_map(plan, store).levels[0].found).damping[1] for plan in (coarse, finer)
+        set_limits(run_map(plan, store).levels[0].found).virtual_damping[1]
+        for plan in (coarse, finer)
     ]
     assert limits == [1.0, 2.0]
 
@@ -338,7 +339,7 @@ def test_portable_summary_belongs_to_its_device_file(tmp_path):
     path.write_text(json.dumps(content))
     found = read_portable(path)
     assert found["device_file_sha256"] == device_hash("ideal") != device_hash("weir2008")
-    assert [drawn["added_damping_ns_per_m"] for drawn in found["envelopes"]] == [0.0]
+    assert [drawn["active_damping_ns_per_m"] for drawn in found["envelopes"]] == [0.0]
     assert (
         len(found["envelopes"][0]["envelope"]["upper"]["value"])
         == kept_frequencies((2.0, 500.0)).size

@@ -122,6 +122,6 @@ def test_environment_is_printed_before_the_trial_and_not_into_json(source, tmp_p
     )
     assert json.loads(told.out)["environment"] == {
         "stiffness_n_per_m": 50.0,
-        "damping_ns_per_m": 0.0,
+        "active_damping_ns_per_m": 0.0,
         "mass_kg": 0.0,
     }

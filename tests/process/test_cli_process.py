@@ -57,9 +57,13 @@ def test_from_start_to_stop(
     assert ask("enable")["state"] == "enabled"
     parameters = ask("set", "K=50", "B=2", "M=0")["effective"]
     assert (parameters["K"], parameters["B"], parameters["M"]) == (50.0, 2.0, 0.0)
-    assert ask("damping", "on")["effective"]["damping"] == pytest.approx(1.74, abs=10 / 65535)
-    assert ask("damping", "off")["effective"]["damping"] == 0.0
-    assert ask("damping", "2.5")["effective"]["damping"] == pytest.approx(2.5, abs=10 / 65535)
+    assert ask("damping", "on")["effective"]["active_damping"] == pytest.approx(
+        1.74, abs=10 / 65535
+    )
+    assert ask("damping", "off")["effective"]["active_damping"] == 0.0
+    assert ask("damping", "2.5")["effective"]["active_damping"] == pytest.approx(
+        2.5, abs=10 / 65535
+    )
     changed = ("set", "K=-5", "filters.velocity_hz=80")
     assert "filters change only" in ask(*changed, code=4)["error"]["message"]
     assert ask("disable")["state"] == "disabled"

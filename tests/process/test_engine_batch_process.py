@@ -12,12 +12,13 @@ from hapticd.engine import simulate
 
 @pytest.fixture(scope="module")
 def reference():
-    return simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, keep="records")
+    return simulate(WEIR, PARAMS, 0.5, 7, active_damping=1.74, keep="records")
 
 
 @pytest.mark.process
 def test_process_pool_gives_the_same_bytes(reference):
     with ProcessPoolExecutor(1) as pool:
         assert same_bytes(
-            reference, simulate(WEIR, PARAMS, 0.5, 7, damping=1.74, keep="records", executor=pool)
+            reference,
+            simulate(WEIR, PARAMS, 0.5, 7, active_damping=1.74, keep="records", executor=pool),
         )

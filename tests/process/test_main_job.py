@@ -40,7 +40,7 @@ def device(daemon: Daemon) -> Iterator[Client]:
     with Client(daemon.instance, name="test", timeout_s=DEADLINE_S) as device:
         device.stop()
         until(lambda: daemon.cli("reset") == 0, "reset")
-        device.set(K=0.0, B=0.0, M=0.0, damping=0.0)
+        device.set(K=0.0, B=0.0, M=0.0, active_damping=0.0)
         zeroed(device)
         yield device
 
@@ -76,7 +76,7 @@ def program(folder: Path, *words: str) -> str:
 def reported_damping(device: Client) -> float:
     """Active damping [N s/m] that the board reports in effect."""
     records, _ = device.record(seconds=0.05)
-    return float(records["damping_effect_ns_per_m"][-1])
+    return float(records["active_damping_effect_ns_per_m"][-1])
 
 
 def test_daemon_starts_disabled_on_the_simulated_board(daemon: Daemon) -> None:
@@ -111,9 +111,9 @@ def test_active_damping_is_switched_while_the_device_is_enabled(
     device: Client, ask: Callable[..., Any]
 ) -> None:
     ask("enable")
-    assert ask("damping", "on")["effective"]["damping"] == pytest.approx(1.74, abs=1e-3)
+    assert ask("damping", "on")["effective"]["active_damping"] == pytest.approx(1.74, abs=1e-3)
     until(lambda: reported_damping(device) > 1.7, "the board reports it")
-    assert ask("damping", "off")["effective"]["damping"] == 0.0
+    assert ask("damping", "off")["effective"]["active_damping"] == 0.0
 
 
 def test_unsafe_change_is_refused_with_its_reason_and_nothing_changes(

@@ -44,7 +44,7 @@ NOMINAL: dict[str, Any] = {  # as config/devices/example-board.toml has them
     "rate_hz": 1000.0,
     "position_m_per_count": 0.5e-6,
     "force_n_per_count": 8.0 / I16,
-    "damping_ns_per_m_per_count": 10.0 / codec.U16_HIGHEST,
+    "active_damping_ns_per_m_per_count": 10.0 / codec.U16_HIGHEST,
     "probe_torque_n_per_count": 2.0 / I16,
     "probe_velocity_m_per_s_per_count": 2.0 / I16,
     "current_a_per_count": 10.0 / I16,
@@ -84,7 +84,7 @@ class Truth:
     probe_velocity_sign: int
     position_gain: float
     force_gain: float
-    damping_gain: float
+    active_damping_gain: float
     probe_torque_gain: float
     probe_velocity_gain: float
     emf_gain: float
@@ -156,7 +156,7 @@ def drawn(seed: int) -> Truth:
         probe_velocity_sign=sign(),
         position_gain=near(0.2),
         force_gain=near(0.2),
-        damping_gain=near(0.2),
+        active_damping_gain=near(0.2),
         probe_torque_gain=near(0.2),
         probe_velocity_gain=near(0.2),
         emf_gain=near(0.2),
@@ -191,7 +191,7 @@ def blind_board(truth: Truth, attached_kg: float = 0.0) -> BoardParams:
         "position_m_per_count": truth.position_gain,
         "force_n_per_count": truth.force_gain,
         "force_limit_n": truth.force_gain,  # the board clamps counts
-        "damping_ns_per_m_per_count": truth.damping_gain,
+        "active_damping_ns_per_m_per_count": truth.active_damping_gain,
         "probe_torque_n_per_count": truth.probe_torque_gain,
         "probe_velocity_m_per_s_per_count": truth.probe_velocity_gain,
         "emf_velocity_m_per_s_per_count": truth.emf_gain,
@@ -213,7 +213,10 @@ def _effects(truth: Truth, attached_kg: float) -> tuple[Any, ...]:
         Viscous(rotor_ns_per_m=truth.viscous_ns_per_m),
         Smoothing(corner_hz=truth.smoothing_hz),
         Coulomb(rotor_n=truth.coulomb_n),
-        DampingDac(quantum_ns_per_m=NOMINAL["damping_ns_per_m_per_count"] * truth.damping_gain),
+        DampingDac(
+            quantum_ns_per_m=NOMINAL["active_damping_ns_per_m_per_count"]
+            * truth.active_damping_gain
+        ),
         Amplifier(bandwidth_hz=truth.amplifier_hz),
         DampingCircuit(bandwidth_hz=truth.circuit_hz),
         Motor(
@@ -344,7 +347,7 @@ class BlindBoard:
         free = self.plant
         axis.probe = BlindProbe(self.params, truth, self._broken)
         axis.amplifier = self._motor
-        axis.damping_gain = -1.0 if self._broken == "damping polarity" else 1.0
+        axis.active_damping_gain = -1.0 if self._broken == "damping polarity" else 1.0
         axis.plant = free._replace(
             step=self._step,
             encoder=self._encoder,

@@ -22,7 +22,7 @@ def small_map(folder, *more):
         *SHORT,
         "--out",
         str(folder),
-        "--damping",
+        "--active-damping",
         "1.74",
         *GRID_OF_27,
         "--everywhere",
@@ -39,7 +39,7 @@ def trials(folder):
 OUTCOME = {
     "type",
     "environment",
-    "damping_ns_per_m",
+    "active_damping_ns_per_m",
     "answer",
     "passes",
     "margin_ns_per_m",

@@ -10,11 +10,11 @@ from hapticd.cli.app import main
 from support.measured_scenes import GRID_OF_27
 
 SHORT = ["--seconds", "20"]
-LIMITS = ["limits", *SHORT, "--axis", "BM", "--damping", "0", "--no-plot"]
+LIMITS = ["limits", *SHORT, "--axis", "BM", "--active-damping", "0", "--no-plot"]
 MAP = [
     "map",
     *SHORT,
-    "--damping",
+    "--active-damping",
     "1.74",
     *GRID_OF_27,
     "--no-plot",

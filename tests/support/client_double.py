@@ -10,8 +10,8 @@ EFFECTIVE = {
     "B": 1.0,
     "M": 0.01,
     "wall": {"side": 0},
-    "damping": 1.74,
-    "damping_level": 1.74,
+    "active_damping": 1.74,
+    "active_damping_level": 1.74,
 }
 RECEIPT = Receipt("applied", "enabled", 7, 1200, 1250, EFFECTIVE)
 

@@ -20,7 +20,7 @@ def largest_error(
         TRIALS,
         len(torque) / 4000,
         excitation=torque,
-        damping=level,
+        active_damping=level,
         substeps=substeps,
         environment=environment,
         start=start,

@@ -116,7 +116,7 @@ class FirmwareBoard:
         self.out_refused = 0
         self.in_replaced = 0
         self.amplifier: Amplifier | None = None
-        self.damping_gain = 1.0  # of the circuit: damping over what is commanded
+        self.active_damping_gain = 1.0  # of the circuit: damping over what is commanded
         self.firmware = load_firmware(folder)
         self.out = Outputs()
         self._plant = make_plant(params)
@@ -233,7 +233,11 @@ class FirmwareBoard:
     @property
     def damping_n(self) -> float:
         """The active damping at this moment, N s/m."""
-        return self.damping_gain * self.out.damping * self.params.damping_ns_per_m_per_count
+        return (
+            self.active_damping_gain
+            * self.out.damping
+            * self.params.active_damping_ns_per_m_per_count
+        )
 
     # --- time -------------------------------------------------------------------------------------
     def _to_ns(self, substep: int) -> int:

@@ -32,7 +32,7 @@ from hapticd.wire.codec import encode_in
 from hapticd.wire.frames import InFrame
 
 CONFIG_HASH = "c" * 64
-JUDGED = range(Value.STIFFNESS, Value.ADDED_DAMPING_ON + 1)
+JUDGED = range(Value.STIFFNESS, Value.ACTIVE_DAMPING_ON + 1)
 NEXT_STATE = {
     Command.ENABLE: {State.DISABLED: State.ENABLED, State.ENABLED: State.ENABLED},
     Command.DISABLE: {
@@ -63,7 +63,7 @@ def setup(instance: str = "default", **gateway: Any) -> GatewaySetup:
         "S1",
         position=ScaleParams(5e-7),
         force=scale,
-        damping=scale,
+        active_damping=scale,
         probe_torque=ScaleParams(1e-3, -1, 2.0),
         probe_velocity=ScaleParams(1e-4),
         current=scale,
@@ -71,7 +71,7 @@ def setup(instance: str = "default", **gateway: Any) -> GatewaySetup:
         emf_velocity=scale,
         temperature=scale,
         force_limit_n=8.0,
-        damping_limit_ns_per_m=2.0,
+        active_damping_limit_ns_per_m=2.0,
         probe_limit_n=1.0,
         temperature_limit_c=100.0,
         speed_limit_m_per_s=5.0,
@@ -242,7 +242,7 @@ class StandInServo:
             True,
             self.actor,
             int(v[Value.LEASE_CONTROL]),
-            int(v[Value.LEASE_DAMPING]),
+            int(v[Value.LEASE_ACTIVE_DAMPING]),
             1.0,
             v[2],
             v[3],

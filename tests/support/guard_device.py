@@ -32,7 +32,7 @@ from hapticd.settings.load import load
 Rows = tuple[tuple[float, ...], ...]
 MASS_KG = 0.08
 VISCOUS_NS_PER_M = 2.0
-FREE = {"K": 0.0, "B": 0.0, "M": 0.0, "damping": 0.0}
+FREE = {"K": 0.0, "B": 0.0, "M": 0.0, "active_damping": 0.0}
 
 
 def rigid(
@@ -107,9 +107,9 @@ def setup_of(model: ModelParams | None, ceiling: float = 10.0, **changes: Any) -
         "config_hash": "hash of the servo",
         "rate_hz": 1000.0,
         "environment": EnvironmentParams(),
-        "added_damping_ns_per_m": 1.74,
-        "damping_limit_ns_per_m": ceiling,
-        "damping_count_ns_per_m": 10.0 / 65535,
+        "active_damping_ns_per_m": 1.74,
+        "active_damping_limit_ns_per_m": ceiling,
+        "active_damping_count_ns_per_m": 10.0 / 65535,
         "lowest": (-1e4, -1e2, -1e1),
         "highest": (1e5, 1e3, 1e1),
         "model": model,

@@ -38,7 +38,7 @@ device = "ideal"
 effects = ["probe", "viscous"]
 [environment]
 stiffness_n_per_m = 100.0
-damping_ns_per_m = 1.0
+virtual_damping_ns_per_m = 1.0
 mass_kg = 0.002
 [excitation]
 kind = "noise"

@@ -23,7 +23,7 @@ def anonymous_kb() -> int:
 
 with LockStep(servo_params(), board_params(), keep=False) as stack:
     stack.run(5)
-    stack.do(Command.SET, {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.01})
+    stack.do(Command.SET, {Value.STIFFNESS: 100.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.01})
     stack.do(Command.ENABLE)
     stack.load_waveform(np.random.default_rng(3).integers(-3000, 3001, 8000).tolist())
     stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0})

@@ -19,7 +19,7 @@ from support.boards import BOARD
 
 COUNT_M = BOARD.position_m_per_count
 COUNT_N = BOARD.force_n_per_count
-COUNT_NS_PER_M = BOARD.damping_ns_per_m_per_count
+COUNT_NS_PER_M = BOARD.active_damping_ns_per_m_per_count
 
 
 def device_params(**changes: Any) -> DeviceParams:
@@ -28,7 +28,7 @@ def device_params(**changes: Any) -> DeviceParams:
         serial="SIM0001",
         position=ScaleParams(COUNT_M),
         force=ScaleParams(COUNT_N),
-        damping=ScaleParams(COUNT_NS_PER_M),
+        active_damping=ScaleParams(COUNT_NS_PER_M),
         probe_torque=ScaleParams(BOARD.probe_torque_n_per_count),
         probe_velocity=ScaleParams(BOARD.probe_velocity_m_per_s_per_count),
         current=ScaleParams(BOARD.current_a_per_count),
@@ -36,7 +36,7 @@ def device_params(**changes: Any) -> DeviceParams:
         emf_velocity=ScaleParams(1.0 / 32767),
         temperature=ScaleParams(0.01),
         force_limit_n=8.0,
-        damping_limit_ns_per_m=10.0,
+        active_damping_limit_ns_per_m=10.0,
         probe_limit_n=1.0,
         temperature_limit_c=120.0,
         speed_limit_m_per_s=20.0,
@@ -63,6 +63,11 @@ def environment_tuple(params: EnvironmentParams, limit_n: float) -> Environment:
     """`params` as the law takes them, without bias."""
     wall = params.wall
     ends = params.workspace
-    kbm = (params.stiffness_n_per_m, params.damping_ns_per_m, params.mass_kg)
-    solid = (wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.position_m, float(wall.side))
+    kbm = (params.stiffness_n_per_m, params.virtual_damping_ns_per_m, params.mass_kg)
+    solid = (
+        wall.stiffness_n_per_m,
+        wall.virtual_damping_ns_per_m,
+        wall.position_m,
+        float(wall.side),
+    )
     return (*kbm, 0.0, limit_n, *solid, ends.lower_m, ends.upper_m, ends.stiffness_n_per_m)

@@ -4,7 +4,7 @@ from hapticd.mailbox.layout import Value
 from hapticd.params import SafetyParams
 from support.models import device_params, servo_params
 
-FELT = {Value.STIFFNESS: 200.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
+FELT = {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
 LIMIT = 500.0  # m/s^2, as a device file has it unless it says otherwise
 SPEED = 5.0  # m/s
 

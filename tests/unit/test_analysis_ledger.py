@@ -155,8 +155,8 @@ def test_clamp_and_rounding_are_forces_of_their_own():
 
 def test_electrical_work_is_what_the_board_reports_beside_what_was_sent():
     rows = sampled(np.linspace(0.0, 0.1, 101), np.zeros(101), 0.125)
-    rows["added_asked_ns_per_m"] = 2.0
-    rows["added_ns_per_m"] = 0.5
+    rows["active_damping_asked_ns_per_m"] = 2.0
+    rows["active_damping_ns_per_m"] = 0.5
     found = sums(rows)
     assert found["electrical"][-1] == pytest.approx(-0.5 * 1.0 * 0.1, rel=1e-12)  # b v s
     assert found["electrical_commanded"][-1] == pytest.approx(-2.0 * 1.0 * 0.1, rel=1e-12)

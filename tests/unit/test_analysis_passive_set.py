@@ -33,7 +33,7 @@ SET = passive_set(AXES, wedge(grid(AXES)))
 def test_set_limits_are_extremes_over_all():
     found = set_limits(SET)
     assert found.stiffness == (0.0, 800.0)
-    assert found.damping == (-1.0, 3.0)
+    assert found.virtual_damping == (-1.0, 3.0)
     assert found.mass == pytest.approx((-0.005, 0.005))
 
 

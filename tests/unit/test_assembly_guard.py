@@ -47,13 +47,13 @@ def test_a_failing_request_is_an_answer_and_the_judge_goes_on() -> None:
 
 
 def test_every_answer_fits_into_a_message() -> None:
-    answer = change(shipped_judge(), {"K": 150.0, "B": 1.0, "damping": 1.74})
+    answer = change(shipped_judge(), {"K": 150.0, "B": 1.0, "active_damping": 1.74})
     assert len(msgpack.packb(answer)) < 64 << 10
 
 
 def test_an_unstable_circuit_is_never_safe() -> None:
     """Compensated for far more resistance than there is: it oscillates without a display."""
     judge = Judge(setup_of(over_compensated(400.0)))
-    verdict = change(judge, {}, now={"damping": 10.0})["verdict"]
+    verdict = change(judge, {}, now={"active_damping": 10.0})["verdict"]
     assert verdict["safe"] is False
     assert verdict["allowed"] == {"K": None, "B": None, "M": None}

@@ -369,15 +369,15 @@ def test_a_frame_carries_every_tick_and_the_newest_state() -> None:
 
 
 def test_damping_that_a_board_does_not_report_is_unknown_and_not_zero() -> None:
-    header, _ = read(frame(block(damping_effect_ns_per_m=np.nan)))
-    assert header["now"]["damping_effect_ns_per_m"] is None
+    header, _ = read(frame(block(active_damping_effect_ns_per_m=np.nan)))
+    assert header["now"]["active_damping_effect_ns_per_m"] is None
     assert header["now"]["damping_count"] is None
 
 
 def test_count_of_the_damping_is_that_of_the_boards_frame() -> None:
     raw = bytearray(64)
     struct.pack_into("<HHB", raw, 56, 123, 11403, 1)
-    header, _ = read(frame(block(damping_effect_ns_per_m=1.74, in_frame=bytes(raw))))
+    header, _ = read(frame(block(active_damping_effect_ns_per_m=1.74, in_frame=bytes(raw))))
     assert header["now"]["damping_count"] == 11403
 
 

@@ -33,10 +33,10 @@ CHANGES: dict[str, tuple[dict[str, Any], ...]] = {
         {"cmd": "home"},
         {"cmd": "enable"},
     ),
-    "damping": (
+    "active_damping": (
         {"cmd": "damping", "value": "on"},
         {"cmd": "damping", "value": 1.0},
-        {"cmd": "set", "damping": 1.0},
+        {"cmd": "set", "active_damping": 1.0},
     ),
     "perturbation": (
         {"cmd": "perturb", "action": "load", "samples_n": WAVE},
@@ -80,7 +80,7 @@ def events(rig: DeskRig, kind: str = "lease") -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize(("part", "change"), EVERYTHING, ids=str)
-@pytest.mark.parametrize("what", ["environment", "damping", "perturbation", "measuring"])
+@pytest.mark.parametrize("what", ["environment", "active_damping", "perturbation", "measuring"])
 def test_holder_excludes_others_from_what_it_holds_and_from_nothing_else(
     rig: DeskRig, what: str, part: str, change: dict[str, Any]
 ) -> None:
@@ -132,10 +132,13 @@ def test_refusal_names_holder_time_left_and_remedy(rig: DeskRig) -> None:
 def test_two_clients_of_one_name_are_two(rig: DeskRig) -> None:
     for client in (A, B):
         rig.ask(client, cmd="hello", name="panel")
-    take(rig, A, "damping")
+    take(rig, A, "active_damping")
     assert rig.ask(B, cmd="damping", value="on")["error"]["code"] == "leased"
-    assert rig.ask(B, cmd="lease", what="damping")["error"]["code"] == "leased"
-    assert rig.ask(B, cmd="lease", what="damping", action="release")["error"]["code"] == "leased"
+    assert rig.ask(B, cmd="lease", what="active_damping")["error"]["code"] == "leased"
+    assert (
+        rig.ask(B, cmd="lease", what="active_damping", action="release")["error"]["code"]
+        == "leased"
+    )
     assert rig.ask(A, cmd="damping", value="on")["ok"]
 
 
@@ -160,7 +163,7 @@ def test_holder_of_a_part_may_take_more(rig: DeskRig) -> None:
     "ttl_s", [0, 0.0, -1.0, 0.19, 60.1, 1e9, float("nan"), float("inf"), "5", True, None]
 )
 def test_time_to_live_that_is_none_is_refused(rig: DeskRig, ttl_s: object) -> None:
-    assert rig.ask(A, cmd="lease", what="damping", ttl_s=ttl_s)["error"]["code"] == "invalid"
+    assert rig.ask(A, cmd="lease", what="active_damping", ttl_s=ttl_s)["error"]["code"] == "invalid"
     assert rig.desk.leases.holders == ()
 
 
@@ -169,9 +172,9 @@ def test_time_to_live_that_is_none_is_refused(rig: DeskRig, ttl_s: object) -> No
     [
         {"what": "everything"},
         {},
-        {"what": "damping", "action": "renew", "ttl_s": 1.0},
-        {"what": "damping", "action": "release", "take_over": True},
-        {"what": "damping", "at_end": "explode"},
+        {"what": "active_damping", "action": "renew", "ttl_s": 1.0},
+        {"what": "active_damping", "action": "release", "take_over": True},
+        {"what": "active_damping", "at_end": "explode"},
     ],
 )
 def test_lease_of_nothing_known_is_refused(rig: DeskRig, fields: dict[str, Any]) -> None:
@@ -225,13 +228,13 @@ def test_lost_lease_is_not_renewed_and_says_why(rig: DeskRig) -> None:
 
 def test_follow_does_not_change_an_environment_that_another_has_leased(tmp_path: Path) -> None:
     """Who may switch the damping off does not get at K by that."""
-    stages = [stage({"K": 10.0}), stage({"damping": 0.0}, after_ramps=True)]
+    stages = [stage({"K": 10.0}), stage({"active_damping": 0.0}, after_ramps=True)]
     followed = {"action": "stage", "stages": stages, "verdict": verdict(False)}
     worker = StubWorker()
     rig = DeskRig(tmp_path, worker)
     rig.run(MOST_RECORDS)
     assert rig.ask(B, cmd="guard", policy="follow")["ok"]
-    assert rig.ask(B, cmd="set", K=100, damping=1.5)["ok"]
+    assert rig.ask(B, cmd="set", K=100, active_damping=1.5)["ok"]
     take(rig, A, "environment")
     worker.script = lambda request: followed
     error = rig.ask(B, cmd="damping", value="off")["error"]
@@ -239,7 +242,7 @@ def test_follow_does_not_change_an_environment_that_another_has_leased(tmp_path:
     assert "lease of environment" in error["message"]
     idle(rig, 0.2)
     assert rig.servo.values[Value.STIFFNESS] == 100
-    assert rig.servo.values[Value.ADDED_DAMPING_ON] == 1
+    assert rig.servo.values[Value.ACTIVE_DAMPING_ON] == 1
 
 
 def test_lost_lease_can_be_taken_again(rig: DeskRig) -> None:
@@ -272,13 +275,13 @@ def test_time_in_which_the_gateway_heard_nobody_does_not_count() -> None:
     """It stood still, or its clock jumped: nobody could have renewed meanwhile."""
     leases = Leases()
     leases.advance(100 * NS_PER_S)
-    leases.take("damping", 16, "a", 2.0, "hold")
+    leases.take("active_damping", 16, "a", 2.0, "hold")
     for jump_ns in (50 * NS_PER_S, -90 * NS_PER_S, LATE_NS + 1):
         assert leases.advance(leases._now_ns + jump_ns) == []
-        assert leases.shown()["damping"]["left_s"] == 2.0
+        assert leases.shown()["active_damping"]["left_s"] == 2.0
     now_ns = leases._now_ns
     assert leases.advance(now_ns + LATE_NS) == []
-    assert leases.shown()["damping"]["left_s"] == 1.5
+    assert leases.shown()["active_damping"]["left_s"] == 1.5
 
 
 def test_clients_that_come_and_go_push_no_holder_out(rig: DeskRig) -> None:
@@ -336,7 +339,7 @@ def test_former_holder_is_refused_though_nobody_holds_it_now(rig: DeskRig) -> No
 def test_take_over_of_a_part_ends_the_whole_of_measuring(rig: DeskRig) -> None:
     take(rig, A, "measuring")
     rig.run(3)
-    take(rig, B, "damping", take_over=True)
+    take(rig, B, "active_damping", take_over=True)
     rig.run(5)
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 1.0
     assert rig.ask(A, cmd="set", K=3)["error"]["code"] == "leased"
@@ -347,11 +350,14 @@ def test_what_was_scheduled_by_the_former_holder_is_cancelled(rig: DeskRig) -> N
     take(rig, A, "environment")
     at_tick = rig.view.tick + 100
     assert rig.ask(A, cmd="set", K=300, at_tick=at_tick, id=9)["receipt"]["result"] == "scheduled"
-    assert rig.ask(A, cmd="set", damping=1.5, at_tick=at_tick)["receipt"]["result"] == "scheduled"
+    assert (
+        rig.ask(A, cmd="set", active_damping=1.5, at_tick=at_tick)["receipt"]["result"]
+        == "scheduled"
+    )
     take(rig, B, "environment", take_over=True)
     rig.run(200)
     assert put(rig, Value.STIFFNESS) == 0.0
-    assert put(rig, Value.ADDED_DAMPING) == 1.5  # was not part of it
+    assert put(rig, Value.ACTIVE_DAMPING) == 1.5  # was not part of it
     assert [(event["id"], event["result"]) for event in events(rig, "answer")] == [
         (9, "cancelled"),
         (None, "applied"),
@@ -363,7 +369,7 @@ def test_what_anyone_scheduled_before_a_lease_is_cancelled_by_it(rig: DeskRig) -
     rig.ask(A, cmd="set", B=1, at_tick=rig.view.tick + 100)
     take(rig, A, "environment")
     idle(rig, 0.2)
-    assert (put(rig, Value.STIFFNESS), put(rig, Value.DAMPING)) == (0.0, 1.0)
+    assert (put(rig, Value.STIFFNESS), put(rig, Value.VIRTUAL_DAMPING)) == (0.0, 1.0)
 
 
 # --- what becomes of the display ------------------------------------------------------------------
@@ -373,12 +379,12 @@ def rendering(rig: DeskRig, what: str, at_end: str) -> None:
     """A holds `what` and renders under force with damping."""
     take(rig, A, what, at_end=at_end, ttl_s=1.0)
     wall = {"side": 1, "stiffness_n_per_m": 900.0}
-    rig.ask(A, cmd="set", K=300, B=2, M=0.01, damping=1.5, wall=wall)
+    rig.ask(A, cmd="set", K=300, B=2, M=0.01, active_damping=1.5, wall=wall)
     rig.ask(A, cmd="enable")
 
 
 @pytest.mark.parametrize("dies", [True, False], ids=["dies", "is silent"])
-@pytest.mark.parametrize("what", ["environment", "damping", "perturbation", "measuring"])
+@pytest.mark.parametrize("what", ["environment", "active_damping", "perturbation", "measuring"])
 @pytest.mark.parametrize("at_end", ["hold", "zero", "disable"])
 def test_holder_that_fails_leaves_what_its_lease_says_and_damping(
     rig: DeskRig, what: str, at_end: str, dies: bool
@@ -387,16 +393,16 @@ def test_holder_that_fails_leaves_what_its_lease_says_and_damping(
     if dies:
         rig.desk.leave(A)
     idle(rig, 1.2)
-    places = (Value.STIFFNESS, Value.DAMPING, Value.MASS, Value.WALL_STIFFNESS)
+    places = (Value.STIFFNESS, Value.VIRTUAL_DAMPING, Value.MASS, Value.WALL_STIFFNESS)
     zero = at_end == "zero" and what in ("environment", "measuring")
     left = [0.0] * 4 if zero else [300.0, 2.0, 0.01, 900.0]
     assert [put(rig, place) for place in places] == left
     assert rig.servo.state == (State.DISABLED if at_end == "disable" else State.ENABLED)
-    assert (put(rig, Value.ADDED_DAMPING), put(rig, Value.ADDED_DAMPING_ON)) == (1.5, 1.0)
+    assert (put(rig, Value.ACTIVE_DAMPING), put(rig, Value.ACTIVE_DAMPING_ON)) == (1.5, 1.0)
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 1.0
 
 
-@pytest.mark.parametrize("what", ["damping", "perturbation"])
+@pytest.mark.parametrize("what", ["active_damping", "perturbation"])
 def test_holder_that_fails_leaves_what_another_holds(rig: DeskRig, what: str) -> None:
     rendering(rig, "environment", "zero")
     take(rig, B, what, at_end="zero")
@@ -504,11 +510,11 @@ def test_nothing_is_judged_while_measuring_and_again_behind_it(rig: DeskRig, how
 
 def test_records_name_the_holders(rig: DeskRig) -> None:
     def shown() -> tuple[int, int]:
-        return rig.view.record["lease_control"], rig.view.record["lease_damping"]
+        return rig.view.record["lease_control"], rig.view.record["lease_active_damping"]
 
     assert shown() == (0, 0)
     a = take(rig, A, "environment")["actor"]
-    b = take(rig, B, "damping")["actor"]
+    b = take(rig, B, "active_damping")["actor"]
     rig.run(5)
     assert shown() == (a, b)
     rig.ask(A, cmd="lease", what="environment", action="release")
@@ -552,7 +558,7 @@ def test_transition_waits_for_room_in_the_ring(rig: DeskRig) -> None:
     rendering(rig, "environment", "disable")
     rig.servo.deaf = True
     while rig.view.mailbox and rig.view.mailbox.post(
-        Command.DAMPING, 1, 0, layout.values_of({Value.ADDED_DAMPING_ON: 1.0})
+        Command.DAMPING, 1, 0, layout.values_of({Value.ACTIVE_DAMPING_ON: 1.0})
     ):
         pass
     rig.desk.leave(A)
@@ -574,14 +580,14 @@ def test_leases_of_a_gateway_that_died_end_as_configured(tmp_path: Path, at_end:
     idle(rig, 0.3)
     assert put(rig, Value.STIFFNESS) == (0.0 if at_end == "zero" else 300.0)
     assert rig.servo.state == (State.DISABLED if at_end == "disable" else State.ENABLED)
-    assert (rig.view.record["lease_control"], rig.view.record["lease_damping"]) == (0, 0)
+    assert (rig.view.record["lease_control"], rig.view.record["lease_active_damping"]) == (0, 0)
     assert not rig.servo.perturbing
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 1.0
-    assert put(rig, Value.ADDED_DAMPING_ON) == 1.0
+    assert put(rig, Value.ACTIVE_DAMPING_ON) == 1.0
     assert "of the gateway before" in str(rig.journal.recent)
 
 
-@pytest.mark.parametrize(("what", "zeroed"), [("environment", True), ("damping", False)])
+@pytest.mark.parametrize(("what", "zeroed"), [("environment", True), ("active_damping", False)])
 def test_gateway_before_is_known_by_what_its_clients_held(
     rig: DeskRig, what: str, zeroed: bool
 ) -> None:
@@ -593,7 +599,7 @@ def test_gateway_before_is_known_by_what_its_clients_held(
     idle(rig, 0.3)
     assert (put(rig, Value.STIFFNESS) == 0.0) == zeroed
     assert rig.servo.perturbing  # of that lease nothing says that it was held
-    assert (rig.view.record["lease_control"], rig.view.record["lease_damping"]) == (0, 0)
+    assert (rig.view.record["lease_control"], rig.view.record["lease_active_damping"]) == (0, 0)
 
 
 def test_restart_of_a_gateway_without_leases_moves_nothing(rig: DeskRig) -> None:
@@ -609,14 +615,14 @@ def test_restart_of_a_gateway_without_leases_moves_nothing(rig: DeskRig) -> None
 def test_may_has_no_side_effect_and_speaks_of_the_holder() -> None:
     leases = Leases()
     leases.advance(10 * NS_PER_S)
-    leases.take("damping", 16, "panel", 1.0, "hold")
-    assert leases.may(16, "damping") is None
+    leases.take("active_damping", 16, "panel", 1.0, "hold")
+    assert leases.may(16, "active_damping") is None
     assert leases.may(17, "environment") is None
     found = leases.may(17, "measuring")
     assert isinstance(found, CommandError)
     assert "panel (actor 16)" in str(found)
     leases.advance(10 * NS_PER_S + 400 * NS_PER_MS)
-    assert leases.shown()["damping"]["left_s"] == 0.6
+    assert leases.shown()["active_damping"]["left_s"] == 0.6
 
 
 # --- all together ---------------------------------------------------------------------------------
@@ -661,9 +667,9 @@ class Parts:
 
 COVERED = {
     "environment": ("environment",),
-    "damping": ("damping",),
+    "active_damping": ("active_damping",),
     "perturbation": ("perturbation",),
-    "measuring": ("environment", "damping", "perturbation"),
+    "measuring": ("environment", "active_damping", "perturbation"),
 }
 
 

@@ -9,12 +9,12 @@ from support.winding_table import TABLE
 
 from hapticd.gateway.winding import compensation
 
-DEVICE = replace(setup().servo.device, resistance=TABLE, damping_limit_ns_per_m=4.0)
+DEVICE = replace(setup().servo.device, resistance=TABLE, active_damping_limit_ns_per_m=4.0)
 COUNT = 8192  # of 32767, which add 0.8 ohm
 
 
 def test_compensated_and_left_resistance_and_loop_gain_by_hand() -> None:
-    record = {"resistance_count": COUNT, "winding_c": 60.0, "damping_effect_ns_per_m": 1.74}
+    record = {"resistance_count": COUNT, "winding_c": 60.0, "active_damping_effect_ns_per_m": 1.74}
     found = compensation(record, DEVICE)
     assert found is not None
     copper_ohm = 1.6 * (1 + 0.00393 * 40.0)
@@ -28,7 +28,7 @@ def test_compensated_and_left_resistance_and_loop_gain_by_hand() -> None:
 
 
 def test_without_a_sensor_only_what_is_compensated_is_known() -> None:
-    record = {"resistance_count": COUNT, "winding_c": nan, "damping_effect_ns_per_m": 1.74}
+    record = {"resistance_count": COUNT, "winding_c": nan, "active_damping_effect_ns_per_m": 1.74}
     found = compensation(record, DEVICE)
     assert found is not None
     assert found["compensated_ohm"] == pytest.approx(1.5 + 0.8 * COUNT / 32767)

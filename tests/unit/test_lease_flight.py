@@ -78,7 +78,7 @@ def rig(limit_cycle_faults: bool = True) -> Iterator[Rig]:
 def rendering(rig: Rig, what: str, at_end: str) -> int:
     """The holder renders under force and damping; its actor number."""
     held = rig.ask(cmd="lease", what=what, at_end=at_end, ttl_s=30.0)
-    assert rig.ask(cmd="set", K=300.0, B=1.0, M=0.01, damping=LEVEL_NS_PER_M)["ok"]
+    assert rig.ask(cmd="set", K=300.0, B=1.0, M=0.01, active_damping=LEVEL_NS_PER_M)["ok"]
     assert rig.ask(cmd="enable")["ok"]
     rig.fly(500)
     return int(held["result"]["actor"])
@@ -97,9 +97,9 @@ def test_environment_goes_to_0_on_a_ramp_and_damping_stays_when_its_holder_dies(
     assert (stiffness[0], stiffness[-1]) == (300.0, 0.0)
     # no step: a ramp of the default length, 50 ticks
     assert np.abs(np.diff(stiffness)).max() == pytest.approx(300.0 / 50, rel=0.05)
-    assert (after["damping_ns_per_m"][-1], after["mass_kg"][-1]) == (0.0, 0.0)
-    level = after["damping_effect_ns_per_m"]
-    assert np.abs(level - before["damping_effect_ns_per_m"][-1]).max() < 1e-9
+    assert (after["virtual_damping_ns_per_m"][-1], after["mass_kg"][-1]) == (0.0, 0.0)
+    level = after["active_damping_effect_ns_per_m"]
+    assert np.abs(level - before["active_damping_effect_ns_per_m"][-1]).max() < 1e-9
     assert level[-1] == pytest.approx(LEVEL_NS_PER_M, abs=1e-3)
 
 
@@ -113,14 +113,18 @@ def test_measuring_ends_with_its_holder_perturbation_and_force_and_faults_are_on
         found.desk.leave(HOLDER)
         after = found.fly(50)
     off = Watched.FORCE_AT_LIMIT | Watched.ENERGY
-    assert set(before["lease_control"].tolist()) == set(before["lease_damping"].tolist()) == {actor}
+    assert (
+        set(before["lease_control"].tolist())
+        == set(before["lease_active_damping"].tolist())
+        == {actor}
+    )
     assert not (before["watches"] & off).any()
     assert (before["perturbing"][-1] != 0, after["perturbing"][-1]) == (True, 0)
     assert after["watches"][-1] & off == off
     assert State(int(after["state"][-1])) is State.DISABLED
     disabled = int(np.argmax(after["state"] == State.DISABLED))
     assert disabled <= PASS_TICKS + 5  # of the pass that notices, and two commands a tick
-    assert after["damping_effect_ns_per_m"][-1] == pytest.approx(LEVEL_NS_PER_M, abs=1e-3)
+    assert after["active_damping_effect_ns_per_m"][-1] == pytest.approx(LEVEL_NS_PER_M, abs=1e-3)
     assert not (after["flags"] & Flag.RAMPING)[-1]
 
 

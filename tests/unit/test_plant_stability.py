@@ -48,7 +48,7 @@ def test_unstable_device_is_refused_unless_asked_for():
         "",
         "test",
         tuple(overcompensated(-1.01).values()),
-        damping=(DampingStep(0.0, 0.0), DampingStep(1.0, LEVEL)),
+        active_damping=(DampingStep(0.0, 0.0), DampingStep(1.0, LEVEL)),
     )
     message = (
         r"'hot': the device without virtual environment is unstable at 1\.74 N s/m: resistance"
@@ -59,7 +59,9 @@ def test_unstable_device_is_refused_unless_asked_for():
         match=message + r"g dR / K\^2 = -1\.01 \(limit -1\), growth .* set allow_unstable = true",
     ):
         compose(scene)
-    allowed = Scene("hot", "", "test", scene.effects, damping=scene.damping, allow_unstable=True)
+    allowed = Scene(
+        "hot", "", "test", scene.effects, active_damping=scene.active_damping, allow_unstable=True
+    )
     assert compose(allowed).residual_ohm < 0
 
 

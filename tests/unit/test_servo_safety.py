@@ -138,16 +138,16 @@ def test_stop_wins_over_enable_in_the_same_tick():
 
 
 def test_damping_is_held_two_seconds_then_released_in_half_a_second():
-    params = servo_params(safety=SafetyParams(safe_damping_ns_per_m=1.0))
+    params = servo_params(safety=SafetyParams(safe_active_damping_ns_per_m=1.0))
     flight = enabled(params)
-    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+    flight.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0})
     flight.fly(200)
     flight.do(Command.STOP)
     start = flight.tick - 1
     levels = {}
     for _ in range(2600):
         flight.fly()
-        levels[flight.tick - 1 - start] = flight.blob["added_damping_ns_per_m"]
+        levels[flight.tick - 1 - start] = flight.blob["active_damping_ns_per_m"]
     assert levels[1] == pytest.approx(1.74, abs=1e-4)
     assert levels[2000] == pytest.approx(1.74, abs=1e-4)
     assert levels[2250] == pytest.approx(0.87, abs=1e-3)
@@ -155,16 +155,16 @@ def test_damping_is_held_two_seconds_then_released_in_half_a_second():
 
 
 def test_stop_raises_damping_to_the_safe_level():
-    params = servo_params(safety=SafetyParams(safe_damping_ns_per_m=1.0))
+    params = servo_params(safety=SafetyParams(safe_active_damping_ns_per_m=1.0))
     flight = enabled(params)
     flight.do(Command.STOP)
     flight.fly(100)
-    assert flight.blob["added_damping_ns_per_m"] == pytest.approx(1.0, abs=1e-4)
+    assert flight.blob["active_damping_ns_per_m"] == pytest.approx(1.0, abs=1e-4)
 
 
 def test_damping_acts_while_disabled_when_asked():
     flight = Flight(servo_params())
-    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
+    flight.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 2.0, Value.ACTIVE_DAMPING_ON: 1.0})
     flight.fly(200)
     assert flight.state[SETTLED].damping_count == round(2.0 / 10.0 * 65535)
     assert flight.fly()[0] == 0
@@ -172,12 +172,12 @@ def test_damping_acts_while_disabled_when_asked():
 
 def test_damping_is_slew_limited():
     flight = Flight(servo_params())
-    levels = [flight.blob["added_damping_ns_per_m"]]
-    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 2.0, Value.ADDED_DAMPING_ON: 1.0})
-    levels.append(flight.blob["added_damping_ns_per_m"])
+    levels = [flight.blob["active_damping_ns_per_m"]]
+    flight.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 2.0, Value.ACTIVE_DAMPING_ON: 1.0})
+    levels.append(flight.blob["active_damping_ns_per_m"])
     for _ in range(150):
         flight.fly()
-        levels.append(flight.blob["added_damping_ns_per_m"])
+        levels.append(flight.blob["active_damping_ns_per_m"])
     steps = [b - a for a, b in pairwise(levels)]
     assert max(steps) <= 20.0 / 1000 + 10.0 / 65535
     assert levels[-1] == pytest.approx(2.0, abs=1e-4)
@@ -324,13 +324,15 @@ def test_enable_and_reset_are_refused_for_what_would_fault_at_once(sample):
 
 def test_damping_may_be_released_at_once_after_the_hold():
     flight = enabled(
-        servo_params(safety=SafetyParams(safe_damping_ns_per_m=1.0, damping_release_s=0.0))
+        servo_params(
+            safety=SafetyParams(safe_active_damping_ns_per_m=1.0, active_damping_release_s=0.0)
+        )
     )
     flight.do(Command.STOP)
     flight.fly(1999)
-    assert flight.blob["added_damping_ns_per_m"] == pytest.approx(1.0, abs=1e-4)
+    assert flight.blob["active_damping_ns_per_m"] == pytest.approx(1.0, abs=1e-4)
     flight.fly(3)
-    assert flight.blob["added_damping_ns_per_m"] == 0.0
+    assert flight.blob["active_damping_ns_per_m"] == 0.0
 
 
 def test_stop_cancels_what_is_scheduled_also_when_stopped_already():

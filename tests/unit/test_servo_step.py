@@ -89,8 +89,8 @@ def test_every_set_gets_its_own_receipt():
 
 def test_receipt_tells_damping_after_quantisation():
     flight = Flight(servo_params())
-    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
-    level = flight.answers[-1][5][Value.ADDED_DAMPING]
+    flight.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0})
+    level = flight.answers[-1][5][Value.ACTIVE_DAMPING]
     assert level == pytest.approx(1.74, abs=0.5 * 10.0 / 65535)
     assert level != 1.74
 
@@ -100,13 +100,13 @@ def test_receipt_tells_damping_after_quantisation():
     [
         (Value.STIFFNESS, math.nan),
         (Value.STIFFNESS, 1e6),
-        (Value.DAMPING, math.inf),
+        (Value.VIRTUAL_DAMPING, math.inf),
         (Value.MASS, -2.0),
         (Value.VELOCITY_FILTER_HZ, 451.0),
         (Value.VELOCITY_FILTER_ZETA, 0.0),
         (Value.WALL_SIDE, 2.0),
-        (Value.ADDED_DAMPING, 10.1),
-        (Value.ADDED_DAMPING, -0.1),
+        (Value.ACTIVE_DAMPING, 10.1),
+        (Value.ACTIVE_DAMPING, -0.1),
         (Value.RAMP_S, 61.0),
     ],
 )
@@ -167,7 +167,7 @@ def swung(flight, ticks):
 
 @pytest.mark.parametrize("change", OTHER_FILTERS)
 @pytest.mark.parametrize(
-    "felt", [{Value.DAMPING: 5.0}, {Value.MASS: 0.05}, {Value.WALL_DAMPING: 3.0}]
+    "felt", [{Value.VIRTUAL_DAMPING: 5.0}, {Value.MASS: 0.05}, {Value.WALL_VIRTUAL_DAMPING: 3.0}]
 )
 def test_filters_that_are_felt_are_not_changed(felt, change):
     """Neither while B, M or the wall's damping act, nor while they come or go, nor on a stop's way
@@ -201,7 +201,7 @@ def test_filters_that_are_felt_are_not_changed(felt, change):
 def test_filters_that_nothing_is_felt_of_may_change(change):
     flight = enabled(servo_params(), {Value.STIFFNESS: 50.0})
     assert flight.do(Command.SET, change) is Result.APPLIED
-    assert flight.do(Command.SET, {Value.DAMPING: 1.0, Value.RAMP_S: 0.0}) is Result.APPLIED
+    assert flight.do(Command.SET, {Value.VIRTUAL_DAMPING: 1.0, Value.RAMP_S: 0.0}) is Result.APPLIED
     same = {place: value for place, value in change.items() if place is not Value.STIFFNESS}
     assert flight.do(Command.SET, same) is Result.APPLIED  # they are what they were
     for leave in (Command.DISABLE, Command.STOP):
@@ -282,7 +282,7 @@ def test_stop_cancels_what_was_scheduled():
 
 @pytest.mark.parametrize("lost", [1, 3, 8])
 def test_lost_frames_never_make_a_multiple_velocity(lost):
-    flight = enabled(servo_params(), {Value.DAMPING: 1.0})
+    flight = enabled(servo_params(), {Value.VIRTUAL_DAMPING: 1.0})
     speed = 40  # counts a tick = 0.02 m/s
     for n in range(400):
         flight.fly(1, encoder=speed * n)
@@ -341,7 +341,7 @@ def test_law_that_overflows_is_a_fault_and_never_a_force():
 
 
 def test_step_is_a_function_of_its_arguments():
-    flight = enabled(servo_params(), {**STIFF, Value.DAMPING: 1.0, Value.MASS: 0.01}, 2000)
+    flight = enabled(servo_params(), {**STIFF, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.01}, 2000)
     state = flight.state
     sample = (2040, 0, 2500, 0, 3, 0, 0.125, 0, 0)
     command = ((77, Command.SET, 1, 0, masked({Value.STIFFNESS: 400.0})),)
@@ -387,7 +387,9 @@ def test_perturbation_must_say_what_it_plays(samples):
 def test_encoder_counter_goes_round_without_a_jump(sign):
     position = ScaleParams(COUNT_M, sign=sign)
     flight = enabled(
-        servo_params(device=device_params(position=position)), {Value.DAMPING: 1.0}, 2**31 - 500
+        servo_params(device=device_params(position=position)),
+        {Value.VIRTUAL_DAMPING: 1.0},
+        2**31 - 500,
     )
     there = [2**31 - 500 + 10 * n for n in range(101)]
     flown = [
@@ -440,10 +442,10 @@ def test_change_that_was_judged_for_another_environment_is_refused():
     before = flight.plan.values
     assert flight.do(Command.SET, softer) is Result.REFUSED_REVISION
     assert flight.plan.values == before
-    assert flight.do(Command.DAMPING, {**softer, Value.ADDED_DAMPING_ON: 1.0}) is (
+    assert flight.do(Command.DAMPING, {**softer, Value.ACTIVE_DAMPING_ON: 1.0}) is (
         Result.REFUSED_REVISION
     )
-    assert not flight.plan.added_on
+    assert not flight.plan.active_damping_on
 
 
 def test_only_what_is_rendered_and_damped_makes_a_verdict_old():
@@ -453,7 +455,7 @@ def test_only_what_is_rendered_and_damped_makes_a_verdict_old():
     flight.do(Command.SET, {Value.LIMIT_CYCLE_FAULTS: 0.0})
     flight.do(Command.ZERO)
     assert flight.plan.environment_revision == judged
-    for values in ({Value.ADDED_DAMPING_ON: 1.0}, {Value.VELOCITY_FILTER_HZ: 90.0}):
+    for values in ({Value.ACTIVE_DAMPING_ON: 1.0}, {Value.VELOCITY_FILTER_HZ: 90.0}):
         flight.do(Command.SET, values)
         judged += 1
         assert flight.plan.environment_revision == judged
@@ -474,7 +476,7 @@ def test_scheduled_change_is_refused_at_its_tick_when_another_came_between():
     at = flight.tick + 50
     later = {Value.STIFFNESS: 50.0, Value.ENVIRONMENT_REVISION: judged}
     assert flight.do(Command.SET, later, at_tick=at) is Result.SCHEDULED
-    flight.do(Command.SET, {Value.DAMPING: 1.0})
+    flight.do(Command.SET, {Value.VIRTUAL_DAMPING: 1.0})
     flight.fly(60)
     assert flight.answers[-1][1] == Result.REFUSED_REVISION
     assert flight.plan.values[Value.STIFFNESS].end == 100.0
@@ -496,9 +498,11 @@ def test_gateway_may_ask_for_its_own_fault_alone_and_only_under_force():
 def test_cancel_takes_what_others_scheduled_of_its_places_and_moves_nothing():
     flight = enabled(servo_params(), {Value.STIFFNESS: 100.0})
     at = flight.tick + 50
-    flight.do(Command.SET, {Value.STIFFNESS: 300.0, Value.ADDED_DAMPING: 0.5}, at_tick=at, actor=16)
+    flight.do(
+        Command.SET, {Value.STIFFNESS: 300.0, Value.ACTIVE_DAMPING: 0.5}, at_tick=at, actor=16
+    )
     flight.do(Command.SET, {Value.MASS: 0.02}, at_tick=at + 1, actor=17)
-    flight.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.0}, at_tick=at + 2, actor=16)
+    flight.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 1.0}, at_tick=at + 2, actor=16)
     revision = flight.plan.revision
     places = {Value.STIFFNESS: 0.0, Value.MASS: 0.0}
     assert flight.do(Command.CANCEL, places, actor=17) is Result.APPLIED
@@ -507,7 +511,7 @@ def test_cancel_takes_what_others_scheduled_of_its_places_and_moves_nothing():
     flight.fly(60)
     ends = [flight.plan.values[place].end for place in (Value.STIFFNESS, Value.MASS)]
     assert ends == [100.0, 0.02]
-    assert flight.plan.added_asked == 1.0
+    assert flight.plan.active_damping_asked == 1.0
 
 
 @pytest.mark.parametrize("mask", [math.nan, math.inf, -1.0, 2.0**60])

@@ -44,7 +44,7 @@ def test_simulated_scales_are_the_paper_device(settings: Settings) -> None:
     device = build.servo_params(settings, "default").device
     assert device.position.per_count == 0.5e-6
     assert device.force.per_count * 32767 == pytest.approx(8.0, rel=1e-15)
-    assert device.damping.per_count * 65535 == pytest.approx(10.0, rel=1e-15)
+    assert device.active_damping.per_count * 65535 == pytest.approx(10.0, rel=1e-15)
     assert (device.force_limit_n, device.serial) == (8.0, "SIM0001")
 
 
@@ -57,7 +57,7 @@ def test_board_is_what_its_device_file_says(settings: Settings) -> None:
         device.position.per_count,
         device.force.per_count,
     )
-    assert board.damping_ns_per_m_per_count == device.damping.per_count
+    assert board.active_damping_ns_per_m_per_count == device.active_damping.per_count
     assert (board.serial, board.force_limit_n) == (device.serial, device.force_limit_n)
     assert 1e3 / board.rate_hz * (1 - board.sample_phase) == pytest.approx(0.125)
 
@@ -156,12 +156,12 @@ def test_ranges_equal_those_of_commands() -> None:
     }
     places = {
         layout.Value.STIFFNESS: ("Environment", "stiffness_n_per_m"),
-        layout.Value.DAMPING: ("Environment", "damping_ns_per_m"),
+        layout.Value.VIRTUAL_DAMPING: ("Environment", "virtual_damping_ns_per_m"),
         layout.Value.MASS: ("Environment", "mass_kg"),
         layout.Value.VELOCITY_FILTER_HZ: ("Filter", "frequency_hz"),
         layout.Value.VELOCITY_FILTER_ZETA: ("Filter", "damping_ratio"),
         layout.Value.WALL_STIFFNESS: ("WallTable", "stiffness_n_per_m"),
-        layout.Value.WALL_DAMPING: ("WallTable", "damping_ns_per_m"),
+        layout.Value.WALL_VIRTUAL_DAMPING: ("WallTable", "virtual_damping_ns_per_m"),
         layout.Value.WALL_POSITION: ("WallTable", "position_m"),
         layout.Value.RAMP_S: ("Safety", "default_ramp_s"),
     }

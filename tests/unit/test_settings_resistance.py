@@ -86,12 +86,14 @@ def test_loop_gain_nearer_than_a_tenth_to_minus_one_is_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "numbers", [{"tolerance_ohm": 0.1, "base_ohm": 1.4}, {"damping_ns_per_m": 5.0}]
+    "numbers", [{"tolerance_ohm": 0.1, "base_ohm": 1.4}, {"active_damping_ns_per_m": 5.0}]
 )
 def test_each_remedy_of_the_refusal_helps(tmp_path: Path, numbers):
     device = read(tmp_path, WARMING, model_error=0.2, **numbers)
     params = device.resistance.params()
-    gain = loop_gain(params, least_residual_ohm(params, 120.0), device.limits.damping_ns_per_m)
+    gain = loop_gain(
+        params, least_residual_ohm(params, 120.0), device.limits.active_damping_ns_per_m
+    )
     assert -0.9 <= gain < 0.0
 
 

@@ -52,7 +52,7 @@ def test_shipped_scenes_compose_and_are_stable(name: str) -> None:
     scene = load_scene(name)
     model = compose(scene)
     assert model.name == scene.name == name
-    assert scene.damping[0].at_s == 0.0
+    assert scene.active_damping[0].at_s == 0.0
     assert scene.title
     assert {effect.key for effect in scene.effects} >= set(ALWAYS)
 
@@ -62,10 +62,18 @@ def test_paper_figures_are_rendered_as_printed() -> None:
     fig7 = load_scene("fig7")
     first = fig4.environment
     second = fig7.environment
-    assert (first.stiffness_n_per_m, first.damping_ns_per_m, first.mass_kg) == (100.0, 1.0, 0.010)
-    assert (second.stiffness_n_per_m, second.damping_ns_per_m, second.mass_kg) == (50.0, 2.0, 0.0)
-    assert fig4.damping[-1].level_ns_per_m == 0.0
-    assert fig7.damping[-1].level_ns_per_m == 1.74
+    assert (first.stiffness_n_per_m, first.virtual_damping_ns_per_m, first.mass_kg) == (
+        100.0,
+        1.0,
+        0.010,
+    )
+    assert (second.stiffness_n_per_m, second.virtual_damping_ns_per_m, second.mass_kg) == (
+        50.0,
+        2.0,
+        0.0,
+    )
+    assert fig4.active_damping[-1].level_ns_per_m == 0.0
+    assert fig7.active_damping[-1].level_ns_per_m == 1.74
 
 
 @pytest.mark.parametrize("name", DEVICES)
@@ -236,9 +244,9 @@ CASES = (
         ("", ""),
     ),
     (
-        "[[damping]]\nat_s = 1\n",
+        "[[active_damping]]\nat_s = 1\n",
         "step",
-        "mine.toml:4: damping[0].level_ns_per_m: is missing; add it in N s/m",
+        "mine.toml:4: active_damping[0].level_ns_per_m: is missing; add it in N s/m",
         ("", ""),
     ),
     (

@@ -69,7 +69,7 @@ def test_current_and_voltage_follow_the_motor():
     board = BoardModel(BOARD)
     damping = 20000
     frame = exchange(board, 0, flags=ENABLE, torque=8000, damping=damping)
-    level = damping * BOARD.damping_ns_per_m_per_count
+    level = damping * BOARD.active_damping_ns_per_m_per_count
     _, velocity = coast(0.0, 0.0, 8000 * COUNT_N, level, 0.875e-3)
     current_a = (8000 * COUNT_N - level * velocity) / BOARD.torque_constant_n_per_a
     voltage_v = BOARD.winding_ohm * current_a + BOARD.torque_constant_n_per_a * velocity

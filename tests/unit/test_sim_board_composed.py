@@ -33,7 +33,7 @@ def test_frames_tell_slider_current_and_estimate():
     params = board_of(model)
     board = BoardModel(params)
     frame = exchange(board, 0, flags=ENABLE, torque=20000, damping=65535)
-    step = discretise(model, LATCH_NS * 1e-9, 65535 * params.damping_ns_per_m_per_count)
+    step = discretise(model, LATCH_NS * 1e-9, 65535 * params.active_damping_ns_per_m_per_count)
     force = 20000 * params.force_n_per_count
     x = dict(
         zip(

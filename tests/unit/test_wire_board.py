@@ -25,7 +25,7 @@ def board() -> BoardModel:
         rate_hz=1000.0,
         position_m_per_count=5e-7,
         force_n_per_count=8.0 / 32767,
-        damping_ns_per_m_per_count=10.0 / 65535,
+        active_damping_ns_per_m_per_count=10.0 / 65535,
         probe_torque_n_per_count=2.0 / 32767,
         probe_velocity_m_per_s_per_count=0.5 / 32767,
         current_a_per_count=4.0 / 32767,

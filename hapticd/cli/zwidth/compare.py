@@ -73,7 +73,7 @@ def _comparison_json(found: "Comparison") -> dict[str, Any]:
             "conditions": to_json(display.conditions),
             "levels": [
                 {
-                    "added_damping_ns_per_m": one.damping_ns_per_m,
+                    "active_damping_ns_per_m": one.active_damping_ns_per_m,
                     "limits": to_json(one.limits),
                     "numbers": to_json(dict(one.numbers)),
                 }

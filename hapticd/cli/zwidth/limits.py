@@ -50,7 +50,7 @@ NOTE = (
 
 def command(
     scene: common.SceneName = "fig4",
-    damping: common.Damping = "0,1.74",
+    active_damping: common.Damping = "0,1.74",
     amplitudes: Amplitudes = 1,
     axis: Axis = "KBM",
     seeds: Seeds = 1,
@@ -84,7 +84,7 @@ def command(
     )
     factors = tuple(2.0**doubling for doubling in range(amplitudes))
     wanted = tuple(AXES.index(name) for name in axis)
-    params = LimitsParams(conditions, common.levels(damping), factors, wanted, seeds)
+    params = LimitsParams(conditions, common.levels(active_damping), factors, wanted, seeds)
     folder = common.folder(results.out, "limits")
     store = TrialStore(folder / "trials.jsonl")
 
@@ -141,7 +141,7 @@ def _row(limit: "AxisLimit", scattered: bool) -> tuple[str | float, ...]:
     found = (limit.scan.predicted, limit.value, limit.lower, limit.upper)
     return (
         f"{limit.name} {unit}",
-        limit.scan.damping_ns_per_m,
+        limit.scan.active_damping_ns_per_m,
         f"{limit.perturbation_psd:.2g}",
         *(factor * value for value in found),
         limit.worst_hz,

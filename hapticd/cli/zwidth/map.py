@@ -56,7 +56,7 @@ NOTE = (
 
 def command(
     scene: common.SceneName = "fig4",
-    damping: common.Damping = "0,1.74",
+    active_damping: common.Damping = "0,1.74",
     stiffness: Stiffness = (0.0, 1400.0, 15),
     viscous: Viscous = (0.0, 9.0, 10),
     mass: Mass = (-0.030, 0.024, 10),
@@ -92,7 +92,7 @@ def command(
         if results.plot:
             redraw(new)
 
-    params = MapParams(conditions, axes, common.levels(damping), near, everywhere, refine)
+    params = MapParams(conditions, axes, common.levels(active_damping), near, everywhere, refine)
     checked(trials.where)
     with common.keeping(store, folder):
         plan = plan_map(params)
@@ -163,7 +163,7 @@ class _Redrawn:
 
         for outcome in new:
             if outcome.passes:
-                self._passed.setdefault(outcome.damping_ns_per_m, []).append(outcome)
+                self._passed.setdefault(outcome.active_damping_ns_per_m, []).append(outcome)
         if self._passed and monotonic() - self._drawn_s > REDRAW_S:
             self._drawn_s = monotonic()
             figure = envelope_figure(self._conditions, list(self._passed.items()))
@@ -178,7 +178,7 @@ def _level(level: "LevelMap") -> dict[str, Any]:
 
     found: dict[str, Any] = {
         "judged": judged(level.outcomes),
-        "added_damping_ns_per_m": level.damping_ns_per_m,
+        "active_damping_ns_per_m": level.active_damping_ns_per_m,
         "points": level.found.margin.size,
         "passive": int(level.found.passive.sum()),
         "tried": int(level.tried.sum()),
@@ -206,10 +206,10 @@ def _row(level: dict[str, Any]) -> tuple[float, ...]:
     limits = level["set_limits"]
     extremes = (nan, nan, nan)
     if limits:
-        extremes = (limits.stiffness[1], limits.damping[1], 1e3 * limits.mass[0])
+        extremes = (limits.stiffness[1], limits.virtual_damping[1], 1e3 * limits.mass[0])
     width_db = level["widths_db"][1].width_db if level["widths_db"] else nan
     counts = (level[name] for name in ("points", "tried", "unlike_prediction", "passive"))
-    return (level["added_damping_ns_per_m"], *counts, *extremes, width_db)
+    return (level["active_damping_ns_per_m"], *counts, *extremes, width_db)
 
 
 def draw_map(result: "MapResult", folder: Path, width_mm: float | None) -> list[Path]:
@@ -219,7 +219,9 @@ def draw_map(result: "MapResult", folder: Path, width_mm: float | None) -> list[
     from hapticd.report.passive_set import set_figure
 
     paths = [*style.save(set_figure(result), folder, "set", width_mm)]
-    drawn = [(level.damping_ns_per_m, level.outcomes) for level in result.levels if level.envelope]
+    drawn = [
+        (level.active_damping_ns_per_m, level.outcomes) for level in result.levels if level.envelope
+    ]
     if drawn:
         conditions = result.plan.params.conditions
         impedance = envelope_figure(conditions, drawn)

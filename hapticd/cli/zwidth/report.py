@@ -57,7 +57,7 @@ class DrawnReport:
 
 def report(
     what: What,
-    damping: common.Damping = "0,1.74",
+    active_damping: common.Damping = "0,1.74",
     seconds: common.Seconds = 90.0,
     seed: common.Seed = 1,
     out: common.Out = None,
@@ -75,7 +75,7 @@ def report(
         drawn = _of_run(folder, out or folder, figure_width)
     else:
         terminal.need_engine()
-        drawn = _of_device(what, damping, seconds, seed, out, figure_width)
+        drawn = _of_device(what, active_damping, seconds, seed, out, figure_width)
     if as_json:
         files = [str(path) for path in drawn.files]
         terminal.data_json({"ok": True, "files": files, "judged": to_json(drawn.judged)})
@@ -161,7 +161,7 @@ def _map_params(kept: dict[str, Any]) -> "MapParams":
     low, high = asked["band_hz"]
     conditions = common.conditions(scene, asked["seconds"], asked["seed"], (low, high))
     stiffness, damping, mass = (np.asarray(axis) for axis in kept["axes"])
-    levels = tuple(level["added_damping_ns_per_m"] for level in kept["levels"])
+    levels = tuple(level["active_damping_ns_per_m"] for level in kept["levels"])
     return MapParams(
         conditions,
         (stiffness, damping, mass),
@@ -174,7 +174,7 @@ def _map_params(kept: dict[str, Any]) -> "MapParams":
 
 def _of_device(
     what: str,
-    damping: str,
+    active_damping: str,
     seconds: float,
     seed: int,
     out: Path | None,
@@ -192,7 +192,7 @@ def _of_device(
     conditions = common.conditions(scene, seconds, seed)
     folder = common.folder(out, f"report-{name}")
     store = TrialStore(folder / "trials.jsonl")
-    params = LimitsParams(conditions, common.levels(damping))
+    params = LimitsParams(conditions, common.levels(active_damping))
     with common.keeping(store, folder), progress() as tell:
         limits = run_limits(plan_limits(params), store, tell)
         found = run_map(plan_map(params_about(limits)), store, tell)
@@ -215,7 +215,7 @@ def _write(
     conditions = limits.plan.params.conditions
     about = conditions_of(conditions, found.judged)
     provenance = common.provenance_now(seed=conditions.excitation.seed)
-    drawn = [(level.damping_ns_per_m, level.envelope) for level in found.levels]
+    drawn = [(level.active_damping_ns_per_m, level.envelope) for level in found.levels]
     numbers = [numbers_of(level, conditions.display) for level in found.levels]
     file_hash = device_hash(str(device_file))
     certificate = certificate_beside(device_file, file_hash)

@@ -41,7 +41,7 @@ NOTE = (
 
 def command(
     scene: common.SceneName = "fig4",
-    damping: common.Damping = "0,1.74",
+    active_damping: common.Damping = "0,1.74",
     budget: Budget = 40,
     doubt: Doubt = 0.02,
     together: Together = 4,
@@ -69,7 +69,7 @@ def command(
     found = []
     follow = common.print_outcomes if results.as_json else lambda new: None
     with common.keeping(store, folder), executor(trials.where) as pool, progress() as tell:
-        for level in common.levels(damping):
+        for level in common.levels(active_damping):
             plan = plan_search(SearchParams(conditions, level, budget, together, doubt))
             found.append(run_search(plan, store, tell, pool, follow))
     levels = [_level(result) for result in found]
@@ -91,7 +91,7 @@ def _level(result: "SearchResult") -> dict[str, Any]:
 
     return {
         "judged": result.judged,
-        "added_damping_ns_per_m": result.plan.params.damping_ns_per_m,
+        "active_damping_ns_per_m": result.plan.params.active_damping_ns_per_m,
         "trials": len(result.steps),
         "unstable": len(result.search.unstable),
         "doubt": result.doubt,
@@ -119,12 +119,12 @@ def _print(device: str, found: "list[SearchResult]", levels: list[dict[str, Any]
 
     rows = [
         (
-            level["added_damping_ns_per_m"],
+            level["active_damping_ns_per_m"],
             level["trials"],
             level["unstable"],
             100 * level["doubt"],
             level["limits"].stiffness[1],
-            level["limits"].damping[1],
+            level["limits"].virtual_damping[1],
             1e3 * level["limits"].mass[0],
             level["volume"],
             level["miss_ns_per_m"],

@@ -30,7 +30,7 @@ Still = Annotated[
 
 def command(
     scene: common.SceneName = "wall",
-    damping: common.Damping = "0,1.74",
+    active_damping: common.Damping = "0,1.74",
     stiffness: Stiffness = (20.0, 3000.0, 18),
     viscous: Viscous = (0.0, 8.0, 13),
     settle_s: Settle = 1.5,
@@ -53,7 +53,12 @@ def command(
     terminal.need_figures(plot)
     stiffnesses, dampings = _grid(stiffness, viscous)
     params = WallMapParams(
-        common.scene_of(scene), stiffnesses, dampings, common.levels(damping), settle_s, still
+        common.scene_of(scene),
+        stiffnesses,
+        dampings,
+        common.levels(active_damping),
+        settle_s,
+        still,
     )
     plan = plan_walls(params)
     with common.interruptible(), progress() as tell:

@@ -47,7 +47,7 @@ export class Plane {
   show(now) {
     const before = this.now;
     this.now = now;
-    if (before?.stiffness_n_per_m === now.stiffness_n_per_m && before?.damping_ns_per_m === now.damping_ns_per_m) return;
+    if (before?.stiffness_n_per_m === now.stiffness_n_per_m && before?.virtual_damping_ns_per_m === now.virtual_damping_ns_per_m) return;
     this.plot.redraw(false);
   }
 
@@ -90,7 +90,7 @@ export class Plane {
     const { left, top, width, height } = plot.bbox;
     const inside = (at, low, size) => Math.min(low + size, Math.max(low, at));
     const x = inside(plot.valToPos(this.now.stiffness_n_per_m, "x", true), left, width);
-    const y = inside(plot.valToPos(this.now.damping_ns_per_m, "y", true), top, height);
+    const y = inside(plot.valToPos(this.now.virtual_damping_ns_per_m, "y", true), top, height);
     const { ctx } = plot;
     ctx.save();
     ctx.beginPath();

@@ -13,7 +13,7 @@ const SIGNALS = [
   { name: "position_m", title: "position", unit: "mm", scale: 1e3, least: 0.02, digits: 4 },
   { name: "velocity_m_per_s", title: "velocity", unit: "mm/s", scale: 1e3, least: 1, digits: 2 },
   { name: "force_n", title: "force", unit: "N", scale: 1, least: 0.05, digits: 4 },
-  { name: "damping_ns_per_m", title: "damping", unit: "N s/m", scale: 1, least: 1, digits: 3, zero: true },
+  { name: "active_damping_ns_per_m", title: "damping", unit: "N s/m", scale: 1, least: 1, digits: 3, zero: true },
 ];
 const get = (id) => document.getElementById(id);
 

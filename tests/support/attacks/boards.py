@@ -77,9 +77,9 @@ def _die(random: Random) -> None:
     )
     with LockStep(servo_params(), board, keep=False) as stack:
         stack.run(5)
-        environment = {Value.STIFFNESS: random.uniform(50.0, 600.0), Value.DAMPING: 1.0}
+        environment = {Value.STIFFNESS: random.uniform(50.0, 600.0), Value.VIRTUAL_DAMPING: 1.0}
         stack.do(Command.SET, environment)
-        damping = {Value.ADDED_DAMPING: random.uniform(0.5, 5.0), Value.ADDED_DAMPING_ON: 1.0}
+        damping = {Value.ACTIVE_DAMPING: random.uniform(0.5, 5.0), Value.ACTIVE_DAMPING_ON: 1.0}
         stack.do(Command.DAMPING, damping)
         stack.do(Command.ENABLE)
         stack.run(random.randrange(ENABLE_TICKS, 2 * ENABLE_TICKS))

@@ -45,7 +45,7 @@ REQUESTS: tuple[dict[str, Any], ...] = (
     {"cmd": "set", "K": 100.0, "B": 1.0, "M": 0.01, "ramp_s": 0.1},
     {"cmd": "set", "filters": {"velocity_hz": 90.0, "acceleration_zeta": 0.7}},
     {"cmd": "set", "wall": {"stiffness_n_per_m": 500.0, "position_m": 0.001, "side": 1}},
-    {"cmd": "set", "K": 5.0, "damping": 1.5, "if_rev": 3, "at_tick": 90},
+    {"cmd": "set", "K": 5.0, "active_damping": 1.5, "if_rev": 3, "at_tick": 90},
     {"cmd": "damping", "value": "on"},
     {"cmd": "damping", "value": 1.2, "at_tick": 500},
     {"cmd": "enable"},

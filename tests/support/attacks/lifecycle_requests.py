@@ -27,7 +27,10 @@ ENDS = ("disable", "zero", "home", "reset", "stop", "stop and reset unseen")
 
 def staged(asked: dict[str, Any]) -> dict[str, Any]:
     """Damping first; K, and then force, once the board reports it."""
-    stages = [stage({"damping": LEVEL_NS_PER_M}), stage({"K": 10.0}, at_least=LEVEL_NS_PER_M)]
+    stages = [
+        stage({"active_damping": LEVEL_NS_PER_M}),
+        stage({"K": 10.0}, at_least=LEVEL_NS_PER_M),
+    ]
     return {"action": "stage", "stages": stages, "verdict": verdict()}
 
 
@@ -151,11 +154,11 @@ def gateway_beside_servo(chosen: Chosen, random: Random) -> None:
         early += stand.fly(MOST_RECORDS - 2 - len(early), every=5)
         later = stand.fly(LONG if answers else 600, every=5)
     judged(early)
-    assert all(one.damping_ns_per_m == before for one in early), "damping moved"
+    assert all(one.active_damping_ns_per_m == before for one in early), "damping moved"
     if what != "damping":
         judged(later, control=answers)
     else:
-        assert (later[-1].damping_ns_per_m != before) == answers, "damping, later"
+        assert (later[-1].active_damping_ns_per_m != before) == answers, "damping, later"
 
 
 def _running(stand: Stand, what: str) -> float:
@@ -165,7 +168,7 @@ def _running(stand: Stand, what: str) -> float:
         stand.enabled()
     else:
         stand.push_in_force()
-    return stand.fly(100, every=10)[-1].damping_ns_per_m
+    return stand.fly(100, every=10)[-1].active_damping_ns_per_m
 
 
 # --- a connection that closes ---------------------------------------------------------------------

@@ -33,7 +33,7 @@ STRICT = ("clamp", "refuse", "follow")
 LONG = 150  # ticks within which all that may follow has followed
 Chosen = Mapping[str, str]  # what an attack drew of each of its features
 HANDLE_KG = 400.0
-PUSH = {"stiffness_n_per_m": 25.0, "damping_ns_per_m": 0.0, "position_m": 0.02, "side": -1}
+PUSH = {"stiffness_n_per_m": 25.0, "virtual_damping_ns_per_m": 0.0, "position_m": 0.02, "side": -1}
 PUSHES_N = 0.1  # of the 0.5 N that PUSH comes to
 RAMP_TICKS = 40  # after which an enable has its whole force
 SERVO = servo_params(safety=SafetyParams(enable_ramp_s=0.02, limit_cycle_faults=False))
@@ -44,7 +44,7 @@ class Moment(NamedTuple):
 
     tick: int
     force_n: float
-    damping_ns_per_m: float
+    active_damping_ns_per_m: float
     probe_n: float
     live: bool  # it grants torque
 
