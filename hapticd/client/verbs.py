@@ -79,8 +79,8 @@ class Verbs(Generic[R, D]):
         `active_damping` [N s/m]; `filters` and `wall` by the names of `hapticd set`. `ramp_s` is
         the length of the ramp [s], `at_tick` the servo tick from which it acts. From `until_tick`
         on the same fields are as they were before. With `if_rev` it acts only if the revision is
-        still that one. `limit_cycle_faults`: whether force_at_limit and energy end a limit cycle; on
-        again as soon as force is off.
+        still that one. `limit_cycle_faults`: whether force_at_limit and energy end a limit cycle;
+        on again as soon as force is off.
         """
         return self._change(
             "set",
