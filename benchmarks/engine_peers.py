@@ -15,7 +15,7 @@ from benchmarks import engine_scene as scene
 from benchmarks.worker import BenchError
 from hapticd.engine.kernels import kernel
 from hapticd.engine.source import LAW_STATE
-from hapticd.params import FilterParams
+from hapticd.environment import FilterParams
 from hapticd.render.law import at_rest, design_coefficients, render
 
 STEP_S = 0.00025

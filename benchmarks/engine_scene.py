@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.engine.job import Group, Job, prepared, shared_torque
-from hapticd.params import EnvironmentParams
+from hapticd.environment import Environment
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import (
     Coulomb,
@@ -72,7 +72,7 @@ class Lanes:
         substeps: int = 1,
         level_ns_per_m: float = 0.0,
     ) -> None:
-        environment = EnvironmentParams()
+        environment = Environment()
         filters = (environment.velocity_filter, environment.acceleration_filter)
         job = Job(
             device, environment, filters, (DampingStep(0.0, level_ns_per_m),), NOISE, ticks, 1,

@@ -25,12 +25,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from support.whole_tick import Point
 
+from hapticd.environment import Environment
 from hapticd.errors import HapticdError
 from hapticd.gateway.commands import posting
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import parse
 from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
-from hapticd.params import EnvironmentParams, ServoParams
+from hapticd.params import ServoParams
 from hapticd.servo.commands import Now, apply_settings, obey
 from hapticd.servo.plan import (
     NEVER,
@@ -419,7 +420,7 @@ def fly(
     return Flown(guarded.asked, list(points), [point for point, stood in points.items() if stood])
 
 
-def _configured(params: ServoParams, random: Random) -> EnvironmentParams:
+def _configured(params: ServoParams, random: Random) -> Environment:
     """What a configuration may render from the start on, inside the set or not."""
     return replace(
         params.environment,

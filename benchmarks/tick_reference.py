@@ -8,7 +8,7 @@ same pace as the servo's tick.
 
 import struct
 
-from hapticd.params import EnvironmentParams, FilterParams
+from hapticd.environment import Environment, FilterParams
 from hapticd.render.filters import design
 from hapticd.wire.frames import IN_SEALED, OUT
 
@@ -122,7 +122,7 @@ class ReferenceTick:
         return out
 
 
-def yardstick(environment: EnvironmentParams, rate_hz: float) -> ReferenceTick:
+def yardstick(environment: Environment, rate_hz: float) -> ReferenceTick:
     """The tick with the servo's environment."""
     kbm = (environment.stiffness_n_per_m, environment.virtual_damping_ns_per_m, environment.mass_kg)
     filters = (

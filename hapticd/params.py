@@ -12,6 +12,7 @@ import typing
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeVar
 
+from hapticd.environment import Environment, WorkspaceParams
 from hapticd.errors import ConfigError
 from hapticd.units import round_half_up
 
@@ -32,55 +33,6 @@ CALIBRATION_DAYS = 365  # see ADR 0124
 SHORTEST_LEASE_S = 0.2  # twenty passes of the gateway
 LONGEST_LEASE_S = 60.0
 ACTIVE_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
-
-
-@dataclass(frozen=True, slots=True)
-class FilterParams:
-    """Second-order low-pass: corner, damping ratio (0.7071 = Butterworth) and the way it is
-    made discrete.
-    """
-
-    frequency_hz: float
-    damping_ratio: float = 0.7071067811865476
-    mapping: str = "prewarped"  # "prewarped" | "bilinear" | "matched"
-
-
-@dataclass(frozen=True, slots=True)
-class WallParams:
-    """Unilateral wall: pushes back towards the free side only. `side` +1: solid for x >
-    position; -1: x < position; 0: none.
-    """
-
-    stiffness_n_per_m: float = 0.0
-    virtual_damping_ns_per_m: float = 0.0  # virtual damping B of the wall
-    position_m: float = 0.0
-    side: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class WorkspaceParams:
-    """Soft ends: springs that start at the ends of the usable travel."""
-
-    lower_m: float = -1.0
-    upper_m: float = 1.0
-    stiffness_n_per_m: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class EnvironmentParams:
-    """The virtual environment of the paper (Weir 2008, section 2): K on raw position, B and M
-    on filtered derivatives.
-    """
-
-    stiffness_n_per_m: float = 0.0
-    virtual_damping_ns_per_m: float = (
-        0.0  # virtual damping B; active damping has a field of its own
-    )
-    mass_kg: float = 0.0
-    velocity_filter: FilterParams = FilterParams(100.0)
-    acceleration_filter: FilterParams = FilterParams(72.0)
-    wall: WallParams = WallParams()
-    workspace: WorkspaceParams = WorkspaceParams()
 
 
 MEASURED_BY = "rig "  # begin of the source of what a step of `hapticd rig` measured at this board
@@ -277,7 +229,7 @@ class ServoParams:
 
     instance: str
     simulated: bool
-    environment: EnvironmentParams
+    environment: Environment
     device: DeviceParams
     safety: SafetyParams
     realtime: RealtimeParams
@@ -589,7 +541,7 @@ class GuardSetup:
     guard: GuardParams
     config_hash: str  # of the servo that it judges for
     rate_hz: float
-    environment: EnvironmentParams  # its filters' way of being made discrete
+    environment: Environment  # its filters' way of being made discrete
     active_damping_ns_per_m: float  # what `damping on` means
     active_damping_limit_ns_per_m: float  # ceiling of the damping circuit, by the device file
     active_damping_count_ns_per_m: float  # one count of its DAC

@@ -11,13 +11,15 @@ covered.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
 from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.bases import Basis, Conditions, Reading
-from hapticd.analysis.displays import AXES, Display, Point
+from hapticd.analysis.displays import AXES
+from hapticd.environment import Environment, Point
 
 _GRID = 40  # distances at which an axis is looked at, on either side
 _FINER = 9  # values between the last that holds and the first that does not, three times
@@ -44,14 +46,14 @@ class Judgement:
         least = delay_periods if least_delay_periods is None else least_delay_periods
         self._delays = list(dict.fromkeys((delay_periods, least)))
 
-    def conditions(self, display: Display) -> list[Conditions]:
+    def conditions(self, display: Environment) -> list[Conditions]:
         """Those of one display, by delay."""
         return [
             Conditions(display.active_damping_ns_per_m, display.filters, delay, self.spare_ns_per_m)
             for delay in self._delays
         ]
 
-    def safe(self, displays: Sequence[Display]) -> list[bool]:
+    def safe(self, displays: Sequence[Environment]) -> list[bool]:
         """Whether each is safe, in free space and in contact."""
         found = [True] * len(displays)
         groups: dict[Conditions, list[tuple[int, Point]]] = {}
@@ -65,25 +67,25 @@ class Judgement:
                 found[place] = found[place] and flag
         return found
 
-    def all_safe(self, path: Sequence[Display]) -> bool:
+    def all_safe(self, path: Sequence[Environment]) -> bool:
         """Whether a way is safe; one without points is not known to be."""
         return bool(path) and all(self.safe(path))
 
-    def reading(self, display: Display) -> Reading:
+    def reading(self, display: Environment) -> Reading:
         """How safe it is in free space."""
         return self._read(display.free, display)
 
-    def in_contact(self, display: Display) -> Reading | None:
+    def in_contact(self, display: Environment) -> Reading | None:
         """How safe it is in its wall; None without one."""
         point = display.contact
         return None if point is None else self._read(point, display)
 
-    def _read(self, point: Point, display: Display) -> Reading:
+    def _read(self, point: Point, display: Environment) -> Reading:
         found = [self.basis.reading(point, at) for at in self.conditions(display)]
         known = [one for one in found if one.margin_ns_per_m is not None]
         return min(known, key=lambda one: one.margin_ns_per_m or 0.0) if known else found[0]
 
-    def worse(self, display: Display) -> Reading:
+    def worse(self, display: Environment) -> Reading:
         """The reading of free space or contact, whichever has less margin."""
         free = self.reading(display)
         contact = self.in_contact(display)
@@ -91,19 +93,19 @@ class Judgement:
             return free
         return contact if contact.margin_ns_per_m < free.margin_ns_per_m else free
 
-    def least_level(self, display: Display, levels: Sequence[float]) -> float | None:
+    def least_level(self, display: Environment, levels: Sequence[float]) -> float | None:
         """The least of `levels` (rising) at which it is safe; None for none."""
         return next(
             (
                 level
                 for level in levels
-                if self.safe([display._replace(active_damping_ns_per_m=level)])[0]
+                if self.safe([replace(display, active_damping_ns_per_m=level)])[0]
             ),
             None,
         )
 
     def allowed(
-        self, display: Display, lowest: Sequence[float], highest: Sequence[float]
+        self, display: Environment, lowest: Sequence[float], highest: Sequence[float]
     ) -> dict[str, list[float] | None]:
         """How far each of K, B, M may go with the others as they are, within `lowest`..`highest`:
         the interval round its value if that is safe, else the nearest that is, None for none.
@@ -126,7 +128,7 @@ class Judgement:
         return dict(zip(AXES, found, strict=True))
 
 
-def _moved(point: Floats, axis: int, values: Floats, display: Display) -> Floats:
+def _moved(point: Floats, axis: int, values: Floats, display: Environment) -> Floats:
     """The point (N, 3) with one of the display's K, B, M at other values (N,)."""
     moved = np.tile(point, (len(values), 1))
     moved[:, axis] += values - display.free[axis]

@@ -8,9 +8,9 @@ What would break it: a device that renders nothing of one axis alone and much of
 
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.bases import Theorem, model_of
-from hapticd.analysis.displays import Display
+from hapticd.environment import Environment, FilterParams
 from hapticd.mailbox.environment_limits import WIDEST
-from hapticd.params import FilterParams, GuardSetup, WallParams
+from hapticd.params import GuardSetup
 from hapticd.plant.model import Model
 
 Ranges = dict[str, list[float] | None]  # of K, B and M, from and to; None: nothing is passive
@@ -23,7 +23,11 @@ def passive_ranges(
 
     `filters` are those of velocity and acceleration.
     """
-    free = Display(0.0, 0.0, 0.0, WallParams(), filters, level_ns_per_m)
+    free = Environment(
+        velocity_filter=filters[0],
+        acceleration_filter=filters[1],
+        active_damping_ns_per_m=level_ns_per_m,
+    )
     judgement = Judgement(Theorem(model), model.delay_periods, 0.0)
     return judgement.allowed(free, WIDEST.lowest, WIDEST.highest)
 

@@ -1,106 +1,34 @@
-"""Displays: what is rendered and damped at one time, as a request names it, and what lies between
-two of them.
+"""What lies between two environments, and what may act while one goes over into the other.
 
-A display is K, B, M with a wall, two filters and a level of active damping. It is two environments,
-(K, B, M) in free space and (K + K_wall, B + B_wall, M) in the wall; whatever is said of a display
-has to hold for both.
-
-What would break it: a field of `set` that is missing here; it would change without being judged.
+An environment is (K, B, M) in free space and (K + K_wall, B + B_wall, M) in the wall; whatever is
+said of it has to hold for both.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from math import isfinite
-from typing import Any, NamedTuple
+from typing import Any
 
+from hapticd.environment import Environment
 from hapticd.errors import AnalysisError
-from hapticd.params import EnvironmentParams, FilterParams, WallParams
 
-Point = tuple[float, float, float]
 AXES = ("K", "B", "M")
 
 
-class Display(NamedTuple):
-    """What is rendered and damped at one time."""
-
-    stiffness_n_per_m: float
-    virtual_damping_ns_per_m: float  # virtual damping B
-    mass_kg: float
-    wall: WallParams
-    filters: tuple[FilterParams, FilterParams]  # of velocity and acceleration
-    active_damping_ns_per_m: float  # level of active damping
-
-    @property
-    def free(self) -> Point:
-        """K, B, M outside the wall."""
-        return self.stiffness_n_per_m, self.virtual_damping_ns_per_m, self.mass_kg
-
-    @property
-    def contact(self) -> Point | None:
-        """K, B, M in the wall; None without one."""
-        if self.wall.side == 0:
-            return None
-        return (
-            self.stiffness_n_per_m + self.wall.stiffness_n_per_m,
-            self.virtual_damping_ns_per_m + self.wall.virtual_damping_ns_per_m,
-            self.mass_kg,
-        )
-
-    def points(self) -> list[Point]:
-        """All environments that it is."""
-        return [self.free] if self.contact is None else [self.free, self.contact]
-
-    def with_free(self, free: Point) -> "Display":
-        """The display with another K, B, M."""
-        stiffness, damping, mass = (float(value) for value in free)
-        return self._replace(
-            stiffness_n_per_m=stiffness, virtual_damping_ns_per_m=damping, mass_kg=mass
-        )
-
-    def scaled(self, share: float) -> "Display":
-        """The display with all its forces times `share`, as the gain of an enable has it."""
-        wall = replace(
-            self.wall,
-            stiffness_n_per_m=share * self.wall.stiffness_n_per_m,
-            virtual_damping_ns_per_m=share * self.wall.virtual_damping_ns_per_m,
-        )
-        stiffness, damping, mass = self.free
-        return self.with_free((share * stiffness, share * damping, share * mass))._replace(
-            wall=wall
-        )
-
-
-def display_of(plain: Mapping[str, Any], rendered: EnvironmentParams) -> Display:
-    """The display of these fields, its filters made discrete as `rendered` has them.
-
-    AnalysisError for a number that is not finite.
+def told(plain: Mapping[str, Any], rendered: Environment) -> Environment:
+    """The environment in the fields of a message, its filters made discrete as those of `rendered`;
+    what the message leaves out is 0. AnalysisError for a number that is not finite.
     """
-    filters = rendered.velocity_filter, rendered.acceleration_filter
-    return changed(Display(0.0, 0.0, 0.0, WallParams(), filters, 0.0), plain)
+    first, second = rendered.filters
+    nothing = Environment(velocity_filter=first, acceleration_filter=second)
+    return asked_for(nothing, plain)
 
 
-def changed(display: Display, change: Mapping[str, Any]) -> Display:
-    """The display with the fields of a `set`: K, B, M, parts of wall and filters, damping.
-
-    AnalysisError for a number that is not finite.
-    """
+def asked_for(environment: Environment, change: Mapping[str, Any]) -> Environment:
+    """It with the fields of a request. AnalysisError for a number that is not finite."""
     _require_finite(change)
-    stiffness, damping, mass = (
-        float(change.get(name, value)) for name, value in zip("KBM", display.free, strict=True)
-    )
-    wall = replace(display.wall, **dict(change.get("wall") or {}))
-    filters = change.get("filters") or {}
-    first, second = (
-        replace(
-            one,
-            frequency_hz=filters.get(f"{name}_hz", one.frequency_hz),
-            damping_ratio=filters.get(f"{name}_zeta", one.damping_ratio),
-        )
-        for name, one in zip(("velocity", "acceleration"), display.filters, strict=True)
-    )
-    level = float(change.get("active_damping", display.active_damping_ns_per_m))
-    return Display(stiffness, damping, mass, wall, (first, second), level)
+    return environment.changed(change)
 
 
 def _require_finite(table: Mapping[str, Any], where: str = "") -> None:
@@ -111,55 +39,18 @@ def _require_finite(table: Mapping[str, Any], where: str = "") -> None:
             raise AnalysisError(f"{where}{name} = {value}: the guard judges finite numbers only")
 
 
-def plain_of(display: Display) -> dict[str, Any]:
-    """The fields of a display, as they are sent."""
-    first, second = display.filters
-    wall = display.wall
-    stiffness, damping, mass = display.free
-    return {
-        "K": stiffness,
-        "B": damping,
-        "M": mass,
-        "wall": {
-            "stiffness_n_per_m": wall.stiffness_n_per_m,
-            "virtual_damping_ns_per_m": wall.virtual_damping_ns_per_m,
-            "position_m": wall.position_m,
-            "side": wall.side,
-        },
-        "filters": {
-            "velocity_hz": first.frequency_hz,
-            "velocity_zeta": first.damping_ratio,
-            "acceleration_hz": second.frequency_hz,
-            "acceleration_zeta": second.damping_ratio,
-        },
-        "active_damping": display.active_damping_ns_per_m,
-    }
-
-
-def fields_of(change: Mapping[str, Any], display: Display) -> dict[str, Any]:
-    """The fields that `change` names, with the values of `display`."""
-    whole = plain_of(display)
-    return {
-        name: (
-            {inner: whole[name][inner] for inner in value}
-            if isinstance(value, Mapping)
-            else whole[name]
-        )
-        for name, value in change.items()
-        if name in whole
-    }
-
-
-def environment_of(display: Display, other: Display) -> dict[str, Any]:
-    """The fields of its environment that may differ from those of `other`."""
-    whole = plain_of(display)
+def environment_of(environment: Environment, other: Environment) -> dict[str, Any]:
+    """The fields of what it renders that may differ from those of `other`."""
+    whole = environment.message()
     if other.wall.side == 0:
         return {name: whole[name] for name in "KBM"}
     return {name: whole[name] for name in ("K", "B", "M", "wall")}
 
 
-def between(one: Display, other: Display, share: float, levels: Sequence[float] = ()) -> Display:
-    """The display a share of the way from one to the other. Filters, and side and place of a
+def between(
+    one: Environment, other: Environment, share: float, levels: Sequence[float] = ()
+) -> Environment:
+    """The environment a share of the way from one to the other. Filters, and side and place of a
     wall, are those of the other; a level strictly between is one of `levels`, if any is. A wall
     that is taken away acts until its side has come to 0, with no more than the larger of both
     strengths.
@@ -182,8 +73,8 @@ def between(one: Display, other: Display, share: float, levels: Sequence[float] 
         side=one.wall.side if going else other.wall.side,
     )
     level = kept_level(one.active_damping_ns_per_m, other.active_damping_ns_per_m, share, levels)
-    stiffness, damping, mass = (part(*pair) for pair in zip(one.free, other.free, strict=True))
-    return Display(stiffness, damping, mass, wall, other.filters, level)
+    free = [part(*pair) for pair in zip(one.free, other.free, strict=True)]
+    return replace(other.with_free(free), wall=wall, active_damping_ns_per_m=level)
 
 
 def kept_level(start: float, end: float, share: float, levels: Sequence[float]) -> float:
@@ -195,24 +86,24 @@ def kept_level(start: float, end: float, share: float, levels: Sequence[float]) 
     return min(inside, key=lambda level: abs(level - exact), default=start)
 
 
-def mixed(displays: Sequence[Display]) -> list[Display]:
-    """Corners of all that may act while each parameter is anywhere between those of `displays`:
+def mixed(environments: Sequence[Environment]) -> list[Environment]:
+    """Corners of all that may act while each parameter is anywhere between those of them:
     least and most of K, B, M and level, with the strongest wall if one of them has any.
     """
-    places = [one.free for one in displays]
+    places = [one.free for one in environments]
     ranges = [sorted({min(axis), max(axis)}) for axis in zip(*places, strict=True)]
-    levels = [one.active_damping_ns_per_m for one in displays]
-    sides = [one.wall.side for one in displays if one.wall.side != 0]
+    levels = [one.active_damping_ns_per_m for one in environments]
+    sides = [one.wall.side for one in environments if one.wall.side != 0]
     wall = replace(
-        displays[-1].wall,
-        stiffness_n_per_m=max(one.wall.stiffness_n_per_m for one in displays),
-        virtual_damping_ns_per_m=max(one.wall.virtual_damping_ns_per_m for one in displays),
+        environments[-1].wall,
+        stiffness_n_per_m=max(one.wall.stiffness_n_per_m for one in environments),
+        virtual_damping_ns_per_m=max(one.wall.virtual_damping_ns_per_m for one in environments),
         side=sides[0] if sides else 0,
     )
-    filters = dict.fromkeys(one.filters for one in displays)
+    filters = {one.filters: one for one in environments}
     return [
-        Display(stiffness, damping, mass, wall, pair, level)
-        for stiffness, damping, mass in product(*ranges)
-        for pair in filters
+        replace(one.with_free(free), wall=wall, active_damping_ns_per_m=level)
+        for free in product(*ranges)
+        for one in filters.values()
         for level in sorted({min(levels), max(levels)})
     ]

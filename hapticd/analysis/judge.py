@@ -10,6 +10,7 @@ same answer, and tests and lock-step flights rely on it.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,12 @@ from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.angles import unresolved_hz
 from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.analysis.coupled import GROWS, coupled_radius, shaking_hand
-from hapticd.analysis.displays import Display, Point, display_of
+from hapticd.analysis.displays import told
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.plane import plane
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
 from hapticd.analysis.words import Verdicts, doubling, in_words, sentence
+from hapticd.environment import Environment, Point
 from hapticd.errors import AnalysisError
 from hapticd.params import GuardSetup
 
@@ -88,7 +90,7 @@ class Judge:
 
     def _look(self, request: Mapping[str, Any]) -> dict[str, Any]:
         judgement, unknown = self._judgement(request)
-        target = display_of(request["target"], self.setup.environment)
+        target = told(request["target"], self.setup.environment)
         if judgement is None:
             nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
             return {
@@ -101,14 +103,14 @@ class Judge:
         text = sentence(judgement, target, safe)
         return {
             "verdict": self.verdicts.of(judgement, target, "", text, [target], safe),
-            "without_damping": self._seen(judgement, target._replace(active_damping_ns_per_m=0.0)),
+            "without_damping": self._seen(judgement, replace(target, active_damping_ns_per_m=0.0)),
             "with_damping": {
                 "level": on,
-                **self._seen(judgement, target._replace(active_damping_ns_per_m=on)),
+                **self._seen(judgement, replace(target, active_damping_ns_per_m=on)),
             },
         }
 
-    def _seen(self, judgement: Judgement, display: Display) -> dict[str, Any]:
+    def _seen(self, judgement: Judgement, display: Environment) -> dict[str, Any]:
         worse = judgement.worse(display)
         allowed = judgement.allowed(display, self.setup.lowest, self.setup.highest)
         return {"margin_ns_per_m": worse.margin_ns_per_m, "allowed": allowed}
@@ -117,7 +119,7 @@ class Judge:
         judgement, unknown = self._judgement(request)
         if judgement is None:
             return {"plane": None, "text": unknown}
-        display = display_of(request["target"], self.setup.environment)
+        display = told(request["target"], self.setup.environment)
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         most_k, most_b, _ = self.setup.highest
         return {"plane": plane(judgement, display, on, most_k, most_b)}
@@ -125,7 +127,7 @@ class Judge:
     def _hand(self, request: Mapping[str, Any]) -> dict[str, Any]:
         if self.theorem is None:
             return {"hand": None}
-        display = display_of(request["display"], self.setup.environment)
+        display = told(request["environment"], self.setup.environment)
         delay = self._delay(request.get("delay_periods"))
         found = [
             self._shakers(self.theorem, delay, point, display, in_wall=place == 1)
@@ -137,7 +139,7 @@ class Judge:
 
     @staticmethod
     def _shakers(
-        theorem: Theorem, delay: float, point: Point, display: Display, in_wall: bool
+        theorem: Theorem, delay: float, point: Point, display: Environment, in_wall: bool
     ) -> list[dict[str, Any]]:
         """Hands that shake it: where the motion should grow fastest, and where the most damping is
         missing, for neither is always the one that shakes it hardest.

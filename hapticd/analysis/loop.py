@@ -35,7 +35,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.params import FilterParams
+from hapticd.environment import FilterParams
 from hapticd.plant.discrete import delay_steps, discretise, late_command
 from hapticd.plant.model import Model
 from hapticd.render.filters import Biquad, design

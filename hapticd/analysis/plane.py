@@ -10,13 +10,14 @@ What would break it: an interval of B that is narrower than a step of the grid, 
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.arrays import Flags, Floats
-from hapticd.analysis.displays import Display
+from hapticd.environment import Environment
 
 _COLUMNS = 60  # values of K
 _ROWS = 41  # values of B
@@ -25,7 +26,7 @@ _ROOM = 1.25  # of the axes beyond what is safe, and beyond the display in force
 
 
 def plane(
-    judgement: Judgement, display: Display, level_on: float, most_k: float, most_b: float
+    judgement: Judgement, display: Environment, level_on: float, most_k: float, most_b: float
 ) -> dict[str, Any]:
     """The edges of the safe B over K, without active damping and with `level_on` [N s/m].
 
@@ -42,17 +43,20 @@ def plane(
 
 
 def _axes(
-    judgement: Judgement, display: Display, level_on: float, most_k: float, most_b: float
+    judgement: Judgement, display: Environment, level_on: float, most_k: float, most_b: float
 ) -> tuple[Floats, Floats]:
     """K from 0 and B round 0, so that the safe set and the display in force are inside."""
-    free = display._replace(
-        stiffness_n_per_m=0.0, virtual_damping_ns_per_m=0.0, active_damping_ns_per_m=level_on
+    free = replace(
+        display,
+        stiffness_n_per_m=0.0,
+        virtual_damping_ns_per_m=0.0,
+        active_damping_ns_per_m=level_on,
     )
     lowest = (0.0, -most_b, display.mass_kg)
     highest = (most_k, most_b, display.mass_kg)
     alone = judgement.allowed(free, lowest, highest)
     low, high = alone["B"] or [-1.0, 1.0]
-    middle = free._replace(virtual_damping_ns_per_m=0.5 * (low + high))
+    middle = replace(free, virtual_damping_ns_per_m=0.5 * (low + high))
     farthest = max(_end(alone["K"]), _end(judgement.allowed(middle, lowest, highest)["K"]), 1.0)
     stiffest = _ROOM * max(farthest, min(display.stiffness_n_per_m, 4.0 * farthest))
     reach = _ROOM * max(
@@ -67,10 +71,10 @@ def _end(interval: list[float] | None) -> float:
 
 
 def _edges(
-    judgement: Judgement, display: Display, level: float, stiffness: Floats, damping: Floats
+    judgement: Judgement, display: Environment, level: float, stiffness: Floats, damping: Floats
 ) -> dict[str, list[float | None]]:
     """Lowest and highest safe B (columns,) of each K."""
-    damped = display._replace(active_damping_ns_per_m=level)
+    damped = replace(display, active_damping_ns_per_m=level)
 
     def safe(at_k: Floats, at_b: Floats) -> Flags:
         points = np.column_stack((at_k, at_b, np.full(len(at_k), display.mass_kg)))

@@ -21,22 +21,17 @@ follow leaves is a plan of its own, and is judged again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from math import ceil
 from typing import Any, get_args
 
 import numpy as np
 
 from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.displays import (
-    Display,
-    between,
-    changed,
-    display_of,
-    environment_of,
-    fields_of,
-)
+from hapticd.analysis.displays import asked_for, between, environment_of, told
 from hapticd.analysis.ways import POINTS, Leg, Plan, Request, Stage, Ways, groups, sampled
 from hapticd.analysis.words import Verdicts, sentence
+from hapticd.environment import Environment
 from hapticd.params import STRICT_POLICIES, DampingMode, Policy
 
 HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
@@ -72,15 +67,15 @@ class _Asked:
         self.policy: str = request["policy"]
         # while an enable still comes up only a part of the display acts
         gain = float(request.get("gain", 1.0)) if request["state"] == "enabled" else 1.0
-        reported = display_of(request["now"], self.setup.environment)
+        reported = told(request["now"], self.setup.environment)
         self.now = reported.scaled(gain)
-        self.target = display_of(request["target"], self.setup.environment)
+        self.target = told(request["target"], self.setup.environment)
         self.passed = [reported]
         for one in request["before"]:
             self.passed.append(self.target)
             self.now = self.target
-            self.target = changed(self.target, one)
-        self.now = self.now._replace(active_damping_ns_per_m=self._in_effect())
+            self.target = asked_for(self.target, one)
+        self.now = replace(self.now, active_damping_ns_per_m=self._in_effect())
         self.asked: dict[str, Any] = dict(request["change"])
         self.request = request
 
@@ -101,7 +96,7 @@ class _Asked:
             Request(
                 now=self.now,
                 target=self.target,
-                wanted=changed(self.target, change),
+                wanted=asked_for(self.target, change),
                 change=change,
                 passed=self.passed,
                 after=[dict(one) for one in self.request["after"]],
@@ -135,11 +130,11 @@ class _Unjudged(_Asked):
             text = f"refused: {why}; the policy {self.policy!r} refuses what is unknown"
             return _answer([], self._verdict(wanted, text, self.target))
         if self.policy == "off":
-            stage = Stage(fields_of(change, wanted))
+            stage = Stage(wanted.fields(change))
             return _answer([stage], self._verdict(wanted, "not judged: the policy is off", wanted))
         return _answer(ways.plans()[0].stages, self._verdict(wanted, why, wanted))
 
-    def _verdict(self, wanted: Display, text: str, given: Display) -> dict[str, Any]:
+    def _verdict(self, wanted: Environment, text: str, given: Environment) -> dict[str, Any]:
         return self.verdicts.of(None, wanted, self.policy, text, [], given=given)
 
 
@@ -214,7 +209,7 @@ class _Judged(_Asked):
 
     def _with_auto(self) -> dict[str, Any]:
         """The change with the level of mode `auto`, whatever level it names."""
-        level = self._least(changed(self.target, self.asked))
+        level = self._least(asked_for(self.target, self.asked))
         rest = {name: value for name, value in self.asked.items() if name != "active_damping"}
         return (
             rest
@@ -222,7 +217,7 @@ class _Judged(_Asked):
             else rest | {"active_damping": level}
         )
 
-    def _least(self, display: Display) -> float:
+    def _least(self, display: Environment) -> float:
         """The least level that will do; down only with some to spare. Where none will, the one
         with the largest margin, and not less than now.
         """
@@ -239,9 +234,9 @@ class _Judged(_Asked):
         lower = easy.least_level(display, [level for level in levels if level < present])
         return present if lower is None else lower
 
-    def _most_spare(self, display: Display) -> float:
+    def _most_spare(self, display: Environment) -> float:
         def margin(level: float) -> float:
-            found = self.judgement.worse(display._replace(active_damping_ns_per_m=level))
+            found = self.judgement.worse(replace(display, active_damping_ns_per_m=level))
             return found.margin_ns_per_m or 0.0
 
         return max(self.levels, key=margin)
@@ -267,7 +262,7 @@ class _Judged(_Asked):
         steps = np.diff(merits, axis=0)
         return bool((steps >= -_WORSE).all() and (merits[-1] - merits[0] > _WORSE).any())
 
-    def _merit(self, display: Display) -> list[float]:
+    def _merit(self, display: Environment) -> list[float]:
         """What must not fall on the way to a safer point: K, margin and radius, free and in
         contact. A basis without margins says nan, which is never better.
         """
@@ -310,10 +305,10 @@ class _Judged(_Asked):
             end = between(leg.under_way, leg.end, share, self.levels)
             lower = self._lowered(leg.end.active_damping_ns_per_m, end)
             if share >= _LEAST_MOVE or lower != end:
-                kept.append(stage._replace(change=fields_of(stage.change, lower)))
+                kept.append(stage._replace(change=lower.fields(stage.change)))
         return kept
 
-    def _lowered(self, asked_ns_per_m: float, end: Display) -> Display:
+    def _lowered(self, asked_ns_per_m: float, end: Environment) -> Environment:
         """`end` with its damping as near to the lower one that is asked as is safe, rounded up to a
         count: the kept levels lie some tenths of N s/m apart.
         """
@@ -327,12 +322,12 @@ class _Judged(_Asked):
             return safe + share * (unsafe - safe)
 
         def holds(share: float) -> bool:
-            return self.judgement.safe([end._replace(active_damping_ns_per_m=lower(share))])[0]
+            return self.judgement.safe([replace(end, active_damping_ns_per_m=lower(share))])[0]
 
         level = lower(_largest(holds, (0.0, 1.0), _LEVEL_HALVINGS))
         count = self.way.request.count_ns_per_m
         counted = ceil(level / count) * count if count > 0.0 else level
-        return end._replace(active_damping_ns_per_m=min(counted, end.active_damping_ns_per_m))
+        return replace(end, active_damping_ns_per_m=min(counted, end.active_damping_ns_per_m))
 
     def _exit(self, leg: Leg) -> float:
         """The share of a leg up to which all of it is safe."""
@@ -360,7 +355,7 @@ class _Judged(_Asked):
         given = sentence(self.judgement, plan.end, True)
         return self._taken(plan, f"followed: {text}; first the environment: {given}")
 
-    def _smaller(self) -> Display | None:
+    def _smaller(self) -> Environment | None:
         """The largest share of the environment that is safe with less damping; None for none."""
         shares = np.linspace(0.0, 1.0, _SHARES).tolist()
         flags = self.judgement.safe([self.wanted.scaled(share) for share in shares])

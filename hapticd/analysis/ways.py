@@ -24,15 +24,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.displays import (
-    AXES,
-    Display,
-    between,
-    changed,
-    fields_of,
-    kept_level,
-    mixed,
-)
+from hapticd.analysis.displays import AXES, asked_for, between, kept_level, mixed
+from hapticd.environment import Environment
 
 POINTS = 20  # of a whole way
 
@@ -52,9 +45,9 @@ class Stage(NamedTuple):
 class Leg(NamedTuple):
     """A part of a way: from what is in force, with what is still under way, to what is asked."""
 
-    start: Display  # in force
-    under_way: Display  # where what is on its way would end
-    end: Display
+    start: Environment  # in force
+    under_way: Environment  # where what is on its way would end
+    end: Environment
     gain: bool = False  # the gain goes from 0 to 1 at its end
 
 
@@ -63,17 +56,17 @@ class Plan(NamedTuple):
 
     stages: list[Stage]
     legs: list[Leg]
-    end: Display
+    end: Environment
 
 
 class Request(NamedTuple):
     """What is asked for, and where it starts from."""
 
-    now: Display  # in force, with the damping in effect
-    target: Display  # where what is under way ends
-    wanted: Display  # where this change leads
+    now: Environment  # in force, with the damping in effect
+    target: Environment  # where what is under way ends
+    wanted: Environment  # where this change leads
     change: dict[str, Any]  # its fields
-    passed: list[Display]  # in force at first, and where each change scheduled before it starts
+    passed: list[Environment]  # in force at first, and where each change scheduled before it starts
     after: list[dict[str, Any]]  # scheduled later
     enable: bool
     moving: bool  # the environment is felt, or will be
@@ -91,7 +84,7 @@ class Ways:
         """Each with its stages; the first is how it is done where nobody asks for safety."""
         wanted = self.request.wanted
         if not self.request.moving:
-            whole = Stage(fields_of(self.request.change, wanted))
+            whole = Stage(wanted.fields(self.request.change))
             return [Plan([whole], [Leg(wanted, wanted, wanted)], wanted)]
         if self.request.enable:
             return [self._enabling(False), self._enabling(True)]
@@ -104,15 +97,15 @@ class Ways:
         legs = []
         for stage in stages:
             if stage.active_damping_at_least is not None:
-                now = now._replace(active_damping_ns_per_m=target.active_damping_ns_per_m)
+                now = replace(now, active_damping_ns_per_m=target.active_damping_ns_per_m)
             if stage.after_ramps:
-                now = target._replace(active_damping_ns_per_m=now.active_damping_ns_per_m)
-            end = changed(target, stage.change)
+                now = replace(target, active_damping_ns_per_m=now.active_damping_ns_per_m)
+            end = asked_for(target, stage.change)
             legs.append(Leg(now, target, end))
             target = end
         return Plan(stages, legs, target)
 
-    def path(self, plan: Plan) -> list[Display]:
+    def path(self, plan: Plan) -> list[Environment]:
         """At most POINTS points of the way of `plan`, and of what is scheduled after it; each
         part has its end among them. None at all where they would be more.
         """
@@ -127,7 +120,7 @@ class Ways:
         ]
         return [display for part in parts for display in part] if all(parts) else []
 
-    def mixture(self, plan: Plan) -> list[Display]:
+    def mixture(self, plan: Plan) -> list[Environment]:
         """Corners of what may act where the order in time is not known: with changes that are
         scheduled, whose ramps and damping may still be under way when the next one comes, and
         at an enable while something is on its way.
@@ -140,14 +133,14 @@ class Ways:
         displays = [*request.passed, request.target, plan.end, *later]
         if plan.stages[-1].active_damping_at_least is not None:
             # nothing is felt before the damping that is asked for is in effect
-            here = request.passed[0]._replace(
-                active_damping_ns_per_m=plan.end.active_damping_ns_per_m
+            here = replace(
+                request.passed[0], active_damping_ns_per_m=plan.end.active_damping_ns_per_m
             )
             displays[0] = here if request.enable else displays[0]
-        environments = {one._replace(active_damping_ns_per_m=0.0) for one in displays}
+        environments = {replace(one, active_damping_ns_per_m=0.0) for one in displays}
         return mixed(displays) if len(environments) > 1 else []
 
-    def _overlapping(self, plan: Plan) -> list[Display]:
+    def _overlapping(self, plan: Plan) -> list[Environment]:
         """The same where two parameters or more are under way, each on a ramp of its own, until a
         stage waits for their ends.
         """
@@ -160,10 +153,10 @@ class Ways:
         corners = [mixed([leg.start, leg.under_way, leg.end]) for _, leg in together]
         return [display for part in corners for display in part]
 
-    def _later(self, start: Display) -> list[Leg]:
+    def _later(self, start: Environment) -> list[Leg]:
         legs = []
         for change in self.request.after:
-            end = changed(start, change)
+            end = asked_for(start, change)
             legs.append(Leg(start, start, end))
             start = end
         return legs
@@ -178,7 +171,7 @@ class Ways:
         rest = {name: value for name, value in change.items() if name != "active_damping"}
         if not rest:
             return [[Stage(damping)], [Stage(damping, after_ramps=True)]]
-        orders = self._environment_orders(fields_of(rest, wanted))
+        orders = self._environment_orders(wanted.fields(rest))
         if wanted.active_damping_ns_per_m > here:
             level = self._reported(wanted.active_damping_ns_per_m)
             return [[Stage(damping), *_waiting(stages, level)] for stages in orders]
@@ -212,9 +205,9 @@ class Ways:
     def _enabling(self, waits: bool) -> Plan:
         """Force comes on at once, or once the damping that is asked for is in effect."""
         end = self.request.wanted
-        change = fields_of(self.request.change, end)
+        change = end.fields(self.request.change)
         if not waits:
-            start = end._replace(active_damping_ns_per_m=self.request.now.active_damping_ns_per_m)
+            start = replace(end, active_damping_ns_per_m=self.request.now.active_damping_ns_per_m)
             return Plan([Stage(change)], [Leg(start, start, end, gain=True)], end)
         level = self._reported(end.active_damping_ns_per_m)
         stages = [Stage(change)] if change else []
@@ -244,7 +237,7 @@ def groups(leg: Leg) -> int:
 def _parts(leg: Leg) -> tuple[bool, bool]:
     """Whether what was asked moves the environment, and whether something else is under way."""
     asked = (
-        leg.end._replace(active_damping_ns_per_m=leg.under_way.active_damping_ns_per_m)
+        replace(leg.end, active_damping_ns_per_m=leg.under_way.active_damping_ns_per_m)
         != leg.under_way
     )
     left = any(
@@ -256,12 +249,12 @@ def _parts(leg: Leg) -> tuple[bool, bool]:
     return asked or leg.gain, left
 
 
-def _numbers(display: Display) -> tuple[float, ...]:
+def _numbers(display: Environment) -> tuple[float, ...]:
     wall = display.wall
     return (*display.free, wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m, wall.side)
 
 
-def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Display]:
+def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Environment]:
     """At most `count` displays of a leg, its end the last: the line if one thing moves, a grid
     with all corners if several do. None if that takes more than `count`.
     """
@@ -294,16 +287,18 @@ def _jumps(leg: Leg) -> bool:
     return sides[0] != sides[1] or leg.start.filters != leg.end.filters
 
 
-def _gained(leg: Leg, count: int) -> list[Display]:
+def _gained(leg: Leg, count: int) -> list[Environment]:
     """The gain from 0 to 1. Damping that is still on its way does not count before it is there."""
     if count < 3:
         return []
-    here = leg.end._replace(active_damping_ns_per_m=leg.start.active_damping_ns_per_m)
+    here = replace(leg.end, active_damping_ns_per_m=leg.start.active_damping_ns_per_m)
     rising = [here.scaled((place + 1) / (count - 1)) for place in range(count - 1)]
     return [*rising, leg.end]
 
 
-def _patch(leg: Leg, asked: float, left: float, level: float, levels: Sequence[float]) -> Display:
+def _patch(
+    leg: Leg, asked: float, left: float, level: float, levels: Sequence[float]
+) -> Environment:
     """A leg's display with what was asked, what was under way and damping at shares of their
     own.
     """
@@ -325,4 +320,4 @@ def _patch(leg: Leg, asked: float, left: float, level: float, levels: Sequence[f
     added = kept_level(
         leg.start.active_damping_ns_per_m, leg.end.active_damping_ns_per_m, level, levels
     )
-    return Display(numbers[0], numbers[1], numbers[2], wall, leg.end.filters, added)
+    return replace(leg.end.with_free(numbers[:3]), wall=wall, active_damping_ns_per_m=added)

@@ -12,7 +12,7 @@ from typing import Any
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.bases import Reading, cached_levels
 from hapticd.analysis.coupled import Hand
-from hapticd.analysis.displays import Display, plain_of
+from hapticd.environment import Environment
 from hapticd.params import GuardSetup
 
 NOT_COVERED = ("contact switching", "varying delay")
@@ -34,12 +34,12 @@ class Verdicts:
     def of(
         self,
         judgement: Judgement | None,
-        display: Display,
+        display: Environment,
         policy: str,
         text: str,
-        path: Sequence[Display],
+        path: Sequence[Environment],
         safe: bool | None = None,
-        given: Display | None = None,
+        given: Environment | None = None,
         clamped: bool = False,
     ) -> dict[str, Any]:
         """What is told of `display`, judged along `path`; `given` is where the stages lead."""
@@ -49,13 +49,13 @@ class Verdicts:
             "policy": policy,
             **known,
             "clamped": clamped,
-            "given": plain_of(display if given is None else given),
+            "given": (display if given is None else given).message(),
             "path_points": sum(len(one.points()) for one in path),
             "not_covered": self._not_covered(),
             "text": text,
         }
 
-    def _known(self, judgement: Judgement, display: Display) -> dict[str, Any]:
+    def _known(self, judgement: Judgement, display: Environment) -> dict[str, Any]:
         contact = judgement.in_contact(display)
         return {
             "basis": judgement.basis.name,
@@ -83,7 +83,7 @@ def _of_nothing() -> dict[str, Any]:
     }
 
 
-def sentence(judgement: Judgement, display: Display, safe: bool) -> str:
+def sentence(judgement: Judgement, display: Environment, safe: bool) -> str:
     """What is known of a display, with values, units and, if it is not safe, a remedy."""
     where = named(display)
     if display.stiffness_n_per_m < 0.0:
@@ -129,7 +129,7 @@ def doubling(radius: float, rate_hz: float) -> str:
     return f"doubles in {1e3 * seconds:.3g} ms" if seconds < 1.0 else f"doubles in {seconds:.3g} s"
 
 
-def named(display: Display) -> str:
+def named(display: Environment) -> str:
     """A display by its numbers."""
     return (
         f"K = {display.stiffness_n_per_m:g} N/m, B = {display.virtual_damping_ns_per_m:g} N s/m,"

@@ -42,8 +42,8 @@ from hapticd.engine.job import (
 )
 from hapticd.engine.numbers import Filters
 from hapticd.engine.records import Records, Sums, force_spectrum, spectral
+from hapticd.environment import Environment
 from hapticd.errors import ConfigError
-from hapticd.params import EnvironmentParams
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import DampingStep, Excitation, Scene
@@ -188,7 +188,7 @@ def simulate(
     seed: int | None = None,
     *,
     active_damping: float | Sequence[tuple[float, float]] | None = None,
-    environment: EnvironmentParams | None = None,
+    environment: Environment | None = None,
     filters: Filters | None = None,
     excitation: Excitation | npt.ArrayLike | None = None,
     start: tuple[float, float] | None = None,
@@ -271,7 +271,7 @@ def _job(
     seconds: float | None,
     seed: int | None,
     active_damping: float | Sequence[tuple[float, float]] | None,
-    environment: EnvironmentParams | None,
+    environment: Environment | None,
     filters: Filters | None,
     excitation: Excitation | npt.ArrayLike | None,
     start: tuple[float, float] | None,
@@ -316,7 +316,7 @@ def _job(
     )
 
 
-def _solid(environment: EnvironmentParams) -> bool:
+def _solid(environment: Environment) -> bool:
     """Whether there is something to touch beside K, B and M."""
     return bool(environment.wall.side or environment.workspace.stiffness_n_per_m)
 

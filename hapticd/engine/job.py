@@ -44,8 +44,8 @@ from hapticd.engine.kernels import kernel
 from hapticd.engine.numbers import Filters, law_numbers, plant_numbers
 from hapticd.engine.shape import LANES_OF_RECORDS, Shape, reduced, shape_of
 from hapticd.engine.source import LAW_STATE, SCALARS
+from hapticd.environment import Environment
 from hapticd.errors import ConfigError
-from hapticd.params import EnvironmentParams
 from hapticd.plant.effects import copper_ohm
 from hapticd.plant.excitation import Stream, held_noise, torque_record
 from hapticd.plant.model import Array, Model, Winding
@@ -61,7 +61,7 @@ class Job:
     """See `batch.simulate` for what each means."""
 
     model: Model
-    environment: EnvironmentParams  # wall and ends; its K, B, M are not used
+    environment: Environment  # wall and ends; its K, B, M are not used
     filters: Filters  # of velocity and acceleration
     active_damping: tuple[DampingStep, ...]  # active damping over time
     excitation: Excitation | Array  # of the probe, or forces [N] at 4 kHz

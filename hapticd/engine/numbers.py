@@ -11,7 +11,7 @@ import numpy as np
 
 from hapticd.engine.shape import Shape, sample_point
 from hapticd.engine.source import ENDS, FILTERS, ROTOR_LAWS, WALL
-from hapticd.params import EnvironmentParams, FilterParams
+from hapticd.environment import Environment, FilterParams
 from hapticd.plant.discrete import discretise
 from hapticd.plant.model import Array, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
@@ -37,9 +37,7 @@ def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str
     return numbers
 
 
-def law_numbers(
-    environment: EnvironmentParams, filters: Filters, rate_hz: float
-) -> dict[str, float]:
+def law_numbers(environment: Environment, filters: Filters, rate_hz: float) -> dict[str, float]:
     """What the law gets beside K, B, M and the limit."""
     wall = environment.wall
     ends = environment.workspace

@@ -33,8 +33,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.environment import Environment
 from hapticd.errors import ConfigError
-from hapticd.params import EnvironmentParams
 from hapticd.plant.model import Array, Contact, Ends, Model, Output, Outputs, RotorForce
 from hapticd.units import PROBE_RATE_HZ
 
@@ -298,7 +298,7 @@ SUBSTEPS_MAX = 64
 
 
 def shape_of(
-    model: Model, environment: EnvironmentParams, damped: bool, substeps: int, dtype: str
+    model: Model, environment: Environment, damped: bool, substeps: int, dtype: str
 ) -> Shape:
     """The shape of `model` (as `coordinates.reduced` left it) under that environment, with
     everything it calls for.

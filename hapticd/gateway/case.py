@@ -1,29 +1,20 @@
 """A request that changes what is rendered or damped, on its way past the guard, and its parts.
 
 A case is what `guarded` keeps of one request. Here are also the two translations: what a request
-changes of a display, as the guard's worker is asked, and the stages in which the worker says to do
-it. The worker is another process: its answer is looked at before it is believed.
-
-What would break it: a field of `set` that a verdict is about and that is not in JUDGED.
+changes of an environment, as the guard's worker is asked, and the stages in which the worker says
+to do it. The worker is another process: its answer is looked at before it is believed.
 """
 
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
+from hapticd.environment import JUDGED, SLOTS, Environment
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Judged, Request, Set
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
 
-JUDGED = (
-    "K",
-    "B",
-    "M",
-    "wall",
-    "filters",
-    "active_damping",
-)  # fields of `set` that a verdict is about
-TABLES = ("wall", "filters")
+TABLES = tuple(name for name in JUDGED if name not in SLOTS)
 
 
 class Stage(NamedTuple):
@@ -98,15 +89,13 @@ def changes_environment(stages: tuple[Stage, ...]) -> bool:
     return any(stage.change.keys() - {"active_damping"} for stage in stages)
 
 
-def ends_force(request: Request, target: dict[str, Any]) -> bool:
+def ends_force(request: Request, target: Environment) -> bool:
     """Whether nothing is rendered after `request`, and active damping stays: the set of passive
     environments is convex and holds 0, so every ramp there is passive where its begin is.
     """
     if not isinstance(request, Set) or request.at_tick or "active_damping" in request.given:
         return False
-    wall = target["wall"] | request.given.get("wall", {})
-    rendered = [request.given.get(name, target[name]) for name in "KBM"]
-    return not any((*rendered, wall["stiffness_n_per_m"], wall["virtual_damping_ns_per_m"]))
+    return target.changed(request.given).empty
 
 
 def concerns(request: Request) -> bool:

@@ -17,9 +17,11 @@ altered; it raises CommandError to refuse. STOP passes none of them.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from math import nan
 from typing import Any, NamedTuple
 
+from hapticd.environment import Environment
 from hapticd.errors import CommandError
 from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.journal import Actors
@@ -75,17 +77,6 @@ def posting(request: Request, samples: int) -> Posting:
     return Command[request.cmd.upper()], 0, values_of({})
 
 
-def former(given: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
-    """The fields of `given`, with the values of `before`; the ramp is the same."""
-    found = {name: given[name] for name in ("ramp_s",) if name in given}
-    for name, value in given.items():
-        if isinstance(value, dict):
-            found[name] = {part: before[name][part] for part in value}
-        elif name in before:
-            found[name] = before[name]
-    return found
-
-
 def values_given(given: dict[str, Any]) -> dict[Value, float]:
     """The doubles of a change whose fields, nested as in `set`, are `given`."""
     values = {PLACES[name]: float(value) for name, value in flat(given) if name in PLACES}
@@ -114,17 +105,17 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
 
     Active damping is as quantised on the wire.
     """
-    found: dict[str, Any] = {}
-    for name, place in PLACES.items():
-        *parts, leaf = name.split(".")
-        table = found.setdefault(parts[0], {}) if parts else found
-        table[leaf] = effective[place]
-    del found["ramp_s"]
-    found["wall"]["side"] = int(found["wall"]["side"])
-    found["limit_cycle_faults"] = effective[Value.LIMIT_CYCLE_FAULTS] != 0.0
-    found["active_damping_level"] = found["active_damping"]
-    found["active_damping"] *= effective[Value.ACTIVE_DAMPING_ON]
-    return found
+    return rendered(effective).message() | {
+        "limit_cycle_faults": effective[Value.LIMIT_CYCLE_FAULTS] != 0.0,
+        "active_damping_level": effective[Value.ACTIVE_DAMPING],
+    }
+
+
+def rendered(effective: tuple[float, ...]) -> Environment:
+    """What is rendered by the doubles of an answer: its level acts only while it is on."""
+    found = Environment().from_row(effective)
+    level = found.active_damping_ns_per_m * effective[Value.ACTIVE_DAMPING_ON]
+    return replace(found, active_damping_ns_per_m=level)
 
 
 def receipt(answer: Answer) -> dict[str, Any]:

@@ -20,8 +20,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+from hapticd.environment import Environment
 from hapticd.gateway.delay import LEAST_RECORDS, DelayHistogram
-from hapticd.gateway.in_force import Display, InForce
+from hapticd.gateway.in_force import InForce
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.schemas import GuardRequest
 from hapticd.gateway.terms import Terms, TermsKeeper
@@ -57,13 +58,13 @@ class Line(Protocol):
 
 
 class Unsafe(NamedTuple):
-    """A request whose display is not passive, for which a hand is to be found."""
+    """A request whose environment is not passive, for which a hand is to be found."""
 
     number: int  # of the question whose verdict said so
     cmd: str
     id: int | str | None
     actor: int
-    display: Display
+    environment: Environment
 
 
 class About(NamedTuple):
@@ -128,7 +129,7 @@ class Guard:
         """The mode of active damping: off, level or auto; while measuring, nobody chooses."""
         if self.auto and not self.measuring():
             return "auto"
-        return "level" if self.in_force.target()["active_damping"] else "off"
+        return "level" if self.in_force.target().active_damping_ns_per_m else "off"
 
     @property
     def must(self) -> bool:
@@ -407,7 +408,11 @@ class Guard:
 
     def _ask_hand(self, now_ns: int) -> None:
         unsafe = self._hands.popleft()
-        question = {"ask": "hand", "display": unsafe.display, "delay_periods": self.delay_periods}
+        question = {
+            "ask": "hand",
+            "environment": unsafe.environment.message(),
+            "delay_periods": self.delay_periods,
+        }
         self._hand = self._send(question, now_ns), unsafe
 
     def _tell_hand(self, unsafe: Unsafe, hand: Any) -> None:
@@ -454,8 +459,8 @@ class Guard:
         self._look_ns = now_ns
         question = {
             "ask": "look",
-            "now": self.in_force.now(),
-            "target": self.in_force.target(),
+            "now": self.in_force.now().message(),
+            "target": self.in_force.target().message(),
             "delay_periods": self.delay.periods,
             "margin_ns_per_m": self.margin_ns_per_m,
             "basis": self.basis,

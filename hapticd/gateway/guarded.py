@@ -26,6 +26,7 @@ believed after policy or environment have changed.
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
@@ -38,9 +39,8 @@ from hapticd.gateway.case import (
     stages_of,
     until_tick,
 )
-from hapticd.gateway.commands import former, posting, receipt, refusal
+from hapticd.gateway.commands import posting, receipt, refusal
 from hapticd.gateway.guard import VERDICT_NS, Guard, Unsafe
-from hapticd.gateway.in_force import merged
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
 from hapticd.gateway.schemas import Damping, Enable
 from hapticd.gateway.stages import Post, Stages, Told, ramp_s
@@ -362,8 +362,8 @@ class Guarded:
             return {}
         target = self._guard.in_force.target()
         for change in before:
-            target = merged(target, change)
-        return former(change_of(case.request, 0.0), target)
+            target = target.changed(change)
+        return target.fields(change_of(case.request, 0.0))
 
     def _question(
         self, case: Case, before: list[dict[str, Any]], after: list[dict[str, Any]]
@@ -372,8 +372,8 @@ class Guarded:
         guard = self._guard
         return {
             "ask": "change",
-            "now": guard.in_force.now(),
-            "target": guard.in_force.target(),
+            "now": guard.in_force.now().message(),
+            "target": guard.in_force.target().message(),
             "state": self._view.state_name,
             "gain": float(self._view.record["gain"]),
             "enable": isinstance(case.request, Enable),
@@ -450,12 +450,10 @@ class Guarded:
         before = self._guard.in_force.target()
         after = before
         for stage in case.stages:
-            after = merged(after, stage.change)
-        moved = (
-            abs(after["active_damping"] - before["active_damping"])
-            > self._under_way.resolution_ns_per_m
-        )
-        return moved or after | {"active_damping": 0} != before | {"active_damping": 0}
+            after = after.changed(stage.change)
+        here, there = before.active_damping_ns_per_m, after.active_damping_ns_per_m
+        moved = abs(there - here) > self._under_way.resolution_ns_per_m
+        return moved or replace(after, active_damping_ns_per_m=here) != before
 
     def _stages(self, case: Case, answer: dict[str, Any]) -> tuple[Stage, ...]:
         found = stages_of(answer)
@@ -465,8 +463,8 @@ class Guarded:
 
     def _want_hand(self, case: Case) -> None:
         asked = change_of(case.request, self._guard.in_force.level)
-        display = merged(self._guard.in_force.target(), asked)
-        self._guard.want_hand(Unsafe(case.number, case.cmd, case.id, case.actor, display))
+        wanted = self._guard.in_force.target().changed(asked)
+        self._guard.want_hand(Unsafe(case.number, case.cmd, case.id, case.actor, wanted))
 
     # --- without a verdict ------------------------------------------------------------------------
 

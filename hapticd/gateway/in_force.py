@@ -1,11 +1,10 @@
-"""The display in force, as the newest record and the last answer of the servo tell it.
+"""The environment in force, as the newest record and the last answer of the servo tell it.
 
-A display is what a verdict is about: K, B, M, wall, filters and active damping, with the fields of
-`set`. `target` is where the ramps in force end, `now` what acts in the newest record. Of what no
+`target` is where the ramps in force end, `now` what acts in the newest record. Of what no
 record holds (the wall's damping while it moves, its side once it was rounded to none) the value
 counts that may still act and is furthest from the target.
 
-What would break it: a display of one environment with the revision of another (`known` says whether
+Limitations: an environment with the revision of another is wrong (`known` says whether
 record and answers fit each other).
 """
 
@@ -13,21 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.gateway.case import JUDGED
-from hapticd.gateway.commands import parameters
+from hapticd.environment import FIELDS, Environment
+from hapticd.gateway.commands import rendered
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.layout import Flag, Value, newer
 
 IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
-Display = dict[str, Any]
-
-
-def merged(display: Display, change: dict[str, Any]) -> Display:
-    """`display` with what `change` gives, tables by their keys."""
-    found = dict(display)
-    for name, value in change.items():
-        found[name] = display[name] | value if isinstance(value, dict) else value
-    return found
+# columns that hold what acts; of a side and of active damping the record tells less
+COLUMNS = {
+    one.path: one.column
+    for one in FIELDS
+    if one.column and one.path not in ("wall.side", "active_damping_ns_per_m")
+}
 
 
 class WallDamping:
@@ -65,7 +61,7 @@ class WallSide:
 
 
 class InForce:
-    """The display in force at the servo of `view`."""
+    """The environment in force at the servo of `view`."""
 
     def __init__(self, view: ServoView) -> None:
         self._view = view
@@ -104,44 +100,33 @@ class InForce:
         """Whether the servo's energy controller holds more damping, or less K and B, than asked."""
         return bool(int(self._view.record.get("flags", 0)) & Flag.CONTROLLED)
 
-    def target(self) -> Display:
+    def target(self) -> Environment:
         """Where the ramps in force end."""
-        found = parameters(self._view.targets)
-        return {name: found[name] for name in JUDGED}
+        return rendered(self._view.targets)
 
-    def now(self) -> Display:
+    def now(self) -> Environment:
         """What acts in the newest record."""
         record = self._view.record
         target = self.target()
         moving = bool(int(record["flags"]) & IN_MOTION)
-        wall = {
-            "stiffness_n_per_m": record["wall_stiffness_n_per_m"],
-            "virtual_damping_ns_per_m": self._wall_damping.follow(
-                self._view.life, target["wall"]["virtual_damping_ns_per_m"], moving
-            ),
-            "position_m": record["wall_position_m"],
-            "side": record["wall_side"] or (self._side.value if moving else 0),
-        }
+        wall_damping = self._wall_damping.follow(
+            self._view.life, target.wall.virtual_damping_ns_per_m, moving
+        )
         effect = record["active_damping_effect_ns_per_m"]
-        return target | {
-            "K": record["stiffness_n_per_m"],
-            "B": record["virtual_damping_ns_per_m"],
-            "M": record["mass_kg"],
-            "wall": wall,
-            "active_damping": max(effect, 0.0)
-            if effect == effect
-            else 0.0,  # NaN: the board did not say
-        }
+        return target.with_values(
+            {path: record[column] for path, column in COLUMNS.items()}
+            | {
+                "wall.virtual_damping_ns_per_m": wall_damping,
+                "wall.side": record["wall_side"] or (self._side.value if moving else 0),
+                # NaN: the board did not say
+                "active_damping_ns_per_m": max(effect, 0.0) if effect == effect else 0.0,
+            }
+        )
 
     @property
     def empty(self) -> bool:
         """Whether nothing is rendered: K, B, M and the wall are 0 and stay so."""
-        wall = ("stiffness_n_per_m", "virtual_damping_ns_per_m")
-        return not any(
-            value
-            for one in (self.now(), self.target())
-            for value in (*(one[name] for name in "KBM"), *(one["wall"][name] for name in wall))
-        )
+        return self.now().empty and self.target().empty
 
     @property
     def level(self) -> float:

@@ -8,26 +8,15 @@ from collections.abc import Iterator, Sequence
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from hapticd.environment import SLOTS
 from hapticd.mailbox.environment_limits import AXES
 from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, value_limits
 
 if TYPE_CHECKING:
     from hapticd.params import EnvironmentLimits, ServoParams
 
-PLACES: dict[str, Value] = {
-    "K": Value.STIFFNESS,
-    "B": Value.VIRTUAL_DAMPING,
-    "M": Value.MASS,
-    "filters.velocity_hz": Value.VELOCITY_FILTER_HZ,
-    "filters.velocity_zeta": Value.VELOCITY_FILTER_ZETA,
-    "filters.acceleration_hz": Value.ACCELERATION_FILTER_HZ,
-    "filters.acceleration_zeta": Value.ACCELERATION_FILTER_ZETA,
-    "wall.stiffness_n_per_m": Value.WALL_STIFFNESS,
-    "wall.virtual_damping_ns_per_m": Value.WALL_VIRTUAL_DAMPING,
-    "wall.position_m": Value.WALL_POSITION,
-    "wall.side": Value.WALL_SIDE,
-    "active_damping": Value.ACTIVE_DAMPING,
-    "ramp_s": Value.RAMP_S,
+PLACES: dict[str, Value] = {key: Value(slot) for key, slot in SLOTS.items()} | {
+    "ramp_s": Value.RAMP_S
 }
 # what people call a field where its name alone does not say it
 QUANTITIES = {"value": "active damping"}

@@ -68,28 +68,11 @@ STATES = {int(state): state for state in State}
 
 def configured(params: ServoParams) -> tuple[float, ...]:
     """The parameters with which a servo starts, by layout.Value."""
-    environment = params.environment
-    wall = params.environment.wall
-    velocity = environment.velocity_filter
-    acceleration = environment.acceleration_filter
-    places = {
-        Value.STIFFNESS: environment.stiffness_n_per_m,
-        Value.VIRTUAL_DAMPING: environment.virtual_damping_ns_per_m,
-        Value.MASS: environment.mass_kg,
-        Value.VELOCITY_FILTER_HZ: velocity.frequency_hz,
-        Value.VELOCITY_FILTER_ZETA: velocity.damping_ratio,
-        Value.ACCELERATION_FILTER_HZ: acceleration.frequency_hz,
-        Value.ACCELERATION_FILTER_ZETA: acceleration.damping_ratio,
-        Value.WALL_STIFFNESS: wall.stiffness_n_per_m,
-        Value.WALL_VIRTUAL_DAMPING: wall.virtual_damping_ns_per_m,
-        Value.WALL_POSITION: wall.position_m,
-        Value.WALL_SIDE: wall.side,
+    values = params.environment.row() | {
         Value.ACTIVE_DAMPING: params.active_damping_ns_per_m,
-        Value.LIMIT_CYCLE_FAULTS: params.safety.limit_cycle_faults,
+        Value.LIMIT_CYCLE_FAULTS: float(params.safety.limit_cycle_faults),
     }
-    return tuple(
-        float(places[Value(place)]) if place in places else 0.0 for place in range(COMMAND_VALUES)
-    )
+    return tuple(values.get(place, 0.0) for place in range(COMMAND_VALUES))
 
 
 def _latest(one: int, other: int) -> int:

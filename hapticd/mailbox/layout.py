@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
+from hapticd.environment import FIELDS, SLOTS
+
 MAGIC = b"HAPTICD\0"
 
 # --- header page: written once by the servo before `epoch`, which is written last -----------------
@@ -130,18 +132,18 @@ class Value(IntEnum):
 
     MASK = 0
     RAMP_S = 1
-    STIFFNESS = 2  # N/m
-    VIRTUAL_DAMPING = 3  # N s/m, virtual
-    MASS = 4  # kg
-    VELOCITY_FILTER_HZ = 5
-    VELOCITY_FILTER_ZETA = 6
-    ACCELERATION_FILTER_HZ = 7
-    ACCELERATION_FILTER_ZETA = 8
-    WALL_STIFFNESS = 9
-    WALL_VIRTUAL_DAMPING = 10
-    WALL_POSITION = 11
-    WALL_SIDE = 12
-    ACTIVE_DAMPING = 13  # N s/m, level of the active damping
+    STIFFNESS = SLOTS["K"]
+    VIRTUAL_DAMPING = SLOTS["B"]
+    MASS = SLOTS["M"]
+    VELOCITY_FILTER_HZ = SLOTS["filters.velocity_hz"]
+    VELOCITY_FILTER_ZETA = SLOTS["filters.velocity_zeta"]
+    ACCELERATION_FILTER_HZ = SLOTS["filters.acceleration_hz"]
+    ACCELERATION_FILTER_ZETA = SLOTS["filters.acceleration_zeta"]
+    WALL_STIFFNESS = SLOTS["wall.stiffness_n_per_m"]
+    WALL_VIRTUAL_DAMPING = SLOTS["wall.virtual_damping_ns_per_m"]
+    WALL_POSITION = SLOTS["wall.position_m"]
+    WALL_SIDE = SLOTS["wall.side"]
+    ACTIVE_DAMPING = SLOTS["active_damping"]
     ACTIVE_DAMPING_ON = 14  # 0 or 1
     SAMPLES = 15  # PERTURB_START: length of the waveform
     LOOP = 16  # PERTURB_START: 0 or 1
@@ -178,19 +180,8 @@ class ValueLimit(NamedTuple):
 LONGEST_SILENCE_S: Final = 1.0
 # the device and the rate may allow less
 VALUE_LIMITS: dict[Value, ValueLimit] = {
+    **{Value(one.slot): ValueLimit(one.low, one.high, one.unit) for one in FIELDS},
     Value.RAMP_S: ValueLimit(0.0, 60.0, "s"),
-    Value.STIFFNESS: ValueLimit(-1e4, 1e5, "N/m"),
-    Value.VIRTUAL_DAMPING: ValueLimit(-1e2, 1e3, "N s/m"),
-    Value.MASS: ValueLimit(-1.0, 10.0, "kg"),
-    Value.VELOCITY_FILTER_HZ: ValueLimit(0.1, 1e5, "Hz"),
-    Value.VELOCITY_FILTER_ZETA: ValueLimit(0.05, 10.0, "1"),
-    Value.ACCELERATION_FILTER_HZ: ValueLimit(0.1, 1e5, "Hz"),
-    Value.ACCELERATION_FILTER_ZETA: ValueLimit(0.05, 10.0, "1"),
-    Value.WALL_STIFFNESS: ValueLimit(0.0, 1e5, "N/m"),
-    Value.WALL_VIRTUAL_DAMPING: ValueLimit(0.0, 1e3, "N s/m"),
-    Value.WALL_POSITION: ValueLimit(-10.0, 10.0, "m"),
-    Value.WALL_SIDE: ValueLimit(-1.0, 1.0, "side"),
-    Value.ACTIVE_DAMPING: ValueLimit(0.0, 1e3, "N s/m"),
     Value.ACTIVE_DAMPING_ON: ValueLimit(0.0, 1.0, "switch"),
     Value.SAMPLES: ValueLimit(1.0, float(PERTURBATION_SAMPLES), "samples"),
     Value.LOOP: ValueLimit(0.0, 1.0, "switch"),
@@ -204,13 +195,10 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.TERMS: ValueLimit(0.0, float((1 << 32) - 1), "number"),
     Value.UNTIL_TICK: ValueLimit(1.0, float(1 << 53), "tick"),  # whole in a double
 }
-# until the signs of a device are verified: with the wrong one every spring and damper drives
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
-    Value.STIFFNESS: ValueLimit(0.0, 100.0, "N/m"),
-    Value.VIRTUAL_DAMPING: ValueLimit(0.0, 2.0, "N s/m"),
-    Value.MASS: ValueLimit(0.0, 0.0, "kg"),
-    Value.WALL_STIFFNESS: ValueLimit(0.0, 100.0, "N/m"),
-    Value.WALL_VIRTUAL_DAMPING: ValueLimit(0.0, 2.0, "N s/m"),
+    Value(one.slot): ValueLimit(*one.unverified, one.unit)
+    for one in FIELDS
+    if one.unverified is not None
 }
 FILTER_LIMIT = 0.45  # highest corner as a fraction of the rate
 

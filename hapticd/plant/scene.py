@@ -9,7 +9,7 @@ not built: no state, no instruction, no time.
 
 from dataclasses import dataclass, field
 
-from hapticd.params import EnvironmentParams
+from hapticd.environment import Environment
 from hapticd.plant.effects import Effect
 
 
@@ -49,7 +49,7 @@ class Scene:
     device: str  # name of the device file
     effects: tuple[Effect, ...]  # in the order of composition
     # K, B, M and walls that the servo renders
-    environment: EnvironmentParams = field(default_factory=EnvironmentParams)
+    environment: Environment = field(default_factory=Environment)
     active_damping: tuple[DampingStep, ...] = (
         DampingStep(0.0, 0.0),
     )  # sorted by time, the first at 0 s

@@ -19,14 +19,14 @@ also true of NaN, and `clamp` then makes that 0), coefficients for another rate.
 
 from typing import Final
 
-from hapticd.params import FilterParams
+from hapticd.environment import FilterParams
 from hapticd.render.filters import Biquad, design, scaled
 
 LawState = tuple[float, float, float, float, float, float]
-Environment = tuple[
+LawInputs = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float
 ]
-# places in an Environment
+# places in the inputs
 MASS: Final = 2
 LIMIT: Final = 4
 Coefficients = tuple[float, float, float, float, float, float, float, float, float, float]
@@ -34,7 +34,7 @@ Rendered = tuple[float, float, float, float, float, float, float, float, LawStat
 
 
 def render(
-    x: float, state: LawState, environment: Environment, coefficients: Coefficients
+    x: float, state: LawState, environment: LawInputs, coefficients: Coefficients
 ) -> Rendered:
     """One tick of the law at position `x` [m].
 

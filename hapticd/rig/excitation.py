@@ -15,7 +15,8 @@ import numpy as np
 
 from hapticd.analysis.arrays import Floats
 from hapticd.client.client import Client
-from hapticd.rig.played import Environment, play
+from hapticd.environment import Environment
+from hapticd.rig.played import play
 from hapticd.units import PROBE_RATE_HZ
 
 CENTRE = Environment(20.0, 0.3)  # weak: it keeps the handle in the middle

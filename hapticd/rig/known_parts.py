@@ -9,9 +9,9 @@ What would break it: a part so large that the display with it is not passive.
 
 from dataclasses import dataclass
 
+from hapticd.environment import Environment
 from hapticd.rig.excitation import CENTRE
 from hapticd.rig.hand import Request
-from hapticd.rig.played import Environment
 
 BESIDE = CENTRE  # what is rendered beside
 SECONDS = 20.0
@@ -53,7 +53,7 @@ class Part:
 
 def parts_of(known: KnownParts) -> list[Part]:
     """The parts that are asked for, in their order."""
-    stiffness, damping, mass = BESIDE
+    stiffness, damping, mass = BESIDE.free
     k = known.stiffness_n_per_m
     b = known.damping_ns_per_m
     m = known.mass_kg

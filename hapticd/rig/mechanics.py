@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hapticd.analysis.verdict import student_quantile
-from hapticd.params import FilterParams
+from hapticd.environment import FilterParams
 from hapticd.rig.balance import NAMES, Balance
 from hapticd.rig.played import Played
 from hapticd.rig.result import UPPER_END, Value

@@ -10,7 +10,7 @@ What would break it: lost ticks or samples (refused: they leave a hole in the mo
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from hapticd.analysis.arrays import Floats
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
+from hapticd.environment import Environment
 from hapticd.errors import AnalysisError
 from hapticd.params import ScaleParams
 from hapticd.rig.push import ready
@@ -29,14 +30,6 @@ from hapticd.units import PROBE_RATE_HZ, US_PER_S
 REST_S = 0.6
 RAMP_S = 0.5
 SAMPLE_US = US_PER_S / PROBE_RATE_HZ
-
-
-class Environment(NamedTuple):
-    """What is rendered meanwhile."""
-
-    stiffness_n_per_m: float
-    virtual_damping_ns_per_m: float
-    mass_kg: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +60,7 @@ def play(bench: Client, waveform_n: Floats, environment: Environment) -> Played:
 
     AnalysisError where force ends meanwhile, the handle leaves its travel, or records are lost.
     """
-    stiffness, damping, mass = environment
+    stiffness, damping, mass = environment.free
     with measuring(bench) as lease, ready(bench):
         bench.set(K=stiffness, B=damping, M=mass, ramp_s=RAMP_S)
         bench.perturb_load(waveform_n)

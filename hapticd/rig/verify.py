@@ -42,7 +42,7 @@ from hapticd.analysis.impedance import Impedance, impedance
 from hapticd.analysis.loop import derivatives, held
 from hapticd.analysis.spectra import DEFAULT_LAG, spa
 from hapticd.client.client import Client
-from hapticd.params import FilterParams
+from hapticd.environment import FilterParams
 from hapticd.recording.calibrations import doubts
 from hapticd.rig import vectors
 from hapticd.rig.excitation import loudest_n, noise
@@ -161,7 +161,7 @@ def expected(part: Part, frequency_hz: Floats, way: Rendering) -> Complexes:
         return np.asarray(added)
     turn = np.exp(s / way.rate_hz)
     velocity, acceleration = derivatives(turn, way.rate_hz, way.filters)
-    stiffness, damping, mass = np.array(part.environment) - np.array(BESIDE)
+    stiffness, damping, mass = np.array(part.environment.free) - np.array(BESIDE.free)
     path = held(frequency_hz, way.rate_hz, way.delay_us * way.rate_hz / US_PER_S)
     if way.smoothing_hz:
         path = path / (1.0 + 1j * frequency_hz / way.smoothing_hz)

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 from hapticd.mailbox.layout import Flag
 from hapticd.params import ServoParams
-from hapticd.render.law import Coefficients, Environment, LawState, render
+from hapticd.render.law import Coefficients, LawInputs, LawState, render
 from hapticd.render.ramp import Ramp
 from hapticd.servo import ramp_energy
 from hapticd.servo.plan import Plan, Settled, environment_of
@@ -46,7 +46,7 @@ class Step(NamedTuple):
     """A step of the parameters, and what is then rendered."""
 
     plan: Plan
-    environment: Environment
+    environment: LawInputs
 
 
 class Here(NamedTuple):
@@ -56,7 +56,7 @@ class Here(NamedTuple):
     v: float  # m/s, as the law has it
     force_n: float  # with the parameters of the last tick
     law: LawState
-    environment: Environment  # that was in force in the last tick
+    environment: LawInputs  # that was in force in the last tick
     coefficients: Coefficients
     tick: int
     last_tick: int

@@ -24,6 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+from hapticd.environment import FIELDS, FilterParams, WorkspaceParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import (
     ANY_TERMS,
@@ -35,9 +36,9 @@ from hapticd.mailbox.layout import (
     following,
     value_limits,
 )
-from hapticd.params import FilterParams, ServoParams, WorkspaceParams
+from hapticd.params import ServoParams
 from hapticd.render.energy import Ledger
-from hapticd.render.law import Coefficients, Environment, LawState, design_coefficients
+from hapticd.render.law import Coefficients, LawInputs, LawState, design_coefficients
 from hapticd.render.ramp import Ramp, approach, constant
 from hapticd.render.winding import Winding, unheated
 from hapticd.servo.commissioning import Push
@@ -53,15 +54,7 @@ CONTROL_SLEW_NS_PER_M_S: Final = 2000.0  # of active damping that the energy con
 Wave = tuple[int, int, bool]  # perturbation: number of its command (0: none), samples, loop
 NO_WAVE: Wave = (0, 0, False)
 WAVE_COMMAND: Final = 0  # place in a Wave
-BUMPLESS = (
-    Value.STIFFNESS,
-    Value.VIRTUAL_DAMPING,
-    Value.MASS,
-    Value.WALL_STIFFNESS,
-    Value.WALL_VIRTUAL_DAMPING,
-    Value.WALL_POSITION,
-    Value.WALL_SIDE,
-)
+BUMPLESS = tuple(Value(one.slot) for one in FIELDS if one.ramped)
 ADDED = frozenset({Value.ACTIVE_DAMPING, Value.ACTIVE_DAMPING_ON})  # active damping
 FILTERED = (
     Value.VIRTUAL_DAMPING,
@@ -150,16 +143,7 @@ class Scheduled(NamedTuple):
 def initial_plan(params: ServoParams) -> Plan:
     """Disabled, everything as configured, active damping off."""
     environment = params.environment
-    wall = environment.wall
-    start = (
-        environment.stiffness_n_per_m,
-        environment.virtual_damping_ns_per_m,
-        environment.mass_kg,
-        wall.stiffness_n_per_m,
-        wall.virtual_damping_ns_per_m,
-        wall.position_m,
-        float(wall.side),
-    )
+    start = environment.row()
     return Plan(
         state=State.DISABLED,
         since_tick=0,
@@ -172,11 +156,8 @@ def initial_plan(params: ServoParams) -> Plan:
         wave=NO_WAVE,
         gain=constant(0.0),
         fade=constant(0.0),
-        values={
-            int(place): constant(boxed(place, value, params))
-            for place, value in zip(BUMPLESS, start, strict=True)
-        },
-        filters=(environment.velocity_filter, environment.acceleration_filter),
+        values={int(place): constant(boxed(place, start[place], params)) for place in BUMPLESS},
+        filters=environment.filters,
         active_damping_asked=params.active_damping_ns_per_m,
         active_damping_on=False,
         added=0.0,
@@ -315,7 +296,7 @@ class Settled:
     """What a tick needs of the plan, in the form it needs it; holds until the next transition."""
 
     wake_tick: int  # look at the plan again at this tick
-    environment: Environment  # the law's numbers, as `render` takes them
+    environment: LawInputs  # the law's numbers, as `render` takes them
     coefficients: Coefficients  # of its filters
     out_flags: int  # of the OUT frame
     damping_count: int  # of the OUT frame
@@ -406,7 +387,7 @@ class FlatPlan(NamedTuple):
     """What a tick needs of a plan, and how long it holds."""
 
     wake_tick: int  # look at the plan again at this tick
-    environment: Environment  # the law's numbers
+    environment: LawInputs  # the law's numbers
     damping_count: int
     blob: bytes  # layout.PLAN, for the record
 
@@ -504,9 +485,7 @@ def standing_flags(plan: Plan) -> int:
     return int(Flag.CONTROLLED) if plan.control.places else 0
 
 
-def environment_of(
-    plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: float
-) -> Environment:
+def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: float) -> LawInputs:
     """The law's numbers at `tick`.
 
     K-B-M, walls, ends of the workspace and the limit all carry the gain: it is one of the force, so

@@ -32,7 +32,7 @@ acts and parameters move past `eased`.
 from typing import Final, NamedTuple
 
 from hapticd.mailbox.layout import Value
-from hapticd.render.law import Environment
+from hapticd.render.law import LawInputs
 from hapticd.render.ramp import Ramp
 from hapticd.servo.plan import Booking, Plan
 
@@ -63,7 +63,7 @@ def spring_energy(stiffness: float, deflection: float, limit: float) -> float:
     return clamped if stiffness > 0.0 else -clamped
 
 
-def stored(environment: Environment, x: float, v: float) -> Stored:
+def stored(environment: LawInputs, x: float, v: float) -> Stored:
     """What the elements of `environment` store at `x` [m] and `v` [m/s]."""
     stiffness, _, mass, _, limit, wall_k, _, wall_x, side, lower, upper, end_k = environment
     depth = max(0.0, (x - wall_x) * side)

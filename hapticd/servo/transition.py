@@ -24,7 +24,7 @@ from hapticd.render.law import (
     LIMIT,
     MASS,
     Coefficients,
-    Environment,
+    LawInputs,
     LawState,
     at_rest,
     clamp,
@@ -452,7 +452,7 @@ def bar(host: int) -> Result | None:
     return Result.REFUSED_RATE if host & RATE_NOT_HELD else None
 
 
-def pushing(force_n: float, limit_n: float) -> Environment:
+def pushing(force_n: float, limit_n: float) -> LawInputs:
     """The law's numbers for a force alone."""
     return 0.0, 0.0, 0.0, force_n, limit_n, 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0
 
@@ -477,7 +477,7 @@ def bridge(
     law: LawState,
     ledger: Ledger,
     positions: Sequence[float],
-    environment: Environment,
+    environment: LawInputs,
     coefficients: Coefficients,
     resistance: float,
     kept: float,

@@ -7,11 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from hapticd.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.params import (
     BoardParams,
     DeviceParams,
-    EnvironmentParams,
-    FilterParams,
     GatewayParams,
     GuardParams,
     HandParams,
@@ -24,8 +23,6 @@ from hapticd.params import (
     ServoParams,
     TouchParams,
     UsbParams,
-    WallParams,
-    WorkspaceParams,
 )
 from hapticd.plant.effects import (
     DampingDac,
@@ -43,7 +40,7 @@ from hapticd.plant.effects import (
     WorkspaceEnds,
     sample_timing,
 )
-from hapticd.settings.config import Environment, SimulatedBoard, Touch
+from hapticd.settings.config import EnvironmentTable, SimulatedBoard, Touch
 from hapticd.settings.device import DeviceFile, Travel, effects_of, signs_hash
 from hapticd.settings.load import Settings
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
@@ -362,10 +359,10 @@ def _winding(force_n_per_a: float, resistance_ohm: float, reference_c: float) ->
     }
 
 
-def environment_params(asked: Environment, travel: Travel) -> EnvironmentParams:
+def environment_params(asked: EnvironmentTable, travel: Travel) -> Environment:
     """What is rendered, with the soft ends inside the device's travel."""
     ends = asked.workspace
-    return EnvironmentParams(
+    return Environment(
         stiffness_n_per_m=asked.stiffness_n_per_m,
         virtual_damping_ns_per_m=asked.virtual_damping_ns_per_m,
         mass_kg=asked.mass_kg,

@@ -8,14 +8,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from hapticd.environment import FIELDS, Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.params import (
     LONGEST_LEASE_S,
     SHORTEST_LEASE_S,
     AtEnd,
     BasisName,
     BoardParams,
-    EnvironmentParams,
-    FilterParams,
     GatewayParams,
     GuardParams,
     HandParams,
@@ -26,12 +25,10 @@ from hapticd.params import (
     ServoParams,
     TouchParams,
     UsbParams,
-    WallParams,
-    WorkspaceParams,
 )
 from hapticd.settings.tables import TomlTable
 
-_environment = EnvironmentParams()
+_environment = Environment()
 _wall = WallParams()
 _ends = WorkspaceParams()
 _safety = SafetyParams()
@@ -45,17 +42,20 @@ _hand = HandParams("hold")
 _touch = TouchParams()
 _active_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["active_damping_ns_per_m"].default
 
-Stiffness = Annotated[float, Field(ge=-1e4, le=1e5)]
-VirtualDamping = Annotated[float, Field(ge=-1e2, le=1e3)]
 LONGEST_TIMEOUT_MS = 5  # of a transfer, for which docs/safety.md says when force is gone
 LAST_TICK = 10**12  # of an injection: 30 years at 1 kHz
 Duration = Annotated[float, Field(ge=0, le=60)]
 
 
+_RANGES: dict[str, Any] = {one.path: {"ge": one.low, "le": one.high} for one in FIELDS}
+FrequencyHz = Annotated[float, Field(**_RANGES["velocity_filter.frequency_hz"])]
+DampingRatio = Annotated[float, Field(**_RANGES["velocity_filter.damping_ratio"])]
+
+
 class Filter(TomlTable):
-    frequency_hz: float = Field(ge=0.1, le=1e5)
+    frequency_hz: FrequencyHz
     """Corner of the second-order low-pass; at most 0.45 of the servo rate."""
-    damping_ratio: float = Field(FilterParams(1.0).damping_ratio, ge=0.05, le=10)
+    damping_ratio: DampingRatio = FilterParams(1.0).damping_ratio
     """0.7071 is Butterworth."""
     mapping: Literal["prewarped", "bilinear", "matched"] = "prewarped"
     """How the filter is made discrete."""
@@ -66,9 +66,11 @@ def _filter(default: FilterParams) -> Filter:
 
 
 class WallTable(TomlTable):
-    stiffness_n_per_m: float = Field(_wall.stiffness_n_per_m, ge=0, le=1e5)
-    virtual_damping_ns_per_m: float = Field(_wall.virtual_damping_ns_per_m, ge=0, le=1e3)
-    position_m: float = Field(_wall.position_m, ge=-10, le=10)
+    stiffness_n_per_m: float = Field(_wall.stiffness_n_per_m, **_RANGES["wall.stiffness_n_per_m"])
+    virtual_damping_ns_per_m: float = Field(
+        _wall.virtual_damping_ns_per_m, **_RANGES["wall.virtual_damping_ns_per_m"]
+    )
+    position_m: float = Field(_wall.position_m, **_RANGES["wall.position_m"])
     side: Literal[-1, 0, 1] = 0
     """+1: solid beyond the position, -1: solid before it, 0: no wall."""
 
@@ -80,12 +82,14 @@ class Workspace(TomlTable):
     """How far before each end of travel they begin."""
 
 
-class Environment(TomlTable):
+class EnvironmentTable(TomlTable):
     """What is rendered at start; `hapticd set` changes it live."""
 
-    stiffness_n_per_m: Stiffness = _environment.stiffness_n_per_m
-    virtual_damping_ns_per_m: VirtualDamping = _environment.virtual_damping_ns_per_m
-    mass_kg: float = Field(_environment.mass_kg, ge=-1, le=10)
+    stiffness_n_per_m: float = Field(_environment.stiffness_n_per_m, **_RANGES["stiffness_n_per_m"])
+    virtual_damping_ns_per_m: float = Field(
+        _environment.virtual_damping_ns_per_m, **_RANGES["virtual_damping_ns_per_m"]
+    )
+    mass_kg: float = Field(_environment.mass_kg, **_RANGES["mass_kg"])
     velocity_filter: Filter = _filter(_environment.velocity_filter)
     acceleration_filter: Filter = _filter(_environment.acceleration_filter)
     wall: WallTable = WallTable()
@@ -298,7 +302,7 @@ class Config(TomlTable):
     """Name of a device file (devices/NAME.toml beside this file, else a shipped one), or a path."""
     active_damping_ns_per_m: float = Field(_active_damping_ns_per_m, ge=0)
     """Active damping that `hapticd damping on` asks for."""
-    environment: Environment = Environment()
+    environment: EnvironmentTable = EnvironmentTable()
     safety: Safety = Safety()
     realtime: Realtime = Realtime()
     usb: Usb = Usb()

@@ -23,7 +23,7 @@ from hapticd.errors import ConfigError
 from hapticd.params import RealtimeParams
 from hapticd.plant.scene import DampingStep, Excitation, Scene
 from hapticd.settings.build import converter_effects, environment_params
-from hapticd.settings.config import Config, Environment
+from hapticd.settings.config import Config, EnvironmentTable
 from hapticd.settings.device import DeviceFile, effects_of
 from hapticd.settings.load import chosen_rules, find_device, model_rules, report, validated
 from hapticd.settings.tables import TomlTable, Where
@@ -86,7 +86,7 @@ class SceneFile(TomlTable):
     """Of the servo."""
     allow_unstable: bool = False
     """Simulate a device whose damping circuit oscillates by itself."""
-    environment: Environment = Environment()
+    environment: EnvironmentTable = EnvironmentTable()
     active_damping: tuple[DampingStepTable, ...] = Field((), strict=False)
     excitation: ExcitationTable = ExcitationTable()
     start: Start = Start()

@@ -24,6 +24,7 @@ import numpy as np
 
 from hapticd.analysis.alignment import find_marks
 from hapticd.analysis.arrays import Integers
+from hapticd.environment import Environment
 from hapticd.errors import AnalysisError
 from hapticd.recording.stretch import (
     JSON_ATTRIBUTES,
@@ -33,7 +34,7 @@ from hapticd.recording.stretch import (
     stretch,
 )
 from hapticd.units import PROBE_RATE_HZ
-from hapticd.zwidth.store import MARK_SAMPLE, RenderedEnvironment, TrialRecord, to_json
+from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord, to_json
 from hapticd.zwidth.watch import in_even_time
 
 BEFORE = 2 * PROBE_RATE_HZ  # samples before a trial in which its mark is looked for
@@ -86,7 +87,9 @@ def _cut(
             "slots": trial.slots,
             **_mark(column, trial.first, index),
         },
-        rendered=RenderedEnvironment(trial.environment, trial.active_damping_ns_per_m),
+        rendered=Environment(
+            *trial.environment, active_damping_ns_per_m=trial.active_damping_ns_per_m
+        ),
     )
     return in_even_time(recorded, index[part])
 

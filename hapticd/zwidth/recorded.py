@@ -27,6 +27,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from hapticd.analysis.arrays import Floats, Integers
+from hapticd.environment import Environment
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.extras import need
 from hapticd.recording.file import is_recording, open_recording
@@ -43,7 +44,6 @@ from hapticd.zwidth.store import (
     RESTS_ON,
     SUMMARY,
     LossesBy,
-    RenderedEnvironment,
     TrialRecord,
     origin_of,
     read_summary,
@@ -174,7 +174,6 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> Tri
         stated = origin_of(read_summary(path.parent))
     if "environment" not in stated or "simulated" not in stated:
         return recorded
-    stiffness, damping, mass = stated["environment"].values()
     return replace(
         recorded,
         origin=f"{path.name} of a trial: {stated['origin']}",
@@ -182,7 +181,9 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> Tri
         ended=stated.get("ended", ""),
         max_command_n=stated.get("max_command_n"),
         command_limit_n=stated.get("command_limit_n"),
-        rendered=RenderedEnvironment((stiffness, damping, mass), stated["active_damping_ns_per_m"]),
+        rendered=Environment(active_damping_ns_per_m=stated["active_damping_ns_per_m"]).with_free(
+            tuple(stated["environment"].values())
+        ),
         more={name: stated[name] for name in (*COUNTS, MARK_SAMPLE, *RESTS_ON) if name in stated},
     )
 

@@ -26,8 +26,8 @@ from hapticd.analysis.predict import (
     recorded_impedances,
 )
 from hapticd.analysis.spectra import DEFAULT_LAG
+from hapticd.environment import Environment, FilterParams, WallParams
 from hapticd.errors import ConfigError
-from hapticd.params import EnvironmentParams, FilterParams, WallParams
 from hapticd.plant.compose import compose
 from hapticd.plant.effects import ALWAYS
 from hapticd.plant.model import Model
@@ -47,8 +47,7 @@ SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
 
 def point(scene: Scene) -> tuple[float, float, float]:
     """K [N/m], B [Ns/m], M [kg] that the scene renders."""
-    rendered = scene.environment
-    return rendered.stiffness_n_per_m, rendered.virtual_damping_ns_per_m, rendered.mass_kg
+    return scene.environment.free
 
 
 def level(scene: Scene) -> float:
@@ -58,10 +57,10 @@ def level(scene: Scene) -> float:
 
 def filters(scene: Scene) -> tuple[FilterParams, FilterParams]:
     """The filters of velocity and acceleration."""
-    return scene.environment.velocity_filter, scene.environment.acceleration_filter
+    return scene.environment.filters
 
 
-def free_of_walls(scene: Scene) -> EnvironmentParams:
+def free_of_walls(scene: Scene) -> Environment:
     """The environment without its wall, which has no impedance of its own."""
     return replace(scene.environment, wall=WallParams())
 

@@ -21,10 +21,11 @@ from math import nan
 import numpy as np
 
 from hapticd.analysis.arrays import Floats
+from hapticd.environment import Environment
 from hapticd.errors import AnalysisError
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.zwidth import scenes
-from hapticd.zwidth.store import Progress, RenderedEnvironment, TrialRecord
+from hapticd.zwidth.store import Progress, TrialRecord
 from hapticd.zwidth.watch import Sentinel, Watch
 
 LEAST_KEPT_S = 8.0
@@ -102,7 +103,7 @@ def given(
     scene: Scene | None,
     named: bool,
     recorded: TrialRecord | None = None,
-) -> RenderedEnvironment:
+) -> Environment:
     """What is rendered; `named`: the user named `scene`. AnalysisError where a record was made in
     something else than what was typed.
     """
@@ -110,30 +111,23 @@ def given(
     if stated is not None:
         _agrees(recorded.origin if recorded else "", typed, active_damping_ns_per_m, stated)
         return stated
-    known = (
-        RenderedEnvironment(scenes.point(scene), scenes.level(scene))
-        if scene
-        else RenderedEnvironment()
-    )
-    others = known.environment if named or typed == (None, None, None) else (0.0, 0.0, 0.0)
-    stiffness, damping, mass = (
-        other if own is None else own for own, other in zip(typed, others, strict=True)
-    )
-    level = (
-        known.active_damping_ns_per_m
-        if active_damping_ns_per_m is None
-        else active_damping_ns_per_m
-    )
-    return RenderedEnvironment((stiffness, damping, mass), level)
+    others = Environment().free
+    if scene and (named or typed == (None, None, None)):
+        others = scenes.point(scene)
+    free = [other if own is None else own for own, other in zip(typed, others, strict=True)]
+    level = active_damping_ns_per_m
+    if level is None:
+        level = scenes.level(scene) if scene else 0.0
+    return Environment(active_damping_ns_per_m=level).with_free(free)
 
 
 def _agrees(
-    origin: str, typed: Typed, active_damping_ns_per_m: float | None, stated: RenderedEnvironment
+    origin: str, typed: Typed, active_damping_ns_per_m: float | None, stated: Environment
 ) -> None:
     every = zip(
         (*NAMES, ("active damping", "N s/m")),
         (*typed, active_damping_ns_per_m),
-        (*stated.environment, stated.active_damping_ns_per_m),
+        (*stated.free, stated.active_damping_ns_per_m),
         strict=True,
     )
     for (name, unit), said, known in every:

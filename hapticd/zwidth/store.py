@@ -32,6 +32,7 @@ import numpy as np
 from pydantic_core import to_jsonable_python
 
 from hapticd.analysis.arrays import Floats
+from hapticd.environment import Environment
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.faults import BY_CODE
 
@@ -126,16 +127,6 @@ def _listed(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 
-@dataclass(frozen=True, slots=True)
-class RenderedEnvironment:
-    """K [N/m], B [N s/m], M [kg] that were rendered, and the active damping [N s/m] beside
-    them.
-    """
-
-    environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    active_damping_ns_per_m: float = 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class TrialRecord:
     """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time, "" if
@@ -155,7 +146,7 @@ class TrialRecord:
     max_command_n: float | None = None
     command_limit_n: float | None = None
     more: Mapping[str, Any] = field(default_factory=dict)
-    rendered: RenderedEnvironment | None = None
+    rendered: Environment | None = None
 
     @property
     def seconds(self) -> float:

@@ -14,6 +14,7 @@ from support.recorded import RecordedFlight, Source, room
 
 from hapticd.cli.app import main
 from hapticd.clock import VirtualClock
+from hapticd.environment import Environment
 from hapticd.errors import AnalysisError, ConfigError, HapticdError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.recording import pack
@@ -22,7 +23,6 @@ from hapticd.recording.recorder import Recorder, RecordingParams, record
 from hapticd.units import NS_PER_S
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import given
-from hapticd.zwidth.store import RenderedEnvironment
 
 SECONDS = 8
 
@@ -71,7 +71,7 @@ def test_recording_and_its_exports_are_the_same_trial(name, files, flight):
     assert np.array_equal(found.force_n, whole.force_n)
     assert np.array_equal(found.velocity_m_per_s, whole.velocity_m_per_s)
     assert (found.rate_hz, found.simulated) == (4000.0, True)
-    assert found.rendered == RenderedEnvironment((50.0, 2.0, 0.0), 1.74)
+    assert found.rendered == Environment(50.0, 2.0, 0.0, active_damping_ns_per_m=1.74)
     assert found.seconds == pytest.approx(SECONDS - 1.0, abs=0.05)
     assert found.more["device_name"] == flight.params.device.name
     assert found.more["lost_samples"] == found.more["lost_slots"] == 0

@@ -15,7 +15,6 @@ from support.guard_device import (
 
 from hapticd.analysis.allowed import intervals
 from hapticd.analysis.bases import LEVELS, Conditions, Theorem, cached_levels, model_of
-from hapticd.analysis.displays import Display
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
 from hapticd.analysis.theorem import (
@@ -26,18 +25,25 @@ from hapticd.analysis.theorem import (
     required_damping,
     within,
 )
-from hapticd.params import WallParams
+from hapticd.environment import Environment
 from hapticd.plant.compose import compose
 from hapticd.zwidth.scenes import device_scene
 
 T_S = 1e-3
 
 
-def display(k: float, b: float = 0.0, m: float = 0.0, added: float = 0.0) -> Display:
+def display(k: float, b: float = 0.0, m: float = 0.0, added: float = 0.0) -> Environment:
     first, second = PAPER_FILTERS
     assert first is not None
     assert second is not None
-    return Display(k, b, m, WallParams(), (first, second), added)
+    return Environment(
+        k,
+        b,
+        m,
+        velocity_filter=first,
+        acceleration_filter=second,
+        active_damping_ns_per_m=added,
+    )
 
 
 def conditions(spare: float = 0.0, delay: float = 0.0) -> Conditions:

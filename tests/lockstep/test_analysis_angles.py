@@ -9,10 +9,9 @@ from hapticd.analysis.allowed import Judgement, intervals
 from hapticd.analysis.angles import angles_of, least_between, unresolved_hz
 from hapticd.analysis.bases import Conditions, Theorem
 from hapticd.analysis.coupled import GROUND, Network, coupled_radius
-from hapticd.analysis.displays import Display
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.loop import PAPER_FILTERS
-from hapticd.params import WallParams
+from hapticd.environment import Environment
 from hapticd.plant.effects import Coupling, Masses, Motor, Viscous
 from hapticd.settings.guard import model_params
 
@@ -91,7 +90,7 @@ def test_no_value_below_is_made_of_a_straight_line():
 
 
 def display(point):
-    return Display(*point, WallParams(), PAPER_FILTERS, 0.0)
+    return Environment(*point, *PAPER_FILTERS)
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -347,20 +347,20 @@ def test_growth_is_told_by_the_time_in_which_it_doubles() -> None:
 
 def test_hand_is_put_into_words() -> None:
     display = FREE | {"K": 150.0, "B": 1.0}
-    asked = {"ask": "hand", "n": 3, "display": display, "delay_periods": None}
+    asked = {"ask": "hand", "n": 3, "environment": display, "delay_periods": None}
     hand = shipped_judge().answer(asked)["hand"]
     assert hand["radius"] > 1.0
     assert hand["text"].startswith(("a mass of", "a spring of"))
     assert hand["growth"] == f"its motion {doubling(hand['radius'], 1000.0)}"
     assert f"{hand['hz']:.3g} Hz" in hand["text"]
-    safe = shipped_judge().answer(asked | {"display": FREE})
+    safe = shipped_judge().answer(asked | {"environment": FREE})
     assert safe == {"n": 3, "hand": None}
 
 
 def test_hand_that_is_named_shakes_harder_than_the_one_where_growth_was_guessed() -> None:
     display = FREE | {"K": 500.0, "B": 2.0}
     judge = shipped_judge()
-    asked = {"ask": "hand", "n": 3, "display": display, "delay_periods": None}
+    asked = {"ask": "hand", "n": 3, "environment": display, "delay_periods": None}
     hand = judge.answer(asked)["hand"]
     verdict = change(judge, {"K": 500.0, "B": 2.0}, policy="warn")["verdict"]
     assert hand["hz"] == pytest.approx(verdict["worst_hz"], rel=0.01)

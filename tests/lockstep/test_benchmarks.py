@@ -33,9 +33,9 @@ from benchmarks.tick_c import CReference, check_same_work, compile_library
 from benchmarks.tick_reference import yardstick
 from benchmarks.tick_worker import own_ns
 from benchmarks.worker import BenchError
+from hapticd.environment import Environment
 from hapticd.errors import DaemonDown
 from hapticd.mailbox import layout
-from hapticd.params import EnvironmentParams
 from hapticd.plant.compose import compose
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.settings.build import board_params, servo_params
@@ -290,9 +290,9 @@ def test_empty_board_answers_every_write() -> None:
     port = EmptyBoard(board)
     assert codec.decode_in(port.poll_in(0) or b"").status == frames.StatusBit.SIMULATED
     assert (
-        BareLoop(
-            servo_params(stand, "bench").usb, board, yardstick(EnvironmentParams(), 1000.0)
-        ).cpu_s(20)
+        BareLoop(servo_params(stand, "bench").usb, board, yardstick(Environment(), 1000.0)).cpu_s(
+            20
+        )
         > 0.0
     )
 

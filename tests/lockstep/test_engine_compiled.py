@@ -6,13 +6,13 @@ from support.devices import COUNTS, DRY, LIMIT, RIGID, TWO_MASSES, device
 from support.models import environment_tuple
 
 from hapticd.engine import simulate
-from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
+from hapticd.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.plant.effects import Saturation, Viscous
 from hapticd.plant.scene import Excitation
 from hapticd.render.law import at_rest, design_coefficients, render
 
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [600.0, 0.5, -0.002], [5000.0, 8.0, 0.001]]
-SOLID = EnvironmentParams(
+SOLID = Environment(
     velocity_filter=FilterParams(120.0, 1.1, "matched"),
     wall=WallParams(
         stiffness_n_per_m=3000.0, virtual_damping_ns_per_m=2.0, position_m=3e-5, side=1
@@ -23,7 +23,7 @@ SOLID = EnvironmentParams(
 
 def replayed(positions, kbm, environment, limit_n, scalar):
     """Forces of `render` in CPython over `positions`, all numbers of type `scalar`."""
-    params = EnvironmentParams(
+    params = Environment(
         *kbm,
         environment.velocity_filter,
         environment.acceleration_filter,
@@ -44,9 +44,7 @@ def replayed(positions, kbm, environment, limit_n, scalar):
 
 
 @pytest.mark.parametrize(("dtype", "scalar"), [("f64", np.float64), ("f32", np.float32)])
-@pytest.mark.parametrize(
-    "environment", [EnvironmentParams(), SOLID], ids=["plain", "wall and ends"]
-)
+@pytest.mark.parametrize("environment", [Environment(), SOLID], ids=["plain", "wall and ends"])
 def test_forces_equal_cpython_to_the_bit(environment, dtype, scalar):
     model = device(*TWO_MASSES, DRY, COUNTS, Saturation(limit_n=0.4))
     result = simulate(model, TRIALS, 2.0, environment=environment, dtype=dtype, keep="ticks")

@@ -20,7 +20,7 @@ from support.devices import (
 from support.engine_exact import largest_error
 
 from hapticd.engine import simulate
-from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
+from hapticd.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.plant.effects import AntiAlias, VelocityHighpass
 
 
@@ -62,7 +62,7 @@ def test_servo_rate_filters_walls_and_ends_reach_the_law():
     wall = WallParams(
         stiffness_n_per_m=2000.0, virtual_damping_ns_per_m=1.0, position_m=1e-4, side=1
     )
-    environment = EnvironmentParams(
+    environment = Environment(
         velocity_filter=FilterParams(200.0, 1.0, "matched"),
         wall=wall,
         workspace=WorkspaceParams(-2e-4, 1.5e-4, 800.0),

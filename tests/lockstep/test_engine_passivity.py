@@ -11,7 +11,7 @@ from support.devices import rigid
 
 from hapticd.analysis.theorem import required_damping
 from hapticd.engine import simulate
-from hapticd.params import FilterParams
+from hapticd.environment import FilterParams
 from hapticd.plant.scene import Excitation
 
 RAW = (None, None)

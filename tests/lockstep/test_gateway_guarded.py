@@ -135,7 +135,7 @@ def test_hand_follows_as_an_event(rig: DeskRig, worker: StubWorker) -> None:
     (event,) = [one for one in rig.journal.drain() if one["kind"] == "guard"]
     assert (event["id"], event["cmd"], event["number"]) == (9, "set", error["guard"]["number"])
     assert event["text"] == "a hand that would shake the device: a mass of 120 g, at 34 Hz"
-    assert worker.asked[-1]["display"]["K"] == 100
+    assert worker.asked[-1]["environment"]["K"] == 100
 
 
 @pytest.mark.parametrize("policy", ["off", "warn"])

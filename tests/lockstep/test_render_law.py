@@ -11,7 +11,7 @@ from numba import njit
 from scipy import signal
 from support.models import environment_tuple
 
-from hapticd.params import EnvironmentParams, FilterParams, WallParams, WorkspaceParams
+from hapticd.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.render import law
 from hapticd.render.law import at_rest, design_coefficients, render
 
@@ -53,7 +53,7 @@ def reference(positions, params):
 def test_force_equals_scipy_reference(k, b, m):
     rng = np.random.default_rng(1)
     positions = 1e-3 + np.cumsum(rng.integers(-40, 41, 20_000)) * 0.5e-6
-    params = EnvironmentParams(k, b, m)
+    params = Environment(k, b, m)
     force, v, a = fly(positions.tolist(), params)
     expected, v_expected, a_expected = reference(positions, params)
     for ours, theirs in ((force, expected), (v, v_expected), (a, a_expected)):
@@ -62,7 +62,7 @@ def test_force_equals_scipy_reference(k, b, m):
 
 
 def test_constant_speed_gives_exact_damping_force():
-    params = EnvironmentParams(virtual_damping_ns_per_m=2.0)
+    params = Environment(virtual_damping_ns_per_m=2.0)
     force, v, a = fly([1e-5 * n for n in range(2000)], params)
     assert v[-1] == pytest.approx(0.01, rel=1e-12)
     assert force[-1] == pytest.approx(-0.02, rel=1e-12)
@@ -70,7 +70,7 @@ def test_constant_speed_gives_exact_damping_force():
 
 
 def test_constant_acceleration_gives_exact_inertia_force():
-    params = EnvironmentParams(mass_kg=0.01)
+    params = Environment(mass_kg=0.01)
     force, _, _ = fly([0.5 * 3.0 * (n / RATE_HZ) ** 2 for n in range(3000)], params)
     assert force[-1] == pytest.approx(-0.03, rel=1e-6)
 
@@ -145,7 +145,7 @@ def test_numba_and_cpython_agree_to_the_bit():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_force_is_finite_whatever_the_position(bad):
-    numbers = environment_tuple(EnvironmentParams(100.0, 1.0, 0.01), 8.0)
+    numbers = environment_tuple(Environment(100.0, 1.0, 0.01), 8.0)
     force = render(bad, at_rest(0.0), numbers, BUTTERWORTH)[0]
     assert -8.0 <= force <= 8.0
 
@@ -169,7 +169,7 @@ def test_wall_pushes_only_outwards_and_only_inside():
 
 
 def test_workspace_ends_are_soft_and_symmetric():
-    params = EnvironmentParams(workspace=WorkspaceParams(-0.01, 0.01, 500.0))
+    params = Environment(workspace=WorkspaceParams(-0.01, 0.01, 500.0))
     numbers = environment_tuple(params, 8.0)
     inside, right, left = (
         render(x, at_rest(x), numbers, BUTTERWORTH)[0] for x in (0.005, 0.012, -0.012)
@@ -180,7 +180,7 @@ def test_workspace_ends_are_soft_and_symmetric():
 
 
 def test_wall_field_adds_to_the_environment():
-    params = EnvironmentParams(stiffness_n_per_m=100.0, wall=WallParams(1000.0, 0.0, 0.001, 1))
+    params = Environment(stiffness_n_per_m=100.0, wall=WallParams(1000.0, 0.0, 0.001, 1))
     result = render(0.002, at_rest(0.002), environment_tuple(params, 8.0), BUTTERWORTH)
     assert result[0] == pytest.approx(-0.2 - 1.0)
     assert result[7] == pytest.approx(-1.0)

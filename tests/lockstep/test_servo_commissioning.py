@@ -12,11 +12,12 @@ from support.flight import Flight
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.environment import Environment, WorkspaceParams
 from hapticd.faults import BY_CODE
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import COMMISSIONING, Command, Result, State, Value
-from hapticd.params import EnvironmentParams, HomeParams, ScaleParams, WorkspaceParams
+from hapticd.params import HomeParams, ScaleParams
 from hapticd.servo.commissioning import Push, followed, push_ended
 from hapticd.servo.plan import flatten, unflatten
 
@@ -69,9 +70,7 @@ def test_what_is_out_of_the_box_is_refused_with_the_reason_and_the_way_out():
 
 
 def test_a_configuration_beyond_the_box_begins_at_its_edge():
-    environment = EnvironmentParams(
-        stiffness_n_per_m=500.0, virtual_damping_ns_per_m=5.0, mass_kg=0.1
-    )
+    environment = Environment(stiffness_n_per_m=500.0, virtual_damping_ns_per_m=5.0, mass_kg=0.1)
     params = dataclasses.replace(unverified(), environment=environment)
     flight = Flight(params)
     values = flight.state[0].plan.values
@@ -91,7 +90,7 @@ def test_force_is_a_tenth_of_the_devices_at_most():
 
 def test_soft_ends_do_not_push_where_nobody_knows_the_side():
     ends = WorkspaceParams(lower_m=0.001, upper_m=0.002, stiffness_n_per_m=1000.0)
-    environment = EnvironmentParams(workspace=ends)
+    environment = Environment(workspace=ends)
     found = pushed(dataclasses.replace(unverified(), environment=environment), {}, 800)
     assert not found["force_n"].any()
     known = dataclasses.replace(servo_params(), environment=environment)

@@ -11,10 +11,10 @@ from support.models import COUNT_M, device_params, servo_params
 from hapticd.analysis.theorem import required_damping
 from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
+from hapticd.environment import FilterParams
 from hapticd.faults import BY_NUMBER
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, State, Value, Watched
-from hapticd.params import FilterParams
 from hapticd.render.energy import EMPTY, EXCESS, book
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.servo.monitors import bounds

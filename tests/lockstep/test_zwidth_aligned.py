@@ -16,6 +16,7 @@ from hapticd.assembly.lockstep import scene_params
 from hapticd.cli.app import main
 from hapticd.client.blocks import BlockDecoder
 from hapticd.clock import VirtualClock
+from hapticd.environment import Environment
 from hapticd.errors import AnalysisError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.plant.excitation import MARK_LEAD
@@ -27,7 +28,7 @@ from hapticd.zwidth.live import daemon_source, signals
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import MARK_SAMPLE, RenderedEnvironment
+from hapticd.zwidth.store import MARK_SAMPLE
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial, run_trial, write
 
 SECONDS = 16.0
@@ -291,7 +292,7 @@ def test_recording_of_the_daemon_is_an_own_record_too(tmp_path):
     np.savez(tmp_path / "other.npz", force=force, velocity=velocity)
     found = read_aligned(tmp_path / "other.npz", path)
     alignment = found.more["alignment"]
-    assert found.rendered == RenderedEnvironment((50.0, 2.0, 0.0), 0.0)
+    assert found.rendered == Environment(50.0, 2.0, 0.0, active_damping_ns_per_m=0.0)
     assert (found.more["lost_slots"], found.more["lost_samples"]) == (0, 0)
     assert alignment.clock_ppm == pytest.approx(-PPM, abs=0.1)
     part = slice(alignment.first_sample, alignment.first_sample + found.force_n.size)

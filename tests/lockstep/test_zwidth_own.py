@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from hapticd.cli.app import main
+from hapticd.environment import Environment
 from hapticd.errors import AnalysisError, ConfigError
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import given
-from hapticd.zwidth.store import RenderedEnvironment
 
 
 def test_short_recording_says_that_it_is_too_short(recording_file, tmp_path, capsys):
@@ -62,7 +62,7 @@ def test_record_of_a_trial_keeps_its_badge_far_from_its_folder(hdf5, tmp_path, m
     moved = shutil.copy(tmp_path / "run" / name, tmp_path / f"moved{Path(name).suffix}")
     found = read_file(Path(moved))
     assert found.simulated
-    assert found.rendered == RenderedEnvironment((30.0, 1.0, 0.0), 0.0)
+    assert found.rendered == Environment(30.0, 1.0, 0.0, active_damping_ns_per_m=0.0)
     assert found.max_command_n is not None
 
 
@@ -83,21 +83,11 @@ def test_file_that_is_not_there_is_named(kind, tmp_path):
 def test_what_is_not_given_is_that_of_the_scene_that_was_named_else_0():
     scene = load_scene("fig4")
     for named in (False, True):
-        assert given((None, None, None), None, scene, named) == RenderedEnvironment(
-            (100.0, 1.0, 0.01), 0.0
-        )
-    assert given((500.0, None, None), None, scene, False) == RenderedEnvironment(
-        (500.0, 0.0, 0.0), 0.0
-    )
-    assert given((500.0, None, None), None, scene, True) == RenderedEnvironment(
-        (500.0, 1.0, 0.01), 0.0
-    )
-    assert given((None, 0.0, None), 1.74, scene, False) == RenderedEnvironment(
-        (0.0, 0.0, 0.0), 1.74
-    )
-    assert given((500.0, None, None), None, None, False) == RenderedEnvironment(
-        (500.0, 0.0, 0.0), 0.0
-    )
+        assert given((None, None, None), None, scene, named) == ((100.0, 1.0, 0.01), 0.0)
+    assert given((500.0, None, None), None, scene, False) == ((500.0, 0.0, 0.0), 0.0)
+    assert given((500.0, None, None), None, scene, True) == ((500.0, 1.0, 0.01), 0.0)
+    assert given((None, 0.0, None), 1.74, scene, False) == ((0.0, 0.0, 0.0), 1.74)
+    assert given((500.0, None, None), None, None, False) == ((500.0, 0.0, 0.0), 0.0)
 
 
 @pytest.mark.parametrize("source", ["engine", "lockstep"])

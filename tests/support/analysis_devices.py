@@ -4,7 +4,7 @@ display; and the tick law played on such a device.
 
 import numpy as np
 
-from hapticd.params import EnvironmentParams, FilterParams
+from hapticd.environment import Environment, FilterParams
 from hapticd.plant.compose import compose_device
 from hapticd.plant.discrete import discretise
 from hapticd.plant.effects import (
@@ -72,7 +72,7 @@ def law_on_device(model, point, torque):
     """The true law of the servo around the exact map of the device; the mean velocity at 4 kHz.
     The delay is T/4, T is 1 ms.
     """
-    environment = environment_tuple(EnvironmentParams(*point), 1e9)
+    environment = environment_tuple(Environment(*point), 1e9)
     coefficients = design_coefficients(FilterParams(100.0), FilterParams(72.0), model.rate_hz)
     step = discretise(model, 0.25e-3)
     law = at_rest(0.0)

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.clock import Clock, MonotonicClock, VirtualClock
+from hapticd.environment import Environment
 from hapticd.gateway.view import configured
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.params import (
     DeviceParams,
-    EnvironmentParams,
     GatewayParams,
     GatewaySetup,
     RealtimeParams,
@@ -79,7 +79,7 @@ def setup(instance: str = "default", **gateway: Any) -> GatewaySetup:
     servo = ServoParams(
         instance,
         True,
-        EnvironmentParams(),
+        Environment(),
         device,
         SafetyParams(),
         RealtimeParams(grace_s=0.0),

@@ -7,15 +7,9 @@ from typing import Any
 
 from hapticd.analysis.judge import Judge
 from hapticd.assembly import resolve
+from hapticd.environment import Environment
 from hapticd.mailbox import files
-from hapticd.params import (
-    EnvironmentParams,
-    GuardParams,
-    GuardSetup,
-    ModelParams,
-    OutputParams,
-    from_plain,
-)
+from hapticd.params import GuardParams, GuardSetup, ModelParams, OutputParams, from_plain
 from hapticd.plant.effects import (
     DampingCircuit,
     Delay,
@@ -106,7 +100,7 @@ def setup_of(model: ModelParams | None, ceiling: float = 10.0, **changes: Any) -
         "guard": GuardParams(),
         "config_hash": "hash of the servo",
         "rate_hz": 1000.0,
-        "environment": EnvironmentParams(),
+        "environment": Environment(),
         "active_damping_ns_per_m": 1.74,
         "active_damping_limit_ns_per_m": ceiling,
         "active_damping_count_ns_per_m": 10.0 / 65535,

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from hapticd.params import EnvironmentParams
+from hapticd.environment import Environment
 from hapticd.plant.effects import Coulomb, Effect, Masses, Motor, Viscous
 from hapticd.plant.scene import DampingStep, Excitation, Scene
 
@@ -54,7 +54,7 @@ def scene(
 ) -> Scene:
     """A rigid device under noise, unless told otherwise; `kbm` is what it renders."""
     more = {"excitation": Excitation("noise"), **more}
-    rendered = EnvironmentParams(float(kbm[0]), float(kbm[1]), float(kbm[2]))
+    rendered = Environment(float(kbm[0]), float(kbm[1]), float(kbm[2]))
     return Scene(
         "small",
         "a small scene",

@@ -5,16 +5,16 @@ plain values.
 import dataclasses
 from typing import Any
 
+from hapticd.environment import Environment
 from hapticd.params import (
     DeviceParams,
-    EnvironmentParams,
     RealtimeParams,
     SafetyParams,
     ScaleParams,
     ServoParams,
     UsbParams,
 )
-from hapticd.render.law import Environment
+from hapticd.render.law import LawInputs
 from support.boards import BOARD
 
 COUNT_M = BOARD.position_m_per_count
@@ -49,7 +49,7 @@ def servo_params(**changes: Any) -> ServoParams:
     base = ServoParams(
         instance="test",
         simulated=True,
-        environment=EnvironmentParams(),
+        environment=Environment(),
         device=device_params(),
         safety=SafetyParams(),
         realtime=RealtimeParams(mode="off"),
@@ -59,7 +59,7 @@ def servo_params(**changes: Any) -> ServoParams:
     return dataclasses.replace(base, **changes)
 
 
-def environment_tuple(params: EnvironmentParams, limit_n: float) -> Environment:
+def environment_tuple(params: Environment, limit_n: float) -> LawInputs:
     """`params` as the law takes them, without bias."""
     wall = params.wall
     ends = params.workspace

@@ -9,7 +9,7 @@ from math import floor, pi, sin
 
 import numpy as np
 
-from hapticd.params import EnvironmentParams
+from hapticd.environment import Environment
 from hapticd.plant.friction import stick_one, stick_two
 from hapticd.render.law import at_rest, design_coefficients, render
 from support.models import environment_tuple
@@ -62,7 +62,7 @@ class Straight:
         self.part = (
             response(model, (place - self.at) * h, level) if place - self.at > 1e-9 else None
         )
-        params = environment or EnvironmentParams()
+        params = environment or Environment()
         limit = model.force_limit_n or np.inf
         numbers = (*map(EXACT, kbm), *environment_tuple(params, limit)[3:])
         self.environment = tuple(EXACT(value) for value in numbers)

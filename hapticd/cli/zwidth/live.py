@@ -43,7 +43,8 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
 
     What ends this process meanwhile ends the trial with force off.
     """
-    from hapticd.params import EnvironmentParams, from_plain
+    from hapticd.environment import Environment
+    from hapticd.params import from_plain
     from hapticd.zwidth.scenes import scene_of_device
 
     stack.enter_context(signals_end_with_force_off())
@@ -52,7 +53,7 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
     name = servo["device"]["name"]
     model = scene_of_device(name)
     if model is not None:
-        own = from_plain(EnvironmentParams, servo["environment"])
+        own = from_plain(Environment, servo["environment"])
         filtered = replace(
             model.environment,
             velocity_filter=own.velocity_filter,

@@ -45,7 +45,7 @@ def command(
     asked = given(
         (stiffness, viscous, mass), active_damping, shown.scene if scene else None, bool(scene)
     )
-    k, b, m = asked.environment
+    k, b, m = asked.free
     level = asked.active_damping_ns_per_m
     _require_finite({"-K": k, "-B": b, "-M": m, "--active-damping": level})
     _require_within(scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "active_damping": level})

@@ -297,7 +297,7 @@ def _params(
     typed = (asked.stiffness, asked.viscous, asked.mass)
     rendered = given(typed, asked.active_damping, scene, bool(asked.scene), recorded)
     trial = Trial(
-        environment=rendered.environment,
+        environment=rendered.free,
         active_damping_ns_per_m=rendered.active_damping_ns_per_m,
         seconds=asked.seconds,
         excitation=_excitation(asked, scene, layout),
