@@ -41,13 +41,13 @@ def test_what_was_changed_is_an_event_at_its_tick(
             for name in ("tick", "time_ns", "active_damping_asked_ns_per_m")
         )
         offset_ns = int(recording.column("life", "mono_unix_offset_ns")[0])
-        values = recording.column("request", "value_14_added_damping_on")
+        values = recording.column("request", "value_14_active_damping_on")
     changed = np.flatnonzero(np.diff(asked)) + 1
     assert ticks == tick[changed].tolist()
     np.testing.assert_allclose(unix_s, (time_ns[changed] + offset_ns) / 1e9, atol=1.5e-3)
     for text, level in zip(texts, asked[changed].tolist(), strict=True):
         assert "active_damping_on=1" in text.decode()
-        assert f"added_damping={level:.6g} N s/m" in text.decode()
+        assert f"active_damping={level:.6g} N s/m" in text.decode()
     assert 1.0 in values
 
 
