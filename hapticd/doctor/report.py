@@ -2,9 +2,9 @@
 says.
 
 Only what is listed here goes in. Of the daemon's status these are numbers, states and the words of
-its faults; names of clients, leases, addresses, serial numbers and the texts of events stay out. No
-file of the runtime folder or of a key folder is read. The home folder is written as ~ wherever it
-occurs.
+its faults; names of clients, leases, addresses and the texts of events stay out. Of USB devices it
+has ids and places, of the board what the checks say. No key is read. The home folder is written as
+~ wherever it occurs.
 
 What would break it: a new field of KEPT that holds what a person named.
 """
