@@ -66,4 +66,4 @@ def ranges_of(setup: GuardSetup) -> Ranges:
         return {}
     rendered = setup.environment
     filters = rendered.velocity_filter, rendered.acceleration_filter
-    return passive_ranges(model_of(setup.model), filters, setup.damping_limit_ns_per_m)
+    return passive_ranges(model_of(setup.model), filters, setup.active_damping_limit_ns_per_m)

@@ -103,14 +103,14 @@ class Judge:
                 "with_damping": {"level": request["level_on"], **nothing},
             }
         safe = judgement.safe([target])[0]
-        on = min(float(request["level_on"]), self.setup.damping_limit_ns_per_m)
+        on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         text = sentence(judgement, target, safe)
         return timing | {
             "verdict": self.verdicts.of(judgement, target, "", text, [target], safe),
-            "without_damping": self._seen(judgement, target._replace(added_ns_per_m=0.0)),
+            "without_damping": self._seen(judgement, target._replace(active_damping_ns_per_m=0.0)),
             "with_damping": {
                 "level": on,
-                **self._seen(judgement, target._replace(added_ns_per_m=on)),
+                **self._seen(judgement, target._replace(active_damping_ns_per_m=on)),
             },
         }
 
@@ -128,7 +128,7 @@ class Judge:
         rendered = self.setup.environment
         filters = rendered.velocity_filter, rendered.acceleration_filter
         delays = min(delay, self._delay(None)), delay
-        on = min(self.setup.added_damping_ns_per_m, self.setup.damping_limit_ns_per_m)
+        on = min(self.setup.active_damping_ns_per_m, self.setup.active_damping_limit_ns_per_m)
         return {
             "delay_periods": delay,
             "ideal_delay_periods": IDEAL_PERIODS,
@@ -141,7 +141,7 @@ class Judge:
         if judgement is None:
             return {"plane": None, "text": unknown}
         display = display_of(request["target"], self.setup.environment)
-        on = min(float(request["level_on"]), self.setup.damping_limit_ns_per_m)
+        on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         most_k, most_b, _ = self.setup.highest
         return {"plane": plane(judgement, display, on, most_k, most_b)}
 
@@ -165,7 +165,7 @@ class Judge:
         """Hands that shake it: where the motion should grow fastest, and where the most damping is
         missing, for neither is always the one that shakes it hardest.
         """
-        level = display.added_ns_per_m
+        level = display.active_damping_ns_per_m
         filters = display.filters
         model = theorem.late(delay)
         worst = theorem.reading(point, Conditions(level, filters, delay, 0.0))

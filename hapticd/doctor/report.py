@@ -33,8 +33,8 @@ KEPT: Mapping[str, tuple[str, ...]] = {  # of the status, by part; "" is the sta
     "": (
         *("state", "simulated", "rate_hz", "revision", "fault", "cause", "waiting_for"),
         *("tick", "slot", "homed", "gain", "stiffness_n_per_m", "damping_ns_per_m", "mass_kg"),
-        *("added_damping_ns_per_m", "delay_us", "delay_spread_us", "frame_age_us", "winding_c"),
-        *("limit_cycle_faults", "compensation", "delivered_damping", "counters", "stages"),
+        *("active_damping_ns_per_m", "delay_us", "delay_spread_us", "frame_age_us", "winding_c"),
+        *("limit_cycle_faults", "compensation", "delivered_active_damping", "counters", "stages"),
     ),
     "servo": ("realtime", "transport", "differences", "uncompensated", "unsampled"),
     "gateway": ("cpu_s", "telemetry_lost"),

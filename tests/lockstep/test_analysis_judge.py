@@ -14,8 +14,8 @@ from hapticd.analysis.words import doubling
 from hapticd.errors import AnalysisError
 
 LEVEL = 1.74
-DAMPED = {"damping": LEVEL}
-STIFF = {"K": 150.0, "B": 1.0, "damping": LEVEL}  # safe with damping, not without
+DAMPED = {"active_damping": LEVEL}
+STIFF = {"K": 150.0, "B": 1.0, "active_damping": LEVEL}  # safe with damping, not without
 
 
 def stages_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
@@ -23,17 +23,17 @@ def stages_of(answer: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def test_damping_rises_before_stiffness_grows() -> None:
-    answer = change(shipped_judge(), {"K": 150.0, "B": 1.0, "damping": LEVEL})
+    answer = change(shipped_judge(), {"K": 150.0, "B": 1.0, "active_damping": LEVEL})
     assert answer["action"] == "stage"
-    assert stages_of(answer) == [{"damping": LEVEL}, {"K": 150.0, "B": 1.0}]
-    least = answer["stages"][1]["damping_at_least"]
+    assert stages_of(answer) == [{"active_damping": LEVEL}, {"K": 150.0, "B": 1.0}]
+    least = answer["stages"][1]["active_damping_at_least"]
     assert LEVEL - 2e-4 < least < LEVEL
 
 
 def test_stiffness_shrinks_before_damping_falls() -> None:
-    answer = change(shipped_judge(), {"K": 10.0, "B": 0.1, "damping": 0.0}, now=STIFF)
+    answer = change(shipped_judge(), {"K": 10.0, "B": 0.1, "active_damping": 0.0}, now=STIFF)
     assert answer["action"] == "stage"
-    assert stages_of(answer) == [{"K": 10.0, "B": 0.1}, {"damping": 0.0}]
+    assert stages_of(answer) == [{"K": 10.0, "B": 0.1}, {"active_damping": 0.0}]
     assert answer["stages"][1]["after_ramps"]
 
 
@@ -78,10 +78,14 @@ def test_clamped_damping_goes_to_the_first_exit_and_not_to_a_kept_level() -> Non
     judge = shipped_judge()
     shown = {"K": 500.0, "B": 2.0}
     for present in (1.74, 1.43):
-        answer = change(judge, {"damping": 0.0}, policy="clamp", now=shown | {"damping": present})
-        given = answer["verdict"]["given"]["damping"]
-        assert change(judge, {}, now=shown | {"damping": given})["verdict"]["safe"]
-        assert not change(judge, {}, now=shown | {"damping": given - 0.03})["verdict"]["safe"]
+        answer = change(
+            judge, {"active_damping": 0.0}, policy="clamp", now=shown | {"active_damping": present}
+        )
+        given = answer["verdict"]["given"]["active_damping"]
+        assert change(judge, {}, now=shown | {"active_damping": given})["verdict"]["safe"]
+        assert not change(judge, {}, now=shown | {"active_damping": given - 0.03})["verdict"][
+            "safe"
+        ]
 
 
 def test_what_a_clamp_leaves_is_judged_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,10 +120,10 @@ def test_filters_are_not_clamped() -> None:
 
 def test_follow_shrinks_the_environment_before_damping_falls() -> None:
     judge = shipped_judge()
-    answer = change(judge, {"damping": 0.0}, policy="follow", now=STIFF)
+    answer = change(judge, {"active_damping": 0.0}, policy="follow", now=STIFF)
     assert answer["action"] == "stage"
     first, second = stages_of(answer)
-    assert second == {"damping": 0.0}
+    assert second == {"active_damping": 0.0}
     assert answer["stages"][1]["after_ramps"]
     assert 0.0 < first["K"] < STIFF["K"]
     assert first["B"] / first["K"] == pytest.approx(STIFF["B"] / STIFF["K"])
@@ -127,13 +131,18 @@ def test_follow_shrinks_the_environment_before_damping_falls() -> None:
 
 
 def test_less_damping_is_refused_while_it_is_needed() -> None:
-    answer = change(shipped_judge(), {"damping": 0.0}, now=STIFF)
+    answer = change(shipped_judge(), {"active_damping": 0.0}, now=STIFF)
     assert answer["action"] == "refuse"
-    assert answer["verdict"]["least_damping_ns_per_m"] == pytest.approx(10.0 / 14.0)
+    assert answer["verdict"]["least_active_damping_ns_per_m"] == pytest.approx(10.0 / 14.0)
 
 
 def test_contact_with_the_wall_is_judged() -> None:
-    wall = {"stiffness_n_per_m": 800.0, "damping_ns_per_m": 0.0, "position_m": 0.01, "side": 1}
+    wall = {
+        "stiffness_n_per_m": 800.0,
+        "virtual_damping_ns_per_m": 0.0,
+        "position_m": 0.01,
+        "side": 1,
+    }
     answer = change(shipped_judge(), {"wall": wall})
     assert answer["action"] == "refuse"
     verdict = answer["verdict"]
@@ -146,7 +155,12 @@ def test_contact_with_the_wall_is_judged() -> None:
 def test_a_wall_that_goes_keeps_its_strength_until_it_is_gone() -> None:
     """K = 900 N/m is safe, and a wall of 280 N/m is; K grows while the wall goes, and both act."""
     judge = rigid_judge(0.5)
-    wall = {"stiffness_n_per_m": 280.0, "damping_ns_per_m": 0.0, "position_m": 0.01, "side": 1}
+    wall = {
+        "stiffness_n_per_m": 280.0,
+        "virtual_damping_ns_per_m": 0.0,
+        "position_m": 0.01,
+        "side": 1,
+    }
     gone = {"side": 0, "stiffness_n_per_m": 0.0}
     assert change(judge, {"K": 900.0})["action"] == "apply"
     assert change(judge, {"wall": gone}, now={"wall": wall})["action"] == "apply"
@@ -159,7 +173,12 @@ def test_a_wall_that_comes_meets_what_is_still_in_force() -> None:
     device that withstands 1,000 N/m, though K is on its way to 0.
     """
     judge = rigid_judge(0.5)
-    wall = {"stiffness_n_per_m": 280.0, "damping_ns_per_m": 0.0, "position_m": 0.01, "side": 0}
+    wall = {
+        "stiffness_n_per_m": 280.0,
+        "virtual_damping_ns_per_m": 0.0,
+        "position_m": 0.01,
+        "side": 0,
+    }
     now = {"K": 740.0, "wall": wall}
     assert change(judge, {"wall": {"side": 1}}, now=now | {"K": 700.0})["action"] == "apply"
     answer = change(judge, {"K": 0.0, "wall": {"side": 1}}, now=now)
@@ -198,10 +217,10 @@ def test_enable_judges_the_whole_gain_ramp() -> None:
 
 
 def test_enable_waits_for_damping_that_is_asked_but_not_reported() -> None:
-    now = STIFF | {"damping": 0.2}
+    now = STIFF | {"active_damping": 0.2}
     answer = change(shipped_judge(), {}, enable=True, state="disabled", now=now, target=STIFF)
     assert answer["action"] == "stage"
-    assert answer["stages"][0]["damping_at_least"] == pytest.approx(LEVEL, abs=2e-4)
+    assert answer["stages"][0]["active_damping_at_least"] == pytest.approx(LEVEL, abs=2e-4)
 
 
 def test_enable_in_mode_auto_asks_for_damping_first() -> None:
@@ -209,10 +228,12 @@ def test_enable_in_mode_auto_asks_for_damping_first() -> None:
     answer = change(shipped_judge(), {}, enable=True, state="disabled", now=now, mode="auto")
     assert answer["action"] == "stage"
     first, second = answer["stages"]
-    assert first["change"]["damping"] > 0.0
-    assert first["damping_at_least"] is None
+    assert first["change"]["active_damping"] > 0.0
+    assert first["active_damping_at_least"] is None
     assert second["change"] == {}
-    assert second["damping_at_least"] == pytest.approx(first["change"]["damping"], abs=2e-4)
+    assert second["active_damping_at_least"] == pytest.approx(
+        first["change"]["active_damping"], abs=2e-4
+    )
 
 
 def test_a_gain_that_still_rises_spans_a_patch_with_the_change() -> None:
@@ -236,9 +257,12 @@ def test_scheduled_changes_before_and_after_are_judged() -> None:
 def test_damping_that_is_scheduled_to_go_is_judged_under_what_it_carries() -> None:
     """No environment changes then, only the level: the way of the later change shows it."""
     judge = shipped_judge()
-    now = {"K": 150.0, "B": 1.0, "damping": 3.0}
-    assert change(judge, {"damping": 2.5}, now=now)["action"] == "apply"
-    assert change(judge, {"damping": 2.5}, now=now, after=[{"damping": 0.0}])["action"] == "refuse"
+    now = {"K": 150.0, "B": 1.0, "active_damping": 3.0}
+    assert change(judge, {"active_damping": 2.5}, now=now)["action"] == "apply"
+    assert (
+        change(judge, {"active_damping": 2.5}, now=now, after=[{"active_damping": 0.0}])["action"]
+        == "refuse"
+    )
 
 
 def test_a_safer_point_may_be_gone_to_from_outside() -> None:
@@ -258,9 +282,9 @@ def test_a_device_without_a_model_is_unknown_and_refused(policy: str) -> None:
 
 
 def test_warn_without_a_model_does_it_and_says_unknown() -> None:
-    asked = {"K": 100.0, "damping": 1.0}
+    asked = {"K": 100.0, "active_damping": 1.0}
     answer = change(Judge(setup_of(None)), asked, policy="warn")
-    assert stages_of(answer) == [{"damping": 1.0}, {"K": 100.0}]
+    assert stages_of(answer) == [{"active_damping": 1.0}, {"K": 100.0}]
     assert answer["verdict"]["safe"] is None
     assert "unknown" in answer["verdict"]["text"]
 
@@ -269,10 +293,12 @@ def test_auto_takes_the_least_level_that_will_do() -> None:
     judge = shipped_judge()
     answer = change(judge, {"K": 150.0, "B": 1.0}, mode="auto")
     levels = list(judge.verdicts.levels)
-    chosen = stages_of(answer)[0]["damping"]
+    chosen = stages_of(answer)[0]["active_damping"]
     below = levels[levels.index(chosen) - 1]
-    assert change(judge, {"K": 150.0, "B": 1.0}, now={"damping": chosen})["verdict"]["safe"]
-    assert not change(judge, {"K": 150.0, "B": 1.0}, now={"damping": below})["verdict"]["safe"]
+    assert change(judge, {"K": 150.0, "B": 1.0}, now={"active_damping": chosen})["verdict"]["safe"]
+    assert not change(judge, {"K": 150.0, "B": 1.0}, now={"active_damping": below})["verdict"][
+        "safe"
+    ]
 
 
 def test_auto_does_not_go_down_for_a_hair() -> None:
@@ -282,22 +308,22 @@ def test_auto_does_not_go_down_for_a_hair() -> None:
     judge = shipped_judge()
     levels = list(judge.verdicts.levels)
     low, level = levels[0], levels[1]
-    end = change(judge, {}, now={"damping": low})["verdict"]["allowed"]["K"][1]
-    now = {"K": 1.02 * end, "damping": level}
+    end = change(judge, {}, now={"active_damping": low})["verdict"]["allowed"]["K"][1]
+    now = {"K": 1.02 * end, "active_damping": level}
     just_inside = change(judge, {"K": 0.98 * end}, now=now, mode="auto")
     assert stages_of(just_inside) == [{"K": 0.98 * end}]
     far_inside = change(judge, {"K": 0.3 * end}, now=now, mode="auto")
-    assert stages_of(far_inside) == [{"K": 0.3 * end}, {"damping": low}]
+    assert stages_of(far_inside) == [{"K": 0.3 * end}, {"active_damping": low}]
 
 
 def test_level_is_bounded_by_the_ceiling() -> None:
     judge = Judge(setup_of(rigid(), ceiling=3.0))
     answer = change(judge, {}, mode="level", level=50.0)
-    assert stages_of(answer) == [{"damping": 3.0}]
+    assert stages_of(answer) == [{"active_damping": 3.0}]
 
 
 def test_same_requests_have_the_same_answers() -> None:
-    asked = {"K": 150.0, "B": 1.0, "damping": LEVEL}
+    asked = {"K": 150.0, "B": 1.0, "active_damping": LEVEL}
     first = change(Judge(shipped_judge().setup), asked)
     second = change(Judge(shipped_judge().setup), asked)
     assert first == second

@@ -45,7 +45,7 @@ def answers(rig: DeskRig) -> list[dict[str, Any]]:
 
 def two_stages(request: dict[str, Any]) -> dict[str, Any]:
     """Damping first, then K."""
-    stages = [stage({"damping": 1.5}), stage({"K": 400.0}, at_least=1.5)]
+    stages = [stage({"active_damping": 1.5}), stage({"K": 400.0}, at_least=1.5)]
     return {"action": "stage", "stages": stages, "verdict": verdict()}
 
 
@@ -75,10 +75,14 @@ def test_without_a_worker_nothing_unjudged_is_done_under(tmp_path: Path, policy:
 def test_question_holds_what_is_in_force_and_what_is_asked(
     rig: DeskRig, worker: StubWorker
 ) -> None:
-    rig.ask(cmd="set", K=50, B=2, damping=1.0)
+    rig.ask(cmd="set", K=50, B=2, active_damping=1.0)
     rig.ask(cmd="set", K=80, wall={"side": 1}, ramp_s=0.3)
     asked = worker.changes[-1]
-    assert (asked["target"]["K"], asked["target"]["B"], asked["target"]["damping"]) == (50, 2, 1)
+    assert (asked["target"]["K"], asked["target"]["B"], asked["target"]["active_damping"]) == (
+        50,
+        2,
+        1,
+    )
     assert asked["change"] == {"K": 80, "wall": {"side": 1}}
     assert (asked["ramp_s"], asked["state"], asked["enable"]) == (0.3, "disabled", False)
     assert (asked["policy"], asked["basis"], asked["mode"], asked["level"]) == (
@@ -88,12 +92,16 @@ def test_question_holds_what_is_in_force_and_what_is_asked(
 
 @pytest.mark.parametrize(
     ("value", "change"),
-    [("on", {"damping": 1.0}), ("off", {"damping": 0.0}), (0.5, {"damping": 0.5})],
+    [
+        ("on", {"active_damping": 1.0}),
+        ("off", {"active_damping": 0.0}),
+        (0.5, {"active_damping": 0.5}),
+    ],
 )
 def test_damping_is_asked_for_as_a_number(
     rig: DeskRig, worker: StubWorker, value: object, change: dict[str, float]
 ) -> None:
-    rig.ask(cmd="set", damping=1.0)
+    rig.ask(cmd="set", active_damping=1.0)
     rig.ask(cmd="damping", value=value)
     assert worker.changes[-1]["change"] == change
 
@@ -654,7 +662,7 @@ def test_stage_waits_for_the_damping_that_the_board_reports(
 ) -> None:
     worker.script = two_stages
     rig.servo.effect = 0.0
-    reply = rig.ask(cmd="set", K=400, damping=1.5, id="s")
+    reply = rig.ask(cmd="set", K=400, active_damping=1.5, id="s")
     assert reply["receipt"]["result"] == "staged"
     later(rig, 100)
     assert rig.servo.values[Value.STIFFNESS] == 0
@@ -667,7 +675,7 @@ def test_stage_waits_for_the_damping_that_the_board_reports(
 
 def test_stage_waits_for_the_ramps_of_the_one_before(rig: DeskRig, worker: StubWorker) -> None:
     under(rig, "follow")
-    stages = [stage({"K": 10.0}), stage({"damping": 0.0}, after_ramps=True)]
+    stages = [stage({"K": 10.0}), stage({"active_damping": 0.0}, after_ramps=True)]
     worker.script = lambda asked: {"action": "stage", "stages": stages, "verdict": verdict()}
     rig.ask(cmd="damping", value="off")
     later(rig, 45)
@@ -679,12 +687,12 @@ def test_stage_waits_for_the_ramps_of_the_one_before(rig: DeskRig, worker: StubW
 def test_newer_request_supersedes_what_is_left(rig: DeskRig, worker: StubWorker) -> None:
     worker.script = two_stages
     rig.servo.effect = 0.0
-    rig.ask(cmd="set", K=400, damping=1.5, id="old")
+    rig.ask(cmd="set", K=400, active_damping=1.5, id="old")
     worker.script = applies
     rig.ask(cmd="set", M=0.01, id="new")
     (event,) = answers(rig)
     assert (event["id"], event["result"]) == ("old", "superseded")
-    assert worker.changes[-1]["target"]["damping"] == 1.5
+    assert worker.changes[-1]["target"]["active_damping"] == 1.5
     rig.servo.effect = 1.5
     later(rig, 5)
     assert rig.servo.values[Value.STIFFNESS] == 0
@@ -694,7 +702,7 @@ def test_newer_request_that_is_refused_supersedes_nothing(rig: DeskRig, worker: 
     under(rig, "refuse")
     worker.script = two_stages
     rig.servo.effect = 0.0
-    rig.ask(cmd="set", K=400, damping=1.5)
+    rig.ask(cmd="set", K=400, active_damping=1.5)
     worker.script = refuses
     assert not rig.ask(cmd="set", M=0.01)["ok"]
     rig.servo.effect = 1.5
@@ -707,7 +715,7 @@ def test_end_of_force_cancels_what_is_left(rig: DeskRig, worker: StubWorker, cmd
     rig.ask(cmd="enable")
     worker.script = two_stages
     rig.servo.effect = 0.0
-    rig.ask(cmd="set", K=400, damping=1.5)
+    rig.ask(cmd="set", K=400, active_damping=1.5)
     assert rig.ask(cmd=cmd)["ok"]
     rig.servo.effect = 1.5
     later(rig, 5)
@@ -724,7 +732,7 @@ def test_stages_that_began_in_disabled_end_when_the_servo_is(
     """No force ends there, but whoever resets must not find another environment than he left."""
     worker.script = two_stages
     rig.servo.effect = 0.0
-    assert rig.ask(cmd="set", K=400, damping=1.5)["receipt"]["result"] == "staged"
+    assert rig.ask(cmd="set", K=400, active_damping=1.5)["receipt"]["result"] == "staged"
     rig.servo.state = latched
     later(rig, 2)
     rig.servo.state = State.DISABLED
@@ -743,7 +751,7 @@ def test_stage_judged_by_other_terms_does_not_come_into_force_under_a_strict_pol
     under(rig, "clamp" if "basis" in terms else "warn")
     worker.script = two_stages
     rig.servo.effect = 0.0
-    assert rig.ask(cmd="set", K=400, damping=1.5)["receipt"]["result"] == "staged"
+    assert rig.ask(cmd="set", K=400, active_damping=1.5)["receipt"]["result"] == "staged"
     assert rig.ask(cmd="guard", **terms)["ok"]
     rig.servo.effect = 1.5
     later(rig, 5)
@@ -759,7 +767,7 @@ def test_stage_goes_on_where_the_same_terms_are_asked_for_again(
     under(rig, "refuse")
     worker.script = two_stages
     rig.servo.effect = 0.0
-    rig.ask(cmd="set", K=400, damping=1.5)
+    rig.ask(cmd="set", K=400, active_damping=1.5)
     under(rig, "refuse")
     rig.servo.effect = 1.5
     later(rig, 5)
@@ -800,7 +808,7 @@ def test_what_a_gateway_before_scheduled_does_not_come_into_force_under_a_strict
 def test_stages_are_bound_one_after_the_other(rig: DeskRig, worker: StubWorker) -> None:
     under(rig, "refuse")
     worker.script = two_stages
-    rig.ask(cmd="set", K=400, damping=1.5)
+    rig.ask(cmd="set", K=400, active_damping=1.5)
     later(rig, 5)
     assert answers(rig)[0]["result"] == "applied"
     assert len(worker.changes) == 1
@@ -809,7 +817,7 @@ def test_stages_are_bound_one_after_the_other(rig: DeskRig, worker: StubWorker) 
 def test_damping_that_never_comes_ends_the_change(rig: DeskRig, worker: StubWorker) -> None:
     worker.script = two_stages
     rig.servo.effect = 0.2
-    rig.ask(cmd="set", K=400, damping=1.5)
+    rig.ask(cmd="set", K=400, active_damping=1.5)
     later(rig, 2500)
     (event,) = answers(rig)
     assert event["result"] == "cancelled"
@@ -820,7 +828,7 @@ def test_damping_that_never_comes_ends_the_change(rig: DeskRig, worker: StubWork
 def test_enable_waits_for_a_change_in_stages(rig: DeskRig, worker: StubWorker) -> None:
     worker.script = two_stages
     rig.servo.effect = 0.0
-    rig.ask(cmd="set", K=400, damping=1.5)
+    rig.ask(cmd="set", K=400, active_damping=1.5)
     worker.script = applies
     rig.send(packed(cmd="enable"))
     later(rig, 10)
@@ -859,13 +867,13 @@ def test_auto_without_a_worker_is_refused(tmp_path: Path) -> None:
 
 def test_auto_chooses_anew_by_itself(rig: DeskRig, worker: StubWorker) -> None:
     rig.ask(cmd="damping", value="auto")
-    level = {"action": "apply", "stages": [stage({"damping": 0.7})], "verdict": verdict()}
+    level = {"action": "apply", "stages": [stage({"active_damping": 0.7})], "verdict": verdict()}
     worker.script = lambda asked: level if asked["ask"] == "change" else None
     later(rig, 2)
     for _ in range(60):
         rig.run(100)
     assert worker.changes[-1]["mode"] == "auto"
-    assert rig.servo.values[Value.ADDED_DAMPING] == 0.7
+    assert rig.servo.values[Value.ACTIVE_DAMPING] == 0.7
     taken = len(rig.servo.taken)
     for _ in range(60):
         rig.run(100)
@@ -875,38 +883,38 @@ def test_auto_chooses_anew_by_itself(rig: DeskRig, worker: StubWorker) -> None:
 def test_damping_off_ends_auto_before_its_verdict_is_there(
     rig: DeskRig, worker: StubWorker
 ) -> None:
-    level = {"action": "apply", "stages": [stage({"damping": 0.7})], "verdict": verdict()}
+    level = {"action": "apply", "stages": [stage({"active_damping": 0.7})], "verdict": verdict()}
     worker.script = lambda asked: level if asked["ask"] == "change" else None
     rig.ask(cmd="damping", value="auto")
     for _ in range(45):
         rig.run(100)
-    assert rig.servo.values[Value.ADDED_DAMPING_ON] == 1.0
+    assert rig.servo.values[Value.ACTIVE_DAMPING_ON] == 1.0
     # over what was asked it thinks, over a level of mode auto it does not
     worker.script = lambda asked: level if asked.get("mode") == "auto" else None
     rig.send(packed(cmd="damping", value="off"))
     rig.run(3)
-    assert rig.servo.values[Value.ADDED_DAMPING_ON] == 0.0
+    assert rig.servo.values[Value.ACTIVE_DAMPING_ON] == 0.0
     for _ in range(60):
         rig.run(100)
-    assert rig.servo.values[Value.ADDED_DAMPING_ON] == 0.0
+    assert rig.servo.values[Value.ACTIVE_DAMPING_ON] == 0.0
     assert rig.ask(cmd="guard")["result"]["mode"] == "off"
 
 
 def test_auto_takes_nothing_back_from_the_energy_controller(
     rig: DeskRig, worker: StubWorker
 ) -> None:
-    level = {"action": "apply", "stages": [stage({"damping": 0.7})], "verdict": verdict()}
+    level = {"action": "apply", "stages": [stage({"active_damping": 0.7})], "verdict": verdict()}
     worker.script = lambda asked: level if asked["ask"] == "change" else None
     rig.ask(cmd="damping", value="auto")
     for _ in range(60):
         rig.run(100)
     rig.servo.flags = int(Flag.CONTROLLED)
-    rig.servo.values[Value.ADDED_DAMPING] = 10.0
+    rig.servo.values[Value.ACTIVE_DAMPING] = 10.0
     rig.servo.values[Value.ENVIRONMENT_REVISION] += 1
     asked = len(worker.changes)
     for _ in range(60):
         rig.run(100)
-    assert rig.servo.values[Value.ADDED_DAMPING] == 10.0
+    assert rig.servo.values[Value.ACTIVE_DAMPING] == 10.0
     assert len(worker.changes) == asked
     rig.servo.flags = 0  # a change has asked anew
     for _ in range(60):
@@ -937,7 +945,7 @@ def test_topic_tells_twice_a_second_with_and_without_damping(
     rig: DeskRig, worker: StubWorker
 ) -> None:
     worker.script = lambda asked: looked(asked) if asked["ask"] == "look" else applies(asked)
-    rig.ask(cmd="set", K=30, damping=1.0)
+    rig.ask(cmd="set", K=30, active_damping=1.0)
     told = looking(rig)
     assert len(told) >= 2
     second = told[-1]
@@ -1061,11 +1069,14 @@ def test_environment_that_is_passive_no_more_is_warned_about(
 
 
 def test_gateway_that_comes_later_judges_what_is_in_force(rig: DeskRig, worker: StubWorker) -> None:
-    rig.ask(cmd="set", K=70, damping=1.0)
+    rig.ask(cmd="set", K=70, active_damping=1.0)
     rig.start_gateway()
     later(rig, 3)
     rig.ask(cmd="set", B=1)
-    assert (worker.changes[-1]["target"]["K"], worker.changes[-1]["target"]["damping"]) == (70, 1)
+    assert (worker.changes[-1]["target"]["K"], worker.changes[-1]["target"]["active_damping"]) == (
+        70,
+        1,
+    )
 
 
 def test_side_of_a_wall_counts_until_its_ramp_has_ended() -> None:
@@ -1086,17 +1097,17 @@ def test_side_of_a_wall_counts_until_its_ramp_has_ended() -> None:
 
 def test_wall_on_its_way_out_is_judged_as_it_was(rig: DeskRig, worker: StubWorker) -> None:
     """No record holds its damping, and the second half of its ramp says that there is no wall."""
-    wall = {"stiffness_n_per_m": 500.0, "damping_ns_per_m": 3.0, "side": 1}
+    wall = {"stiffness_n_per_m": 500.0, "virtual_damping_ns_per_m": 3.0, "side": 1}
     rig.ask(cmd="set", wall=wall)
     rig.guard.in_force.follow(np.array([(1, 0)], [("wall_side", "<i4"), ("flags", "<u4")]))
     rig.ask(cmd="set", B=1)
     rig.servo.flags = int(Flag.RAMPING)
-    rig.ask(cmd="set", wall={"side": 0, "damping_ns_per_m": 0.0})
+    rig.ask(cmd="set", wall={"side": 0, "virtual_damping_ns_per_m": 0.0})
     rig.ask(cmd="set", B=2)
     now = worker.changes[-1]["now"]["wall"]
-    assert (now["side"], now["damping_ns_per_m"]) == (1, 3.0)
+    assert (now["side"], now["virtual_damping_ns_per_m"]) == (1, 3.0)
     rig.servo.flags = 0
     rig.run()
     rig.ask(cmd="set", B=3)
     now = worker.changes[-1]["now"]["wall"]
-    assert (now["side"], now["damping_ns_per_m"]) == (0, 0.0)
+    assert (now["side"], now["virtual_damping_ns_per_m"]) == (0, 0.0)
