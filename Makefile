@@ -13,7 +13,7 @@
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
-#   make reproduction-docs  the same, then tables, numbers and figures of docs/reproduction.md from it
+#   make reproduction-docs  the same, then tables, numbers and figures of docs/reproduction.md from it, and of docs/timing.md
 #   make pictures           take the screenshots of README and docs anew
 #   make docs               build the documentation in build/docs; warnings are errors
 #   make deps               install the system packages that are missing
@@ -94,6 +94,7 @@ reproduction-docs: reproduce
 	$(BIN)/python docs/reproduce.py $(REPRODUCTION)
 	$(BIN)/python docs/travel.py
 	$(BIN)/python docs/rotor_loss.py
+	$(BIN)/python docs/timing.py
 
 pictures: deps-check $(VENV)/check.stamp
 	$(BIN)/python docs/pictures.py

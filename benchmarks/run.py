@@ -73,6 +73,7 @@ GROUPS = {  # parts whose figures belong together
         "predict_map",
         "map_6384",
         "directed",
+        "timing",
         "executors",
     ),
 }

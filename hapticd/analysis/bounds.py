@@ -1,4 +1,4 @@
-"""What a device renders passively of K, B and M, each alone.
+"""What a device renders passively of K, B and M, each alone, and what of K its delay costs.
 
 The theorem says it, for every input and without friction; what is measured or predicted may reach
 further by a few times, not by the factor of a mistaken unit.
@@ -6,12 +6,16 @@ further by a few times, not by the factor of a mistaken unit.
 What would break it: a device that renders nothing of one axis alone and much of it beside another.
 """
 
+from typing import Any
+
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.bases import Theorem, model_of
 from hapticd.environment import Environment, FilterParams
 from hapticd.mailbox.environment_limits import WIDEST
 from hapticd.params import GuardSetup
 from hapticd.plant.model import Model
+
+IDEAL_PERIODS = 0.0  # a force that acts at its sample: of the delay, the hold alone is left
 
 Ranges = dict[str, list[float] | None]  # of K, B and M, from and to; None: nothing is passive
 
@@ -23,13 +27,37 @@ def passive_ranges(
 
     `filters` are those of velocity and acceleration.
     """
-    free = Environment(
-        velocity_filter=filters[0],
-        acceleration_filter=filters[1],
-        active_damping_ns_per_m=level_ns_per_m,
-    )
+    free = _nothing(filters, level_ns_per_m)
     judgement = Judgement(Theorem(model), model.delay_periods, 0.0)
     return judgement.allowed(free, WIDEST.lowest, WIDEST.highest)
+
+
+def timing_cost(
+    theorem: Theorem,
+    filters: tuple[FilterParams, FilterParams],
+    level_ns_per_m: float,
+    delays: tuple[float, float],
+) -> dict[str, Any]:
+    """The largest K with B = M = 0 at that level of active damping, where the delay is between
+    `delays` [periods], least first, beside the largest K without any delay.
+
+    A delay that varies is outside the theorem: that both ends are passive is a convention.
+    """
+    free = _nothing(filters, level_ns_per_m)
+
+    def stiffest(least: float, most: float) -> float:
+        judgement = Judgement(theorem, most, 0.0, least)
+        ends = judgement.allowed(free, WIDEST.lowest, WIDEST.highest)["K"]
+        return ends[1] if ends else 0.0
+
+    stiffness = stiffest(*delays)
+    ideal = stiffest(IDEAL_PERIODS, IDEAL_PERIODS)
+    return {
+        "level_ns_per_m": level_ns_per_m,
+        "stiffness_n_per_m": stiffness,
+        "ideal_stiffness_n_per_m": ideal,
+        "lost_share": 1.0 - stiffness / ideal if ideal else None,
+    }
 
 
 def ranges_of(setup: GuardSetup) -> Ranges:
@@ -39,3 +67,13 @@ def ranges_of(setup: GuardSetup) -> Ranges:
     rendered = setup.environment
     filters = rendered.velocity_filter, rendered.acceleration_filter
     return passive_ranges(model_of(setup.model), filters, setup.active_damping_limit_ns_per_m)
+
+
+def _nothing(filters: tuple[FilterParams, FilterParams], level_ns_per_m: float) -> Environment:
+    """Nothing rendered, at that level of active damping."""
+    velocity, acceleration = filters
+    return Environment(
+        velocity_filter=velocity,
+        acceleration_filter=acceleration,
+        active_damping_ns_per_m=level_ns_per_m,
+    )

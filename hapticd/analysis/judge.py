@@ -3,14 +3,15 @@
 `Judge` answers plain maps with plain maps (docs/guard.md). A `change` is judged where it leads to
 and at most 20 points of the way there (`ways`), in free space and in contact (`allowed`), by the
 basis asked for (`bases`); what is done with it is the policy's (`policies`). A `look` tells of the
-display in force, a `hand` names the passive hand that shakes one.
+display in force and of what the delay costs, a `hand` names the passive hand that shakes one.
 
 What would break it: answering from anything but the request and the setup; the same request has the
 same answer, and tests and lock-step flights rely on it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.angles import unresolved_hz
 from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
+from hapticd.analysis.bounds import IDEAL_PERIODS, timing_cost
 from hapticd.analysis.coupled import GROWS, coupled_radius, shaking_hand
 from hapticd.analysis.displays import told
 from hapticd.analysis.linearise import Perturbation
@@ -27,6 +29,8 @@ from hapticd.analysis.words import Verdicts, doubling, in_words, sentence
 from hapticd.environment import Environment, Point
 from hapticd.errors import AnalysisError
 from hapticd.params import GuardSetup
+
+_DELAYS = 8  # whose cost is kept
 
 
 class Judge:
@@ -42,6 +46,7 @@ class Judge:
         self._unresolved = self._narrow_modes()
         self._cold = list(self.verdicts.levels)
         self._warm_delay = self._delay(None)
+        self._timing: Callable[[float], dict[str, Any] | None] = lru_cache(_DELAYS)(self._timed)
 
     def hello(self, pid: int) -> dict[str, Any]:
         """What the worker says first."""
@@ -91,9 +96,10 @@ class Judge:
     def _look(self, request: Mapping[str, Any]) -> dict[str, Any]:
         judgement, unknown = self._judgement(request)
         target = told(request["target"], self.setup.environment)
+        timing = {"timing": self._timing(self._delay(request.get("delay_periods")))}
         if judgement is None:
             nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
-            return {
+            return timing | {
                 "verdict": self.verdicts.of(None, target, "", unknown, []),
                 "without_damping": nothing,
                 "with_damping": {"level": request["level_on"], **nothing},
@@ -101,7 +107,7 @@ class Judge:
         safe = judgement.safe([target])[0]
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         text = sentence(judgement, target, safe)
-        return {
+        return timing | {
             "verdict": self.verdicts.of(judgement, target, "", text, [target], safe),
             "without_damping": self._seen(judgement, replace(target, active_damping_ns_per_m=0.0)),
             "with_damping": {
@@ -114,6 +120,23 @@ class Judge:
         worse = judgement.worse(display)
         allowed = judgement.allowed(display, self.setup.lowest, self.setup.highest)
         return {"margin_ns_per_m": worse.margin_ns_per_m, "allowed": allowed}
+
+    def _timed(self, delay: float) -> dict[str, Any] | None:
+        """What a delay [periods] costs of K by the theorem, without active damping and with the
+        level of `damping on`; None where the model says nothing.
+        """
+        if self.theorem is None or self._unresolved:
+            return None
+        rendered = self.setup.environment
+        filters = rendered.velocity_filter, rendered.acceleration_filter
+        delays = min(delay, self._delay(None)), delay
+        on = min(self.setup.active_damping_ns_per_m, self.setup.active_damping_limit_ns_per_m)
+        return {
+            "delay_periods": delay,
+            "ideal_delay_periods": IDEAL_PERIODS,
+            "without_damping": timing_cost(self.theorem, filters, 0.0, delays),
+            "with_damping": timing_cost(self.theorem, filters, on, delays),
+        }
 
     def _plane(self, request: Mapping[str, Any]) -> dict[str, Any]:
         judgement, unknown = self._judgement(request)

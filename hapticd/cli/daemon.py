@@ -18,7 +18,7 @@ from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect
 from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
-from hapticd.client.words import board_words, parameters, receipt_text
+from hapticd.client.words import board_words, parameters, receipt_text, timing_words
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
@@ -206,6 +206,8 @@ def _status_lines(found: dict[str, Any]) -> list[str]:
         f"  delay     newest tick: {delay_words(found)}",
         f"  damping   {delivered_words(found)}",
     ]
+    if costs := timing_words(found.get("guard", {})):
+        lines.append(f"  costs     {costs}")
     lines += _under("winding", compensation_lines(found))
     lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
     if limits := found.get("commissioning"):
@@ -395,7 +397,9 @@ def damping(
     """
     word = value.lower()
     expected = "on, off, auto or a level in N s/m"
-    asked = word if word in ("on", "off", "auto") else number("damping", value, expected, " ")
+    asked = (
+        word if word in ("on", "off", "auto") else number("active_damping", value, expected, " ")
+    )
     change(instance, as_json, lambda client: client.damping(asked))  # type: ignore[arg-type]
 
 

@@ -189,6 +189,14 @@ Seconds = Annotated[
     ),
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit 6 if anything fails.")]
+Report = Annotated[
+    Path | None,
+    typer.Option(
+        "--report",
+        metavar="FILE",
+        help="Also write all of it, versions, machine and status to a new JSON file.",
+    ),
+]
 
 
 def doctor(
@@ -196,6 +204,7 @@ def doctor(
     instance: terminal.Instance = terminal.INSTANCE,
     seconds: Seconds = 5.0,
     strict: Strict = False,
+    report: Report = None,
     as_json: terminal.Json = False,
 ) -> None:
     """Check rights, processor, kernel, USB, disk and folders, and measure how late this
@@ -206,7 +215,9 @@ def doctor(
     from hapticd.settings.load import load
 
     asked = requirements(load(config), instance)
-    findings = [*examine(this_machine(), asked), *_delay(instance)]
+    machine = this_machine()
+    status = _latest_status(instance)
+    findings = [*examine(machine, asked), *_timing(status)]
     measured: dict[str, Any] = {}
     if seconds > 0:
         if not as_json:
@@ -214,12 +225,18 @@ def doctor(
         finding, measured = _wake(seconds, asked)
         findings.append(finding)
     failed = [finding.name for finding in findings if finding.level == "fail"]
+    if report is not None:
+        from hapticd.doctor.report import report_of, write_report
+
+        write_report(report, report_of(machine, asked, findings, measured, status))
+        terminal.talk(f"hapticd: {report}: attach this file to a question; read it before")
     if as_json:
         terminal.data_json(
             {
                 "ok": not failed,
                 "checks": [finding._asdict() for finding in findings],
                 "wake": measured,
+                "timing": _guard(status).get("timing"),
             }
         )
     else:
@@ -231,23 +248,35 @@ def doctor(
         raise typer.Exit(RealtimeError.exit_code)
 
 
-def _delay(instance: str) -> "list[CheckResult]":
-    """The delay from sample to force that a daemon measures, if one runs."""
-    from hapticd.cli.daemon import delay_words
-    from hapticd.doctor import checks
-
-    name = "force delay"
+def _latest_status(instance: str) -> dict[str, Any] | None:
+    """What the daemon says, if one runs."""
     try:
         with connect(instance) as client:
-            found = client.status()
+            return client.status()
     except HapticdError:
+        return None
+
+
+def _guard(status: dict[str, Any] | None) -> dict[str, Any]:
+    return (status or {}).get("guard") or {}
+
+
+def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
+    """The delay from sample to force that the daemon measures, and what it costs of K."""
+    from hapticd.cli.daemon import delay_words
+    from hapticd.client.words import timing_words
+    from hapticd.doctor import checks
+
+    if status is None:
         return []
-    words = delay_words(found)
-    if found.get("delay_us", -1) <= US_PER_S / found["rate_hz"]:
-        return [checks.ok(name, words)]
-    why = "a force that comes more than a period late makes stiff walls and damping active"
-    fix = "look what else is on the board's bus, or at its sample phase"
-    return [checks.warn(name, words, why, fix)]
+    words = delay_words(status)
+    delay = checks.ok("force delay", words)
+    if status.get("delay_us", -1) > US_PER_S / status["rate_hz"]:
+        why = "a force that comes more than a period late makes stiff walls and damping active"
+        fix = "look what else is on the board's bus, or at its sample phase"
+        delay = checks.warn("force delay", words, why, fix)
+    costs = timing_words(_guard(status))
+    return [delay, checks.ok("stiffness", costs)] if costs else [delay]
 
 
 def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str, Any]]":

@@ -61,6 +61,29 @@ def guard_line(found: dict[str, Any]) -> str:
     return f"{policy}, by {found['basis']}{wanted}; damping {found['mode']}; {known}{worker}"
 
 
+def timing_words(found: dict[str, Any]) -> str:
+    """What the delay costs of K by the theorem, in one line; empty where nothing is known."""
+    timing = found.get("timing")
+    if not timing:
+        return ""
+    without = timing["without_damping"]
+    damped = timing["with_damping"]
+    known = "measured" if timing["measured"] else "assumed by the model"
+    delay = f"delay {timing['delay_periods']:g} periods, {known}"
+    if without["lost_share"] is None:
+        return f"{delay}: no K is passive, with or without it (theorem)"
+    lost = (
+        f"K up to {_instead(without)} N/m without it ({100.0 * without['lost_share']:.0f} % less)"
+    )
+    if damped["level_ns_per_m"]:
+        lost += f"; with {damped['level_ns_per_m']:g} N s/m of active damping {_instead(damped)}"
+    return f"{delay}: {lost} (theorem)"
+
+
+def _instead(cost: dict[str, Any]) -> str:
+    return f"{cost['stiffness_n_per_m']:.4g} instead of {cost['ideal_stiffness_n_per_m']:.4g}"
+
+
 def margin_words(found: dict[str, Any]) -> str:
     """The verdict on what is in force, in one line."""
     verdict = found.get("verdict") or {}

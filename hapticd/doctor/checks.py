@@ -567,6 +567,29 @@ def board(machine: Machine, asked: Requirements) -> CheckResult:
     )
 
 
+def hub(machine: Machine, asked: Requirements) -> CheckResult:
+    """No hub is between computer and board: each adds to the delay of every transfer."""
+    name = "USB hub"
+    path = board_path(machine, asked)
+    if asked.simulated or path is None:
+        return ok(name, SIMULATED if asked.simulated else ABSENT)
+    hubs = hubs_above(path.name)
+    if not hubs:
+        return ok(name, f"none: {path.name} is a root port")
+    why = "a high-speed hub delays each transfer of a full-speed board by one or two microframes of"
+    why += " 125 us each way, and shares its bus with what else is plugged in"
+    return warn(name, f"{path.name} is behind {', '.join(hubs)}", why, "use a root port")
+
+
+def hubs_above(name: str) -> list[str]:
+    """Names in sysfs of the hubs between computer and device, nearest to the computer first:
+    1-1.2.3 hangs at 1-1.2, and that at 1-1.
+    """
+    bus, _, ports = name.partition("-")
+    steps = ports.split(".")[:-1]
+    return [f"{bus}-{'.'.join(steps[: end + 1])}" for end in range(len(steps))]
+
+
 def permission(machine: Machine, asked: Requirements) -> CheckResult:
     """This user may open it."""
     name = "USB permission"
@@ -738,7 +761,7 @@ CHECKS: tuple[Check, ...] = (  # in the order in which a person reads them
     *(group, rtprio, memlock, rttime, c_states),
     *(governor, smt, cores, isolation, clock_source, mitigations),
     *(timers, tickless, preemption, irq_priority, irq_sharing, throttling, rt_group, swap, load),
-    *(board, permission, autosuspend, udev_rule),
+    *(board, hub, permission, autosuspend, udev_rule),
     *(transport, disk, runtime_folder, keys),
 )
 

@@ -114,6 +114,7 @@ class Guard:
         self._look: tuple[int, About] | None = None  # number of the question, about what
         self._looked: dict[str, Any] = {}
         self._looked_at: About | None = None
+        self._timing: dict[str, Any] | None = None  # what a delay costs of K, by the last look
         self._look_ns = -LOOK_NS
         self._told_ns = -LOOK_NS
 
@@ -203,6 +204,7 @@ class Guard:
             "model": hello.get("model"),
             "model_hash": hello.get("model_hash"),
             "delays": self._delays(hello.get("delay_periods")),
+            "timing": self._timing,
             "verdict": self.verdict,
             "unjudged": "" if self.verdict else self._unjudged(),
         }
@@ -389,6 +391,9 @@ class Guard:
         self._looked = answer if isinstance(answer.get("verdict"), dict) else {}
         self._looked_at = about
         self._looked_delay = about.delay_periods
+        if timing := answer.get("timing"):
+            measured = about.delay_periods is not None
+            self._timing = {"measured": measured, **timing}
         verdict = self._looked.get("verdict", {})
         if same and before and verdict.get("safe") is False and self.policy != "off":
             text = f"what is in force is not known to be passive any more: {verdict.get('text')}"

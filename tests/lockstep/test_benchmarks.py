@@ -79,6 +79,7 @@ PROMISED = {
     ),
     *("engine_c_f32", "engine_c_f64", "engine_numba_scalar", "engine_mujoco", "engine_solve_ivp"),
     *("effects_friction_off", "effects_plant_only", "executor_process", "executor_dask"),
+    "timing_stiffness_ratio",
     *(
         "trials_1000_c",
         "trials_weir_1_c",

@@ -33,6 +33,18 @@ BOARD_FILES = {
     "sys/bus/usb/devices/1-2/devnum": "12",
     "sys/bus/usb/devices/usb1/idVendor": "1d6b",
 }
+HUB_FILES = {  # the board behind two hubs, beside a device with a name of its own
+    **{place.replace("/1-2/", "/1-2.4.1/"): one for place, one in BOARD_FILES.items()},
+    "sys/bus/usb/devices/1-2/idVendor": "05e3",
+    "sys/bus/usb/devices/1-2/idProduct": "0610",
+    "sys/bus/usb/devices/1-2/bDeviceClass": "09",
+    "sys/bus/usb/devices/1-2/speed": "480",
+    "sys/bus/usb/devices/1-2:1.0/bInterfaceClass": "09",
+    "sys/bus/usb/devices/1-3/idVendor": "04e8",
+    "sys/bus/usb/devices/1-3/idProduct": "6860",
+    "sys/bus/usb/devices/1-3/serial": "R58-PRIVATE",
+    "sys/bus/usb/devices/1-3/product": "Ada's phone",
+}
 
 
 @pytest.fixture
@@ -437,6 +449,10 @@ ROWS: list[Row] = [
     ),
     (checks.board, {}, {}, asked(usb=UsbParams()), "fail", "no 1209:0001 on the bus", "plug it in"),
     (checks.board, {}, {}, asked(simulated=True), "ok", "simulated", ""),
+    (checks.hub, BOARD_FILES, {}, ASKED, "ok", "1-2 is a root port", ""),
+    (checks.hub, HUB_FILES, {}, ASKED, "warn", "1-2.4.1 is behind 1-2, 1-2.4", "use a root port"),
+    (checks.hub, {}, {}, ASKED, "ok", "no board", ""),
+    (checks.hub, {}, {}, asked(simulated=True), "ok", "simulated", ""),
     (checks.permission, BOARD_FILES, {}, ASKED, "ok", "/dev/bus/usb/001/012 may be opened", ""),
     (
         checks.permission,
@@ -726,6 +742,7 @@ def test_doctor_is_strict_only_when_asked(
             {"name": "three", "level": "fail", "found": "bad", "why": "because", "fix": "do that"}
         ],
         "wake": {},
+        "timing": None,
     }
     assert "1 of 1 fail: three" in err
 

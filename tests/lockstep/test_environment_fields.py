@@ -1,5 +1,5 @@
-"""Every field of the environment's table goes all the way: from a word at the shell through message,
-guard, mailbox, law and record into a recording, and back.
+"""Every field of the environment's table goes all the way: from a word at the shell through the
+message, guard, mailbox, law and record into a recording, and back.
 """
 
 import dataclasses

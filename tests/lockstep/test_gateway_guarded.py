@@ -1037,6 +1037,19 @@ def test_delays_say_which_one_is_counted_on(rig: DeskRig, worker: StubWorker) ->
     assert found["measured_p99_periods"] == 0.5
 
 
+def test_cost_of_the_delay_is_that_of_the_last_look(rig: DeskRig, worker: StubWorker) -> None:
+    worker.script = lambda asked: looked(asked) | {"timing": {"periods": asked["delay_periods"]}}
+    assert rig.ask(cmd="guard")["result"]["timing"] is None
+    looking(rig)
+    assert rig.ask(cmd="guard")["result"]["timing"] == {"measured": False, "periods": None}
+    rig.guard.delay.periods = 0.25
+    looking(rig)
+    assert rig.ask(cmd="guard")["result"]["timing"] == {"measured": True, "periods": 0.25}
+    worker.script = looked  # of a device without a model
+    looking(rig)
+    assert rig.ask(cmd="guard")["result"]["timing"] == {"measured": True, "periods": 0.25}
+
+
 def test_environment_that_is_passive_no_more_is_warned_about(
     rig: DeskRig, worker: StubWorker
 ) -> None:

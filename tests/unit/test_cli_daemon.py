@@ -355,6 +355,31 @@ def test_doctor_warns_of_a_force_that_comes_a_period_late(
     assert levels == ["warn", "ok"]
 
 
+def test_status_and_doctor_say_what_the_delay_costs(
+    client: ClientDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(system, "connect", lambda instance: client)
+    cost = {"level_ns_per_m": 0.0, "stiffness_n_per_m": 292.3, "ideal_stiffness_n_per_m": 719.6}
+    cost["lost_share"] = 0.594
+    timing = {"delay_periods": 0.6875, "measured": True, "without_damping": cost}
+    timing["with_damping"] = cost
+    guard = dict.fromkeys(("basis", "margin_ns_per_m", "mode", "measuring", "trouble", "policy"))
+    guard |= {"delay_periods": 0.6875, "worker": "up", "timing": timing}
+    client.states = [RUNNING | {"guard": guard}] * 2 + [RUNNING]
+    says = "delay 0.6875 periods, measured: K up to 292.3 instead of 719.6 N/m without it"
+    assert main(["status"]) == 0
+    assert f"  costs     {says}" in capsys.readouterr().out
+    assert main(["doctor", "--seconds", "0", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["timing"] == timing
+    (line,) = [check["found"] for check in told["checks"] if check["name"] == "stiffness"]
+    assert line.startswith(says)
+    assert main(["doctor", "--seconds", "0", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert told["timing"] is None
+    assert "stiffness" not in [check["name"] for check in told["checks"]]
+
+
 def test_status_says_what_is_known_of_the_board(
     client: ClientDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,7 +17,7 @@ from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
 from hapticd.client import GuardVerdict, Receipt
 from hapticd.client.verdict import verdict_of
-from hapticd.client.words import guard_line, receipt_text, thoughts, verdict_lines
+from hapticd.client.words import guard_line, receipt_text, thoughts, timing_words, verdict_lines
 from hapticd.errors import CommandError, GuardWarning
 
 VERDICT = {
@@ -215,6 +215,58 @@ def test_delays_are_named_and_which_one_is_counted_on(
     }
     lines = guard_verb.guard_lines(GUARD | {"delays": delays})
     assert f"delay counted on: {says}" in lines
+
+
+WITHOUT = {
+    "level_ns_per_m": 0.0,
+    "stiffness_n_per_m": 292.3,
+    "ideal_stiffness_n_per_m": 719.6,
+    "lost_share": 0.594,
+}
+WITH = WITHOUT | {
+    "level_ns_per_m": 1.74,
+    "stiffness_n_per_m": 1705.6,
+    "ideal_stiffness_n_per_m": 4198.3,
+}
+NOTHING = WITHOUT | {"stiffness_n_per_m": 0.0, "ideal_stiffness_n_per_m": 0.0, "lost_share": None}
+
+
+@pytest.mark.parametrize(
+    ("without", "damped", "measured", "says"),
+    [
+        (
+            WITHOUT,
+            WITH,
+            True,
+            "delay 0.6875 periods, measured: K up to 292.3 instead of 719.6 N/m without it (59 %"
+            " less); with 1.74 N s/m of active damping 1706 instead of 4198 (theorem)",
+        ),
+        (
+            WITHOUT,
+            WITHOUT,
+            False,
+            "delay 0.6875 periods, assumed by the model: K up to 292.3 instead of 719.6 N/m"
+            " without it (59 % less) (theorem)",
+        ),
+        (
+            NOTHING,
+            NOTHING,
+            True,
+            "delay 0.6875 periods, measured: no K is passive, with or without it (theorem)",
+        ),
+    ],
+)
+def test_cost_of_the_delay_is_one_line(
+    without: dict[str, Any], damped: dict[str, Any], measured: bool, says: str
+) -> None:
+    timing = {"delay_periods": 0.6875, "measured": measured}
+    timing |= {"without_damping": without, "with_damping": damped}
+    assert timing_words({"timing": timing}) == says
+
+
+@pytest.mark.parametrize("found", [{}, {"timing": None}])
+def test_unknown_cost_of_the_delay_is_no_line(found: dict[str, Any]) -> None:
+    assert timing_words(found) == ""
 
 
 def test_measuring_is_shown() -> None:
