@@ -155,9 +155,9 @@ def test_ranges_equal_those_of_commands() -> None:
         name: table["properties"] for name, table in scene.schema("config")["$defs"].items()
     }
     places = {
-        layout.Value.STIFFNESS: ("Environment", "stiffness_n_per_m"),
-        layout.Value.VIRTUAL_DAMPING: ("Environment", "virtual_damping_ns_per_m"),
-        layout.Value.MASS: ("Environment", "mass_kg"),
+        layout.Value.STIFFNESS: ("EnvironmentTable", "stiffness_n_per_m"),
+        layout.Value.VIRTUAL_DAMPING: ("EnvironmentTable", "virtual_damping_ns_per_m"),
+        layout.Value.MASS: ("EnvironmentTable", "mass_kg"),
         layout.Value.VELOCITY_FILTER_HZ: ("Filter", "frequency_hz"),
         layout.Value.VELOCITY_FILTER_ZETA: ("Filter", "damping_ratio"),
         layout.Value.WALL_STIFFNESS: ("WallTable", "stiffness_n_per_m"),
