@@ -27,7 +27,6 @@ from hapticd.plant.effects import (
 )
 from hapticd.plant.tables import board_fields
 from hapticd.rig.damping import measure
-from hapticd.rig.result import relative_half
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.units import COPPER_PER_K
@@ -82,8 +81,8 @@ def test_the_verb_writes_the_table_with_its_record(tmp_path, monkeypatch, capsys
     assert 0.2 < device.limits.physical_damping_ns_per_m <= 2.0 / 3.0 * 0.4
     (record,) = (tmp_path / "devices" / "rig").iterdir()
     assert record.name in device.damping.source
-    half = relative_half(device.damping.source, "damping.full_scale_ns_per_m", 1.0)
-    assert 0.003 < half < 0.03
+    half = device.damping.half_width_95["full_scale_ns_per_m"]
+    assert 0.003 < half / device.damping.full_scale_ns_per_m < 0.03
 
 
 def composed(residual_ohm):

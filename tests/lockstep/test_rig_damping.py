@@ -17,7 +17,6 @@ from hapticd.rig.damping import measure
 from hapticd.rig.damping_line import concluded
 from hapticd.rig.glide import Row, balance, row_of
 from hapticd.rig.push import push, ready
-from hapticd.rig.result import Value
 
 N_PER_A = 1.65
 FORCE = ScaleParams(COUNT_N)
@@ -213,8 +212,7 @@ def test_a_gain_of_twice_the_file_is_refused():
 
 def test_the_interval_of_the_force_scale_is_part_of_that_of_damping():
     rows = made_up(np.random.default_rng(8), 1.0)
-    known = Value("force.full_scale_n", 8.0, "N", 7.9, 8.1)
-    wide = concluded(rows, device(source=f"rig motor: {known}; rig/x.npz 0123")).values[0]
+    wide = concluded(rows, device(half=0.0125 * COUNT_N)).values[0]
     assert (wide.high - wide.low) / 2.0 >= 0.0125 * wide.value
 
 

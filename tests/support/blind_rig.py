@@ -142,8 +142,13 @@ class BlindRig:
         kept = keep(self.device_file, result.step, DAY, result.arrays)
         if result.settled and result.changes:
             words = "; ".join(str(value) for value in result.values)
-            source = f"rig {result.step}: {words or 'signs seen'}; rig/{kept.path.name}"
-            device_file.write(self.device_file, result.changes, f"{source} {kept.sha256}", DAY)
+            device_file.write(
+                self.device_file,
+                result.changes,
+                f"rig {result.step}",
+                DAY,
+                f"{words or 'signs seen'}; rig/{kept.path.name} {kept.sha256}",
+            )
 
     def restart(self) -> None:
         """A new daemon reads the device file; the device on the table stays as it is."""

@@ -431,9 +431,9 @@ DEVICE_CASES = {
         '"SIM00000000000001"',
     ): "serial = 'SIM00000000000001': must have at most 16 characters",
     (
-        "date = 2026-11-20",
-        'date = "yesterday"',
-    ): "position.date = 'yesterday': must be a date like 2026-11-20, without quotes",
+        "measured_on = 2026-11-20",
+        'measured_on = "yesterday"',
+    ): "position.measured_on = 'yesterday': must be a date like 2026-11-20, without quotes",
     (
         "m_per_count = 0.5e-6",
         "m_per_count = -0.5e-6",
