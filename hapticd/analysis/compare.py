@@ -91,32 +91,34 @@ def stiffness_damping_area(found: PassiveSet, mass_kg: float = 0.0) -> float:
     return float(np.trapezoid(np.nan_to_num(highest), damping[kept]))
 
 
-def stiffness_at(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 0.0) -> float:
-    """Largest passive K [N/m] at a virtual damping B of `damping_ns_per_m`, linear between grid
-    lines; nan where none is passive. AnalysisError for a damping outside the grid.
+def stiffness_at(found: PassiveSet, virtual_damping_ns_per_m: float, mass_kg: float = 0.0) -> float:
+    """Largest passive K [N/m] at this virtual damping, linear between grid lines; nan where none is
+    passive. AnalysisError outside the grid.
     """
     stiffness, damping, _ = found.axes
-    if not damping[0] <= damping_ns_per_m <= damping[-1]:
+    if not damping[0] <= virtual_damping_ns_per_m <= damping[-1]:
         raise AnalysisError(
-            f"virtual damping B = {damping_ns_per_m:g} N s/m lies outside the grid"
+            f"virtual damping B = {virtual_damping_ns_per_m:g} N s/m lies outside the grid"
             f" {damping[0]:g}..{damping[-1]:g}"
         )
     plane = found.margin[:, :, _plane(found, mass_kg)]
-    above = min(int(np.searchsorted(damping, damping_ns_per_m, "right")), damping.size - 1)
-    share = (damping_ns_per_m - damping[above - 1]) / (damping[above] - damping[above - 1])
+    above = min(int(np.searchsorted(damping, virtual_damping_ns_per_m, "right")), damping.size - 1)
+    share = (virtual_damping_ns_per_m - damping[above - 1]) / (damping[above] - damping[above - 1])
     return _highest(
         stiffness, np.asarray((1.0 - share) * plane[:, above - 1] + share * plane[:, above])
     )
 
 
-def stiffness_rate(found: PassiveSet, damping_ns_per_m: float, mass_kg: float = 0.0) -> float:
-    """Slope dK/dB [1/s] of the boundary at a virtual damping B of `damping_ns_per_m`, over one
-    step of the grid (one-sided at its ends).
+def stiffness_rate(
+    found: PassiveSet, virtual_damping_ns_per_m: float, mass_kg: float = 0.0
+) -> float:
+    """Slope dK/dB [1/s] of the boundary at this virtual damping, over one step of the grid
+    (one-sided at its ends).
     """
     damping = found.axes[1]
     step = float(np.min(np.diff(damping)))
-    low = max(float(damping[0]), damping_ns_per_m - 0.5 * step)
-    high = min(float(damping[-1]), damping_ns_per_m + 0.5 * step)
+    low = max(float(damping[0]), virtual_damping_ns_per_m - 0.5 * step)
+    high = min(float(damping[-1]), virtual_damping_ns_per_m + 0.5 * step)
     return (stiffness_at(found, high, mass_kg) - stiffness_at(found, low, mass_kg)) / (high - low)
 
 

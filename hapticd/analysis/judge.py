@@ -98,15 +98,15 @@ class Judge:
                 "with_damping": {"level": request["level_on"], **nothing},
             }
         safe = judgement.safe([target])[0]
-        on = min(float(request["level_on"]), self.setup.damping_limit_ns_per_m)
+        on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         outcome = Outcome.SAFE if safe else Outcome.UNSAFE
         why = explained(judgement, target, safe)
         return {
             "verdict": self.verdicts.of(judgement, target, "", outcome, why, [target], safe),
-            "without_damping": self._seen(judgement, target._replace(added_ns_per_m=0.0)),
+            "without_damping": self._seen(judgement, target._replace(active_damping_ns_per_m=0.0)),
             "with_damping": {
                 "level": on,
-                **self._seen(judgement, target._replace(added_ns_per_m=on)),
+                **self._seen(judgement, target._replace(active_damping_ns_per_m=on)),
             },
         }
 
@@ -120,7 +120,7 @@ class Judge:
         if judgement is None:
             return {"plane": None, "text": unknown.plain(Outcome.UNKNOWN)["text"]}
         display = display_of(request["target"], self.setup.environment)
-        on = min(float(request["level_on"]), self.setup.damping_limit_ns_per_m)
+        on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         most_k, most_b, _ = self.setup.highest
         return {"plane": plane(judgement, display, on, most_k, most_b)}
 
@@ -144,7 +144,7 @@ class Judge:
         """Hands that shake it: where the motion should grow fastest, and where the most damping is
         missing, for neither is always the one that shakes it hardest.
         """
-        level = display.added_ns_per_m
+        level = display.active_damping_ns_per_m
         filters = display.filters
         model = theorem.late(delay)
         worst = theorem.reading(point, Conditions(level, filters, delay, 0.0))

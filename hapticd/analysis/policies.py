@@ -84,7 +84,7 @@ class _Asked:
             self.passed.append(self.target)
             self.now = self.target
             self.target = changed(self.target, one)
-        self.now = self.now._replace(added_ns_per_m=self._in_effect())
+        self.now = self.now._replace(active_damping_ns_per_m=self._in_effect())
         self.asked: dict[str, Any] = dict(request["change"])
         self.request = request
 
@@ -92,9 +92,9 @@ class _Asked:
         """The level in effect: that which is asked for, or while it is on its way the kept one
         below.
         """
-        reported = self.now.added_ns_per_m
-        asked = self.target.added_ns_per_m
-        if abs(reported - asked) <= self.setup.damping_count_ns_per_m:
+        reported = self.now.active_damping_ns_per_m
+        asked = self.target.active_damping_ns_per_m
+        if abs(reported - asked) <= self.setup.active_damping_count_ns_per_m:
             return asked
         return max((level for level in self.levels if level <= reported), default=reported)
 
@@ -112,18 +112,18 @@ class _Asked:
                 enable=enable,
                 moving=enable or self.request["state"] == "enabled",
                 levels=self.levels,
-                count_ns_per_m=self.setup.damping_count_ns_per_m,
+                count_ns_per_m=self.setup.active_damping_count_ns_per_m,
             )
         )
 
     def with_level(self) -> dict[str, Any]:
         """The change with the level of mode `level`, where it names no other."""
         change = dict(self.asked)
-        if self.request["mode"] == "level" and "damping" not in change:
-            ceiling = self.setup.damping_limit_ns_per_m
+        if self.request["mode"] == "level" and "active_damping" not in change:
+            ceiling = self.setup.active_damping_limit_ns_per_m
             level = min(float(self.request["level"]), ceiling)
-            if level != self.target.added_ns_per_m:
-                change["damping"] = level
+            if level != self.target.active_damping_ns_per_m:
+                change["active_damping"] = level
         return change
 
 
@@ -180,7 +180,10 @@ class _Judged(_Asked):
             return self._taken(self.plans[0], Outcome.WARNING, why)
         if self.policy == "clamp":
             return self._clamped(why)
-        if self.policy == "follow" and self.wanted.added_ns_per_m < self.target.added_ns_per_m:
+        if (
+            self.policy == "follow"
+            and self.wanted.active_damping_ns_per_m < self.target.active_damping_ns_per_m
+        ):
             return self._followed(why)
         return self._refused(why)
 
@@ -224,14 +227,18 @@ class _Judged(_Asked):
     def _with_auto(self) -> dict[str, Any]:
         """The change with the level of mode `auto`, whatever level it names."""
         level = self._least(changed(self.target, self.asked))
-        rest = {name: value for name, value in self.asked.items() if name != "damping"}
-        return rest if level == self.target.added_ns_per_m else rest | {"damping": level}
+        rest = {name: value for name, value in self.asked.items() if name != "active_damping"}
+        return (
+            rest
+            if level == self.target.active_damping_ns_per_m
+            else rest | {"active_damping": level}
+        )
 
     def _least(self, display: Display) -> float:
         """The least level that will do; down only with some to spare. Where none will, the one
         with the largest margin, and not less than now.
         """
-        present = self.target.added_ns_per_m
+        present = self.target.active_damping_ns_per_m
         levels = self.levels
         needed = self.judgement.least_level(display, levels)
         if needed is None:
@@ -246,7 +253,7 @@ class _Judged(_Asked):
 
     def _most_spare(self, display: Display) -> float:
         def margin(level: float) -> float:
-            found = self.judgement.worse(display._replace(added_ns_per_m=level))
+            found = self.judgement.worse(display._replace(active_damping_ns_per_m=level))
             return found.margin_ns_per_m or 0.0
 
         return max(self.levels, key=margin)
@@ -320,7 +327,7 @@ class _Judged(_Asked):
             leg = self.way.plan([*kept, stage]).legs[-1]
             share = self._exit(leg)
             end = between(leg.under_way, leg.end, share, self.levels)
-            lower = self._lowered(leg.end.added_ns_per_m, end)
+            lower = self._lowered(leg.end.active_damping_ns_per_m, end)
             if share >= _LEAST_MOVE or lower != end:
                 kept.append(stage._replace(change=fields_of(stage.change, lower)))
         return kept
@@ -329,7 +336,7 @@ class _Judged(_Asked):
         """`end` with its damping as near to the lower one that is asked as is safe, rounded up to a
         count: the kept levels lie some tenths of N s/m apart.
         """
-        safe = end.added_ns_per_m
+        safe = end.active_damping_ns_per_m
         unsafe = max((one for one in self.levels if one < safe), default=0.0)
         unsafe = max(unsafe, asked_ns_per_m)
         if unsafe >= safe:
@@ -339,12 +346,12 @@ class _Judged(_Asked):
             return safe + share * (unsafe - safe)
 
         def holds(share: float) -> bool:
-            return self.judgement.safe([end._replace(added_ns_per_m=lower(share))])[0]
+            return self.judgement.safe([end._replace(active_damping_ns_per_m=lower(share))])[0]
 
         level = lower(_largest(holds, (0.0, 1.0), _LEVEL_HALVINGS))
         count = self.way.request.count_ns_per_m
         counted = ceil(level / count) * count if count > 0.0 else level
-        return end._replace(added_ns_per_m=min(counted, end.added_ns_per_m))
+        return end._replace(active_damping_ns_per_m=min(counted, end.active_damping_ns_per_m))
 
     def _exit(self, leg: Leg) -> float:
         """The share of a leg up to which all of it is safe."""
@@ -366,7 +373,7 @@ class _Judged(_Asked):
             text = "no smaller environment would do either"
             return self._refused(why.and_reason(Reason.NOT_FOLLOWED, text))
         first = Stage(environment_of(small, self.wanted))
-        second = Stage({"damping": self.wanted.added_ns_per_m}, after_ramps=True)
+        second = Stage({"active_damping": self.wanted.active_damping_ns_per_m}, after_ramps=True)
         plan = self.way.plan([first, second])
         if not self._is_safe(plan):
             text = "the way into the smaller set is not safe"
@@ -410,7 +417,7 @@ def _largest(
 
 
 def _answer(stages: list[Stage], verdict: dict[str, Any]) -> dict[str, Any]:
-    at_once = len(stages) == 1 and stages[0].damping_at_least is None
+    at_once = len(stages) == 1 and stages[0].active_damping_at_least is None
     at_once = at_once and not stages[0].after_ramps
     action = "refuse" if not stages else "apply" if at_once else "stage"
     return {"action": action, "stages": [stage.plain() for stage in stages], "verdict": verdict}

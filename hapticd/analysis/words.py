@@ -28,7 +28,9 @@ class Verdicts:
 
     def __init__(self, setup: GuardSetup) -> None:
         self.setup = setup
-        self.levels = cached_levels(setup.damping_limit_ns_per_m, setup.added_damping_ns_per_m)
+        self.levels = cached_levels(
+            setup.active_damping_limit_ns_per_m, setup.active_damping_ns_per_m
+        )
 
     def of(
         self,
@@ -44,7 +46,7 @@ class Verdicts:
     ) -> dict[str, Any]:
         """What is told of `display`, judged along `path`; `given` is where the stages lead."""
         known = _of_nothing() if judgement is None else self._known(judgement, display)
-        if judgement is not None and known["least_damping_ns_per_m"] is None:
+        if judgement is not None and known["least_active_damping_ns_per_m"] is None:
             no_level = (one for one in why.remedies if one.code != Remedy.MORE_DAMPING)
             why = Explanation(why.reasons, tuple(no_level))
         return {
@@ -66,7 +68,7 @@ class Verdicts:
             "contact": None if contact is None else contact._asdict(),
             "delay_periods": judgement.delay_periods,
             "allowed": judgement.allowed(display, self.setup.lowest, self.setup.highest),
-            "least_damping_ns_per_m": judgement.least_level(display, self.levels),
+            "least_active_damping_ns_per_m": judgement.least_level(display, self.levels),
         }
 
     def _not_covered(self) -> list[str]:
@@ -82,7 +84,7 @@ def _of_nothing() -> dict[str, Any]:
         "contact": None,
         "delay_periods": None,
         "allowed": {},
-        "least_damping_ns_per_m": None,
+        "least_active_damping_ns_per_m": None,
     }
 
 
@@ -143,8 +145,8 @@ def doubling(radius: float, rate_hz: float) -> str:
 def named(display: Display) -> str:
     """A display by its numbers."""
     return (
-        f"K = {display.stiffness_n_per_m:g} N/m, B = {display.damping_ns_per_m:g} N s/m,"
-        f" M = {display.mass_kg:g} kg with {display.added_ns_per_m:.4g} N s/m of damping"
+        f"K = {display.stiffness_n_per_m:g} N/m, B = {display.virtual_damping_ns_per_m:g} N s/m,"
+        f" M = {display.mass_kg:g} kg with {display.active_damping_ns_per_m:.4g} N s/m of damping"
     )
 
 

@@ -54,22 +54,22 @@ LOOK_S = 0.02  # between looks at what has come, and at the keys
 TICKS = "servo.raw"
 STATE = "state"  # what no record holds; nothing is asked, so that no key waits for an answer
 EVENT = "event"
-ASKED = "added_damping_asked_ns_per_m"
+ASKED = "active_damping_asked_ns_per_m"
 NEWEST = (
     "tick",
     "position_m",
     "force_n",
     "stiffness_n_per_m",
-    "damping_ns_per_m",
+    "virtual_damping_ns_per_m",
     "mass_kg",
-    "added_damping_ns_per_m",
+    "active_damping_ns_per_m",
     "gain",
     "delay_us",
     "delay_spread_us",
     "frame_age_us",
     "watches",
     "lease_control",
-    "lease_damping",
+    "lease_active_damping",
 )
 Show = Callable[["History", bool | None, float], None]  # history, simulated, seconds without data
 
@@ -197,7 +197,7 @@ def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict
         "simulated": simulated,
         **{name: newest[name].item() for name in NEWEST},
         "wake_us": newest["wake_ns"] / 1e3,
-        "delivered_damping": history.delivered,
+        "delivered_active_damping": history.delivered,
         "guard": history.guard,
     }
 
@@ -214,7 +214,7 @@ def _print_line(history: "History", simulated: bool | None, silent_s: float) -> 
     else:
         x_mm = 1e3 * found["position_m"]
         force_n = found["force_n"]
-        damping = found["added_damping_ns_per_m"]
+        damping = found["active_damping_ns_per_m"]
         moving = f"x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g} N s/m"
         terminal.data(f"{badge}{found['state']} {moving}")
 

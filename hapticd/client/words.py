@@ -32,7 +32,7 @@ def verdict_lines(verdict: "GuardVerdict | None") -> list[str]:
         lines.append(f"allowed, each with the others as asked: {', '.join(ranges)}")
     elif allowed:
         lines.append("no K, B or M alone would do, with the others as asked")
-    least = verdict.least_damping_ns_per_m
+    least = verdict.least_active_damping_ns_per_m
     if least is not None:
         lines.append(f"least level of active damping tried that would do: {least:.4g} N s/m")
     elif allowed and verdict.safe is False:
@@ -98,7 +98,7 @@ def receipt_text(receipt: "Receipt") -> str:
 def _shown(table: dict[str, Any]) -> str:
     """K, B, M and active damping of parameters in the shape of a `set`."""
     values = dict(parameters(table))
-    names = {"K": "K", "B": "B", "M": "M", "damping": "active damping"}
+    names = {"K": "K", "B": "B", "M": "M", "active_damping": "active damping"}
     return ", ".join(f"{names[name]} {values[name]}" for name in names if name in values)
 
 
@@ -115,8 +115,8 @@ def _margin(verdict: "GuardVerdict | None") -> str:
 def parameters(table: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """(dotted name, value with unit) of parameters in the shape of a `set`."""
     for name, value in flat(table):
-        place = PLACES.get(name.replace("damping_level", "damping"))
+        place = PLACES.get(name.replace("active_damping_level", "active_damping"))
         unit = VALUE_LIMITS[place].unit if place is not None else ""
         # a level is rounded to a count of the board's converter: 1.73999 was 1.74 when it was asked
-        shown = f"{value:.4g}" if place == Value.ADDED_DAMPING else f"{value:.6g}"
+        shown = f"{value:.4g}" if place == Value.ACTIVE_DAMPING else f"{value:.6g}"
         yield name, shown if unit in ("", "1", "side") else f"{shown} {unit}"

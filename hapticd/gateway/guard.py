@@ -129,7 +129,7 @@ class Guard:
         """The mode of active damping: off, level or auto; while measuring, nobody chooses."""
         if self.auto and not self.measuring():
             return "auto"
-        return "level" if self.in_force.target()["damping"] else "off"
+        return "level" if self.in_force.target()["active_damping"] else "off"
 
     @property
     def must(self) -> bool:
@@ -253,7 +253,13 @@ class Guard:
         """The verdict on what nobody judged, because of `why`, under `policy` if not under the one
         that counts.
         """
-        nothing = ("margin_ns_per_m", "worst_hz", "radius", "contact", "least_damping_ns_per_m")
+        nothing = (
+            "margin_ns_per_m",
+            "worst_hz",
+            "radius",
+            "contact",
+            "least_active_damping_ns_per_m",
+        )
         return {
             "safe": None,
             "policy": policy or self.policy,
@@ -277,7 +283,7 @@ class Guard:
         verdict = self.verdict or {}
         if not self.must:
             return None
-        least = verdict.get("least_damping_ns_per_m")
+        least = verdict.get("least_active_damping_ns_per_m")
         return float(least) if isinstance(least, (int, float)) else None
 
     @property

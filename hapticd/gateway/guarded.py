@@ -131,7 +131,7 @@ class Guarded:
         """Whether it is done whatever the verdict says, and in one stage."""
         guard = self._guard
         change = change_of(case.request, guard.in_force.level)
-        whole = "damping" not in change or len(change) == 1
+        whole = "active_damping" not in change or len(change) == 1
         plain = whole and not case.at_tick and not self._auto(case)
         plain = plain and not until_tick(case.request)
         # a look, or the search for a hand, delays the reply alone
@@ -455,8 +455,11 @@ class Guarded:
         after = before
         for stage in case.stages:
             after = merged(after, stage.change)
-        moved = abs(after["damping"] - before["damping"]) > self._under_way.resolution_ns_per_m
-        return moved or after | {"damping": 0} != before | {"damping": 0}
+        moved = (
+            abs(after["active_damping"] - before["active_damping"])
+            > self._under_way.resolution_ns_per_m
+        )
+        return moved or after | {"active_damping": 0} != before | {"active_damping": 0}
 
     def _stages(self, case: Case, answer: dict[str, Any]) -> tuple[Stage, ...]:
         found = stages_of(answer)

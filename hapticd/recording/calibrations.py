@@ -57,7 +57,7 @@ def used_scales(device: Mapping[str, Any], probed: bool = False) -> dict[str, Ma
     those of the probe as well if it is `probed`.
     """
     names = ["position", "force"]
-    if device["damping_limit_ns_per_m"] > 0.0:
+    if device["active_damping_limit_ns_per_m"] > 0.0:
         names.append("damping")
     if probed or "probe" in device["relies_on"]:
         names += ["probe_torque", "probe_velocity"]
@@ -91,7 +91,7 @@ def doubts(
 
 def _outlived(table: str, device: Mapping[str, Any]) -> Iterator[str]:
     """Why the active damping of `device` does not go with its scale of force."""
-    then_n = float(device.get("damping_with_force_n", 0.0))
+    then_n = float(device.get("active_damping_with_force_n", 0.0))
     now_n = float(device["force"]["per_count"]) * I16_HIGHEST
     if table == "damping" and then_n and abs(now_n - then_n) > SAME_SCALE * then_n:
         yield (

@@ -180,7 +180,7 @@ class Force(Scale):
     """At 32767 counts."""
 
 
-class AddedDamping(Scale):
+class ActiveDampingTable(Scale):
     full_scale_ns_per_m: float = Field(gt=0)
     """At 65535 counts."""
     with_force_full_scale_n: float | None = Field(None, gt=0)
@@ -269,7 +269,7 @@ class LimitsTable(TomlTable):
     """What the device may be asked for; the configuration may only be stricter."""
 
     force_n: float = Field(gt=0)
-    damping_ns_per_m: float = Field(ge=0)
+    active_damping_ns_per_m: float = Field(ge=0)
     probe_n: float = Field(ge=0)
     temperature_c: float = Field(gt=0, le=200)
     speed_m_per_s: float = Field(gt=0)
@@ -382,7 +382,7 @@ class DeviceFile(TomlTable):
     simulated: bool = False
     position: Position
     force: Force
-    damping: AddedDamping
+    active_damping: ActiveDampingTable
     probe_torque: Force
     probe_velocity: ProbeVelocity
     current: Current

@@ -52,9 +52,9 @@ def guard_setup(
         config_hash=servo.config_hash,
         rate_hz=rate_hz,
         environment=servo.environment,
-        added_damping_ns_per_m=servo.added_damping_ns_per_m,
-        damping_limit_ns_per_m=servo.device.damping_limit_ns_per_m,
-        damping_count_ns_per_m=servo.device.damping.per_count,
+        active_damping_ns_per_m=servo.active_damping_ns_per_m,
+        active_damping_limit_ns_per_m=servo.device.active_damping_limit_ns_per_m,
+        active_damping_count_ns_per_m=servo.device.active_damping.per_count,
         lowest=lowest,
         highest=highest,
         model=model,
@@ -178,7 +178,7 @@ def _levels(content: Mapping[str, Any]) -> tuple[MeasuredLevel, ...]:
             continue
         ends = [float(limit[end]) for end in ("lower", "upper", "value") if limit[end] is not None]
         nearest = min(ends, key=abs)
-        ends_of = found.setdefault(float(scan["damping_ns_per_m"]), {})
+        ends_of = found.setdefault(float(scan["active_damping_ns_per_m"]), {})
         ends_of[f"{AXES[scan['axis']]}{'-' if nearest < 0.0 else '+'}"] = nearest
     return tuple(
         MeasuredLevel(

@@ -208,7 +208,7 @@ class ReferenceComparison(ABC, Generic[T]):
             torque = np.resize(torque_record(source, samples, source.seed), samples)
         else:
             torque = self.torque_n[0, :samples]
-        steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.damping]
+        steps = [(step.at_s, step.level_ns_per_m) for step in self.scene.active_damping]
         trial, spent = timed(self.now_ns, lambda: run_lockstep(str(self.source), torque, steps))
         return replace(self._lockstep_errors(trial), seconds=spent)
 
@@ -347,11 +347,11 @@ class PositionComparison(ReferenceComparison[Floats]):
         ticks = 1 if lead else 0
         later = [
             (step.at_s + (ticks / rate_hz if step.at_s else 0.0), step.level_ns_per_m)
-            for step in self.scene.damping
+            for step in self.scene.active_damping
         ]
         samples = trial.torque_n.size
         like = simulate(
-            self.scene, [point(self.scene)], samples / PROBE_RATE_HZ, damping=later,
+            self.scene, [point(self.scene)], samples / PROBE_RATE_HZ, active_damping=later,
             excitation=np.concatenate((np.zeros(lead), trial.torque_n))[:samples],
             substeps=self.exact.substeps, keep="ticks",
         )  # fmt: skip

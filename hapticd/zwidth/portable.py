@@ -81,7 +81,7 @@ def portable(
     `certificate`: what is to be said of the rig's.
     """
     drawn = [
-        {"added_damping_ns_per_m": level, "envelope": found}
+        {"active_damping_ns_per_m": level, "envelope": found}
         for level, found in envelopes
         if found is not None
     ]
@@ -102,9 +102,9 @@ def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
     as predicted.
     """
     f = outcomes.kept_frequencies()
-    free = display.impedances(np.zeros((1, 3)), level.damping_ns_per_m, f)[0]
+    free = display.impedances(np.zeros((1, 3)), level.active_damping_ns_per_m, f)[0]
     return {
-        "added_damping_ns_per_m": level.damping_ns_per_m,
+        "active_damping_ns_per_m": level.active_damping_ns_per_m,
         "stiffness_damping_area": stiffness_damping_area(level.found),
         "stiffness_rate_per_s": stiffness_rate(level.found, 0.0),
         "zero_mass_bandwidth_hz": zero_mass_bandwidth_hz(f, free),
@@ -164,7 +164,7 @@ class Level:
     limits, and other people's numbers.
     """
 
-    damping_ns_per_m: float
+    active_damping_ns_per_m: float
     envelope: Envelope
     per_mass: Envelope | None
     limits: tuple[Reach, ...]
@@ -248,10 +248,10 @@ def _conditions(content: Mapping[str, Any]) -> EnvelopeConditions:
 
 
 def _level(content: Mapping[str, Any], drawn: Mapping[str, Any], mass_kg: float) -> Level:
-    damping = drawn["added_damping_ns_per_m"]
+    damping = drawn["active_damping_ns_per_m"]
     found = _envelope(drawn["envelope"])
     numbers: Mapping[str, Any] = next(
-        (one for one in content.get("numbers", ()) if one["added_damping_ns_per_m"] == damping), {}
+        (one for one in content.get("numbers", ()) if one["active_damping_ns_per_m"] == damping), {}
     )
     known = np.array([numbers.get(name) for name in NUMBERS], np.float64)  # null is nan
     return Level(
@@ -287,7 +287,7 @@ def _reaches(
 ) -> Iterable[Reach]:
     for limit in limits:
         scan = limit["scan"]
-        if scan["damping_ns_per_m"] == damping and scan["amplitude"] == 1.0:
+        if scan["active_damping_ns_per_m"] == damping and scan["amplitude"] == 1.0:
             value, lower, upper = np.array(
                 [limit[name] for name in ("value", "lower", "upper")], np.float64
             ).tolist()

@@ -183,7 +183,7 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> Tri
         ended=end_of_plain(stated.get("ended")),
         max_command_n=stated.get("max_command_n"),
         command_limit_n=stated.get("command_limit_n"),
-        rendered=RenderedEnvironment((stiffness, damping, mass), stated["added_damping_ns_per_m"]),
+        rendered=RenderedEnvironment((stiffness, damping, mass), stated["active_damping_ns_per_m"]),
         more={name: stated[name] for name in (*COUNTS, MARK_SAMPLE, *RESTS_ON) if name in stated},
     )
 

@@ -34,7 +34,7 @@ def engine_source(scene: Scene, substeps: int = 4) -> Source:
             [trial.environment],
             trial.seconds,
             trial.excitation.seed,
-            damping=trial.damping_ns_per_m,
+            active_damping=trial.active_damping_ns_per_m,
             environment=scenes.free_of_walls(scene),
             start=(0.0, 0.0),
             substeps=substeps,

@@ -40,7 +40,7 @@ class Trial:
     """
 
     environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    damping_ns_per_m: float = 0.0
+    active_damping_ns_per_m: float = 0.0
     seconds: float = 90.0
     excitation: Excitation = scenes.NOISE
     watch: Watch = field(default_factory=Watch)
@@ -98,7 +98,7 @@ def watched(
 
 def given(
     typed: Typed,
-    damping_ns_per_m: float | None,
+    active_damping_ns_per_m: float | None,
     scene: Scene | None,
     named: bool,
     recorded: TrialRecord | None = None,
@@ -108,7 +108,7 @@ def given(
     """
     stated = recorded.rendered if recorded else None
     if stated is not None:
-        _agrees(recorded.origin if recorded else "", typed, damping_ns_per_m, stated)
+        _agrees(recorded.origin if recorded else "", typed, active_damping_ns_per_m, stated)
         return stated
     known = (
         RenderedEnvironment(scenes.point(scene), scenes.level(scene))
@@ -119,17 +119,21 @@ def given(
     stiffness, damping, mass = (
         other if own is None else own for own, other in zip(typed, others, strict=True)
     )
-    level = known.damping_ns_per_m if damping_ns_per_m is None else damping_ns_per_m
+    level = (
+        known.active_damping_ns_per_m
+        if active_damping_ns_per_m is None
+        else active_damping_ns_per_m
+    )
     return RenderedEnvironment((stiffness, damping, mass), level)
 
 
 def _agrees(
-    origin: str, typed: Typed, damping_ns_per_m: float | None, stated: RenderedEnvironment
+    origin: str, typed: Typed, active_damping_ns_per_m: float | None, stated: RenderedEnvironment
 ) -> None:
     every = zip(
         (*NAMES, ("active damping", "N s/m")),
-        (*typed, damping_ns_per_m),
-        (*stated.environment, stated.damping_ns_per_m),
+        (*typed, active_damping_ns_per_m),
+        (*stated.environment, stated.active_damping_ns_per_m),
         strict=True,
     )
     for (name, unit), said, known in every:

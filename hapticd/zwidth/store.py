@@ -68,7 +68,7 @@ OF_A_RECORD = (
     "simulated",
     "origin",
     "environment",
-    "added_damping_ns_per_m",
+    "active_damping_ns_per_m",
     "ended",
     "max_command_n",
     "command_limit_n",
@@ -126,7 +126,7 @@ class RenderedEnvironment:
     """
 
     environment: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    damping_ns_per_m: float = 0.0
+    active_damping_ns_per_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,11 +44,11 @@ def holds(value, truth):
 
 def test_gain_and_physical_damping_lie_in_their_intervals():
     with Hand(touch=FRICTION, **FREE) as hand:
-        hand.axis.damping_gain = 1.17
+        hand.axis.active_damping_gain = 1.17
         result = measure(hand.bench, nothing)
         assert hand.bench.status()["state"] == "disabled"
         hand.settle()
-        assert hand.bench.newest["added_damping_ns_per_m"] == 0.0
+        assert hand.bench.newest["active_damping_ns_per_m"] == 0.0
     found = values_of(result)
     gain = found["damping.full_scale_ns_per_m"]
     assert result.settled
@@ -70,19 +70,19 @@ def test_the_verb_writes_the_table_with_its_record(tmp_path, monkeypatch, capsys
     config = tmp_path / "hapticd.toml"
     config.write_text('device = "own"\n')
     with Hand({"emf_velocity": ScaleParams(2.0 / 32767)}, touch=FRICTION, **FREE) as hand:
-        hand.axis.damping_gain = 0.9
+        hand.axis.active_damping_gain = 0.9
         monkeypatch.setattr(steps, "connect", lambda instance: nullcontext(hand.bench))
         monkeypatch.setattr(steps, "PAUSE_S", 0.0)
         assert main(["rig", "damping", "--yes", "--json", "--config", str(config)]) == 0
     assert json.loads(capsys.readouterr().out)["ok"]
     device = load(config).device
-    assert device.damping.full_scale_ns_per_m == pytest.approx(9.0, rel=0.02)
-    assert device.limits.damping_ns_per_m == device.damping.full_scale_ns_per_m
+    assert device.active_damping.full_scale_ns_per_m == pytest.approx(9.0, rel=0.02)
+    assert device.limits.active_damping_ns_per_m == device.active_damping.full_scale_ns_per_m
     assert 0.2 < device.limits.physical_damping_ns_per_m <= 2.0 / 3.0 * 0.4
     (record,) = (tmp_path / "devices" / "rig").iterdir()
-    assert record.name in device.damping.source
-    half = device.damping.half_width_95["full_scale_ns_per_m"]
-    assert 0.003 < half / device.damping.full_scale_ns_per_m < 0.03
+    assert record.name in device.active_damping.source
+    half = device.active_damping.half_width_95["full_scale_ns_per_m"]
+    assert 0.003 < half / device.active_damping.full_scale_ns_per_m < 0.03
 
 
 def composed(residual_ohm):
@@ -125,23 +125,23 @@ def test_a_board_without_current_is_measured_by_friction():
 
 def test_wrong_polarity_is_refused_before_it_can_grow():
     with Hand(touch=FRICTION, **FREE) as hand:
-        hand.axis.damping_gain = -1.0
+        hand.axis.active_damping_gain = -1.0
         result = measure(hand.bench, nothing)
         assert hand.bench.status()["state"] == "disabled"
-        assert hand.bench.newest["added_damping_ns_per_m"] == 0.0
+        assert hand.bench.newest["active_damping_ns_per_m"] == 0.0
     assert not result.settled
     assert not result.changes
     assert "polarity" in result.findings[0].what
-    on = result.arrays["damping_effect_ns_per_m"] > 0.0
+    on = result.arrays["active_damping_effect_ns_per_m"] > 0.0
     moving = np.abs(np.diff(result.arrays["position_m"], prepend=0.0)) > 2 * COUNT_M
     lengths = np.diff(np.flatnonzero(np.diff((on & moving).astype(int))))[::2]
     assert 0 < lengths.max() <= 20
-    assert result.arrays["damping_effect_ns_per_m"].max() < 0.4  # the physical damping
+    assert result.arrays["active_damping_effect_ns_per_m"].max() < 0.4  # the physical damping
 
 
 def test_damping_that_does_nothing_is_refused():
     with Hand(touch=FRICTION, **FREE) as hand:
-        hand.axis.damping_gain = 0.0
+        hand.axis.active_damping_gain = 0.0
         result = measure(hand.bench, nothing)
     assert not result.settled
     assert "no damping is seen" in result.findings[0].what
@@ -151,7 +151,7 @@ def test_ctrl_c_ends_force_and_damping():
     with Hand(touch=FRICTION, **FREE) as hand:
 
         def interrupted(topics, look_s=0.05):
-            if hand.bench.newest["added_damping_ns_per_m"] > 0.0:
+            if hand.bench.newest["active_damping_ns_per_m"] > 0.0:
                 raise KeyboardInterrupt
             return type(hand.bench).messages(hand.bench, topics, look_s)
 
@@ -161,4 +161,4 @@ def test_ctrl_c_ends_force_and_damping():
         records = as_records(hand.bench.run(200))
         assert hand.bench.status()["state"] == "disabled"
         assert not records["force_n"].any()
-        assert not records["added_damping_ns_per_m"][-1]
+        assert not records["active_damping_ns_per_m"][-1]

@@ -142,8 +142,8 @@ def test_a_table_that_outlived_its_newton_is_offered_again(config):
     real = {"simulated": False}
     for full_scale_n, doubted in ((7.4, True), (8.0, False)):
         written = [
-            Change("damping", "full_scale_ns_per_m", 10.0),
-            Change("damping", "with_force_full_scale_n", full_scale_n),
+            Change("active_damping", "full_scale_ns_per_m", 10.0),
+            Change("active_damping", "with_force_full_scale_n", full_scale_n),
         ]
         write(file, written, "rig damping", datetime.date.today())
         said = guided.in_doubt("damping", load(config).device.model_copy(update=real))

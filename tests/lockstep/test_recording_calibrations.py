@@ -28,7 +28,7 @@ from hapticd.zwidth.store import read_summary
 from hapticd.zwidth.trial import TrialParams, kept_trial, plan_trial, run_trial, write
 
 DAY = datetime.date(2026, 6, 1)
-SCALES = ("position", "force", "damping", "probe_torque", "probe_velocity", "temperature")
+SCALES = ("position", "force", "active_damping", "probe_torque", "probe_velocity", "temperature")
 
 
 def dated(date="2026-05-01", serial="", **others):
@@ -62,7 +62,7 @@ def test_each_calibration_without_a_date_is_named_with_its_remedy():
 def test_damping_that_was_found_in_other_newtons_is_in_doubt(factor, doubted):
     """A gain of the motor that is measured after the damping makes another newton of it."""
     plain = to_plain(dated())
-    plain["device"]["damping_with_force_n"] = 32767 * plain["device"]["force"]["per_count"]
+    plain["device"]["active_damping_with_force_n"] = 32767 * plain["device"]["force"]["per_count"]
     plain["device"]["force"]["per_count"] *= factor
     said = [str(one) for one in doubts(plain, DAY)]
     assert len(said) == doubted
@@ -99,7 +99,7 @@ def test_nothing_is_asked_of_a_simulated_device():
 
 
 def test_what_a_device_does_not_use_is_not_asked_for():
-    without = dated(date="", relies_on=(), damping_limit_ns_per_m=0.0)
+    without = dated(date="", relies_on=(), active_damping_limit_ns_per_m=0.0)
     assert [one.table for one in found(without)] == ["position", "force"]
     probed = doubts(to_plain(without), DAY, probed=True)
     assert [one.table for one in probed][2:] == ["probe_torque", "probe_velocity"]

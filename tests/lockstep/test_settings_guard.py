@@ -25,7 +25,7 @@ def servo() -> ServoParams:
 
 def limit(axis: int, level: float, lower: float | None, value: float) -> dict[str, Any]:
     return {
-        "scan": {"axis": axis, "damping_ns_per_m": level, "amplitude": 1.0},
+        "scan": {"axis": axis, "active_damping_ns_per_m": level, "amplitude": 1.0},
         "value": value,
         "lower": lower,
         "upper": 1.1 * value,
@@ -58,7 +58,7 @@ def judge_of(measured: MeasuredParams) -> Judge:
 
 
 def safe(judge: Judge, asked: dict[str, Any], added: float = LEVEL) -> bool | None:
-    answer = change(judge, asked, basis="measured", now={"damping": added})
+    answer = change(judge, asked, basis="measured", now={"active_damping": added})
     found: bool | None = answer["verdict"]["safe"]
     return found
 
@@ -78,7 +78,9 @@ def test_a_measurement_counts_for_its_device_file_and_rate_alone(servo: ServoPar
 
 def test_inside_the_hull_of_measured_limits_is_safe(servo: ServoParams) -> None:
     judge = judge_of(measured_params("a.zwidth", content(), DEVICE_FILE, servo))
-    verdict = change(judge, {"K": 390.0}, basis="measured", now={"damping": LEVEL})["verdict"]
+    verdict = change(judge, {"K": 390.0}, basis="measured", now={"active_damping": LEVEL})[
+        "verdict"
+    ]
     assert verdict["safe"]
     assert verdict["basis"] == "measured a.zwidth"
     assert verdict["margin_ns_per_m"] is None

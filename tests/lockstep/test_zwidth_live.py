@@ -68,13 +68,13 @@ def flown(rigid, act):
 @pytest.mark.parametrize(
     "act",
     [
-        lambda bench: bench.set(K=400.0, B=1.0, M=0.0, damping=0.0),
+        lambda bench: bench.set(K=400.0, B=1.0, M=0.0, active_damping=0.0),
         lambda bench: bench.stack.do(
-            Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}
+            Command.DAMPING, {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0}
         ),
         lambda bench: bench.perturb_stop(),
     ],
-    ids=["environment", "damping", "perturbation"],
+    ids=["environment", "active_damping", "perturbation"],
 )
 def test_trial_that_someone_changes_is_undecided(rigid, act):
     found = flown(rigid, act)
@@ -177,7 +177,7 @@ class Watched(LockStepBench):
         self.seen = []
         for message in super().messages(topics, look_s):
             if message is None:
-                names = ("lease_control", "lease_damping", "watches", "perturbing")
+                names = ("lease_control", "lease_active_damping", "watches", "perturbing")
                 self.seen.append({name: int(self.newest[name]) for name in names})
             yield message
 
@@ -192,7 +192,7 @@ def test_trial_measures_under_a_lease_and_says_so(rigid):
         on = int(bench.newest["watches"])
         found = daemon_source(bench)(Trial(seconds=2.0), lambda *_: None)
         during = [one for one in bench.seen if one["perturbing"]]
-        assert {(one["lease_control"], one["lease_damping"]) for one in during} == {(16, 16)}
+        assert {(one["lease_control"], one["lease_active_damping"]) for one in during} == {(16, 16)}
         assert {one["watches"] & 5 for one in during} == {0}
         assert (bench.newest["lease_control"], bench.newest["watches"]) == (0, on)
     assert found.ended is None

@@ -153,13 +153,13 @@ def lands_within(one, other):
     return np.mean(apart < np.sqrt(3.0) * spread)
 
 
-@pytest.mark.parametrize("damping_ns_per_m", [0.0, 1.74])
-def test_lockstep_trial_lands_within_its_interval_of_the_engine(damping_ns_per_m):
+@pytest.mark.parametrize("active_damping_ns_per_m", [0.0, 1.74])
+def test_lockstep_trial_lands_within_its_interval_of_the_engine(active_damping_ns_per_m):
     """The calibrated display of fig. 7, undamped and damped: 25 s by the whole stack and by the
     engine, of other noise.
     """
     scene = load_scene("fig7")
-    trial = Trial((50.0, 2.0, 0.0), damping_ns_per_m, seconds=25.0)
+    trial = Trial((50.0, 2.0, 0.0), active_damping_ns_per_m, seconds=25.0)
     plan = plan_trial(TrialParams(trial, scene))
     by_engine = run_trial(plan, engine_source(scene))
     with LockStepBench(*scene_params("fig7")) as bench:
@@ -393,7 +393,7 @@ def test_run_folder_brings_the_trial_back(tmp_path):
     assert told["verdict"]["answer"] == "passive"
     assert told["environment"] == {
         "stiffness_n_per_m": 1.0,
-        "damping_ns_per_m": 2.0,
+        "virtual_damping_ns_per_m": 2.0,
         "mass_kg": 0.003,
     }
     assert told["seed"] == 7
@@ -422,7 +422,7 @@ def test_trial_store_survives_a_torn_line(tmp_path):
 def test_fingerprint_tells_every_change():
     trial = Trial((1.0, 2.0, 3.0))
     assert fingerprint(trial) == fingerprint(Trial((1.0, 2.0, 3.0)))
-    assert fingerprint(trial) != fingerprint(replace(trial, damping_ns_per_m=1e-12))
+    assert fingerprint(trial) != fingerprint(replace(trial, active_damping_ns_per_m=1e-12))
     assert to_json({"z": np.array([1 + 2j])}) == {"z": [[1.0, 2.0]]}
 
 

@@ -61,7 +61,7 @@ DISTANCE_M = 0.01
 FIXED_KG = 0.02
 EDITS: dict[str, dict[str, Any]] = {  # what its owner writes into the template, by table
     "": {"name": "blind", "serial": SERIAL},
-    "limits": {"force_n": LIMIT_N, "damping_ns_per_m": 10.0},
+    "limits": {"force_n": LIMIT_N, "active_damping_ns_per_m": 10.0},
     "home": {"method": "none", "required": False},
 }
 CONFIG = 'device = "blind"\n[realtime]\nmode = "off"\n'
@@ -171,7 +171,7 @@ def known(truth: Truth) -> dict[str, float]:
     """Every quantity that steps may find, by the name of its Value."""
     position_m = truth.position_gain * NOMINAL["position_m_per_count"]
     force_n = truth.force_gain * NOMINAL["force_n_per_count"]
-    damping = truth.damping_gain * NOMINAL["damping_ns_per_m_per_count"]
+    damping = truth.active_damping_gain * NOMINAL["active_damping_ns_per_m_per_count"]
     return {
         "delay": truth.delay_periods * 1e6 / NOMINAL["rate_hz"],
         "clock drift": 0.0,

@@ -18,7 +18,7 @@ def stage(
     change: dict[str, Any], at_least: float | None = None, after_ramps: bool = False
 ) -> dict[str, Any]:
     """A stage as the worker writes it."""
-    return {"change": change, "damping_at_least": at_least, "after_ramps": after_ramps}
+    return {"change": change, "active_damping_at_least": at_least, "after_ramps": after_ramps}
 
 
 def applies(request: dict[str, Any]) -> dict[str, Any]:

@@ -99,7 +99,7 @@ class RecordedFlight:
     def move(self) -> None:
         """Enabled, K 50 N/m and B 2 N s/m, with noise on the perturbation input."""
         self.stack.run(5)
-        self.stack.do(Command.SET, {Value.STIFFNESS: 50.0, Value.DAMPING: 2.0})
+        self.stack.do(Command.SET, {Value.STIFFNESS: 50.0, Value.VIRTUAL_DAMPING: 2.0})
         self.stack.do(Command.ENABLE)
         self.stack.load_waveform(np.random.default_rng(7).integers(-3000, 3001, 8000).tolist())
         self.stack.do(Command.PERTURB_START, {Value.SAMPLES: 8000.0, Value.LOOP: 1.0})

@@ -19,8 +19,8 @@ def device(loop_limit=10.0, half=None):
     return {
         "force": scale,
         "position": scale,
-        "damping": {"per_count": COUNT_NS_PER_M},
+        "active_damping": {"per_count": COUNT_NS_PER_M},
         "current": {"per_count": 1e-5},
-        "damping_limit_ns_per_m": loop_limit,
+        "active_damping_limit_ns_per_m": loop_limit,
         "motor_n_per_a": 0.0,
     }

@@ -27,7 +27,7 @@ VERDICT = {
     "number": 4,
     "margin_ns_per_m": -1.01,
     "allowed": {"K": [0.0, 320.0], "B": [-0.5, 1.25], "M": None},
-    "least_damping_ns_per_m": 1.43,
+    "least_active_damping_ns_per_m": 1.43,
     "clamped": False,
     "outcome": "refused",
     "reasons": [{"code": "short", "text": "1.01 N s/m short; at 112 Hz"}],
@@ -243,9 +243,9 @@ def daemon(runtime: Path) -> Iterator[Daemon]:
 
 
 def test_receipt_of_a_change_in_stages_says_where_it_leads() -> None:
-    given = {"K": 500.0, "B": 2.0, "M": 0.0, "damping": 1.74}
+    given = {"K": 500.0, "B": 2.0, "M": 0.0, "active_damping": 1.74}
     verdict = says(safe=True, margin_ns_per_m=0.367, given=given, stages=2)
-    now = {"K": 100.0, "B": 1.0, "M": 0.0, "damping": 1.74}
+    now = {"K": 100.0, "B": 1.0, "M": 0.0, "active_damping": 1.74}
     receipt = Receipt("staged", "enabled", 5, 900, 900, now, verdict)
     text = receipt_text(receipt)
     assert text.startswith("enabled: stage 1 of 2 at tick 900")

@@ -235,7 +235,7 @@ class StreamDouble:
         if topics == ("event",):
             yield from self._events()
         assert set(topics) == {"servo.raw", "state", "event"}
-        yield "state", msgpack.packb({"delivered_damping": DELIVERED, "guard": GUARD})
+        yield "state", msgpack.packb({"delivered_active_damping": DELIVERED, "guard": GUARD})
         for payload in self._script:
             self._clock.time_ns += 20 * NS_PER_MS if payload else NS_PER_S // 2
             if payload is not None:
@@ -296,7 +296,7 @@ def test_json_lines_follow_data_and_silence(
     assert {line["simulated"] for line in lines} == {True}
     assert [line["state"] for line in lines[:4]] == ["enabled"] * 4
     assert lines[0]["force_n"] == 0.5
-    assert lines[0]["delivered_damping"] == DELIVERED
+    assert lines[0]["delivered_active_damping"] == DELIVERED
     assert lines[0]["guard"] == GUARD
     assert lines[4] == {"state": "no_data", "simulated": True, "silent_s": 0.5}
     assert "stopped" not in {line["state"] for line in lines[4:6]}
@@ -385,7 +385,7 @@ def test_d_switches_the_active_damping(
     told: list[str] = []
     monkeypatch.setattr(monitor, "Thread", AtOnce)
     monkeypatch.setattr(monitor.Keys, "pressed", lambda self: next(pressed))
-    script = [block(20 * i, added_damping_asked_ns_per_m=asked_ns_per_m) for i in range(10)]
+    script = [block(20 * i, active_damping_asked_ns_per_m=asked_ns_per_m) for i in range(10)]
     asked = play(monkeypatch, clock, script)
     monitor.watch("left", None, lambda history, *_: told.append(history.event))
     assert asked == [answer]

@@ -19,7 +19,7 @@ def test_provenance_is_complete(recording_file: Path) -> None:
     )
     assert json.loads(found["realtime"]) == {"fifo": {"granted": True, "text": ""}}
     assert json.loads(found["configuration"])["device"]["serial"] == "SIM0001"
-    assert set(json.loads(found["calibration"])) >= {"position", "force", "damping"}
+    assert set(json.loads(found["calibration"])) >= {"position", "force", "active_damping"}
     assert len(found["device_hash"]) == 64
     assert found["winding_c"] == 25.0
     assert found["kernel"].startswith("Linux ")

@@ -4,7 +4,7 @@
 import { noNumber, number, ofPage } from "./words.js";
 
 const get = (id) => document.getElementById(id);
-const NAMES = { K: "stiffness_n_per_m", B: "damping_ns_per_m", M: "mass_kg", level: "added_damping_asked_ns_per_m" };
+const NAMES = { K: "stiffness_n_per_m", B: "virtual_damping_ns_per_m", M: "mass_kg", level: "active_damping_asked_ns_per_m" };
 const UNITS = { K: "N/m", B: "N s/m", M: "kg", level: "N s/m" };
 // Fifty times a second: what stays as it is costs nothing.
 const put = (id, text) => get(id).textContent === text || (get(id).textContent = text);
@@ -49,7 +49,7 @@ export class Controls {
     const fields = {};
     for (const name in NAMES) {
       const text = get(name).value.trim();
-      const asked = name === "level" ? "damping" : name;
+      const asked = name === "level" ? "active_damping" : name;
       if (text === "") continue;
       fields[asked] = number(text);
       if (!Number.isFinite(fields[asked])) return this.tell("refused", noNumber(asked, text, UNITS[name]));
@@ -67,8 +67,8 @@ export class Controls {
 
   show(now) {
     for (const [name, field] of Object.entries(NAMES)) put(`${name}-now`, plain(now[field]));
-    const effect = now.damping_effect_ns_per_m;
-    this.damped = effect === null ? now.added_damping_asked_ns_per_m > DAMPED : effect > DAMPED;
+    const effect = now.active_damping_effect_ns_per_m;
+    this.damped = effect === null ? now.active_damping_asked_ns_per_m > DAMPED : effect > DAMPED;
     const known = effect !== null;
     const checked = known ? String(this.damped) : "mixed";
     if (get("damping-switch").ariaChecked !== checked) get("damping-switch").ariaChecked = checked;
@@ -105,8 +105,8 @@ export class Controls {
       : margin < 0 ? `short ${three(-margin)} N\u202fs/m` : safe ? `spare ${three(margin)} N\u202fs/m` : "not safe";
     get("verdict").textContent = verdict.text ?? "nothing was judged yet";
     for (const name of ["K", "B", "M"]) get(`${name}-range`).textContent = this.range(name, verdict.allowed?.[name], verdict.allowed);
-    const least = verdict.least_damping_ns_per_m;
-    const most = this.limits.damping?.high;
+    const least = verdict.least_active_damping_ns_per_m;
+    const most = this.limits.active_damping?.high;
     const needs = least === null || least === undefined ? "" : `needs at least ${plain(least)}`;
     get("level-range").textContent = [needs, most === undefined ? "" : `takes 0 to ${plain(most)}`].filter(Boolean).join(", ");
   }
