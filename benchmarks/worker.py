@@ -72,7 +72,7 @@ class Worker:
             env=environment(),
             cwd=ROOT,
         )
-        self.granted: dict[str, str] = self._reply()
+        self.granted: dict[str, dict[str, Any]] = self._reply()
 
     def ask(self, **request: Any) -> Any:
         """Run one block; its answer."""
@@ -85,7 +85,7 @@ class Worker:
     def note(self) -> str:
         """What the machine refused; empty when it granted everything."""
         return "; ".join(
-            f"{name} {text}" for name, text in self.granted.items() if text.startswith("refused")
+            f"{name} {one['text']}" for name, one in self.granted.items() if not one["granted"]
         )
 
     def _reply(self) -> Any:
@@ -121,7 +121,7 @@ def serve(
     """
     granted = host.prepare(realtime)
     begin()
-    print(json.dumps(granted), flush=True)
+    print(json.dumps({name: one._asdict() for name, one in granted.items()}), flush=True)
     for line in sys.stdin:
         print(json.dumps(answer(json.loads(line))), flush=True)
     host.relax()

@@ -62,7 +62,13 @@ class WireError(HapticdError):
 
 
 class FrameError(WireError):
-    """One frame has a wrong length, CRC or value; it is dropped and counted."""
+    """One frame has a wrong length, CRC or value; it is dropped and counted. `field`: which one, as
+    vectors.jsonl names it; "" where a value cannot be encoded.
+    """
+
+    def __init__(self, message: str, field: str = "") -> None:
+        super().__init__(message)
+        self.field = field
 
 
 class ProtocolMismatch(WireError):
@@ -92,7 +98,14 @@ class LinkAccess(LinkError):
 
 
 class MailboxError(HapticdError):
-    """A shared file is missing, foreign, of another layout, or holds a value out of range."""
+    """A shared file is missing, foreign, of another layout, or holds a value out of range: what was
+    `found`, and where it is known the `remedy`.
+    """
+
+    def __init__(self, found: str, remedy: str = "") -> None:
+        super().__init__(f"{found}; {remedy}" if remedy else found)
+        self.found = found
+        self.remedy = remedy
 
 
 class RealtimeError(HapticdError):

@@ -10,7 +10,7 @@ import math
 import types
 import typing
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 from hapticd.environment import Environment, WorkspaceParams
 from hapticd.errors import ConfigError
@@ -35,28 +35,38 @@ LONGEST_LEASE_S = 60.0
 ACTIVE_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
 
 
-MEASURED_BY = "rig "  # begin of the source of what a step of `hapticd rig` measured at this board
+RigStep = Literal[
+    "rig encoder",
+    "rig motor",
+    "rig back-EMF",
+    "rig damping",
+    "rig probe",
+    "rig temperature",
+    "rig identify",
+]
+RIG_STEPS: tuple[str, ...] = get_args(RigStep)
+MeasuredBy = Literal[RigStep, "paper", ""]
 # between a measured scale and the board's nominal one; more is a wrong unit, range or board
 MOST_CORRECTION = 1.5
 
 
 @dataclass(frozen=True, slots=True)
 class ScaleParams:
-    """value = sign * (count - offset_count) * per_count; `date`, `source` and `serial` say where
-    it comes from.
-    """
+    """value = sign * (count - offset_count) * per_count, and where that comes from."""
 
     per_count: float
     sign: int = 1
     offset_count: float = 0.0
-    date: str = ""
-    source: str = ""
+    half_width_95: float | None = None  # of the 95 % interval of per_count; None: unknown
+    measured_on: str = ""  # ISO date
+    measured_by: str = ""  # a `MeasuredBy`
     serial: str = ""  # of the board at which it was measured; "": that of the device file
+    source: str = ""  # in words
 
     @property
     def measured(self) -> bool:
         """Whether a step of `hapticd rig` measured it."""
-        return self.source.startswith(MEASURED_BY)
+        return self.measured_by in RIG_STEPS
 
     def to_value(self, count: float) -> float:
         """SI value of `count`."""

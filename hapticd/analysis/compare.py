@@ -175,7 +175,7 @@ class EnvelopeConditions:
     port: str = "probe"  # where force and velocity were measured
     probe_mass_kg: float = 0.0  # of what was added to measure; 0 for none
     rate_hz: float = 1000.0  # of the servo
-    filters: str = "100 Hz, 72 Hz"  # of velocity and acceleration, in words
+    filters_hz: tuple[float, float] = (100.0, 72.0)  # corners of velocity and acceleration
     band_hz: tuple[float, float] = (2.0, 500.0)  # judged band
     estimator: str = "spa"  # of Z: "spa" or "h_force"
     grip: str = "free"  # what held the display, in words

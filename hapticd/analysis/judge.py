@@ -25,9 +25,10 @@ from hapticd.analysis.displays import told
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.plane import plane
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
-from hapticd.analysis.words import Verdicts, doubling, in_words, sentence
+from hapticd.analysis.words import Verdicts, doubling, explained, in_words
 from hapticd.environment import Environment, Point
 from hapticd.errors import AnalysisError
+from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
 from hapticd.params import GuardSetup
 
 _DELAYS = 8  # whose cost is kept
@@ -100,15 +101,16 @@ class Judge:
         if judgement is None:
             nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
             return timing | {
-                "verdict": self.verdicts.of(None, target, "", unknown, []),
+                "verdict": self.verdicts.of(None, target, "", Outcome.UNKNOWN, unknown, []),
                 "without_damping": nothing,
                 "with_damping": {"level": request["level_on"], **nothing},
             }
         safe = judgement.safe([target])[0]
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
-        text = sentence(judgement, target, safe)
+        outcome = Outcome.SAFE if safe else Outcome.UNSAFE
+        why = explained(judgement, target, safe)
         return timing | {
-            "verdict": self.verdicts.of(judgement, target, "", text, [target], safe),
+            "verdict": self.verdicts.of(judgement, target, "", outcome, why, [target], safe),
             "without_damping": self._seen(judgement, replace(target, active_damping_ns_per_m=0.0)),
             "with_damping": {
                 "level": on,
@@ -141,7 +143,7 @@ class Judge:
     def _plane(self, request: Mapping[str, Any]) -> dict[str, Any]:
         judgement, unknown = self._judgement(request)
         if judgement is None:
-            return {"plane": None, "text": unknown}
+            return {"plane": None, "text": unknown.plain(Outcome.UNKNOWN)["text"]}
         display = told(request["target"], self.setup.environment)
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         most_k, most_b, _ = self.setup.highest
@@ -191,52 +193,61 @@ class Judge:
             return float(asked)
         return 0.0 if self.theorem is None else self.theorem.model.delay_periods
 
-    def _judgement(self, request: Mapping[str, Any]) -> tuple[Judgement | None, str]:
+    def _judgement(self, request: Mapping[str, Any]) -> tuple[Judgement | None, Explanation]:
         """How to judge it, or None and why not."""
         found = self._basis(request["basis"])
-        if isinstance(found, str):
+        if isinstance(found, Explanation):
             return None, found
         delay = self._delay(request.get("delay_periods"))
         if delay != self._warm_delay:
             self._warm_delay = delay
             self._cold = list(self.verdicts.levels)
         spare = float(request["margin_ns_per_m"])
-        return Judgement(found, delay, spare, min(delay, self._delay(None))), ""
+        return Judgement(found, delay, spare, min(delay, self._delay(None))), _KNOWN
 
-    def _narrow_modes(self) -> str:
-        """Why the model says nothing: modes that are too narrow; "" for none."""
+    def _narrow_modes(self) -> Explanation | None:
+        """Why the model says nothing: modes that are too narrow; None for none."""
         if self.theorem is None:
-            return ""
+            return None
         found = [unresolved_hz(self.theorem.model, level) for level in self.verdicts.levels]
         modes = max(found, key=len)
         if not modes:
-            return ""
+            return None
         listed = ", ".join(f"{hz:.4g}" for hz in modes)
-        return (
-            f"unknown: the device's model has modes without loss, at {listed} Hz with the probe"
-            " held, that no test can resolve; give them the damping that they have"
+        return _unknown(
+            f"the device's model has modes without loss, at {listed} Hz with the probe held, that"
+            " no test can resolve",
+            "give them the damping that they have",
         )
 
-    def _basis(self, asked: str) -> Basis | str:
-        if asked.startswith("measured"):
+    def _basis(self, asked: str) -> Basis | Explanation:
+        if asked == "measured":
             measured = self.setup.measured
             if measured is None:
-                return "unknown: no .zwidth file is named; set [guard] measured"
+                return _unknown("no .zwidth file is named", "set [guard] measured")
             if measured.refused:
-                return f"unknown: {measured.file} does not count: {measured.refused}"
+                return _unknown(f"{measured.file} does not count: {measured.refused}")
             return Measured(measured)
         if asked not in ("theorem", "predicted"):
             raise AnalysisError(f"basis {asked!r}; there are theorem, predicted and measured")
         if self.theorem is None:
-            return (
-                "unknown: this device has no model; give its file a [model], or measure it and set"
-                " [guard] basis = 'measured'"
+            return _unknown(
+                "this device has no model",
+                "give its file a [model], or measure it and set [guard] basis = 'measured'",
             )
         if self._unresolved:
             return self._unresolved
         if asked == "theorem":
             return self.theorem
         return Predicted(self.theorem, Perturbation(self.setup.psd_n2_per_hz, self.setup.band_hz))
+
+
+_KNOWN = Explanation(())
+
+
+def _unknown(text: str, remedy: str = "") -> Explanation:
+    why = because(Reason.UNKNOWN, f"unknown: {text}")
+    return why.and_remedy(Remedy.CONFIGURE, remedy) if remedy else why
 
 
 def _require_known(what: str, asked: object, known: Sequence[str]) -> None:

@@ -30,8 +30,9 @@ import numpy as np
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.displays import asked_for, between, environment_of, told
 from hapticd.analysis.ways import POINTS, Leg, Plan, Request, Stage, Ways, groups, sampled
-from hapticd.analysis.words import Verdicts, sentence
+from hapticd.analysis.words import Verdicts, explained
 from hapticd.environment import Environment
+from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
 from hapticd.params import STRICT_POLICIES, DampingMode, Policy
 
 HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
@@ -45,7 +46,10 @@ _WORSE = 1e-9  # a rounding is not worse
 
 
 def answer_change(
-    verdicts: Verdicts, judgement: Judgement | None, unknown: str, request: Mapping[str, Any]
+    verdicts: Verdicts,
+    judgement: Judgement | None,
+    unknown: Explanation,
+    request: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The answer to a request `change`: action, stages and verdict (docs/guard.md).
 
@@ -121,21 +125,26 @@ class _Asked:
 class _Unjudged(_Asked):
     """A change about which nothing is known, or was to be known."""
 
-    def answer(self, why: str) -> dict[str, Any]:
+    def answer(self, why: Explanation) -> dict[str, Any]:
         """Refused where safety was asked for, otherwise done in the right order."""
         change = self.with_level()
         ways = self.ways(change)
         wanted = ways.request.wanted
         if self.policy in STRICT_POLICIES:
-            text = f"refused: {why}; the policy {self.policy!r} refuses what is unknown"
-            return _answer([], self._verdict(wanted, text, self.target))
+            text = f"the policy {self.policy!r} refuses what is unknown"
+            refused = why.and_reason(Reason.POLICY, text)
+            return _answer([], self._verdict(wanted, Outcome.REFUSED, refused, self.target))
         if self.policy == "off":
             stage = Stage(wanted.fields(change))
-            return _answer([stage], self._verdict(wanted, "not judged: the policy is off", wanted))
-        return _answer(ways.plans()[0].stages, self._verdict(wanted, why, wanted))
+            off = because(Reason.POLICY, "not judged: the policy is off")
+            return _answer([stage], self._verdict(wanted, Outcome.NOT_JUDGED, off, wanted))
+        stages = ways.plans()[0].stages
+        return _answer(stages, self._verdict(wanted, Outcome.UNKNOWN, why, wanted))
 
-    def _verdict(self, wanted: Environment, text: str, given: Environment) -> dict[str, Any]:
-        return self.verdicts.of(None, wanted, self.policy, text, [], given=given)
+    def _verdict(
+        self, wanted: Environment, outcome: Outcome, why: Explanation, given: Environment
+    ) -> dict[str, Any]:
+        return self.verdicts.of(None, wanted, self.policy, outcome, why, [], given=given)
 
 
 class _Judged(_Asked):
@@ -155,55 +164,58 @@ class _Judged(_Asked):
         """The first way that is safe, or what the policy makes of it."""
         plan = next((plan for plan in self.plans if self._is_safe(plan)), None)
         if plan is not None:
-            return self._taken(plan, sentence(self.judgement, self.wanted, True), safe=True)
-        text = self._trouble()
+            spare = explained(self.judgement, self.wanted, True)
+            return self._taken(plan, Outcome.SAFE, spare, safe=True)
+        why = self._trouble()
         safer = next((plan for plan in self.plans if self._is_safer(plan)), None)
         if safer is not None:
-            return self._taken(safer, f"{text}; taken all the same: it is safer than now")
+            all_the_same = "taken all the same: it is safer than now"
+            return self._taken(safer, Outcome.SAFER, why.and_reason(Reason.SAFER, all_the_same))
         if self.policy == "warn":
-            return self._taken(self.plans[0], f"warning: {text}")
+            return self._taken(self.plans[0], Outcome.WARNING, why)
         if self.policy == "clamp":
-            return self._clamped(text)
+            return self._clamped(why)
         if (
             self.policy == "follow"
             and self.wanted.active_damping_ns_per_m < self.target.active_damping_ns_per_m
         ):
-            return self._followed(text)
-        return self._refused(text)
+            return self._followed(why)
+        return self._refused(why)
 
     # --- answers ----------------------------------------------------------------------------------
 
     def _taken(
-        self, plan: Plan, text: str, safe: bool = False, clamped: bool = False
+        self, plan: Plan, outcome: Outcome, why: Explanation, safe: bool = False
     ) -> dict[str, Any]:
         path = self.way.path(plan)
+        clamped = outcome is Outcome.CLAMPED
         verdict = self.verdicts.of(
-            self.judgement, self.wanted, self.policy, text, path, safe, plan.end, clamped
+            self.judgement, self.wanted, self.policy, outcome, why, path, safe, plan.end, clamped
         )
         return _answer(plan.stages, verdict)
 
-    def _refused(self, text: str, why: str = "") -> dict[str, Any]:
-        whole = f"refused: {text}; {why}" if why else f"refused: {text}"
+    def _refused(self, why: Explanation) -> dict[str, Any]:
         path = self.way.path(self.plans[0])
+        refused = Outcome.REFUSED
         verdict = self.verdicts.of(
-            self.judgement, self.wanted, self.policy, whole, path, False, self.target
+            self.judgement, self.wanted, self.policy, refused, why, path, False, self.target
         )
         return _answer([], verdict)
 
-    def _trouble(self) -> str:
+    def _trouble(self) -> Explanation:
         """Why the first way is not safe: its end, or a point on it."""
         if not self.judgement.safe([self.wanted])[0]:
-            return sentence(self.judgement, self.wanted, False)
+            return explained(self.judgement, self.wanted, False)
         path = self.way.path(self.plans[0])
         if not path:
-            return (
-                f"more than {POINTS} points would have to be judged at once; wait for ramps under"
-                " way, or schedule less"
+            many = because(
+                Reason.TOO_MANY_POINTS, f"more than {POINTS} points would have to be judged at once"
             )
+            return many.and_remedy(Remedy.WAIT, "wait for ramps under way, or schedule less")
         path = [*path, *self.way.mixture(self.plans[0])]
         flags = self.judgement.safe(path)
         bad = next((one for one, flag in zip(path, flags, strict=True) if not flag), path[-1])
-        return f"on the way, {sentence(self.judgement, bad, False)}"
+        return explained(self.judgement, bad, False, "on the way, ")
 
     # --- damping that is chosen -------------------------------------------------------------------
 
@@ -278,23 +290,30 @@ class _Judged(_Asked):
 
     # --- clamp ------------------------------------------------------------------------------------
 
-    def _clamped(self, text: str) -> dict[str, Any]:
+    def _clamped(self, why: Explanation) -> dict[str, Any]:
         """As far as the first exit, the result judged again."""
         request = self.way.request
         if "filters" in self.change:
-            return self._refused(text, "filters are not clamped")
+            return self._not_clamped(why, "filters are not clamped")
         if request.enable or not request.moving:
-            return self._refused(text, "there is no way to clamp to")
+            return self._not_clamped(why, "there is no way to clamp to")
         if not all(self.judgement.safe([self.now, self.target])):
-            why = "the display is outside the safe set already: ask for a point inside"
-            return self._refused(text, why)
+            inside = why.and_remedy(Remedy.POINT_INSIDE, "for a point inside")
+            return self._not_clamped(inside, "the display is outside the safe set already")
         plan = self.way.plan(self._shortened())
         if plan.end == self.target:
-            return self._refused(text, "nothing of it is safe")
+            return self._not_clamped(why, "nothing of it is safe")
         if not self._is_safe(plan):
-            return self._refused(text, "what is left of it is not safe either")
-        given = sentence(self.judgement, plan.end, True)
-        return self._taken(plan, f"clamped: {text}; given is {given}", clamped=True)
+            return self._not_clamped(why, "what is left of it is not safe either")
+        given = f"given is {self._spare(plan.end)}"
+        return self._taken(plan, Outcome.CLAMPED, why.and_reason(Reason.GIVEN, given))
+
+    def _not_clamped(self, why: Explanation, text: str) -> dict[str, Any]:
+        return self._refused(why.and_reason(Reason.NOT_CLAMPED, text))
+
+    def _spare(self, display: Environment) -> str:
+        """What a safe display has to spare, in words."""
+        return explained(self.judgement, display, True).reasons[0].text
 
     def _shortened(self) -> list[Stage]:
         """The stages of the first way, each as far as its own part is safe."""
@@ -342,18 +361,20 @@ class _Judged(_Asked):
 
     # --- follow -----------------------------------------------------------------------------------
 
-    def _followed(self, text: str) -> dict[str, Any]:
+    def _followed(self, why: Explanation) -> dict[str, Any]:
         """The environment into the smaller set first, then less damping."""
         small = None if "filters" in self.change else self._smaller()
         if small is None:
-            return self._refused(text, "no smaller environment would do either")
+            text = "no smaller environment would do either"
+            return self._refused(why.and_reason(Reason.NOT_FOLLOWED, text))
         first = Stage(environment_of(small, self.wanted))
         second = Stage({"active_damping": self.wanted.active_damping_ns_per_m}, after_ramps=True)
         plan = self.way.plan([first, second])
         if not self._is_safe(plan):
-            return self._refused(text, "the way into the smaller set is not safe")
-        given = sentence(self.judgement, plan.end, True)
-        return self._taken(plan, f"followed: {text}; first the environment: {given}")
+            text = "the way into the smaller set is not safe"
+            return self._refused(why.and_reason(Reason.NOT_FOLLOWED, text))
+        given = f"first the environment: {self._spare(plan.end)}"
+        return self._taken(plan, Outcome.FOLLOWED, why.and_reason(Reason.GIVEN, given))
 
     def _smaller(self) -> Environment | None:
         """The largest share of the environment that is safe with less damping; None for none."""

@@ -1,5 +1,5 @@
-"""How a judgement is told: the verdict as it is sent, one sentence about a display, and the hand
-that shakes it.
+"""How a judgement is told: the verdict as it is sent, the reasons and remedies for a display, and
+the hand that shakes it.
 
 What would break it: a sentence without value, unit and remedy, or `safe` without what no verdict
 promises (NOT_COVERED) beside it.
@@ -13,6 +13,7 @@ from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.bases import Reading, cached_levels
 from hapticd.analysis.coupled import Hand
 from hapticd.environment import Environment
+from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
 from hapticd.params import GuardSetup
 
 NOT_COVERED = ("contact switching", "varying delay")
@@ -36,7 +37,8 @@ class Verdicts:
         judgement: Judgement | None,
         display: Environment,
         policy: str,
-        text: str,
+        outcome: Outcome,
+        why: Explanation,
         path: Sequence[Environment],
         safe: bool | None = None,
         given: Environment | None = None,
@@ -44,6 +46,9 @@ class Verdicts:
     ) -> dict[str, Any]:
         """What is told of `display`, judged along `path`; `given` is where the stages lead."""
         known = _of_nothing() if judgement is None else self._known(judgement, display)
+        if judgement is not None and known["least_active_damping_ns_per_m"] is None:
+            no_level = (one for one in why.remedies if one.code != Remedy.MORE_DAMPING)
+            why = Explanation(why.reasons, tuple(no_level))
         return {
             "safe": safe,
             "policy": policy,
@@ -52,7 +57,7 @@ class Verdicts:
             "given": (display if given is None else given).message(),
             "path_points": sum(len(one.points()) for one in path),
             "not_covered": self._not_covered(),
-            "text": text,
+            **why.plain(outcome),
         }
 
     def _known(self, judgement: Judgement, display: Environment) -> dict[str, Any]:
@@ -83,34 +88,42 @@ def _of_nothing() -> dict[str, Any]:
     }
 
 
-def sentence(judgement: Judgement, display: Environment, safe: bool) -> str:
-    """What is known of a display, with values, units and, if it is not safe, a remedy."""
-    where = named(display)
+def explained(judgement: Judgement, display: Environment, safe: bool, way: str = "") -> Explanation:
+    """What is known of a display, with values, units and, if it is not safe, remedies; `way` stands
+    before its name.
+    """
+    where = f"{way}{named(display)}"
     if display.stiffness_n_per_m < 0.0:
-        return f"{where}: K < 0 pushes away and is active at low frequencies; ask for K >= 0"
+        text = f"{where}: K < 0 pushes away and is active at low frequencies"
+        negative = because(Reason.NEGATIVE_STIFFNESS, text)
+        return negative.and_remedy(Remedy.POSITIVE_STIFFNESS, "ask for K >= 0")
     worst = judgement.worse(display)
     side = "" if worst == judgement.reading(display) else " in the wall"
     if worst.margin_ns_per_m is None:
-        kind = "inside" if safe else "not inside"
-        remedy = "" if safe else "; ask for less"
-        return f"{where}: {kind} the limits of {judgement.basis.name}{remedy}"
+        limits = f"the limits of {judgement.basis.name}"
+        if safe:
+            return because(Reason.INSIDE, f"{where}: inside {limits}")
+        outside = because(Reason.OUTSIDE, f"{where}: not inside {limits}")
+        return outside.and_remedy(Remedy.LESS, "ask for less")
     if safe:
-        return (
-            f"{where}: {worst.margin_ns_per_m:.3g} N s/m to spare{side}, least at"
-            f" {worst.worst_hz:.3g} Hz"
+        spare = (
+            f"{worst.margin_ns_per_m:.3g} N s/m to spare{side}, least at {worst.worst_hz:.3g} Hz"
         )
-    return f"{where}: {_shortage(judgement, worst, side)}; ask for less, or for more active damping"
+        return because(Reason.SPARE, f"{where}: {spare}")
+    code, text = _shortage(judgement, worst, side)
+    short = because(code, f"{where}: {text}").and_remedy(Remedy.LESS, "ask for less")
+    return short.and_remedy(Remedy.MORE_DAMPING, "for more active damping")
 
 
-def _shortage(judgement: Judgement, worst: Reading, side: str) -> str:
+def _shortage(judgement: Judgement, worst: Reading, side: str) -> tuple[Reason, str]:
     margin = worst.margin_ns_per_m or 0.0
     rate_hz = judgement.basis.rate_hz
     if worst.radius is not None and worst.radius >= 1.0 and rate_hz is not None:
-        return (
+        return Reason.UNSTABLE, (
             f"unstable by itself{side}, its motion {doubling(worst.radius, rate_hz)}, worst near"
             f" {worst.worst_hz:.3g} Hz"
         )
-    return (
+    return Reason.SHORT, (
         f"{judgement.spare_ns_per_m - margin:.3g} N s/m short{side} at {worst.worst_hz:.3g} Hz"
         f" ({judgement.basis.name})"
     )

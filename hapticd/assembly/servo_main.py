@@ -149,7 +149,8 @@ class Servo:
                 if reason:
                     said(reason)
             rights = host.prepare(params.realtime)
-            mailbox.report({"realtime": rights, **self._about(), **found})
+            plain = {name: one._asdict() for name, one in rights.items()}
+            mailbox.report({"realtime": plain, **self._about(), **found})
             mailbox.publish()
             notify("READY=1", f"STATUS={served}")
             self.loop.restart_clock()

@@ -12,7 +12,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.numbers import number, unknown
-from hapticd.client.words import receipt_text, thoughts, verdict_lines
+from hapticd.client.words import objection_lines, receipt_text, refusal_lines
 from hapticd.errors import CommandError
 from hapticd.gateway.limits import PLACES
 
@@ -60,7 +60,7 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
             receipt = _settled(client, ask(client))
         except CommandError as error:
             verdict, found = _found_out(client, error.guard)
-            text = "\n".join(thoughts(str(error), found)) if verdict else str(error)
+            text = "\n".join(refusal_lines(error, found))
             raise CommandError(error.code, text, error.detail, verdict) from None
         if not as_json:
             terminal.data(receipt_text(receipt))
@@ -69,7 +69,7 @@ def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> 
         told = dataclasses.replace(receipt, guard=verdict)
         terminal.data_json({"ok": True, **dataclasses.asdict(told)})
     elif verdict and verdict.policy != "off" and not verdict.safe:
-        for line in thoughts(verdict.text, lines):
+        for line in objection_lines(verdict, lines):
             terminal.talk(terminal.wrapped(f"hapticd: {line}"))
 
 
@@ -104,9 +104,9 @@ def _ended(event: dict[str, Any], begun: "Receipt", state: str) -> "Receipt":
 def _found_out(
     client: "Client", verdict: "GuardVerdict | None"
 ) -> "tuple[GuardVerdict | None, list[str]]":
-    """`verdict` with the hand that would shake an unsafe request, and what is known in words."""
+    """`verdict` with the hand that would shake an unsafe request, and that hand in words."""
     if verdict is None or verdict.safe is not False:
         return verdict, []
     event = client.hand(verdict)
-    lines = verdict_lines(verdict) + ([event["text"]] if event and event["hand"] else [])
+    lines = [event["text"]] if event and event["hand"] else []
     return dataclasses.replace(verdict, hand=event["hand"] if event else None), lines

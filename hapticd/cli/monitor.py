@@ -241,7 +241,7 @@ def events(
     begin_ns = clock.now_ns()
     with connect(instance) as client, closing(client.messages((EVENT,), LOOK_S)) as messages:
         rights = (client.status().get("servo") or {}).get("realtime") or {}
-        refused = [f"{name}: {said}" for name, said in rights.items() if said.startswith("refused")]
+        refused = [f"{name}: {one['text']}" for name, one in rights.items() if not one["granted"]]
         if not as_json:
             for line in refused:
                 terminal.data(f"real-time right {line}")

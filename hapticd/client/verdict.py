@@ -16,8 +16,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
-from hapticd.client.words import thoughts, verdict_lines
+from hapticd.client.words import verdict_lines
 from hapticd.errors import GuardWarning
+from hapticd.explanation import Entry, Explanation, explanation_of
 
 if TYPE_CHECKING:
     from hapticd.client.conversation import Receipt
@@ -56,7 +57,11 @@ class GuardVerdict:
     given: dict[str, Any] = field(default_factory=dict)  # where it leads, in the shape of a `set`
     path_points: int = 0  # that were judged on the way
     not_covered: tuple[str, ...] = ()  # what no verdict promises
-    text: str = ""  # one sentence
+    outcome: str = ""  # an `explanation.Outcome`
+    reasons: tuple[Entry, ...] = ()  # what is wrong, or known
+    remedies: tuple[Entry, ...] = ()  # of which one would do
+    text: str = ""  # one sentence made of these
+    cmd: str = ""  # what was asked: set, damping, enable ...
     number: int = 0  # by which the event with the hand refers to it
     stages: int = 0  # in which it is done
     hand: dict[str, Any] | None = None  # that would shake it, where it was waited for
@@ -84,6 +89,8 @@ def verdict_of(plain: Mapping[str, Any] | None) -> GuardVerdict | None:
     if contact := known.get("contact"):
         known["contact"] = GuardReading(**contact)
     known["not_covered"] = tuple(known.get("not_covered", ()))
+    why = explanation_of(plain)
+    known |= {"reasons": why.reasons, "remedies": why.remedies}
     return GuardVerdict(**known)
 
 
@@ -115,7 +122,8 @@ def _warning(verdict: GuardVerdict, receipt: "Receipt | StepReceipt") -> GuardWa
     margin = verdict.worse.margin_ns_per_m
     lines = verdict_lines(verdict)
     spare = [] if margin is None else [f"margin {margin:.3g} N s/m"]
-    parts = thoughts(verdict.text.removeprefix("warning: "), [*spare, *lines])
+    why = Explanation(verdict.reasons, verdict.remedies)
+    parts = why.lines("", [*spare, *lines])
     text = f"{receipt.result}, and not safe: {'; '.join(parts)}"
     return GuardWarning(text, margin, "; ".join(lines) or FALLBACK, receipt)
 

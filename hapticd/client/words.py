@@ -3,19 +3,17 @@
 What would break it: an import that is large; `hapticd --help` loads this.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
+from hapticd.explanation import Explanation
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.mailbox.layout import VALUE_LIMITS, Value
 
 if TYPE_CHECKING:
     from hapticd.client.conversation import Receipt
     from hapticd.client.verdict import GuardVerdict
-
-
-NO_LEVEL = "no active damping of this device would do"
-OR_MORE = ", or for more active damping"  # of a remedy, where that is none
+    from hapticd.errors import CommandError
 
 
 def verdict_lines(verdict: "GuardVerdict | None") -> list[str]:
@@ -38,16 +36,25 @@ def verdict_lines(verdict: "GuardVerdict | None") -> list[str]:
     if least is not None:
         lines.append(f"least level of active damping tried that would do: {least:.4g} N s/m")
     elif allowed and verdict.safe is False:
-        lines.append(NO_LEVEL)
+        lines.append("no active damping of this device would do")
     return lines
 
 
-def thoughts(text: str, allowed: list[str]) -> list[str]:
-    """`text` with one thought a line, and what is allowed as soon as it is said what is wrong."""
-    wrong, *rest = text.split("; ")
-    if NO_LEVEL in allowed:
-        rest = [one.removesuffix(OR_MORE) for one in rest]
-    return [wrong, *allowed, *rest]
+def objection_lines(verdict: "GuardVerdict", more: Iterable[str] = ()) -> list[str]:
+    """Why a change is not safe, one thought a line: what is wrong, what is allowed and `more`, then
+    the rest and the remedies.
+    """
+    why = Explanation(verdict.reasons, verdict.remedies)
+    return why.lines(verdict.outcome, [*verdict_lines(verdict), *more])
+
+
+def refusal_lines(error: "CommandError", more: Iterable[str] = ()) -> list[str]:
+    """The same of a refusal by the guard, behind the command; else the message."""
+    verdict = error.guard
+    if verdict is None or not verdict.reasons:
+        return [str(error), *(verdict_lines(verdict)), *more]
+    first, *rest = objection_lines(verdict, more)
+    return [f"{verdict.cmd}: {first}" if verdict.cmd else first, *rest]
 
 
 def guard_line(found: dict[str, Any]) -> str:

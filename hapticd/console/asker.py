@@ -23,16 +23,16 @@ from hapticd.client.verdict import GuardVerdict
 from hapticd.client.words import (
     guard_line,
     margin_words,
+    objection_lines,
     receipt_text,
-    thoughts,
-    verdict_lines,
+    refusal_lines,
 )
 from hapticd.errors import CommandError, HapticdError
 from hapticd.plant.excitation import Stream, band_noise, generator
 from hapticd.plant.scene import Excitation
 
 EXCITE = "excite"  # ours: noise as in a trial, repeated, until it is asked to end
-CHANGES = frozenset(("set", "damping", "enable", "disable", "reset", "zero", "home", EXCITE))
+CHANGES = frozenset(("set", "active_damping", "enable", "disable", "reset", "zero", "home", EXCITE))
 ALLOWED = CHANGES | {"hello", "get", "guard", "lease", "status", "dump"}
 NOISE_SAMPLES = 1 << 14  # 4 s
 MOST_OPEN = 8  # questions of one browser without an answer
@@ -80,7 +80,8 @@ class Asker:
                 return self._excited(number, bool(fields.get("on")))
             return _accepted(number, cmd, self._client.call(cmd, **fields))
         except CommandError as error:
-            return _refused(number, error.code, _objection(str(error), error.guard))
+            outcome = error.guard.outcome if error.guard else ""
+            return _refused(number, error.code, "\n".join(refusal_lines(error)), outcome)
         except (HapticdError, TypeError) as error:
             return _refused(number, type(error).__name__, str(error))
 
@@ -109,13 +110,9 @@ def _warning(verdict: GuardVerdict | None) -> str:
     """The guard's objection to what was done all the same; empty without one."""
     if not verdict or verdict.policy == "off" or verdict.safe:
         return ""
-    return _objection(verdict.text, verdict)
+    return "\n".join(objection_lines(verdict))
 
 
-def _objection(text: str, verdict: GuardVerdict | None) -> str:
-    """`text` of a refusal or warning, one thought a line if it rests on a `verdict`."""
-    return "\n".join(thoughts(text, verdict_lines(verdict))) if verdict else text
-
-
-def _refused(number: Any, code: str, text: str) -> str:
-    return json.dumps({"kind": "reply", "ask": number, "ok": False, "code": code, "text": text})
+def _refused(number: Any, code: str, text: str, outcome: str = "") -> str:
+    told = {"kind": "reply", "ask": number, "ok": False, "code": code, "text": text}
+    return json.dumps(told | {"outcome": outcome})  # of the guard

@@ -686,8 +686,7 @@ def runtime_folder(machine: Machine, asked: Requirements) -> CheckResult:
     try:
         believe(asked.runtime)
     except MailboxError as error:
-        found, _, fix = str(error).partition("; ")
-        return fail(name, found, why, fix)
+        return fail(name, error.found, why, error.remedy)
     open_files = list(_open_to_others(asked.runtime))
     if open_files:
         shown = ", ".join(f"{path.name} {mode:04o}" for path, mode in open_files)

@@ -5,7 +5,7 @@
 The same question as `cyclictest -m -p PRIORITY -i 1000`: locked memory, SCHED_FIFO, one core,
 absolute deadlines, and the time from deadline to waking in whole microseconds. No spin here; the
 servo's own spin hides what is below `spin_us`. It is a process of its own, so that no right sticks
-to the caller, and prints one JSON object: granted, histogram_us.
+to the caller, and prints one JSON object: rights, histogram_us.
 """
 
 import json
@@ -61,7 +61,7 @@ def quantiles(histogram: dict[int, int]) -> dict[str, int]:
 
 
 def measure(seconds: float, core: int | None) -> dict[str, Any]:
-    """Run the worker; {granted, histogram_us: {us: count}, quantiles}.
+    """Run the worker; {rights, histogram_us: {us: count}, quantiles}.
 
     OSError or ValueError when it could not run.
     """
@@ -87,8 +87,8 @@ def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
     name = "wake-up"
     count = sum(found["histogram_us"].values())
     shown = "p50 {p50_us} us, p99 {p99_us} us, p99.9 {p999_us} us, max {max_us} us".format(**found)
-    fifo: str = found["granted"].get("fifo", "not asked")
-    with_rights = fifo == "granted"
+    fifo = found["rights"]["fifo"]
+    with_rights = fifo["granted"]
     policy = f"SCHED_FIFO {PRIORITY}" if with_rights else "without SCHED_FIFO"
     text = f"{shown} over {count} wakes, {policy}"
     spin_us = asked.realtime.spin_us
@@ -111,7 +111,10 @@ def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
         )
     if not with_rights:
         return warn(
-            name, text, f"good while the machine is idle; {fifo}", "see the rtprio limit above"
+            name,
+            text,
+            f"good while the machine is idle; {fifo['text']}",
+            "see the rtprio limit above",
         )
     return ok(name, text)
 
@@ -119,14 +122,15 @@ def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
 def main(arguments: list[str]) -> int:
     """The worker; the exit code."""
     seconds, priority, *core = arguments
-    granted = host.prepare(
+    rights = host.prepare(
         RealtimeParams(priority=int(priority), core=int(core[0]) if core else None)
     )
     wait = spinning_wait(0, PERIOD_NS)
     count = max(1, round(float(seconds) * NS_PER_S / PERIOD_NS))
     found = latencies_us(wait, time.monotonic_ns(), count)
     host.relax()
-    os.write(1, json.dumps({"granted": granted, "histogram_us": found}).encode())
+    plain = {name: one._asdict() for name, one in rights.items()}
+    os.write(1, json.dumps({"rights": plain, "histogram_us": found}).encode())
     return 0
 
 

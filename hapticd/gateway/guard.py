@@ -21,6 +21,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 from hapticd.environment import Environment
+from hapticd.explanation import Outcome, Reason, because
 from hapticd.gateway.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.gateway.in_force import InForce
 from hapticd.gateway.journal import Journal
@@ -271,7 +272,9 @@ class Guard:
             "allowed": {},
             "clamped": False,
             "not_covered": [],
-            "text": f"whether this withstands every passive hand is unknown: {why}",
+            **because(
+                Reason.UNKNOWN, f"whether this withstands every passive hand is unknown: {why}"
+            ).plain(Outcome.UNKNOWN),
         }
 
     # --- what is in force -------------------------------------------------------------------------

@@ -30,6 +30,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from hapticd.errors import CommandError
+from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because, explanation_of
 from hapticd.gateway.case import (
     Case,
     Stage,
@@ -169,9 +170,11 @@ class Guarded:
             why = f"the guard's worker answered: {answer.get('error')}" if answer else self._late()
             return self._guard.unknown(why or self._guard.trouble)
         if answer.get("action") == "stage" and verdict.get("safe"):
-            text = f"warning: the way there is not passive, only in stages; {verdict.get('text')}"
-            verdict = verdict | {"safe": False, "text": text}
-        return {"safe": None, "text": "", **verdict, "number": case.number}
+            stages = because(Reason.ONLY_IN_STAGES, "the way there is not passive, only in stages")
+            known = explanation_of(verdict)
+            both = Explanation(stages.reasons + known.reasons, known.remedies)
+            verdict = verdict | {"safe": False} | both.plain(Outcome.WARNING)
+        return {"safe": None, "text": "", **verdict, "number": case.number, "cmd": case.cmd}
 
     def take_back_enables(self, why: str) -> None:
         """No enable that waits shall come after `why`, which was asked later."""
@@ -422,7 +425,8 @@ class Guarded:
         except ValueError as error:
             self._try_unjudged(case, now_ns, f"the guard's worker answered: {error}")
             return
-        case.verdict = {**verdict, "number": case.number, "stages": len(case.stages)}
+        of_case = {"number": case.number, "stages": len(case.stages), "cmd": case.cmd}
+        case.verdict = {**verdict, **of_case}
         if case.message is None and (action == "refuse" or not self._changes(case)):
             return  # the level of mode auto stays
         if verdict.get("safe") is False:
@@ -486,7 +490,7 @@ class Guarded:
             raise self._unknown_refused(case)
         if auto_of(case.request):
             text = "the guard chooses no level of damping while it judges nothing"
-            raise CommandError("guard", f"{case.cmd}: {text}: {guard.trouble}", guard=case.verdict)
+            raise _refused(case, because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
         case.revision = None
         case.stages = ()
         if not case.at_tick and not isinstance(case.request, Enable):
@@ -500,8 +504,9 @@ class Guarded:
         remedy = "`hapticd guard warn` would do it all the same"
         if case.strict:
             remedy = "under `warn` a client that is not strict would do it all the same"
-        text = f"{case.cmd}: {case.verdict['text']}; policy {case.policy} refuses that, {remedy}"
-        return CommandError("guard", text, guard=case.verdict)
+        why = explanation_of(case.verdict)
+        why = why.and_reason(Reason.POLICY, f"policy {case.policy} refuses that")
+        return _refused(case, why.and_remedy(Remedy.POLICY, remedy))
 
     # --- answers ----------------------------------------------------------------------------------
 
@@ -559,3 +564,9 @@ class Guarded:
             self._again(case, now_ns)
             return None
         return Told(case, receipt=receipt(answer))
+
+
+def _refused(case: Case, why: Explanation) -> CommandError:
+    """The refusal of what nobody judged."""
+    verdict = case.verdict | why.plain(Outcome.REFUSED) | {"cmd": case.cmd}
+    return CommandError("guard", f"{case.cmd}: {verdict['text']}", guard=verdict)

@@ -433,7 +433,8 @@ def _explained(item: ErrorDetails, limits: CommandLimits) -> dict[str, str]:
         return {"loc": loc, "msg": f"{loc}: missing; {_REMEDY}"}
     if item["type"] == "value_error" and not loc:
         return {"loc": command, "msg": f"{command}: {item['ctx']['error']}"}
-    reason = item["msg"].removeprefix("Value error, ")
+    own = item["type"] == "value_error"  # of a validator of ours
+    reason = str(item["ctx"]["error"]) if own else item["msg"]
     remedy = limits.remedy(loc.partition(".")[0] if loc.startswith("samples_n") else loc) or _REMEDY
     return {
         "loc": loc or command,

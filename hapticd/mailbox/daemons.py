@@ -111,13 +111,15 @@ def _believe_service(folder: Path) -> None:
     if above.st_uid not in (0, os.getuid()) or above.st_mode & 0o022:
         raise MailboxError(
             f"{folder}: {folder.parent} belongs to user {above.st_uid}, mode"
-            f" {stat.S_IMODE(above.st_mode):o}: others may have put it there; remove it"
+            f" {stat.S_IMODE(above.st_mode):o}: others may have put it there",
+            "remove it",
         )
     files.check_closed(folder)
     if not os.access(folder, os.R_OK | os.X_OK, effective_ids=True):
         raise MailboxError(
-            f"{folder}: you may not enter the service's folder; have yourself added to its group"
-            " (`usermod --append --groups hapticd NAME`) and log in again"
+            f"{folder}: you may not enter the service's folder",
+            "have yourself added to its group (`usermod --append --groups hapticd NAME`) and log in"
+            " again",
         )
 
 

@@ -77,9 +77,8 @@ def refusals(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise MailboxError(
-            f"{path}: {error.strerror}; make room, correct its rights or remove what is in the way"
-        ) from error
+        remedy = "make room, correct its rights or remove what is in the way"
+        raise MailboxError(f"{path}: {error.strerror}", remedy) from error
 
 
 def _memory_folder() -> Path:
@@ -110,8 +109,8 @@ def check_own(folder: Path) -> None:
     check_closed(folder)
     if owner != os.getuid():
         raise MailboxError(
-            f"{folder} belongs to user {owner}, not to {os.getuid()}; remove it or set"
-            " XDG_RUNTIME_DIR"
+            f"{folder} belongs to user {owner}, not to {os.getuid()}",
+            "remove it or set XDG_RUNTIME_DIR",
         )
 
 
@@ -120,12 +119,12 @@ def check_closed(folder: Path) -> None:
     with refusals(folder):
         mode = folder.lstat().st_mode
     if stat.S_ISLNK(mode):
-        raise MailboxError(f"{folder} is a link; remove it or set XDG_RUNTIME_DIR")
+        raise MailboxError(f"{folder} is a link", "remove it or set XDG_RUNTIME_DIR")
     if not stat.S_ISDIR(mode):
-        raise MailboxError(f"{folder} is no folder; remove it or set XDG_RUNTIME_DIR")
+        raise MailboxError(f"{folder} is no folder", "remove it or set XDG_RUNTIME_DIR")
     if mode & 0o022:
         raise MailboxError(
-            f"{folder} may be written by others (mode {stat.S_IMODE(mode):o}); chmod 700 it"
+            f"{folder} may be written by others (mode {stat.S_IMODE(mode):o})", "chmod 700 it"
         )
 
 

@@ -47,7 +47,9 @@ class CalibrationDoubt:
         """How to be sure of it again."""
         if step := STEPS.get(self.table):
             return f"`hapticd rig {step}`"
-        return f"measure it, and write date and serial into [{self.table}] of the device file"
+        return (
+            f"measure it, and write measured_on and serial into [{self.table}] of the device file"
+        )
 
 
 def used_scales(device: Mapping[str, Any], probed: bool = False) -> dict[str, Mapping[str, Any]]:
@@ -102,14 +104,14 @@ def _reasons(scale: Mapping[str, Any], serial: str, most: int, day: datetime.dat
     of = str(scale.get("serial", ""))
     if of not in ("", serial):
         yield f"it is of the board {of!r}, this one is {serial!r}"
-    if not scale["date"]:
+    if not scale["measured_on"]:
         yield "it has no date, so nobody is known to have measured it"
         return
-    age = (day - datetime.date.fromisoformat(scale["date"])).days
+    age = (day - datetime.date.fromisoformat(scale["measured_on"])).days
     if age > most:
-        yield f"it is {age} days old ({scale['date']}), {most} days are the limit"
+        yield f"it is {age} days old ({scale['measured_on']}), {most} days are the limit"
     elif age < -1:  # a day for time zones
-        yield f"it is dated {scale['date']}, after today ({day.isoformat()})"
+        yield f"it is dated {scale['measured_on']}, after today ({day.isoformat()})"
 
 
 def refuse_doubts(found: tuple[CalibrationDoubt, ...]) -> None:

@@ -83,9 +83,9 @@ def of_recording(
         "device_hash": hashlib.sha256(json.dumps(device, sort_keys=True).encode()).hexdigest(),
         "calibration": json.dumps(
             {
-                name: scale["date"]
+                name: scale["measured_on"]
                 for name, scale in device.items()
-                if isinstance(scale, dict) and "date" in scale
+                if isinstance(scale, dict) and "measured_on" in scale
             }
         ),
         "calibration_doubts": _json(list(map(str, doubts(servo, _day(now_ns))))),

@@ -614,9 +614,7 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
 def _draw_step_errors(result: AccuracyResult, rows: list[AccuracyRow], axis: Axes) -> None:
     """Draw the errors of the sub-step alone, and single precision beside it."""
     stepped = [row for row in rows if row.step > NOTHING * max(row.total for row in rows)]
-    single = [
-        row for row in result.sweep("precision") if row.label.startswith("f32") and row.total < inf
-    ]
+    single = [row for row in result.sweep("precision") if row.dtype == "f32" and row.total < inf]
     axis.plot(
         [row.seconds for row in stepped],
         [row.step for row in stepped],

@@ -44,6 +44,7 @@ from hapticd.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
+from hapticd.zwidth.ending import EndReason
 from hapticd.zwidth.stepped_sine import ReferenceSines
 from hapticd.zwidth.trial import TrialResult
 
@@ -137,9 +138,9 @@ def trial_figure(
     """
     view = ADMITTANCE if admittance else IMPEDANCE
     look = level_styles([result.plan.params.trial.active_damping_ns_per_m])[0]
-    if result.recorded.ended.startswith("escape"):
-        reason = result.recorded.ended.removeprefix("escape: ")
-        return _undrawn(result, view, f"ESCAPED, so there is no impedance to draw: {reason}")
+    ended = result.recorded.ended
+    if ended and ended.reason is EndReason.ESCAPE:
+        return _undrawn(result, view, f"ESCAPED, so there is no impedance to draw: {ended.text}")
     z = result.measured
     seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1]) & (z.coherence > 0.0)
     if not seen.any():

@@ -53,8 +53,7 @@ def concluded(shaken: Records, device: Mapping[str, Any]) -> StepResult:
     if finding.verdict == "refused":
         return StepResult("back-EMF", (), [finding], (), arrays)
     halves = student_quantile(UPPER_END, BLOCKS - 1) * deviations
-    source = str(device["position"]["source"])
-    position_half = relative_half(source, "position.m_per_count", POSITION_HALF)
+    position_half = relative_half(device["position"], POSITION_HALF)
     per_speed, _, at_rest = weights.tolist()
     per_speed_half, _, at_rest_half = halves.tolist()
     full = I16_HIGHEST / per_speed

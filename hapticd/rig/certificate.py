@@ -95,11 +95,12 @@ def content(result: StepResult, subject: Subject, now: datetime) -> dict[str, An
 
 
 def _calibrations(device: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Every scale that measurements rest on; its source states values with intervals."""
+    """Every scale that measurements rest on; its source states values with intervals for people."""
     return [
         {
             "table": table,
-            "date": scale["date"] or "none",
+            "measured_on": scale["measured_on"] or "none",
+            "measured_by": scale["measured_by"],
             "serial": scale.get("serial") or device["serial"],
             "source": scale["source"],
         }
@@ -128,7 +129,8 @@ def page(said: Mapping[str, Any]) -> str:
     values = [(one["name"], _interval(one)) for one in said["values"]]
     found = [(one["verdict"], one["what"], one["remedy"]) for one in said["verified"]]
     scales = [
-        (one["table"], one["date"], one["serial"], one["source"]) for one in said["calibrations"]
+        (one["table"], one["measured_on"], one["serial"], one["source"])
+        for one in said["calibrations"]
     ]
     parts = (
         f"<h1>Certificate of {_text(device['name'])}</h1>",
@@ -167,7 +169,10 @@ def _about(said: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("software", f"hapticd {software['hapticd']} {software['commit']}"),
         ("libraries", f"Python {software['python']}, {libraries}"),
         ("machine", f"{machine['cpu']}, {machine['kernel']}"),
-        ("real-time rights", json.dumps(machine["realtime"])),
+        (
+            "real-time rights",
+            "; ".join(f"{name}: {one['text']}" for name, one in machine["realtime"].items()),
+        ),
     ]
 
 

@@ -1,8 +1,8 @@
 """The line of the damping through its levels, and what else pushes and glides say.
 
 The gain of the damping is that of all rows together (`rig.glide`). Its interval adds to that of the
-fit what the device file says of the scales of force and position (`source` of a step names their
-intervals; without one it is taken as UNKNOWN), what the levels scatter about the line, and FLOOR.
+fit what the device file says of the scales of force and position (`half_width_95`; UNKNOWN without
+one), what the levels scatter about the line, and FLOOR.
 
 The residual resistance is the loop gain per N s/m times the square of the force per ampere. Below 0
 the circuit compensates more than the winding has, and at a loop gain of -1 it oscillates, so the
@@ -11,7 +11,7 @@ greatest level that is stable with a tenth to spare is named.
 The physical damping is what is proportional to speed without active damping; friction is not, and
 counts for nothing at large motions. The device file gets LEAST_SHARE of the least that it can be.
 
-What would break it: a source that was written by hand in the words of a step.
+What would break it: a `half_width_95` that is kept although its scale was changed by hand.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,6 +30,7 @@ from hapticd.rig.result import (
     Finding,
     StepResult,
     Value,
+    change_of,
     relative_half,
     rounded,
     settled,
@@ -39,7 +40,7 @@ from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 
 LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit
 LEAST_LEVELS = 3
-UNKNOWN = 0.01  # half of the interval of a scale whose source names none
+UNKNOWN = 0.01  # half of the interval of a scale whose table states none
 FLOOR = 0.003  # of the gain, however many pushes there were
 BY_FRICTION = 0.1  # of the residual back-EMF, where friction has to be told from it without current
 BIAS = 0.01  # of the physical damping: friction seems to end sooner than it does
@@ -64,7 +65,7 @@ def concluded(
     full = float(device["active_damping"]["per_count"]) * U16_HIGHEST
     scatter = _scatter(gains) if len(gains) > 2 else 0.0
     relative = hypot(found.gain_half / found.gain, scatter / found.gain, scales, FLOOR)
-    gain = _value("damping.full_scale_ns_per_m", found.gain * full, "N s/m", relative)
+    gain = _value("active_damping.full_scale_ns_per_m", found.gain * full, "N s/m", relative)
     top = float(device["active_damping_limit_ns_per_m"])
     own = found.physical_ns_per_m
     half = hypot(found.physical_half, BIAS * own)
@@ -91,7 +92,7 @@ def concluded(
 def _changes(gain: Value, physical: Value, top: float) -> list[Change]:
     """What is written, with the limit `top` [N s/m] of the device file."""
     written = rounded(gain.value, gain.low, gain.high)
-    changes = [Change("active_damping", "full_scale_ns_per_m", written)]
+    changes = [change_of(gain)]
     if written < top:  # no more than the converter makes
         changes.append(Change("limits", "active_damping_ns_per_m", written))
     if physical.low > 0.0:
@@ -112,9 +113,9 @@ def _about(name: str, value: float, unit: str, half: float, relative: float) -> 
 
 def _scales(device: Mapping[str, Any]) -> float:
     """Half of the interval, relative, of newtons and metres as the device file has them."""
-    force = relative_half(device["force"]["source"], "force.full_scale_n", UNKNOWN)
-    position = relative_half(device["position"]["source"], "position.m_per_count", UNKNOWN)
-    return hypot(force, position)
+    return hypot(
+        relative_half(device["force"], UNKNOWN), relative_half(device["position"], UNKNOWN)
+    )
 
 
 def by_level(rows: Sequence[Row], found: Balance) -> tuple[Floats, Floats]:

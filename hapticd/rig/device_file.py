@@ -6,9 +6,9 @@ text is parsed again by another parser: it must say what the old one did, but fo
 it is validated as every device file is, in a file beside, which takes the place of the old one in
 one step. Until then the old file is untouched, whatever happens.
 
-A table may be one of another, `model.masses`. Tables with `date`, `serial` and `source` say there
-when, at which board and by what their values were measured; in a table of an effect `source` is a
-tag, and `note` says it.
+A table may be one of another, `model.masses`. Tables with `measured_on`, `measured_by`, `serial`,
+`half_width_95` and `source` say there when, by which step, at which board and how well their values
+were measured; in a table of an effect `source` is a tag, and `note` has the words.
 
 What would break it: two programs that write at once (the last one wins, whole).
 """
@@ -31,28 +31,39 @@ from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import load_device
 from hapticd.settings.toml import read, shipped
 
-Values = Mapping[tuple[str, str], Written | datetime.date]  # by table and key
+Stated = Written | datetime.date | Mapping[str, float]
+Values = Mapping[tuple[str, str], Stated]  # by table and key
 _EFFECT = "model."  # before the name of each effect
 
 
-def write(path: Path, changes: Iterable[Change], source: str, day: datetime.date) -> DeviceFile:
-    """Write `changes` into the device file `path`, with `source`, `day` and the board's serial in
-    every table that has such keys, where more than its sign is written; the device as it is then.
-    ConfigError leaves the file as it was.
+def write(
+    path: Path, changes: Iterable[Change], step: str, day: datetime.date, words: str = ""
+) -> DeviceFile:
+    """Write `changes` into the device file `path`. Tables in which more than a sign is written say
+    by which `step` (a `params.RigStep`) and on which day, with the board's serial, half widths of
+    intervals, and `words` for people. Returns the device as it is then. ConfigError leaves the file
+    as it was.
     """
     refuse_shipped(path)
     read(path)  # says what is wrong with a file that is no TOML
     asked = list(changes)
-    values: dict[tuple[str, str], Written | datetime.date] = {
-        (one.table, one.key): one.value for one in asked
+    values: dict[tuple[str, str], Stated] = {(one.table, one.key): one.value for one in asked}
+    before = tomllib.loads(path.read_text("utf-8"))
+    provenance: dict[str, Stated] = {
+        "measured_on": day,
+        "measured_by": step,
+        "serial": str(before.get("serial", "")),
+        "source": f"{step}: {words}" if words else step,
     }
-    serial = str(tomllib.loads(path.read_text("utf-8")).get("serial", ""))
     # a sign or an offset by itself says nothing of how the scale beside it is known
     for table in dict.fromkeys(one.table for one in asked if not _beside(one)):
         known = set(_fields(table))
-        for key, told in _provenance(table, source, day, serial).items():
-            if key in known:
-                values.setdefault((table, key), told)
+        told = _of_effect(provenance) if table.startswith(_EFFECT) else provenance
+        for key in known & set(told):
+            values.setdefault((table, key), told[key])
+        halves = _half_widths(table, asked)
+        if halves or "half_width_95" in before.get(table, {}):
+            values[table, "half_width_95"] = halves
     text = changed(path.read_bytes().decode("utf-8"), values)
     return _replace(path.resolve(), text)
 
@@ -70,12 +81,16 @@ def _beside(change: Change) -> bool:
     return change.key == "sign" or (change.table, change.key) == ("force", "offset_count")
 
 
-def _provenance(
-    table: str, source: str, day: datetime.date, serial: str
-) -> dict[str, Written | datetime.date]:
-    if table.startswith(_EFFECT):
-        return {"source": "calibrated", "note": f"{day.isoformat()}: {source}"}
-    return {"date": day, "serial": serial, "source": source}
+def _of_effect(provenance: Mapping[str, Stated]) -> dict[str, Stated]:
+    return {**provenance, "source": "calibrated", "note": provenance["source"]}
+
+
+def _half_widths(table: str, changes: Iterable[Change]) -> dict[str, float]:
+    return {
+        one.key: one.half_width_95
+        for one in changes
+        if one.table == table and one.half_width_95 is not None
+    }
 
 
 def _fields(table: str) -> Iterable[str]:
@@ -110,7 +125,7 @@ def changed(text: str, values: Values) -> str:
     document = tomlkit.parse(text)
     try:
         for (table, key), value in values.items():
-            _set(_table(document, table), key, _plain(value))
+            _set(_table(document, table), key, _item(value))
             _set_plain(expected, table, key, _plain(value))
         found = document.as_string()
         understood = tomllib.loads(found) == expected
@@ -118,8 +133,7 @@ def changed(text: str, values: Values) -> str:
         understood = False
     if not understood:
         names = ", ".join(
-            f"{table}.{key} = {tomlkit.item(_plain(value)).as_string()}"
-            for (table, key), value in values.items()
+            f"{table}.{key} = {_item(value).as_string()}" for (table, key), value in values.items()
         )
         raise ConfigError(
             f"the device file is laid out in a way that is not understood: write {names}"
@@ -127,8 +141,17 @@ def changed(text: str, values: Values) -> str:
     return found
 
 
-def _plain(value: Written | datetime.date) -> Any:
+def _plain(value: Stated) -> Any:
     return list(value) if isinstance(value, tuple) else value
+
+
+def _item(value: Stated) -> Any:
+    """`value` as tomlkit writes it: mappings on one line."""
+    if not isinstance(value, Mapping):
+        return tomlkit.item(_plain(value))
+    table = tomlkit.inline_table()
+    table.update(value)
+    return table
 
 
 def _table(document: Any, dotted: str) -> Any:

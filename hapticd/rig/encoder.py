@@ -27,7 +27,7 @@ from hapticd.params import MOST_CORRECTION
 from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
 from hapticd.units import percent
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, StatusBit
@@ -143,7 +143,7 @@ def concluded(
     if settled(findings):
         changes = [
             Change("position", "sign", 1 if went > 0.0 else -1),
-            Change("position", "m_per_count", rounded(scale.value, scale.low, scale.high)),
+            change_of(scale),
         ]
     if changes and "marks" in arrays:
         place = np.sign(went) * scale.value * arrays["marks"]

@@ -75,9 +75,9 @@ def facts_of(servo: Mapping[str, Any]) -> Facts:
     device = servo["device"]
     environment = servo["environment"]
     scales = Scales(
-        relative_half(device["force"]["source"], "force.full_scale_n", nan),
-        relative_half(device["probe_torque"]["source"], "probe_torque.full_scale_n", nan),
-        relative_half(device["position"]["source"], "position.m_per_count", nan),
+        relative_half(device["force"], nan),
+        relative_half(device["probe_torque"], nan),
+        relative_half(device["position"], nan),
     )
     motor = Motor(
         float(device["motor_n_per_a"]),

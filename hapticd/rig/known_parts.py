@@ -16,8 +16,8 @@ from hapticd.rig.hand import Request
 BESIDE = CENTRE  # what is rendered beside
 SECONDS = 20.0
 UNIT_N_PER_M = "N/m"
-RENDERED = ("force.full_scale_n", "position.m_per_count")
-PROBED = ("probe_torque.full_scale_n", "probe_velocity.full_scale_m_per_s")
+RENDERED = ("force", "position")  # tables of the device file
+PROBED = ("probe_torque", "probe_velocity")
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,16 @@ from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import LOOK_S, Pushed, push, ready, wall_of
 from hapticd.rig.records import collect, identity_of
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
+from hapticd.rig.result import (
+    UPPER_END,
+    Change,
+    Finding,
+    StepResult,
+    Value,
+    change_of,
+    rounded,
+    settled,
+)
 from hapticd.settings.device import signs_hash
 from hapticd.units import percent
 from hapticd.wire.codec import I16_HIGHEST
@@ -315,7 +324,7 @@ def _left_at_rest(readings_n: Floats) -> Value:
 
 def full_scale_changes(gain: Value, full_n: float, most: Most) -> list[Change]:
     """What the full scale `gain` in place of `full_n` [N] writes into a file that allows `most`."""
-    found = Change("force", "full_scale_n", rounded(gain.value, gain.low, gain.high))
+    found = change_of(gain)
     return [found, *_within_reach(gain.low / full_n, most)]
 
 

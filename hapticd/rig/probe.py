@@ -148,7 +148,7 @@ def concluded(
     if settled(findings):
         turned = _compared(taken.one, judged, values, findings)
     if taken.loaded is not None and settled(findings):
-        half = relative_half(device["position"]["source"], "position.m_per_count", POSITION_HALF)
+        half = relative_half(device["position"], POSITION_HALF)
         of_velocity = channel(bare)
         found = added(taken.bare, taken.loaded, of_velocity, turned)
         findings += _weighed(found)

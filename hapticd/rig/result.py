@@ -7,7 +7,6 @@ it; a step with a finding that is `refused` writes nothing.
 What would break it: a step that writes although one of its findings is refused (`settled`).
 """
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
@@ -16,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 Verdict = Literal["ok", "warning", "refused", "not done"]
-POSITION_HALF = 2e-3  # relative, of the encoder's scale where its source does not say
+POSITION_HALF = 2e-3  # relative, of the encoder's scale where the file states none
 UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval
 Scalar = bool | int | float | str
 Written = Scalar | tuple[Scalar, ...]  # what may stand in a device file
@@ -48,11 +47,14 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A value of the device file; those with a `source` are dated there as well."""
+    """A value of the device file, and where known half of its 95 % interval; tables that have the
+    keys say beside it when and by what it was measured.
+    """
 
     table: str  # dotted, where it is a table of another
     key: str
     value: Written
+    half_width_95: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,19 +91,17 @@ def settled(findings: Iterable[Finding]) -> bool:
 def change_of(one: Value) -> Change:
     """The value `one`, whose name is TABLE.KEY, into the device file."""
     table, key = one.name.split(".")
-    return Change(table, key, rounded(one.value, one.low, one.high))
+    half = (one.high - one.low) / 2.0
+    known = float(f"{half:.3g}") if np.isfinite(half) else None
+    return Change(table, key, rounded(one.value, one.low, one.high), known)
 
 
-def relative_half(source: str, name: str, otherwise: float) -> float:
-    """Half of the 95 % interval of the value `name`, relative, as a step told it in the `source` of
-    a table; `otherwise` where it does not.
+def relative_half(scale: Mapping[str, Any], otherwise: float) -> float:
+    """Half of the 95 % interval of the `scale` of a hello's device, relative; `otherwise` where the
+    device file states none.
     """
-    form = rf"(?:^|[ ;]){re.escape(name)} (\S+) [^;(]*\(95 %: (\S+) to ([^\s)]+)\)"  # of a Value
-    told = re.search(form, source)
-    if told is None:
-        return otherwise
-    value, low, high = map(float, told.groups())
-    return (high - low) / 2.0 / abs(value)
+    half = scale["half_width_95"]
+    return otherwise if half is None else float(half) / abs(float(scale["per_count"]))
 
 
 def rounded(value: float, low: float, high: float) -> float:

@@ -285,7 +285,7 @@ def _value(one: Change, scale: float, friction: float, own: float) -> Value:
 
 def judged(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
     """Whether what was seen lies where the calibrations of `device` let it lie."""
-    halves = {name: relative_half(_source(device, name), name, nan) for name in part.scales}
+    halves = {name: relative_half(device[name], nan) for name in part.scales}
     unknown = [name for name, half in halves.items() if np.isnan(half)]
     known = [UNKNOWN_SHARE if np.isnan(half) else half for half in halves.values()]
     allowed = hypot(*known, MASS_SHARE if part.request else 0.0)
@@ -304,10 +304,6 @@ def judged(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
     steps = "`hapticd rig probe`" if part.request else "`hapticd rig motor`, `hapticd rig probe`"
     remedy = f"let go of the handle and repeat; if it stays so, {steps} and `hapticd rig identify`"
     return Finding(what, "refused", remedy)
-
-
-def _source(device: Mapping[str, Any], name: str) -> str:
-    return str(device[name.partition(".")[0]]["source"])
 
 
 def _late(counts: Mapping[str, int], ticks: int) -> Iterator[Finding]:

@@ -127,8 +127,8 @@ def concluded(
     findings = list(_alive(rests, moved, device))
     if not settled(findings):
         return StepResult("motor", (), findings, (), arrays)
-    newton = relative_half(device["force"]["source"], "force.full_scale_n", nan)
-    metre = relative_half(device["position"]["source"], "position.m_per_count", nan)
+    newton = relative_half(device["force"], nan)
+    metre = relative_half(device["position"], nan)
     force_n, current_a, voltage_v, winding_c = rests.T
     speed_m_per_s, induced_v = moved.T
     per_ampere = _slope("motor.force_n_per_a", "N/A", current_a, force_n, newton)

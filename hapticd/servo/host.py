@@ -14,6 +14,7 @@ import gc
 import os
 import resource
 from collections.abc import Callable
+from typing import NamedTuple
 
 from hapticd.errors import RealtimeError
 from hapticd.params import RealtimeParams
@@ -24,13 +25,20 @@ _libc = ctypes.CDLL(None, use_errno=True)
 _held: list[int] = []  # the kernel forgets the C-state latency when its file is closed
 
 
-def prepare(params: RealtimeParams) -> dict[str, str]:
-    """Ask for everything `params` names; the answers by right: "granted" or "refused: why; remedy".
+class Grant(NamedTuple):
+    """The answer to a request for a right; `text`: why it was refused, and the remedy."""
+
+    granted: bool
+    text: str
+
+
+def prepare(params: RealtimeParams) -> dict[str, Grant]:
+    """Ask for everything `params` names; the answers by right, none in mode off.
 
     RealtimeError in strict mode when anything was refused.
     """
     if params.mode == "off":
-        return {"mode": "off: nothing was asked for"}
+        return {}
     core = params.core if params.core is not None else max(os.sched_getaffinity(0))
     wanted: list[tuple[str, Callable[[], None], str]] = [
         (
@@ -48,10 +56,9 @@ def prepare(params: RealtimeParams) -> dict[str, str]:
         ("fifo", lambda: _fifo(params.priority), f"LimitRTPRIO={params.priority} or CAP_SYS_NICE")
     )
     report = {name: _ask(action, remedy) for name, action, remedy in wanted}
-    report["threads"] = str(len(os.listdir("/proc/self/task")))
-    refused = {name: text for name, text in report.items() if text.startswith("refused")}
+    refused = [f"{name}: {one.text}" for name, one in report.items() if not one.granted]
     if params.mode == "strict" and refused:
-        raise RealtimeError("; ".join(f"{name}: {text}" for name, text in refused.items()))
+        raise RealtimeError("; ".join(refused))
     return report
 
 
@@ -60,12 +67,12 @@ def relax() -> None:
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _ask(action: Callable[[], None], remedy: str) -> str:
+def _ask(action: Callable[[], None], remedy: str) -> Grant:
     try:
         action()
     except (OSError, ValueError) as error:
-        return f"refused: {error}; {remedy}"
-    return "granted"
+        return Grant(False, f"refused: {error}; {remedy}")
+    return Grant(True, "granted")
 
 
 def _checked(result: int, what: str) -> None:

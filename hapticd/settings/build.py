@@ -279,23 +279,17 @@ def device_params(device: DeviceFile) -> DeviceParams:
     return DeviceParams(
         name=device.name,
         serial=device.serial,
-        position=device.position.params(device.position.m_per_count),
-        force=device.force.params(device.force.full_scale_n / I16_HIGHEST),
-        active_damping=device.active_damping.params(
-            device.active_damping.full_scale_ns_per_m / U16_HIGHEST
-        ),
-        probe_torque=device.probe_torque.params(device.probe_torque.full_scale_n / I16_HIGHEST),
-        probe_velocity=device.probe_velocity.params(
-            device.probe_velocity.full_scale_m_per_s / I16_HIGHEST
-        ),
+        position=device.position.params("m_per_count"),
+        force=device.force.params("full_scale_n", I16_HIGHEST),
+        active_damping=device.active_damping.params("full_scale_ns_per_m", U16_HIGHEST),
+        probe_torque=device.probe_torque.params("full_scale_n", I16_HIGHEST),
+        probe_velocity=device.probe_velocity.params("full_scale_m_per_s", I16_HIGHEST),
         active_damping_with_force_n=device.active_damping.with_force_full_scale_n or 0.0,
         probe_skew_us=device.probe_velocity.skew_us,
-        current=device.current.params(device.current.full_scale_a / I16_HIGHEST),
-        voltage=device.voltage.params(device.voltage.full_scale_v / I16_HIGHEST),
-        emf_velocity=device.emf_velocity.params(
-            device.emf_velocity.full_scale_m_per_s / I16_HIGHEST
-        ),
-        temperature=device.temperature.params(device.temperature.c_per_count),
+        current=device.current.params("full_scale_a", I16_HIGHEST),
+        voltage=device.voltage.params("full_scale_v", I16_HIGHEST),
+        emf_velocity=device.emf_velocity.params("full_scale_m_per_s", I16_HIGHEST),
+        temperature=device.temperature.params("c_per_count"),
         force_limit_n=limits.force_n,
         active_damping_limit_ns_per_m=limits.active_damping_ns_per_m,
         probe_limit_n=limits.probe_n,
@@ -403,4 +397,7 @@ def converter_effects(device: DeviceFile) -> dict[str, Effect]:
 
 
 def _tag(scale: ScaleParams) -> str:
-    return "paper" if scale.source.startswith("Weir") else "inferred"
+    """The tag of an effect whose numbers are those of a scale."""
+    if scale.measured:
+        return "calibrated"
+    return "paper" if scale.measured_by == "paper" else "inferred"

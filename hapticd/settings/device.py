@@ -24,15 +24,16 @@ import datetime
 import hashlib
 from collections.abc import Iterable
 from dataclasses import MISSING, fields
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, create_model
+from pydantic import Field, create_model, field_validator
 
 from hapticd.params import (
     CALIBRATION_DAYS,
     ENERGY_LIMIT_J,
     RAMP_ENERGY_J,
     HomeParams,
+    MeasuredBy,
     ResistanceParams,
     ScaleParams,
 )
@@ -48,7 +49,31 @@ Tag = Literal["paper", "inferred", "calibrated"]
 _home = HomeParams()
 
 
-class EffectTable(TomlTable):
+class Provenance(TomlTable):
+    """When and by whom the numbers of a table were measured."""
+
+    measured_on: datetime.date | None = None
+    """When it was measured or, for the signs, seen."""
+    measured_by: MeasuredBy = ""
+    """The step of `hapticd rig` that measured it, "paper", or nothing for any other origin. A scale
+    that a step measured may differ from the board's nominal one by 1.5 times, any other by 1.1."""
+
+
+class Measured(Provenance):
+    """A table whose numbers may have intervals."""
+
+    half_width_95: dict[str, Annotated[float, Field(ge=0)]] = Field(default_factory=dict)
+    """Half widths of 95 % intervals of numbers of this table, by key, in the unit of the number."""
+
+    @field_validator("half_width_95")
+    @classmethod
+    def _of_own_keys(cls, halves: dict[str, float]) -> dict[str, float]:
+        if unknown := sorted(set(halves) - set(cls.model_fields)):
+            raise ValueError(f"{unknown[0]!r} is no number of this table")
+        return halves
+
+
+class EffectTable(Provenance):
     """What every effect has beside its numbers."""
 
     source: Tag
@@ -117,27 +142,33 @@ def effects_of(
 
 
 def _effect(key: str, table: EffectTable) -> Effect:
-    plain = table.model_dump()
+    plain = table.model_dump(exclude=set(Provenance.model_fields))
     plain["sources"] = tuple(plain["sources"].items())
     return BY_KEY[key](**plain)
 
 
-class Scale(TomlTable):
+class Scale(Measured):
     sign: Literal[-1, 1] = 1
     offset_count: float = 0.0
     """Count that means zero."""
-    date: datetime.date | None = None
-    """When it was measured."""
     serial: str = ""
     """Of the board at which it was measured; left out: the device's own."""
     source: str = Field(min_length=1)
     """How it is known: calibration record, data sheet, paper, or "assumed"."""
 
-    def params(self, per_count: float) -> ScaleParams:
-        """As the processes read it."""
-        date = self.date.isoformat() if self.date else ""
-        offset = self.offset_count
-        return ScaleParams(per_count, self.sign, offset, date, self.source, self.serial)
+    def params(self, key: str, counts: int = 1) -> ScaleParams:
+        """As the processes read it: the number `key` is what so many `counts` mean."""
+        half = self.half_width_95.get(key)
+        return ScaleParams(
+            getattr(self, key) / counts,
+            self.sign,
+            self.offset_count,
+            None if half is None else half / counts,
+            self.measured_on.isoformat() if self.measured_on else "",
+            self.measured_by,
+            self.serial,
+            self.source,
+        )
 
 
 class Position(Scale):
@@ -182,7 +213,7 @@ class Temperature(Scale):
     c_per_count: float = Field(gt=0)
 
 
-class ResistanceTable(TomlTable):
+class ResistanceTable(Provenance):
     """How the board compensates the winding's resistance, and what is known of the winding."""
 
     sign: Literal[-1, 1] = 1
@@ -215,8 +246,6 @@ class ResistanceTable(TomlTable):
     """Nor hotter."""
     model_error: float = Field(ge=0, le=0.9)
     """Share by which thermal resistance and time constant may be wrong."""
-    date: datetime.date | None = None
-    """When it was measured."""
     serial: str = ""
     """Of the board at which it was measured; left out: the device's own."""
     source: str = Field(min_length=1)
@@ -224,10 +253,15 @@ class ResistanceTable(TomlTable):
 
     def params(self) -> ResistanceParams:
         """As the servo reads it."""
-        own = self.model_dump(exclude={"sign", "date", "source", "serial"})
-        date = self.date.isoformat() if self.date else ""
-        per_count = self.full_scale_ohm / I16_HIGHEST
-        trim = ScaleParams(per_count, self.sign, 0.0, date, self.source, self.serial)
+        own = self.model_dump(exclude={"sign", "source", "serial", *Provenance.model_fields})
+        trim = ScaleParams(
+            self.full_scale_ohm / I16_HIGHEST,
+            self.sign,
+            measured_on=self.measured_on.isoformat() if self.measured_on else "",
+            measured_by=self.measured_by,
+            serial=self.serial,
+            source=self.source,
+        )
         return ResistanceParams(trim=trim, **own)
 
 
@@ -265,7 +299,7 @@ class Travel(TomlTable):
     upper_m: float
 
 
-class CommissioningTable(TomlTable):
+class CommissioningTable(Provenance):
     """Whether somebody has seen that force and position have the signs that this file says."""
 
     signs_verified: bool = False
@@ -280,8 +314,6 @@ class CommissioningTable(TomlTable):
     position, serial number and firmware. Where it does not fit the file, nobody has seen them."""
     life: int | None = Field(None, ge=0, le=255)
     """In which life of that board it was seen: the number changes whenever it starts."""
-    date: datetime.date | None = None
-    """When it was seen."""
     source: str = ""
     """How it was seen."""
 
@@ -292,7 +324,7 @@ def signs_hash(serial: str, firmware: str, force_sign: int, position_sign: int) 
     return hashlib.sha256(seen.encode()).hexdigest()[:16]
 
 
-class MotorTable(TomlTable):
+class MotorTable(Measured):
     """The motor as it was measured; a simulated one is described by `plant` or `model`."""
 
     force_n_per_a: float = Field(ge=1e-3, le=1e4)
@@ -303,8 +335,6 @@ class MotorTable(TomlTable):
     lever_m: float | None = Field(None, gt=0, le=10)
     """Radius that turns torque into endpoint force, as its owner says; nothing is computed from
     it here but the torque constant, the product of `force_n_per_a` and `lever_m`."""
-    date: datetime.date | None = None
-    """When it was measured."""
     source: str = ""
     """How it is known."""
 

@@ -146,7 +146,7 @@ def measured_params(
 ) -> MeasuredParams:
     """What the .zwidth `content` says for the device of `device_file` and the servo `servo`."""
     stated = content["conditions"]
-    corners = tuple(float(word.split()[0]) for word in stated["filters"].split(","))
+    corners = tuple(float(corner) for corner in stated["filters_hz"])
     refused = _refused(content, stated, device_file, servo.realtime.rate_hz)
     return MeasuredParams(
         file, refused, corners, float(stated["perturbation"]["psd_n2_per_hz"]), _levels(content)

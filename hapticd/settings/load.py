@@ -360,7 +360,7 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
 
 def _temperature_rule(device: DeviceFile) -> Iterator[Mistake]:
     """Where the winding may get hotter than anything that its converter reads."""
-    scale = device.temperature.params(device.temperature.c_per_count)
+    scale = device.temperature.params("c_per_count")
     hottest = I16_HIGHEST if scale.sign > 0 else I16_LOWEST
     # one count before the end, so that there is a count for a winding that is hotter
     most_c = scale.to_value(hottest - scale.sign)

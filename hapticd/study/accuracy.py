@@ -160,6 +160,7 @@ class AccuracyRow:
     default: bool = False
     knee: bool = False  # the cheapest setting within 10 % of the best
     note: str = ""
+    dtype: str = ""  # of the setting
 
 
 class ReferenceComparison(ABC, Generic[T]):
@@ -477,7 +478,10 @@ def _swept(plan: AccuracyPlan, comparison: Comparison, steps: Steps) -> list[Acc
         for setting, row in rows.items():
             if not isnan(row.seconds):
                 rows[setting] = replace(row, seconds=min(row.seconds, comparison.cost(setting)))
-    return [replace(rows[each], sweep=sweep, label=label) for sweep, label, each in plan.wanted]
+    return [
+        replace(rows[each], sweep=sweep, label=label, dtype=each.dtype)
+        for sweep, label, each in plan.wanted
+    ]
 
 
 def _row(read: Callable[[], AccuracyRow]) -> AccuracyRow:

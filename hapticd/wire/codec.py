@@ -74,7 +74,8 @@ def _opened(
     if expected != found:
         raise FrameError(
             f"{kind} frame has CRC 0x{found:04x}, expected 0x{expected:04x}; it was damaged on"
-            " the way"
+            " the way",
+            "CRC",
         )
     return layout.unpack(data)
 
@@ -82,14 +83,16 @@ def _opened(
 def _check_length(kind: str, found: int, expected: int, remedy: str) -> None:
     if found != expected:
         raise FrameError(
-            f"{kind} frame has a length of {found} bytes, expected {expected}; {remedy}"
+            f"{kind} frame has a length of {found} bytes, expected {expected}; {remedy}",
+            "length",
         )
 
 
 def _counted(kind: str, count: int) -> int:
     if count > frames.PROBE_MAX:
         raise FrameError(
-            f"{kind} frame has a count of {count} probe values, limit {frames.PROBE_MAX}"
+            f"{kind} frame has a count of {count} probe values, limit {frames.PROBE_MAX}",
+            "count",
         )
     return count
 
@@ -98,7 +101,8 @@ def _check_axis(kind: str, axis: int) -> None:
     if axis >= frames.AXIS_COUNT:
         raise FrameError(
             f"{kind} frame is for axis {axis}, limit {frames.AXIS_COUNT - 1}; this protocol has one"
-            " axis"
+            " axis",
+            "axis",
         )
 
 
@@ -225,13 +229,15 @@ def _check_hello_values(hello: HelloFrame) -> None:
     ):
         raise FrameError(
             f"serial {hello.serial!r} of the hello reply is not {_SERIAL_BYTES} or less printable"
-            " ASCII characters"
+            " ASCII characters",
+            "serial",
         )
     for name, value in zip(HelloFrame._fields[6:], hello[6:], strict=True):
         if not isfinite(value):
             raise FrameError(
                 f"{name} of the hello reply is {value}, not a finite number; correct the board's"
-                " firmware"
+                " firmware",
+                "finite",
             )
 
 

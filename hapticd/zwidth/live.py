@@ -38,6 +38,7 @@ from hapticd.plant.excitation import marked, torque_record
 from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, Progress, TrialRecord, silent
 from hapticd.zwidth.watch import Filler, Sentinel
@@ -52,16 +53,23 @@ PROBE = "probe"
 TICKS = "servo.raw"
 LOOK_S = 0.05
 SILENT_LOOKS = 40  # without a message: 2 s
-CHANGED = (
-    "changed: someone changed what was rendered or the perturbation; be alone at the device, and"
-    " repeat the trial"
+CHANGED = TrialEnd(
+    EndReason.CHANGED,
+    "someone changed what was rendered or the perturbation; be alone at the device, and"
+    " repeat the trial",
 )
 
-SLOW = (
-    "slow start: the gain was still rising when the record began, for an enable so far from where"
+SLOW = TrialEnd(
+    EndReason.SLOW_START,
+    "the gain was still rising when the record began, for an enable so far from where"
     " the spring rests brings in more than limits.ramp_energy_j in a second; move the handle there,"
-    " and repeat the trial"
+    " and repeat the trial",
 )
+ENDS = {
+    "stopped": EndReason.STOPPED,
+    "fault": EndReason.FAULT,
+    None: EndReason.SERVO_DOWN,
+}  # by the servo's state; any other is that of a disable
 
 
 def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = False) -> Source:
@@ -202,13 +210,13 @@ class LiveRecording:
     def _changed(self) -> bool:
         return self._began is not None and bool(self._newest["revision"] != self._began["revision"])
 
-    def _slow_start(self, settle: int) -> str:
+    def _slow_start(self, settle: int) -> TrialEnd | None:
         """Why the record cannot begin with this block, which is the first one after `settle`
         samples: ramps that wait for their energy last longer than that.
         """
         before = self._taken - self._parts[-1][1].size
         rising = self._newest is not None and self._newest["gain"] < 1.0
-        return SLOW if before <= settle and rising else ""
+        return SLOW if before <= settle and rising else None
 
     @property
     def _winding_c(self) -> float:
@@ -219,7 +227,7 @@ class LiveRecording:
         samples arrive for 2 s.
         """
         settle = round(SETTLE_S * PROBE_RATE_HZ)
-        ended = ""
+        ended = None
         wanted = settle + round(self._seconds * PROBE_RATE_HZ)
         for block in self._probe_blocks():
             self._take(block)
@@ -250,7 +258,7 @@ class LiveRecording:
         ]
         return TrialRecord(
             force, velocity, PROBE_RATE_HZ, origin, bool(status.get("simulated", True)),
-            ended or _gone(status) or (CHANGED if self._changed else ""),
+            ended or _gone(status) or (CHANGED if self._changed else None),
             self._command_n, self._limit_n, self._more(settle, wanted, status),
         )  # fmt: skip
 
@@ -338,13 +346,15 @@ class LiveRecording:
         self._taken += self._parts[-1][1].size
 
 
-def _gone(status: Mapping[str, Any]) -> str:
-    """Why the servo is no longer enabled; "" if it is."""
+def _gone(status: Mapping[str, Any]) -> TrialEnd | None:
+    """Why the servo is no longer enabled; None if it is."""
     state = status["state"]
-    cause = status.get("cause")
     if state == "enabled":
-        return ""
-    return f"{state}: {cause}" if cause and state != "disabled" else f"{state}: somebody ended it"
+        return None
+    reason = ENDS.get(state, EndReason.DISABLED)
+    cause = status.get("cause") if reason is not EndReason.DISABLED else ""
+    fault = status["fault"] if reason is EndReason.FAULT else ""
+    return TrialEnd(reason, cause or "somebody ended it", fault)
 
 
 def signals(probe: Block) -> Floats:

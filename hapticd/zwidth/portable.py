@@ -114,7 +114,6 @@ def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
 def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, Any]:
     """Under which all of it was found, as `analysis.compare` asks for it."""
     model = conditions.display.model
-    corners = (one.frequency_hz for one in filters(conditions.scene))
     return {
         "seconds": conditions.seconds,
         "band_hz": conditions.band_hz,
@@ -125,7 +124,7 @@ def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, 
         "mass_kg": model.mass_kg,
         "probe_mass_kg": model.probe_mass_kg,
         "rate_hz": model.rate_hz,
-        "filters": ", ".join(f"{corner:g} Hz" for corner in corners),
+        "filters_hz": [one.frequency_hz for one in filters(conditions.scene)],
         "port": "probe",
         "estimator": "spa",
         "grip": "free",
@@ -241,6 +240,7 @@ def _conditions(content: Mapping[str, Any]) -> EnvelopeConditions:
         "port": first["port"],
         "estimator": first["estimator"],
         "band_hz": tuple(stated["band_hz"]),
+        "filters_hz": tuple(stated["filters_hz"]),
         "judged_hz": (stated["judged"]["first_hz"], stated["judged"]["last_hz"]),
         "perturbation_psd_n2_per_hz": stated["perturbation"]["psd_n2_per_hz"],
     }

@@ -35,6 +35,7 @@ from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, 
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.counters import counted, unwrapped
+from hapticd.zwidth.ending import end_of_plain
 from hapticd.zwidth.own import of_recording, of_remark
 from hapticd.zwidth.store import (
     LOSSES_BY,
@@ -178,7 +179,7 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> Tri
         recorded,
         origin=f"{path.name} of a trial: {stated['origin']}",
         simulated=stated["simulated"],
-        ended=stated.get("ended", ""),
+        ended=end_of_plain(stated.get("ended")),
         max_command_n=stated.get("max_command_n"),
         command_limit_n=stated.get("command_limit_n"),
         rendered=Environment(active_damping_ns_per_m=stated["active_damping_ns_per_m"]).with_free(

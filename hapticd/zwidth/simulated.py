@@ -18,6 +18,7 @@ from hapticd.plant.compose import compose
 from hapticd.plant.scene import Scene
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth import scenes
+from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.scenes import SATURATED
 from hapticd.zwidth.sources import Source, Trial, watched
 from hapticd.zwidth.store import Progress, TrialRecord, silent
@@ -56,9 +57,10 @@ def engine_source(scene: Scene, substeps: int = 4) -> Source:
 def simulated(scene: Scene, found: BatchResult) -> TrialRecord:
     """The first trial of a batch that kept its records."""
     force, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
+    escape = TrialEnd(EndReason.ESCAPE, f"diverged after {found.diverged_at_s[0]:.3g} s")
     return TrialRecord(
         force, velocity, found.rate_hz, f"engine, scene {scene.name}", True,
-        f"escape: diverged after {found.diverged_at_s[0]:.3g} s" if found.diverged[0] else "",
+        escape if found.diverged[0] else None,
         float(found.max_force_n[0]), compose(scene).force_limit_n,
     )  # fmt: skip
 

@@ -84,7 +84,7 @@ def watched(
             float(ticks.max(initial=0.0)),
         ):
             break
-    if not sentinel.reason:
+    if not sentinel.ended:
         return whole
     kept = max(
         round(LEAST_KEPT_S * whole.rate_hz), round(sentinel.seconds * whole.rate_hz)
@@ -93,7 +93,7 @@ def watched(
         whole,
         force_n=whole.force_n[:kept],
         velocity_m_per_s=whole.velocity_m_per_s[:kept],
-        ended=sentinel.reason,
+        ended=sentinel.ended,
     )
 
 

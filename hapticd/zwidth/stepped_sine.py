@@ -16,12 +16,14 @@ import numpy as np
 
 from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.ending import EndReason
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import Progress, Steps, TrialRecord, silent
 
 FREQUENCIES_HZ = (3.0, 5.0, 8.0, 13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0, 377.0, 480.0)
 DWELL_S = 4.0
 TRANSIENT_S = 1.0
+HARMLESS = (EndReason.ESCAPE, EndReason.SATURATION, EndReason.DECIDED)
 FORCE_N = 0.2  # rms, as that of the paper's noise
 
 
@@ -73,7 +75,8 @@ def may_follow(recorded: TrialRecord) -> bool:
     """Whether another trial may follow: not after someone switched off or changed something,
     nor on a hot winding.
     """
-    return recorded.ended.startswith(("escape", "saturation", "decided")) or not recorded.ended
+    ended = recorded.ended
+    return ended is None or ended.reason in HARMLESS
 
 
 def _settled(recorded: TrialRecord) -> tuple[Floats, Floats]:

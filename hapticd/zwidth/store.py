@@ -34,7 +34,7 @@ from pydantic_core import to_jsonable_python
 from hapticd.analysis.arrays import Floats
 from hapticd.environment import Environment
 from hapticd.errors import AnalysisError, ConfigError
-from hapticd.faults import BY_CODE
+from hapticd.zwidth.ending import EndReason, TrialEnd
 
 SUMMARY = "run.json"
 RECORD_H5 = "record.h5"
@@ -58,13 +58,6 @@ OF_A_RUN = (
     RECORD_NPZ,
     IMPEDANCE,
     *(f"{name}.{kind}" for name in FIGURES for kind in FIGURE_KINDS),
-)
-# how a trial ends that grew by itself: seen by the sentinel, or by the servo, which tells the cause
-RAN_AWAY = (
-    "escape",
-    f"fault: {BY_CODE['overspeed'].cause}",
-    f"fault: {BY_CODE['energy'].cause}",
-    f"fault: {BY_CODE['force_at_limit'].cause}",
 )
 Progress = Callable[[str, int, int], None]  # of what is done, how many are done, and of how many
 MARK_SAMPLE = "mark_sample"  # of the record, at which the mark of the perturbation begins
@@ -129,8 +122,8 @@ def _listed(value: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class TrialRecord:
-    """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time, "" if
-    it was not.
+    """`force_n`, `velocity_m_per_s` (N,) float64 at `rate_hz`. `ended`: why before its time,
+    None if it was not.
 
     `max_command_n` is the largest force that was commanded, `command_limit_n` what the device can
     do; None where not known. `more`: what else the source says of itself, for the run's summary.
@@ -142,7 +135,7 @@ class TrialRecord:
     rate_hz: float
     origin: str
     simulated: bool
-    ended: str = ""
+    ended: TrialEnd | None = None
     max_command_n: float | None = None
     command_limit_n: float | None = None
     more: Mapping[str, Any] = field(default_factory=dict)
@@ -154,15 +147,16 @@ class TrialRecord:
         return self.force_n.size / self.rate_hz
 
 
-def too_short(seconds: float, ended: str) -> AnalysisError:
+def too_short(seconds: float, ended: TrialEnd | None) -> AnalysisError:
     """The error for a trial that `ended` so after `seconds` and has no spectrum to judge."""
-    what = f"ended after {seconds:.3g} s ({ended}): too short for a verdict"
-    if ended.startswith(RAN_AWAY):
+    why = f" ({ended})" if ended else ""
+    what = f"ended after {seconds:.3g} s{why}: too short for a verdict"
+    if ended and ended.ran_away:
         return AnalysisError(
             f"{what}; an environment that runs away by itself is unstable: its limit is found from"
             " below, with a smaller K, B or M or more damping"
         )
-    if ended.startswith("saturation"):
+    if ended and ended.reason is EndReason.SATURATION:
         return AnalysisError(f"{what}; take a weaker perturbation, or a smaller K, B or M")
     return AnalysisError(what)
 

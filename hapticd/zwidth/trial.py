@@ -64,6 +64,7 @@ from hapticd.analysis.verdict import (
 from hapticd.errors import AnalysisError
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.units import PROBE_RATE_HZ
+from hapticd.zwidth.ending import EndReason, TrialEnd, end_of_plain
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import Display, display
 from hapticd.zwidth.sources import Source, Trial
@@ -186,7 +187,7 @@ def multisine_spectra(recorded: TrialRecord, layout: MultisineLayout) -> Periodi
 
 
 def _joined(
-    parts: list[TrialRecord], layout: MultisineLayout, ended: str, again: int
+    parts: list[TrialRecord], layout: MultisineLayout, ended: TrialEnd | None, again: int
 ) -> TrialRecord:
     force, velocity = (
         np.concatenate([channel[: layout.samples] for channel in channels])
@@ -418,16 +419,22 @@ def _findings(recorded: TrialRecord, trial: Trial) -> tuple[Finding, ...]:
     if most is not None and limit is not None and most >= limit * (1.0 - AT_LIMIT):
         message = f"command saturated at {limit:.3g} N; lower the perturbation or the stiffness"
         found.append(Finding("saturation", message, voids=True))
-    if recorded.ended.startswith("escape"):
-        found.append(Finding("escape", recorded.ended, unstable=True))
-    elif recorded.ended and not recorded.ended.startswith("decided"):
-        found.append(
-            Finding("ended", recorded.ended, voids=recorded.ended.startswith(("changed", "travel")))
-        )
+    if ended := _end_finding(recorded.ended):
+        found.append(ended)
     if (stiffness := trial.environment[0]) < 0.0:
         message = f"K = {stiffness:g} N/m: below every band a negative stiffness is active"
         found.append(Finding("negative_stiffness", message, voids=True))
     return (*found, *loss_findings(recorded.more), *_uncalibrated(recorded.more))
+
+
+def _end_finding(ended: TrialEnd | None) -> Finding | None:
+    """The finding for a trial that ended so."""
+    if ended is None or ended.reason is EndReason.DECIDED:
+        return None
+    if ended.reason is EndReason.ESCAPE:
+        return Finding("escape", str(ended), unstable=True)
+    voids = ended.reason in (EndReason.CHANGED, EndReason.TRAVEL)
+    return Finding("ended", str(ended), voids=voids)
 
 
 def _uncalibrated(more: Mapping[str, Any]) -> Iterator[Finding]:
@@ -523,7 +530,7 @@ def kept_trial(folder: Path, kept: Mapping[str, Any], scene: Scene | None) -> Tr
         read_file(record_path(folder)),
         origin=kept["origin"],
         simulated=kept["simulated"],
-        ended=kept["ended"],
+        ended=end_of_plain(kept["ended"]),
         max_command_n=kept["max_command_n"],
         command_limit_n=kept["command_limit_n"],
         more={name: kept[name] for name in (*COUNTS, *RESTS_ON) if name in kept},

@@ -58,6 +58,7 @@ from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
 from hapticd.units import percent
+from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.store import LOSSES_BY, TrialRecord
 
 BRIDGED = 40  # samples at most: 10 ms
@@ -185,12 +186,12 @@ class Watch:
 
 
 class Sentinel:
-    """Fed with a record as it arrives; `reason` says why the trial should end, "" as long as it
+    """Fed with a record as it arrives; `ended` says why the trial should end, None as long as it
     should not.
     """
 
     def __init__(self, watch: Watch, rate_hz: float) -> None:
-        self.reason = ""
+        self.ended: TrialEnd | None = None
         self.seconds_needed = (
             nan  # of a record like this one, for a decision; nan before there is a verdict
         )
@@ -224,35 +225,37 @@ class Sentinel:
         winding_c: float = nan,
         command_n: float = 0.0,
         between_m: tuple[float, float] = (nan, nan),
-    ) -> str:
-        """Look at the next samples, both (n,); the reason to end, or "". Beside them were
+    ) -> TrialEnd | None:
+        """Look at the next samples, both (n,); the reason to end, or None. Beside them were
         `command_n`, the largest command, and positions `between_m`.
         """
         self.max_command_n = max(self.max_command_n, command_n)
         self._rest = np.column_stack((self._rest, np.stack((force_n, velocity_m_per_s))))
         second = round(self._rate_hz)
-        while self._rest.shape[1] >= second and not self.reason:
+        while self._rest.shape[1] >= second and not self.ended:
             force, velocity = self._rest[:, :second]
             self._rest = self._rest[:, second:]
             self._look_at(force, velocity)
-        if not self.reason:
-            self.reason = self._at_end(*between_m)
+        if not self.ended:
+            self.ended = self._at_end(*between_m)
         if winding_c > self._watch.winding_limit_c:
-            self.reason = (
-                f"heat: the winding is at {winding_c:.3g} degC, limit"
-                f" {self._watch.winding_limit_c:g}; let it cool"
+            self.ended = TrialEnd(
+                EndReason.HEAT,
+                f"the winding is at {winding_c:.3g} degC, limit"
+                f" {self._watch.winding_limit_c:g}; let it cool",
             )
-        return self.reason
+        return self.ended
 
-    def _at_end(self, least_m: float, most_m: float) -> str:
+    def _at_end(self, least_m: float, most_m: float) -> TrialEnd | None:
         lower_m, upper_m = self._watch.travel_m
         if not (least_m < lower_m or most_m > upper_m):
-            return ""
+            return None
         at_m = least_m if least_m < lower_m else most_m
-        return (
-            f"travel: the device stands at {1e3 * at_m:.3g} mm, its travel ends at"
+        return TrialEnd(
+            EndReason.TRAVEL,
+            f"the device stands at {1e3 * at_m:.3g} mm, its travel ends at"
             f" {1e3 * lower_m:.3g} and {1e3 * upper_m:.3g} mm; centre it, and render a small"
-            f" stiffness that holds it there (-K {CENTRING_N_PER_M:g})"
+            f" stiffness that holds it there (-K {CENTRING_N_PER_M:g})",
         )
 
     def _look_at(self, force: Floats, velocity: Floats) -> None:
@@ -265,34 +268,37 @@ class Sentinel:
         ):
             share = float(np.mean(np.abs(signal) >= limit))
             if share > SATURATED_SHARE:
-                self.reason = (
-                    f"saturation: {name} at its end of {limit:.4g} in {percent(share)} of the"
-                    " samples of a second"
+                self.ended = TrialEnd(
+                    EndReason.SATURATION,
+                    f"{name} at its end of {limit:.4g} in {percent(share)} of the"
+                    " samples of a second",
                 )
         if self._at_limit:
-            self.reason = self._at_its_limit(pushed)
+            self.ended = self._at_its_limit(pushed)
         self._at_limit = self.max_command_n >= self._watch.command_limit_n * (1.0 - AT_LIMIT)
         if rms > self._watch.speed_limit_m_per_s or self._ran_away(pushed, rms):
-            self.reason = (
-                f"escape: velocity of {rms:.3g} m/s rms after {self.seconds:.0f} s; the loop is not"
-                " stable there"
+            self.ended = TrialEnd(
+                EndReason.ESCAPE,
+                f"velocity of {rms:.3g} m/s rms after {self.seconds:.0f} s; the loop is not"
+                " stable there",
             )
         self._rms.append((pushed, rms))
-        if not self.reason and self._watch.random and self.seconds >= self._next_look_s:
+        if not self.ended and self._watch.random and self.seconds >= self._next_look_s:
             self._next_look_s += LOOK_S
             self._decide()
 
-    def _at_its_limit(self, pushed: float) -> str:
+    def _at_its_limit(self, pushed: float) -> TrialEnd:
         """A command that reached its limit: of a loop that moves by itself, or of one that was
         pushed too hard.
         """
         limit_n = self._watch.command_limit_n
         if self._watch.random and _own(self._stream.spectra()) * limit_n > OWN * pushed:
-            return (
-                f"escape: the command reached its limit of {limit_n:.3g} N in a motion of its own;"
-                " the loop is not stable there"
+            return TrialEnd(
+                EndReason.ESCAPE,
+                f"the command reached its limit of {limit_n:.3g} N in a motion of its own;"
+                " the loop is not stable there",
             )
-        return f"saturation: the command reached its limit of {limit_n:.3g} N"
+        return TrialEnd(EndReason.SATURATION, f"the command reached its limit of {limit_n:.3g} N")
 
     def _ran_away(self, pushed: float, rms: float) -> bool:
         """Whether a second of that force and velocity ends an escape; a stronger force moves a
@@ -322,7 +328,9 @@ class Sentinel:
         doubtful = lines_to_resolve(spectra, found, watch.estimator, watch.linear).any()
         final = found.answer != "undecided" and not doubtful
         if watch.until_decided and final:
-            self.reason = f"decided after {self.seconds:.0f} s"
+            self.ended = TrialEnd(
+                EndReason.DECIDED, f"the verdict stands after {self.seconds:.0f} s"
+            )
 
 
 def _own(trial: Spectra) -> float:

@@ -27,7 +27,6 @@ from hapticd.plant.effects import (
 )
 from hapticd.plant.tables import board_fields
 from hapticd.rig.damping import measure
-from hapticd.rig.result import relative_half
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.units import COPPER_PER_K
@@ -51,7 +50,7 @@ def test_gain_and_physical_damping_lie_in_their_intervals():
         hand.settle()
         assert hand.bench.newest["active_damping_ns_per_m"] == 0.0
     found = values_of(result)
-    gain = found["damping.full_scale_ns_per_m"]
+    gain = found["active_damping.full_scale_ns_per_m"]
     assert result.settled
     assert holds(gain, 11.7)
     assert gain.high - gain.low < 0.06 * gain.value
@@ -82,8 +81,8 @@ def test_the_verb_writes_the_table_with_its_record(tmp_path, monkeypatch, capsys
     assert 0.2 < device.limits.physical_damping_ns_per_m <= 2.0 / 3.0 * 0.4
     (record,) = (tmp_path / "devices" / "rig").iterdir()
     assert record.name in device.active_damping.source
-    half = relative_half(device.active_damping.source, "damping.full_scale_ns_per_m", 1.0)
-    assert 0.003 < half < 0.03
+    half = device.active_damping.half_width_95["full_scale_ns_per_m"]
+    assert 0.003 < half / device.active_damping.full_scale_ns_per_m < 0.03
 
 
 def composed(residual_ohm):
@@ -108,7 +107,7 @@ def test_a_warm_winding_is_told_from_weak_damping():
     with Hand(wrong, **composed(0.08)) as hand:
         result = measure(hand.bench, nothing)
     found = values_of(result)
-    assert holds(found["damping.full_scale_ns_per_m"], 10.0)
+    assert holds(found["active_damping.full_scale_ns_per_m"], 10.0)
     assert holds(found["residual resistance"], 0.08)
     assert found["residual resistance"].low > 0.0
     assert holds(found["force per ampere"], 1.65)
@@ -120,7 +119,7 @@ def test_a_board_without_current_is_measured_by_friction():
         result = measure(hand.bench, nothing)
     found = values_of(result)
     assert "force per ampere" not in found
-    assert holds(found["damping.full_scale_ns_per_m"], 10.0)
+    assert holds(found["active_damping.full_scale_ns_per_m"], 10.0)
     assert holds(found["residual back-EMF"], 0.08 / 1.65**2)
 
 

@@ -14,7 +14,6 @@ from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import spectral_radius
 from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.assembly.lockstep import scene_params
-from hapticd.params import ScaleParams
 from hapticd.plant.compose import compose
 from hapticd.rig.device_file import write
 from hapticd.rig.identify import measure
@@ -24,19 +23,14 @@ from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.scenes import device_scene, display
 
 DEVICES = ROOT / "config" / "devices"
-SEEN = "rig step: {} 1.0 N (95 %: 0.995 to 1.005); rig/x.npz 0123"
-
-
-def scale(per_count, name):
-    return ScaleParams(per_count, source=SEEN.format(name))
 
 
 def calibrated():
     plain = device_params()
     return {
-        "force": scale(plain.force.per_count, "force.full_scale_n"),
-        "probe_torque": scale(plain.probe_torque.per_count, "probe_torque.full_scale_n"),
-        "position": scale(plain.position.per_count, "position.m_per_count"),
+        name: replace(one, half_width_95=0.005 * one.per_count)
+        for name in ("force", "probe_torque", "position")
+        for one in [getattr(plain, name)]
     }
 
 

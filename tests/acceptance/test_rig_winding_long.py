@@ -51,4 +51,4 @@ def test_the_device_file_has_a_motor_then(found):
     assert table.force_n_per_a == pytest.approx(rig.truth.motor_n_per_a, rel=0.02)
     assert table.lever_m == 0.01
     assert table.reference_c == pytest.approx(NOMINAL["ambient_c"], abs=4.0)
-    assert "rig motor" in table.source
+    assert table.measured_by == "rig motor"

@@ -164,7 +164,7 @@ def test_a_trial_is_not_ended_by_a_verdict_that_its_record_would_change():
     """Of this passive display the window says "not passive" after 20 s."""
     force, velocity = recorded_of(display(0.3), 450.0, 1)
     sentinel = Sentinel(Watch(until_decided=True), 4000.0)
-    assert sentinel.see(force, velocity) == ""
+    assert sentinel.see(force, velocity) is None
 
 
 def test_a_result_shows_the_impedance_that_its_verdict_was_found_by():

@@ -86,7 +86,7 @@ def test_a_calibration_may_correct_a_scale_by_a_tenth(factor, agrees):
     assert result is (Result.APPLIED if agrees else Result.REFUSED_DEVICE)
 
 
-MEASURED = ScaleParams(COUNT_N, source="rig motor: by hanging masses")
+MEASURED = ScaleParams(COUNT_N, measured_by="rig motor")
 
 
 @pytest.mark.parametrize(

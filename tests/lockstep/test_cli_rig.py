@@ -132,7 +132,7 @@ def test_what_is_measured_says_how_old_it_is(config):
     assert guided.measured("position", load(config).device) == ""
     assert guided.measured("commissioning", load(config).device) == ""
     week_ago = datetime.date.today() - datetime.timedelta(7)
-    write(file, [Change("position", "m_per_count", 0.5e-6)], "rig encoder: 0.5 um", week_ago)
+    write(file, [Change("position", "m_per_count", 0.5e-6)], "rig encoder", week_ago, "0.5 um")
     told = guided.measured("position", load(config).device)
     assert told == f"measured {week_ago.isoformat()}, 7 days ago"
 
@@ -145,7 +145,7 @@ def test_a_table_that_outlived_its_newton_is_offered_again(config):
             Change("active_damping", "full_scale_ns_per_m", 10.0),
             Change("active_damping", "with_force_full_scale_n", full_scale_n),
         ]
-        write(file, written, "rig damping: x", datetime.date.today())
+        write(file, written, "rig damping", datetime.date.today())
         said = guided.in_doubt("damping", load(config).device.model_copy(update=real))
         assert said.startswith("it was found with a scale of force of 7.4 N") == doubted
 

@@ -688,7 +688,8 @@ def test_histogram_is_judged_by_spin_and_period(
     p99_us: int, fifo: str, level: str, text: str
 ) -> None:
     histogram = {p99_us: 100}
-    found = {"granted": {"fifo": fifo}, "histogram_us": histogram, **wake.quantiles(histogram)}
+    rights = {"fifo": {"granted": fifo == "granted", "text": fifo}}
+    found = {"rights": rights, "histogram_us": histogram, **wake.quantiles(histogram)}
     finding = wake.judge(found, asked())
     assert (finding.level, text in finding.found) == (level, True)
 
@@ -750,7 +751,8 @@ def test_doctor_is_strict_only_when_asked(
 def test_doctor_adds_the_measurement(
     runtime: Path, findings: list[CheckResult], monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
-    measured = {"granted": {"fifo": "granted"}, "histogram_us": {9: 10}, **wake.quantiles({9: 10})}
+    rights = {"fifo": {"granted": True, "text": "granted"}}
+    measured = {"rights": rights, "histogram_us": {9: 10}, **wake.quantiles({9: 10})}
     monkeypatch.setattr(wake, "measure", lambda seconds, core: measured)
     assert main(["doctor", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)

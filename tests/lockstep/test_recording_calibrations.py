@@ -35,7 +35,7 @@ def dated(date="2026-05-01", serial="", **others):
     """A real device whose scales were measured then, at that board; `others` are changes of it."""
     device = device_params(relies_on=("probe", "temperature"))
     scales = {
-        name: dataclasses.replace(getattr(device, name), date=date, serial=serial)
+        name: dataclasses.replace(getattr(device, name), measured_on=date, serial=serial)
         for name in SCALES
     }
     return servo_params(simulated=False, device=dataclasses.replace(device, **scales | others))
@@ -72,7 +72,7 @@ def test_damping_that_was_found_in_other_newtons_is_in_doubt(factor, doubted):
 @pytest.mark.parametrize(("days", "old"), [(365, False), (366, True)])
 def test_a_calibration_is_old_after_a_year(days, old):
     force = dataclasses.replace(
-        device_params().force, date=(DAY - datetime.timedelta(days)).isoformat()
+        device_params().force, measured_on=(DAY - datetime.timedelta(days)).isoformat()
     )
     said = found(dated(force=force))
     assert [one.table for one in said] == ["force"] * old

@@ -235,7 +235,7 @@ def swept() -> AccuracyResult:
         AccuracyRow("sub-steps", "1", 0.008, 0.5, 0.6),
         AccuracyRow("sub-steps", "4", 0.01, 0.09, 0.4, default=True, knee=True),
         AccuracyRow("sub-steps", "32", 0.02, nan, nan, note="the reference"),
-        AccuracyRow("precision", "f32, 4", 0.009, 0.09, 0.4, knee=True),
+        AccuracyRow("precision", "f32, 4", 0.009, 0.09, 0.4, knee=True, dtype="f32"),
         AccuracyRow("trial length", "5 s", 0.002, nan, 1.6),
         AccuracyRow("trial length", "90 s", 0.01, 0.09, 0.4, default=True, knee=True),
         AccuracyRow("window", "2048", 0.01, 0.09, 0.4, default=True, knee=True),

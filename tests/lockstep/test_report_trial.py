@@ -6,6 +6,7 @@ import pytest
 from hapticd.plant.scene import Excitation
 from hapticd.report.trial import trial_figure
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord
@@ -114,7 +115,8 @@ def test_trial_in_which_nothing_moved_shows_its_record_and_no_impedance():
 
 def test_escaped_trial_shows_its_record_and_no_impedance():
     force = np.random.default_rng(1).normal(0.0, 0.2, 80_000)
-    record = TrialRecord(force, 0.1 * force, 4000.0, "made", False, ended="escape: it ran away")
+    ended = TrialEnd(EndReason.ESCAPE, "it ran away")
+    record = TrialRecord(force, 0.1 * force, 4000.0, "made", False, ended=ended)
     figure = trial_figure(judged(plan_trial(TrialParams(Trial(seconds=20.0))), record))
     assert [axis.get_ylabel() for axis in figure.axes] == [
         "force of the probe (N)",

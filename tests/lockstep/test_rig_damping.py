@@ -17,7 +17,6 @@ from hapticd.rig.damping import measure
 from hapticd.rig.damping_line import concluded
 from hapticd.rig.glide import Row, balance, row_of
 from hapticd.rig.push import push, ready
-from hapticd.rig.result import Value
 
 N_PER_A = 1.65
 FORCE = ScaleParams(COUNT_N)
@@ -67,7 +66,7 @@ def recorded(mass_kg, damping, friction_n, force_n, push_s, level=0.0):
 
 
 @pytest.mark.parametrize("mass_kg", [0.004, 0.008, 0.2])
-@pytest.mark.parametrize("damping", [0.3, 2.0, 8.0])
+@pytest.mark.parametrize("active_damping", [0.3, 2.0, 8.0])
 def test_momentum_balances_whatever_the_mass(mass_kg, damping):
     """J = c D + Fc T: the closed form of every mass, and what is made of its counts."""
     records, way, rest_s = recorded(mass_kg, damping, 0.03, 0.3, 0.03, damping)
@@ -80,7 +79,7 @@ def test_momentum_balances_whatever_the_mass(mass_kg, damping):
     assert damping * way + 0.03 * rest_s == pytest.approx(0.3 * 0.03, rel=1e-6)
 
 
-@pytest.mark.parametrize("damping", [0.3, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("active_damping", [0.3, 1.0, 2.0, 4.0])
 def test_the_time_of_motion_is_known_to_a_tenth_of_a_period_whatever_damps(damping):
     away_s = []
     for friction_n in np.linspace(0.03, 0.036, 9):
@@ -213,8 +212,7 @@ def test_a_gain_of_twice_the_file_is_refused():
 
 def test_the_interval_of_the_force_scale_is_part_of_that_of_damping():
     rows = made_up(np.random.default_rng(8), 1.0)
-    known = Value("force.full_scale_n", 8.0, "N", 7.9, 8.1)
-    wide = concluded(rows, device(source=f"rig motor: {known}; rig/x.npz 0123")).values[0]
+    wide = concluded(rows, device(half=0.0125 * COUNT_N)).values[0]
     assert (wide.high - wide.low) / 2.0 >= 0.0125 * wide.value
 
 

@@ -20,14 +20,12 @@ from hapticd.rig.probe import (
     measure,
     offset,
 )
-from hapticd.rig.result import Value, relative_half
+from hapticd.rig.result import relative_half
 from hapticd.rig.shaken import LINES_HZ, Recording, amplitudes, lines, shaken, waveform
 
 PLAIN = {
     "probe_limit_n": 1.0,
-    "position": {
-        "source": "rig encoder: position.m_per_count 5e-07 m (95 %: 4.99e-07 to 5.01e-07)"
-    },
+    "position": {"per_count": 5e-7, "half_width_95": 1e-9},
     "probe_torque": {"per_count": N, "sign": 1},
     "probe_velocity": {"per_count": N, "sign": 1},
 }
@@ -168,11 +166,9 @@ def test_an_offset_that_still_drifts_says_so():
     assert offset("offset", np.full(48_000, 5.0)).high == 5.5
 
 
-def test_an_interval_is_found_again_in_the_source_of_its_table():
-    source = f"rig x: {Value('a.b', 2.0, 'm', 1.9, 2.1)}; {Value('a.bc', 1.0, '', 0.5, 1.5)}; rig/"
-    assert relative_half(source, "a.b", 0.3) == pytest.approx(0.05)
-    assert relative_half(source, "a.bc", 0.3) == pytest.approx(0.5)
-    assert relative_half("data sheet", "a.b", 0.3) == 0.3
+def test_an_interval_is_that_of_the_device_file():
+    assert relative_half({"per_count": 2.0, "half_width_95": 0.1}, 0.3) == pytest.approx(0.05)
+    assert relative_half({"per_count": 2.0, "half_width_95": None}, 0.3) == 0.3
 
 
 def test_a_mass_in_grams_is_refused_before_it_is_fixed():

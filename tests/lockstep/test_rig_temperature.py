@@ -11,7 +11,7 @@ from hapticd.rig.temperature import Stated, concluded, drift_of, measure
 DEVICE = {
     "temperature": {"per_count": 0.01, "sign": 1, "offset_count": 0.0},
     "emf_velocity": {"per_count": 2.0 / 32767, "sign": 1, "offset_count": 0.0},
-    "position": {"source": "position.m_per_count 1e-06 m (95 %: 9.99e-07 to 1.001e-06)"},
+    "position": {"per_count": 1e-6, "half_width_95": 1e-9},
 }
 TICKS = 10_000
 DTYPE = [("board_us", "<i8"), ("position_m", "<f8"), ("emf_velocity_m_per_s", "<f4")]
@@ -125,7 +125,7 @@ def test_back_emf_is_known_by_the_encoder_though_it_comes_late(gain):
 
 
 def test_back_emf_lies_in_its_interval_nineteen_times_in_twenty():
-    exact = DEVICE | {"position": {"source": "position.m_per_count 1 m (95 %: 1 to 1)"}}
+    exact = DEVICE | {"position": {"per_count": 1.0, "half_width_95": 0.0}}
     hits = 0
     for seed in range(100):
         result = back_emf.concluded(shaken(1.1, seed=seed, noise=20.0), exact)

@@ -375,7 +375,7 @@ def test_board_that_restarts_is_compensated_anew():
 def test_shipped_device_is_the_one_of_these_tests(tmp_path: Path):
     (tmp_path / "hapticd.toml").write_text('device = "warming"\n')
     shown = load(tmp_path / "hapticd.toml").device.resistance.params()
-    trim_scale = replace(shown.trim, date="", source="")
+    trim_scale = replace(shown.trim, measured_on="", source="")
     assert replace(shown, trim=trim_scale) == TABLE
     assert (shipped("config") / "devices" / "warming.toml").is_file()
 

@@ -39,7 +39,7 @@ def content(**conditions: Any) -> dict[str, Any]:
         "device_file_sha256": hashlib.sha256(DEVICE_FILE).hexdigest(),
         "conditions": {
             "rate_hz": 1000.0,
-            "filters": "100 Hz, 72 Hz",
+            "filters_hz": [100.0, 72.0],
             "perturbation": {"psd_n2_per_hz": 2.5e-5},
         }
         | conditions,

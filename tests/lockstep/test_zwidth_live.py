@@ -12,6 +12,7 @@ from hapticd.errors import AnalysisError, CommandError
 from hapticd.mailbox.layout import Command, Value
 from hapticd.params import HandParams, TouchParams
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.simulated import engine_source
@@ -121,7 +122,8 @@ def test_trial_whose_force_comes_too_slowly_is_no_trial(rigid):
 
 def test_trial_that_someone_ends_says_so(rigid):
     found = flown(rigid, lambda bench: bench.disable())
-    assert found.recorded.ended == "disabled: somebody ended it"
+    assert str(found.recorded.ended) == "disabled: somebody ended it"
+    assert found.recorded.ended.reason is EndReason.DISABLED
 
 
 def test_servo_is_disabled_though_the_perturbation_refuses_to_stop(rigid):
@@ -141,7 +143,7 @@ def test_stepped_sine_does_not_enable_what_someone_disabled(rigid):
 
     def record(trial, tell):
         flown_hz.append(len(flown_hz))
-        ended = "disabled: somebody ended it" if len(flown_hz) == 2 else ""
+        ended = TrialEnd(EndReason.DISABLED, "x") if len(flown_hz) == 2 else None
         found = engine_source(load_scene(rigid))(trial, tell)
         return replace(found, ended=ended)
 
@@ -152,17 +154,19 @@ def test_stepped_sine_does_not_enable_what_someone_disabled(rigid):
 
 
 @pytest.mark.parametrize(
-    ("ended", "again"),
+    ("reason", "again"),
     [
-        ("", True),
-        ("escape: x", True),
-        ("decided: x", True),
-        ("heat: x", False),
-        ("stopped: x", False),
-        ("changed: x", False),
+        (None, True),
+        (EndReason.ESCAPE, True),
+        (EndReason.DECIDED, True),
+        (EndReason.HEAT, False),
+        (EndReason.STOPPED, False),
+        (EndReason.CHANGED, False),
     ],
 )
-def test_what_ended_a_trial_says_whether_another_may_follow(ended, again):
+def test_what_ended_a_trial_says_whether_another_may_follow(reason, again):
+    """By the reason; the words decide nothing."""
+    ended = reason and TrialEnd(reason, "escape")
     assert may_follow(TrialRecord(np.zeros(1), np.zeros(1), 4000.0, "made", True, ended)) == again
 
 
@@ -191,7 +195,7 @@ def test_trial_measures_under_a_lease_and_says_so(rigid):
         assert {(one["lease_control"], one["lease_active_damping"]) for one in during} == {(16, 16)}
         assert {one["watches"] & 5 for one in during} == {0}
         assert (bench.newest["lease_control"], bench.newest["watches"]) == (0, on)
-    assert found.ended == ""
+    assert found.ended is None
     assert found.more["guard_policy"] == "off"
     assert found.more["limit_cycle_faults"] is False
 
@@ -216,7 +220,7 @@ def test_trial_leaves_a_device_that_was_taken_over(rigid):
 
     with Lost(*scene_params(rigid)) as bench:
         found = daemon_source(bench)(Trial(seconds=4.0), lambda *_: None)
-        assert found.ended.startswith("changed: someone changed")
+        assert found.ended.reason is EndReason.CHANGED
         assert bench.status()["state"] == "enabled"
 
 
@@ -231,4 +235,4 @@ def test_noise_that_is_too_strong_for_the_probe_names_one_that_is_not(rigid):
         assert bench.status()["state"] == "disabled"
         less = float(str(caught.value).split("--psd ")[1].split()[0])
         noise = replace(trial.excitation, psd_n2_per_hz=less)
-        assert daemon_source(bench)(replace(trial, excitation=noise)).ended == ""
+        assert daemon_source(bench)(replace(trial, excitation=noise)).ended is None

@@ -19,6 +19,7 @@ from hapticd.plant.scene import Excitation
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
+from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import _gone, daemon_source
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.sources import Trial
@@ -209,8 +210,9 @@ def test_free_device_that_drifts_to_its_stop_ends_its_trial():
     with LockStepBench(servo_params(settings, "x"), board_params(settings)) as bench:
         found = daemon_source(bench)(Trial(seconds=60.0), lambda *_: None)
         assert bench.status()["state"] == "disabled"
-    assert found.ended.startswith("travel: the device stands at ")
-    assert found.ended.endswith(
+    assert found.ended.reason is EndReason.TRAVEL
+    assert str(found.ended).startswith("travel: the device stands at ")
+    assert found.ended.text.endswith(
         " mm, its travel ends at -20 and 20 mm; centre it, and render a small stiffness that holds"
         " it there (-K 20)"
     )
@@ -232,36 +234,42 @@ def test_device_that_comes_back_from_its_stop_may_be_tried(rigid):
                 yield message
 
     with Far(*scene_params(rigid)) as bench:
-        assert daemon_source(bench)(replace(TRIAL, seconds=2.0), lambda *_: None).ended == ""
+        assert daemon_source(bench)(replace(TRIAL, seconds=2.0), lambda *_: None).ended is None
 
 
 def test_device_at_its_stop_leaves_nothing_decided():
     force = np.random.default_rng(1).normal(0.0, 0.2, 40_000)
     recorded = TrialRecord(
-        force, force / 3.0, 4000.0, "made", True, "travel: the device stands at 22 mm"
+        force, force / 3.0, 4000.0, "made", True, TrialEnd(EndReason.TRAVEL, "it stands at 22 mm")
     )
     verdict = judged(plan_trial(TrialParams(Trial())), recorded).verdict
     assert verdict.answer == "undecided"
-    assert "travel: the device stands at 22 mm" in str(verdict)
+    assert "travel: it stands at 22 mm" in str(verdict)
     short = replace(recorded, force_n=force[:8000], velocity_m_per_s=force[:8000])
     with pytest.raises(
         AnalysisError,
-        match=r"ended after 2 s \(travel: the device stands at 22 mm\): too short for a verdict$",
+        match=r"ended after 2 s \(travel: it stands at 22 mm\): too short for a verdict$",
     ):
         judged(plan_trial(TrialParams(Trial())), short)
 
 
 def told(code):
     """What a daemon's status says of a fault, as far as a trial looks."""
-    return {"state": "fault", "cause": BY_CODE[code].cause}
+    return {"state": "fault", "fault": code, "cause": BY_CODE[code].cause}
 
 
 @pytest.mark.parametrize(
     ("ended", "remedy"),
     [
-        ("escape: 3.1 m/s", "; an environment that runs away by itself is unstable"),
+        (
+            TrialEnd(EndReason.ESCAPE, "3.1 m/s"),
+            "; an environment that runs away by itself is unstable",
+        ),
         (_gone(told("overspeed")), "; an environment that runs away by itself is unstable"),
-        ("saturation: the command", "; take a weaker perturbation, or a smaller K, B or M"),
+        (
+            TrialEnd(EndReason.SATURATION, "x"),
+            "; take a weaker perturbation, or a smaller K, B or M",
+        ),
         (_gone(told("gateway_lost")), ""),
     ],
 )
@@ -276,10 +284,14 @@ def test_a_trial_that_was_too_short_says_whether_it_ran_away(ended, remedy):
 )
 def test_sentinel_knows_the_ends_of_travel(between_mm, ended):
     sentinel = Sentinel(Watch(travel_m=(-0.02, 0.02)), 4000.0)
-    reason = sentinel.see(
+    found = sentinel.see(
         np.ones(10), np.ones(10), between_m=(1e-3 * between_mm[0], 1e-3 * between_mm[1])
     )
-    assert reason.startswith(f"travel: the device stands at {ended} mm") if ended else reason == ""
+    if not ended:
+        assert found is None
+    else:
+        assert found.reason is EndReason.TRAVEL
+        assert found.text.startswith(f"the device stands at {ended} mm")
 
 
 def test_outlook_of_a_recording_is_no_0():

@@ -17,6 +17,7 @@ from hapticd.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.recorded import read_file
@@ -200,7 +201,7 @@ def test_lockstep_trial_of_a_runaway_loop_ends_early_and_disabled(rigid):
     with LockStepBench(*scene_params(rigid)) as bench:
         found = daemon_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
         assert bench.status()["state"] != "enabled"
-    assert found.ended.startswith(("escape", "saturation", "fault"))
+    assert found.ended.reason in (EndReason.ESCAPE, EndReason.SATURATION, EndReason.FAULT)
     assert found.seconds < 5.0
 
 
@@ -221,7 +222,7 @@ def test_lockstep_trial_whose_command_saturates_is_ended_and_named(weak):
     trial = Trial((100.0, 1.0, 0.002), seconds=60.0)
     found = daemon_source(weak)(trial, lambda *_: None)
     assert weak.status()["state"] == "disabled"
-    assert found.ended == "saturation: the command reached its limit of 0.16 N"
+    assert str(found.ended) == "saturation: the command reached its limit of 0.16 N"
     assert 5.0 < found.seconds < 60.0
     assert found.max_command_n == found.command_limit_n == 0.16
     verdict = judged(plan_trial(TrialParams(trial)), found).verdict
@@ -238,7 +239,7 @@ def test_engine_trial_whose_command_saturates_is_ended_alike(rigid):
     found = engine_source(replace(scene, effects=weak_effects))(
         Trial((100.0, 1.0, 0.002), seconds=60.0), lambda *_: None
     )
-    assert found.ended == "saturation: the command reached its limit of 0.12 N"
+    assert str(found.ended) == "saturation: the command reached its limit of 0.12 N"
     assert 5.0 < found.seconds < 60.0
     assert found.max_command_n == found.command_limit_n == 0.12
 
@@ -282,7 +283,7 @@ def test_sentinel_ends_an_escape_in_its_second():
     for start in range(0, force.size, 777):
         if sentinel.see(force[start : start + 777], velocity[start : start + 777]):
             break
-    assert sentinel.reason.startswith("escape: velocity of")
+    assert str(sentinel.ended).startswith("escape: velocity of")
     assert sentinel.seconds == 13.0
 
 
@@ -296,7 +297,7 @@ def test_silence_before_the_perturbation_is_no_escape_after_it():
     )
     source = file_source(TrialRecord(force, velocity, RATE_HZ, "made", False))
     found = run_trial(plan_trial(TrialParams(Trial(seconds=28.0))), source)
-    assert found.recorded.ended == ""
+    assert found.recorded.ended is None
     assert found.verdict.stability == "stable"
     assert "no perturbation in 29 % of the record, from 0 s on" in str(found.verdict)
 
@@ -316,11 +317,11 @@ def test_sentinel_ends_saturation_and_heat():
     force, velocity = mass_record(6.0)
     limit = float(np.quantile(np.abs(velocity), 0.95))
     clipped = np.clip(velocity, -limit, limit)
-    reason = Sentinel(Watch(velocity_limit_m_per_s=limit), RATE_HZ).see(force, clipped)
-    assert reason.startswith("saturation: velocity at its end of")
-    reason = Sentinel(Watch(winding_limit_c=80.0), RATE_HZ).see(force, velocity, winding_c=85.0)
-    assert reason == "heat: the winding is at 85 degC, limit 80; let it cool"
-    assert Sentinel(Watch(), RATE_HZ).see(force, velocity, winding_c=85.0) == ""
+    ended = Sentinel(Watch(velocity_limit_m_per_s=limit), RATE_HZ).see(force, clipped)
+    assert str(ended).startswith("saturation: velocity at its end of")
+    ended = Sentinel(Watch(winding_limit_c=80.0), RATE_HZ).see(force, velocity, winding_c=85.0)
+    assert str(ended) == "heat: the winding is at 85 degC, limit 80; let it cool"
+    assert Sentinel(Watch(), RATE_HZ).see(force, velocity, winding_c=85.0) is None
 
 
 def test_sentinel_ends_a_command_at_its_limit_but_calls_a_runaway_by_its_name():
@@ -341,7 +342,7 @@ def test_sentinel_ends_a_command_at_its_limit_but_calls_a_runaway_by_its_name():
                 force[part], record[part], command_n=8.0 if start == 10 * second else 3.0
             ):
                 break
-        assert sentinel.reason.startswith(reason)
+        assert str(sentinel.ended).startswith(reason)
         assert sentinel.seconds == 12.0
         assert sentinel.max_command_n == 8.0
 
@@ -349,10 +350,10 @@ def test_sentinel_ends_a_command_at_its_limit_but_calls_a_runaway_by_its_name():
 def test_sentinel_says_what_the_confidence_costs_and_ends_when_decided():
     force, velocity = mass_record(30.0)
     sentinel = Sentinel(Watch(), RATE_HZ)
-    assert sentinel.see(force, velocity) == ""
+    assert sentinel.see(force, velocity) is None
     assert 0.0 < sentinel.seconds_needed < 30.0
     hurried = Sentinel(Watch(until_decided=True), RATE_HZ)
-    assert hurried.see(force, velocity).startswith("decided after")
+    assert hurried.see(force, velocity).reason is EndReason.DECIDED
     assert hurried.seconds < 30.0
 
 
@@ -373,7 +374,12 @@ def test_short_trials_are_refused():
     force, velocity = mass_record(2.5)
     plan = plan_trial(TrialParams(Trial(seconds=20.0)))
     with pytest.raises(AnalysisError, match=r"ended after 2\.5 s \(escape: x\): too short"):
-        judged(plan, TrialRecord(force, velocity, RATE_HZ, "made", True, ended="escape: x"))
+        judged(
+            plan,
+            TrialRecord(
+                force, velocity, RATE_HZ, "made", True, ended=TrialEnd(EndReason.ESCAPE, "x")
+            ),
+        )
 
 
 def test_run_folder_brings_the_trial_back(tmp_path):
@@ -484,7 +490,7 @@ def test_linear_display_that_is_pushed_hard_is_stable(rigid, stronger):
     pushed = Excitation("noise", psd_n2_per_hz=2.5e-5 * stronger)
     trial = Trial((100.0, 1.0, 0.002), seconds=20.0, excitation=pushed)
     found = run_trial(plan_trial(TrialParams(trial)), engine_source(load_scene(rigid)))
-    assert found.recorded.ended == ""
+    assert found.recorded.ended is None
     assert found.verdict.amplitude.velocity_sd_m_per_s > 0.5
     assert (found.verdict.answer, found.verdict.stability) == ("passive", "stable")
 
@@ -502,7 +508,7 @@ def test_escape_before_the_record_begins_is_found_at_the_limit_of_the_force(scen
     """Nothing grows any more; what moves the device is not the perturbation."""
     trial = Trial(environment, seconds=20.0)
     found = run_trial(plan_trial(TrialParams(trial)), engine_source(load_scene(scene)))
-    assert found.recorded.ended.startswith(
+    assert str(found.recorded.ended).startswith(
         "escape: the command reached its limit of 8 N in a motion of its own"
     )
     assert found.verdict.answer == "not_passive"
@@ -511,7 +517,7 @@ def test_escape_before_the_record_begins_is_found_at_the_limit_of_the_force(scen
 def test_loop_that_ran_away_at_once_ends_its_lockstep_trial_as_an_escape(rigid):
     with LockStepBench(*scene_params(rigid)) as bench:
         found = daemon_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
-    assert found.ended.startswith("escape: the command reached its limit of 8 N")
+    assert str(found.ended).startswith("escape: the command reached its limit of 8 N")
     assert found.seconds < 5.0
 
 
@@ -519,8 +525,8 @@ def test_device_faster_than_its_own_limit_has_escaped():
     force, velocity = mass_record(3.0)
     speed = float(np.std(velocity))
     for limit, escaped in ((0.8 * speed, True), (1.5 * speed, False)):
-        reason = Sentinel(Watch(speed_limit_m_per_s=limit), RATE_HZ).see(force, velocity)
-        assert reason.startswith("escape: velocity of") == escaped
+        ended = Sentinel(Watch(speed_limit_m_per_s=limit), RATE_HZ).see(force, velocity)
+        assert bool(ended and ended.reason is EndReason.ESCAPE) == escaped
 
 
 @pytest.mark.parametrize("mass_kg", [0.006, 0.02, 0.05])

@@ -72,7 +72,7 @@ REFUSED = {
     "no authority": ("motor", "authority"),
     "slipping lever": ("motor", "slip"),
     "mass typed ten times wrong": ("motor", "typed wrong"),
-    "damping polarity": ("damping", "polarity"),
+    "damping polarity": ("active_damping", "polarity"),
     "dead probe channel": ("probe", "dead probe channel"),
     "probe channels swapped": ("probe", "channels swapped"),
 }
@@ -142,8 +142,13 @@ class BlindRig:
         kept = keep(self.device_file, result.step, DAY, result.arrays)
         if result.settled and result.changes:
             words = "; ".join(str(value) for value in result.values)
-            source = f"rig {result.step}: {words or 'signs seen'}; rig/{kept.path.name}"
-            device_file.write(self.device_file, result.changes, f"{source} {kept.sha256}", DAY)
+            device_file.write(
+                self.device_file,
+                result.changes,
+                f"rig {result.step}",
+                DAY,
+                f"{words or 'signs seen'}; rig/{kept.path.name} {kept.sha256}",
+            )
 
     def restart(self) -> None:
         """A new daemon reads the device file; the device on the table stays as it is."""
@@ -173,7 +178,7 @@ def known(truth: Truth) -> dict[str, float]:
         "position.m_per_count": position_m,
         "force.full_scale_n": force_n * I16_HIGHEST,
         "force.offset_count": truth.force_offset_count,
-        "damping.full_scale_ns_per_m": damping * U16_HIGHEST,
+        "active_damping.full_scale_ns_per_m": damping * U16_HIGHEST,
         "damping friction seen": truth.coulomb_n,
         "motor.force_n_per_a": truth.motor_n_per_a,
         "motor.winding_ohm": NOMINAL["winding_ohm"],

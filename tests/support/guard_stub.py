@@ -8,7 +8,10 @@ Script = Callable[[dict[str, Any]], dict[str, Any] | None]  # request -> answer;
 
 def verdict(safe: bool | None = True, text: str = "fine", **more: Any) -> dict[str, Any]:
     """A verdict with what the tests look at."""
-    return {"safe": safe, "policy": "warn", "basis": "theorem", "text": text, **more}
+    why = {"outcome": "safe", "reasons": [{"code": "spare", "text": text}], "remedies": []}
+    if not safe:
+        why["outcome"] = "warning" if safe is False else "unknown"
+    return {"safe": safe, "policy": "warn", "basis": "theorem", **why, "text": text, **more}
 
 
 def stage(

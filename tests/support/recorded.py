@@ -155,7 +155,10 @@ class Source:
         return {
             "config_hash": "c" * 64,
             "winding_c": 25.0,
-            "servo": {"realtime": {"fifo": "granted"}, "board": {"serial": "SIM0001"}},
+            "servo": {
+                "realtime": {"fifo": {"granted": True, "text": ""}},
+                "board": {"serial": "SIM0001"},
+            },
         }
 
     def messages(

@@ -14,8 +14,8 @@ def nothing(request):
     """Nobody is there who would do what is asked."""
 
 
-def device(loop_limit=10.0, source="by hand"):
-    scale = {"per_count": COUNT_N, "sign": 1, "offset_count": 0.0, "source": source}
+def device(loop_limit=10.0, half=None):
+    scale = {"per_count": COUNT_N, "sign": 1, "offset_count": 0.0, "half_width_95": half}
     return {
         "force": scale,
         "position": scale,

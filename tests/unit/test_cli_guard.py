@@ -17,7 +17,7 @@ from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
 from hapticd.client import GuardVerdict, Receipt
 from hapticd.client.verdict import verdict_of
-from hapticd.client.words import guard_line, receipt_text, thoughts, timing_words, verdict_lines
+from hapticd.client.words import guard_line, objection_lines, receipt_text, timing_words
 from hapticd.errors import CommandError, GuardWarning
 
 VERDICT = {
@@ -29,13 +29,18 @@ VERDICT = {
     "allowed": {"K": [0.0, 320.0], "B": [-0.5, 1.25], "M": None},
     "least_active_damping_ns_per_m": 1.43,
     "clamped": False,
-    "text": "1.01 N s/m short at 112 Hz; ask for less",
+    "outcome": "refused",
+    "reasons": [{"code": "short", "text": "1.01 N s/m short; at 112 Hz"}],
+    "remedies": [{"code": "less", "text": "ask for less"}],
+    "text": "refused: 1.01 N s/m short; at 112 Hz; ask for less",
+    "cmd": "damping",
 }
 EVENT = {
     "hand": {"text": "a mass of 120 g, at 34 Hz", "mass_kg": 0.12},
     "text": "a hand that would shake the device: a mass of 120 g, at 34 Hz",
 }
-WRONG, REMEDY = str(VERDICT["text"]).split("; ")
+WRONG = "1.01 N s/m short; at 112 Hz"  # a mark that joined sentences once
+REMEDY = "ask for less"
 SAYS = [
     "allowed, each with the others as asked: K 0 to 320 N/m, B -0.5 to 1.25 N s/m",
     "least level of active damping tried that would do: 1.43 N s/m",
@@ -86,7 +91,7 @@ def test_refusal_says_what_is_allowed_and_which_hand_would_shake(
     double.error = CommandError("guard", f"damping: {VERDICT['text']}", None, says())
     assert main(["damping", "off"]) == 4
     told = capsys.readouterr().err.splitlines()
-    lines = (f"damping: {WRONG}", *SAYS, REMEDY)
+    lines = (f"damping: refused: {WRONG}", *SAYS, REMEDY)
     assert told == [f"hapticd: {line}" for line in lines]
 
 
@@ -102,7 +107,9 @@ def test_refusal_carries_verdict_and_hand_in_json(
 def test_warning_goes_to_stderr_beside_the_receipt(
     double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    warned = Receipt("applied", "enabled", 7, 3, 3, {"K": 9.0}, says(policy="warn"))
+    warned = Receipt(
+        "applied", "enabled", 7, 3, 3, {"K": 9.0}, says(policy="warn", outcome="safer")
+    )
     monkeypatch.setattr(double, "_ask", lambda verb, what=None: warned)
     assert main(["set", "K=9"]) == 0
     found = capsys.readouterr()
@@ -149,11 +156,13 @@ def test_more_damping_is_the_remedy_only_where_some_level_would_do() -> None:
     )
     assert far is not None
     assert near is not None
-    told = thoughts(far.text, verdict_lines(far))
+    told = objection_lines(far)
     assert "no active damping of this device would do" in told
     assert "ask for less" in told
     remedy = "ask for less, or for more active damping"
-    assert remedy in thoughts(near.text, verdict_lines(near))
+    assert remedy in objection_lines(near)
+    assert [one.code for one in far.remedies] == ["less"]
+    assert [one.code for one in near.remedies] == ["less", "more_damping"]
 
 
 def test_guard_changes_and_shows(double: GuardDouble, capsys: pytest.CaptureFixture[str]) -> None:

@@ -221,7 +221,9 @@ class StreamDouble:
         return {"servo": {"safety": {"force_limit_n": 8.0}}}
 
     def status(self) -> dict[str, Any]:
-        return {"servo": {"realtime": {"core": "granted", "fifo": "refused: no; LimitRTPRIO=80"}}}
+        refused = {"granted": False, "text": "refused: no; LimitRTPRIO=80"}
+        granted = {"granted": True, "text": "granted"}
+        return {"servo": {"realtime": {"core": granted, "fifo": refused}}}
 
     def damping(self, value: str) -> None:
         self._asked.append(value)

@@ -17,7 +17,7 @@ def test_provenance_is_complete(recording_file: Path) -> None:
         "SIM0001",
         1000.0,
     )
-    assert json.loads(found["realtime"]) == {"fifo": "granted"}
+    assert json.loads(found["realtime"]) == {"fifo": {"granted": True, "text": ""}}
     assert json.loads(found["configuration"])["device"]["serial"] == "SIM0001"
     assert set(json.loads(found["calibration"])) >= {"position", "force", "active_damping"}
     assert len(found["device_hash"]) == 64

@@ -26,10 +26,12 @@ def test_a_value_is_replaced_and_every_comment_stays(file: Path) -> None:
     before = file.read_text()
     device = write(file, [Change("force", "full_scale_n", 7.5)], "rig motor", DAY)
     assert device.force.full_scale_n == 7.5
-    assert device.force.date == DAY
-    assert device.force.source == "rig motor"
+    assert device.force.measured_on == DAY
+    assert device.force.measured_by == "rig motor"
     after = file.read_text()
-    assert [line.partition("#")[2] for line in after.splitlines()] == [
+    assert after.count("#") == before.count("#")
+    kept = [line for line in after.splitlines() if "measured_by" not in line]
+    assert [line.partition("#")[2] for line in kept] == [
         line.partition("#")[2] for line in before.splitlines()
     ]
     old, new = tomllib.loads(before), tomllib.loads(after)
@@ -46,7 +48,7 @@ def test_a_table_that_is_missing_is_added(file: Path) -> None:
     device = write(file, changes, "rig motor", DAY)
     assert device.commissioning is not None
     assert device.commissioning.signs_verified
-    assert device.commissioning.date == DAY
+    assert device.commissioning.measured_on == DAY
     write(file, changes, "rig motor", DAY)
     assert file.read_text().count("[commissioning]") == 1
 
@@ -72,15 +74,17 @@ MODEL = [
 
 def test_a_model_of_several_tables_is_written_and_dated(file: Path) -> None:
     """The source of an effect is a tag: how it was measured goes to its note."""
-    device = write(file, MODEL, "rig identify: 0.05 kg", DAY)
+    device = write(file, MODEL, "rig identify", DAY, "0.05 kg")
     assert device.model is not None
     assert device.model.effects == ("viscous", "coulomb")
     assert device.model.table("masses").rotor_kg == 0.05
     assert device.model.table("coulomb").source == "calibrated"
-    assert device.model.table("coulomb").note == "2026-03-04: rig identify: 0.05 kg"
+    assert device.model.table("coulomb").note == "rig identify: 0.05 kg"
+    assert device.model.table("coulomb").measured_by == "rig identify"
+    assert device.model.table("coulomb").measured_on == DAY
     again = [Change("model.coulomb", "rotor_n", 0.04), Change("model", "effects", ("coulomb",))]
     before = tomllib.loads(file.read_text())
-    device = write(file, again, "rig identify: 0.04 N", DAY)
+    device = write(file, again, "rig identify", DAY, "0.04 N")
     assert device.model is not None
     assert device.model.table("coulomb").rotor_n == 0.04
     after = tomllib.loads(file.read_text())
@@ -95,8 +99,9 @@ def test_a_new_key_stands_with_its_table_and_not_below_the_comments_that_follow(
     after = file.read_text().splitlines()
     place = after.index("offset_count = 12.0")
     assert after[place - 1].startswith("source = ")
+    assert after[place + 1] == 'measured_by = "rig temperature"'
     assert (
-        after[place + 1 :] == before[before.index("# [resistance]" + before[place + 1][14:]) - 1 :]
+        after[place + 2 :] == before[before.index("# [resistance]" + before[place + 1][14:]) - 1 :]
     )
 
 
@@ -124,11 +129,31 @@ def test_other_ways_to_lay_out_a_file_are_written_as_well(text: str) -> None:
 
 
 def test_an_offset_alone_leaves_the_source_of_the_gain(file: Path) -> None:
-    write(file, [Change("force", "full_scale_n", 7.5)], "rig motor: gain", DAY)
-    device = write(file, [Change("force", "offset_count", 9.0)], "rig motor: offset", DAY)
+    write(file, [Change("force", "full_scale_n", 7.5)], "rig motor", DAY, "gain")
+    device = write(file, [Change("force", "offset_count", 9.0)], "rig motor", DAY, "offset")
     assert device.force.source == "rig motor: gain"
     both = [Change("force", "full_scale_n", 7.4), Change("force", "offset_count", 8.0)]
-    assert write(file, both, "rig motor: both", DAY).force.source == "rig motor: both"
+    assert write(file, both, "rig motor", DAY, "both").force.source == "rig motor: both"
+
+
+def test_half_widths_stand_beside_what_was_measured_and_go_with_the_next_measurement(
+    file: Path,
+) -> None:
+    known = [Change("force", "full_scale_n", 7.5, 0.012)]
+    assert write(file, known, "rig motor", DAY).force.half_width_95 == {"full_scale_n": 0.012}
+    assert "half_width_95 = {full_scale_n = 0.012}" in file.read_text()
+    unknown = [Change("force", "full_scale_n", 7.4)]
+    assert write(file, unknown, "rig motor", DAY).force.half_width_95 == {}
+
+
+def test_a_step_that_is_none_and_a_width_of_nothing_are_refused(file: Path) -> None:
+    """A misspelt step would grant no tolerance, and nobody would see why."""
+    with pytest.raises(ConfigError, match=r"force\.measured_by = 'rig moter': must be 'rig"):
+        write(file, [Change("force", "full_scale_n", 7.5)], "rig moter", DAY)
+    text = file.read_text().replace("[force]", "[force]\nhalf_width_95 = { full_scale = 1.0 }")
+    file.write_text(text)
+    with pytest.raises(ConfigError, match="'full_scale' is no number of this table"):
+        write(file, [Change("force", "sign", 1)], "rig motor", DAY)
 
 
 def test_a_file_that_is_no_toml_any_more_is_named_and_left(file: Path) -> None:

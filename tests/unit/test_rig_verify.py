@@ -64,12 +64,10 @@ def test_what_is_rendered_comes_late_and_through_its_smoothing():
 def test_attached_parts_rest_on_the_probe_alone():
     parts = {one.name: one for one in parts_of(KnownParts(attached_kg=0.01))}
     device = {
-        "force": {"source": "nobody knows"},
-        "position": {"source": "nobody knows"},
-        "probe_torque": {"source": "probe_torque.full_scale_n 2 N (95 %: 1.98 to 2.02)"},
-        "probe_velocity": {
-            "source": "probe_velocity.full_scale_m_per_s 2 m/s (95 %: 1.98 to 2.02)"
-        },
+        "force": {"half_width_95": None},
+        "position": {"half_width_95": None},
+        "probe_torque": {"per_count": 2.0, "half_width_95": 0.02},
+        "probe_velocity": {"per_count": 2.0, "half_width_95": 0.02},
     }
     off = Value("attached mass", 0.01015, "kg", 0.01014, 0.01016)
     assert judged(parts["attached mass"], off, device).verdict == "refused"
@@ -78,10 +76,7 @@ def test_attached_parts_rest_on_the_probe_alone():
     assert found.verdict == "ok"
     assert "no interval known" not in found.what
     spring = Value("rendered spring", 60.6, "N/m", 60.5, 60.7)
-    assert (
-        "force.full_scale_n, position.m_per_count"
-        in judged(parts["rendered spring"], spring, device).what
-    )
+    assert "force, position" in judged(parts["rendered spring"], spring, device).what
 
 
 def test_a_device_whose_signs_nobody_saw_is_not_shaken():

@@ -110,7 +110,7 @@ def test_shipped_files_name_their_schema() -> None:
 
 def test_schema_says_the_units() -> None:
     definitions = scene.schema("config")["$defs"]
-    assert definitions["Environment"]["properties"]["stiffness_n_per_m"]["unit"] == "N/m"
+    assert definitions["EnvironmentTable"]["properties"]["stiffness_n_per_m"]["unit"] == "N/m"
     assert (
         definitions["Safety"]["properties"]["active_damping_slew_ns_per_m_s"]["unit"]
         == "N s/m per s"
@@ -434,9 +434,9 @@ DEVICE_CASES = {
         '"SIM00000000000001"',
     ): "serial = 'SIM00000000000001': must have at most 16 characters",
     (
-        "date = 2026-11-20",
-        'date = "yesterday"',
-    ): "position.date = 'yesterday': must be a date like 2026-11-20, without quotes",
+        "measured_on = 2026-11-20",
+        'measured_on = "yesterday"',
+    ): "position.measured_on = 'yesterday': must be a date like 2026-11-20, without quotes",
     (
         "m_per_count = 0.5e-6",
         "m_per_count = -0.5e-6",

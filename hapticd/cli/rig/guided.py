@@ -8,8 +8,7 @@ What would break it: a step whose numbers cannot be asked for in one line.
 """
 
 import datetime
-import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
@@ -173,7 +172,7 @@ def _offer(step: Step, where: Where) -> bool:
 
 def measured(table: str, device: "DeviceFile") -> str:
     """When `table` of `device` was measured by a step, and how old that is; "": never."""
-    date = next(_dates(table, device), None)
+    date = _measured_on(table, device)
     if date is None:
         return ""
     days = (datetime.date.today() - date).days
@@ -191,13 +190,17 @@ def in_doubt(table: str, device: "DeviceFile") -> str:
     return "; ".join(one.reason for one in found if one.table == table)
 
 
-def _dates(table: str, device: "DeviceFile") -> Iterator[datetime.date]:
+def _measured_on(table: str, device: "DeviceFile") -> datetime.date | None:
+    """When a step measured `table` of `device`; None: never."""
+    from hapticd.params import RIG_STEPS
+
     found = getattr(device, table) if table else None
-    if table == "model" and found is not None:  # the note of an effect begins with its day
-        days = [re.match(r"\d{4}-\d\d-\d\d", found.table("masses").note)]
-        yield from (datetime.date.fromisoformat(one[0]) for one in days if one)
-    elif found is not None and found.source.startswith("rig ") and found.date:
-        yield found.date
+    if table == "model" and found is not None:
+        found = found.table("masses")
+    if found is None or found.measured_by not in RIG_STEPS:
+        return None
+    day: datetime.date | None = found.measured_on
+    return day
 
 
 def _device(where: Where) -> "DeviceFile":

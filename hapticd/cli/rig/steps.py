@@ -22,7 +22,6 @@ from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.zwidth.live import signals_end_with_force_off
 from hapticd.errors import ConfigError
-from hapticd.params import MEASURED_BY
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -177,9 +176,8 @@ def _written(result: "StepResult", settings: "Settings", yes: bool) -> "StepResu
             terminal.talk(f"not written: {path} is as it was")
             return replace(result, changes=())
     words = "; ".join(str(value) for value in result.values)
-    found = f"{MEASURED_BY}{result.step}: {words or 'signs seen'}"
-    source = f"{found}; rig/{kept.path.name} {kept.sha256}"
-    write(path, result.changes, source, day)
+    record = f"rig/{kept.path.name} {kept.sha256}"
+    write(path, result.changes, f"rig {result.step}", day, f"{words or 'signs seen'}; {record}")
     terminal.talk(f"written: {path}; it counts from the next start of the daemon")
     return result
 

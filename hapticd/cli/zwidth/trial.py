@@ -234,6 +234,7 @@ def _tried(
     results: TrialResultOptions,
 ) -> None:
     """The trial, of a record where there is one."""
+    from hapticd.zwidth.ending import EndReason
     from hapticd.zwidth.sources import file_source
     from hapticd.zwidth.stepped_sine import may_follow, stepped_sine
     from hapticd.zwidth.trial import plan_trial
@@ -253,7 +254,8 @@ def _tried(
         wanted = asked.sine and may_follow(result.recorded)
         sines = stepped_sine(plan.params.trial, source, tell) if wanted else None
     _show(result, sines, results)
-    if asked.source == "live" and result.recorded.ended.startswith(("fault: ", "stopped: ")):
+    ended = result.recorded.ended
+    if asked.source == "live" and ended and ended.reason in (EndReason.FAULT, EndReason.STOPPED):
         raise typer.Exit(STOPPED)  # the device is left like that
 
 

@@ -35,7 +35,7 @@ export class Controls {
   // Ask, and tell what became of it; `done` are the words for what has no receipt.
   async ask(cmd, fields, done) {
     const answer = await this.link.ask(cmd, fields);
-    this.tell(answer.ok ? "done" : "refused", answer.text ?? done ?? `${cmd}: done`);
+    this.tell(answer.ok ? "done" : "refused", answer.text ?? done ?? `${cmd}: done`, answer.outcome);
     if (answer.warning) this.tell("warning", answer.warning);
     return answer.ok;
   }

@@ -19,13 +19,13 @@ const root = document.documentElement;
 
 let came_ms = -Infinity;
 
-function tell(kind, text) {
+function tell(kind, text, outcome = "") {
   const line = document.createElement("li");
   line.className = kind;
   const time = document.createElement("time");
   time.textContent = new Date().toTimeString().slice(0, 8);
   const words = document.createElement("span");
-  words.textContent = ofPage(kind === "refused" && !text.includes("refused") ? `refused: ${text}` : text);
+  words.textContent = ofPage(kind === "refused" && outcome !== "refused" ? `refused: ${text}` : text); // the guard says so itself
   line.append(time, words);
   get("log").prepend(line);
   while (get("log").children.length > MOST_LINES) get("log").lastChild.remove();

@@ -1,0 +1,112 @@
+"""Why the guard decided so: an outcome, typed reasons and remedies, and the sentence made of them.
+
+Programs read the codes. The texts are for people: reasons stand one after the other, remedies are
+alternatives and are joined by "or".
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+
+class Outcome(StrEnum):
+    """What became of a change, or what is known of an environment."""
+
+    SAFE = "safe"
+    UNSAFE = "unsafe"
+    SAFER = "safer"  # not safe, and safer than what is in force
+    WARNING = "warning"  # not safe, and done
+    CLAMPED = "clamped"
+    FOLLOWED = "followed"
+    REFUSED = "refused"
+    UNKNOWN = "unknown"
+    NOT_JUDGED = "not_judged"
+
+
+class Reason(StrEnum):
+    """Codes of reasons."""
+
+    SPARE = "spare"
+    SHORT = "short"
+    UNSTABLE = "unstable"
+    NEGATIVE_STIFFNESS = "negative_stiffness"
+    INSIDE = "inside"
+    OUTSIDE = "outside"
+    TOO_MANY_POINTS = "too_many_points"
+    ONLY_IN_STAGES = "only_in_stages"
+    SAFER = "safer"
+    GIVEN = "given"
+    NOT_CLAMPED = "not_clamped"
+    NOT_FOLLOWED = "not_followed"
+    POLICY = "policy"
+    UNKNOWN = "unknown"
+
+
+class Remedy(StrEnum):
+    """Codes of remedies."""
+
+    LESS = "less"
+    MORE_DAMPING = "more_damping"
+    POSITIVE_STIFFNESS = "positive_stiffness"
+    POINT_INSIDE = "point_inside"
+    WAIT = "wait"
+    CONFIGURE = "configure"
+    POLICY = "policy"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A reason or a remedy: the code of a `Reason` or `Remedy`, and words for people."""
+
+    code: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Reasons, and remedies of which one would do."""
+
+    reasons: tuple[Entry, ...]
+    remedies: tuple[Entry, ...] = ()
+
+    def and_reason(self, code: Reason, text: str) -> "Explanation":
+        """With one more reason."""
+        return Explanation((*self.reasons, Entry(code, text)), self.remedies)
+
+    def and_remedy(self, code: Remedy, text: str) -> "Explanation":
+        """With one more remedy."""
+        return Explanation(self.reasons, (*self.remedies, Entry(code, text)))
+
+    def lines(self, outcome: str, between: Iterable[str] = ()) -> list[str]:
+        """One thought a line: what is wrong, then what stands `between`, then the rest."""
+        reasons = [one.text for one in self.reasons] or ["the guard gave no reason"]
+        prefix = f"{outcome}: " if outcome in _NAMED else ""
+        remedy = ", or ".join(one.text for one in self.remedies)
+        return [f"{prefix}{reasons[0]}", *between, *reasons[1:], *([remedy] if remedy else [])]
+
+    def plain(self, outcome: Outcome) -> dict[str, Any]:
+        """The fields of a verdict that tell it."""
+        return {
+            "outcome": outcome.value,
+            "reasons": [asdict(one) for one in self.reasons],
+            "remedies": [asdict(one) for one in self.remedies],
+            "text": "; ".join(self.lines(outcome)),
+        }
+
+
+_NAMED = (Outcome.WARNING, Outcome.CLAMPED, Outcome.FOLLOWED, Outcome.REFUSED)  # in the sentence
+
+
+def because(code: Reason, text: str) -> Explanation:
+    """The explanation by one reason."""
+    return Explanation((Entry(code, text),))
+
+
+def explanation_of(verdict: Mapping[str, Any]) -> Explanation:
+    """The explanation in the map of a verdict; without reasons where it has none."""
+    reasons, remedies = (
+        tuple(Entry(one["code"], one["text"]) for one in verdict.get(name, ()))
+        for name in ("reasons", "remedies")
+    )
+    return Explanation(reasons, remedies)
