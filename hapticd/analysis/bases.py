@@ -49,6 +49,7 @@ from hapticd.plant.model import InputColumns, Model, Output, Outputs, frozen
 LEVELS = 16
 _KEPT = 4 * LEVELS  # of lifts, circles and ticks: levels, some delays, filters
 _SLACK = 1e-9  # N s/m: a margin equal to what is asked for is enough
+_ROUNDING = 1e-12  # of the largest K, B or M, beside a line
 _BETWEEN = 1e-4  # N s/m by which the margin, looked for at angles alone, may be too large
 
 
@@ -111,7 +112,16 @@ class Theorem:
         self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As `Basis`."""
+        """As `Basis`. What lies between two safe points of a convex set is safe: outside of all
+        circles, and stable as they are.
+        """
+        found = self._everywhere(at)
+        ends = ends_of_line(points) if found is not None and found.convex else None
+        if ends is not None and self._sure(points[ends], at).all():
+            return np.ones(len(points), np.bool_)
+        return self._sure(points, at)
+
+    def _sure(self, points: Floats, at: Conditions) -> Flags:
         hopeful = self.hopeful(points, at)
         if hopeful.any():
             tick = self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
@@ -241,6 +251,21 @@ class Measured:
             if one.damping_ns_per_m <= added_ns_per_m * (1.0 + 1e-3) + 1e-6
         ]
         return below[-1] if below else None
+
+
+def ends_of_line(points: Floats) -> list[int] | None:
+    """The two of `points` (N, 3) between which all others lie; None if they are on no line, or
+    two or less.
+    """
+    if len(points) < 3:
+        return None
+    first = int(np.argmax(np.abs(points - points[0]).sum(axis=1)))
+    last = int(np.argmax(np.abs(points - points[first]).sum(axis=1)))
+    way = points[last] - points[first]
+    shares = (points - points[first]) @ way / max(float(way @ way), np.finfo(np.float64).tiny)
+    off = np.abs(points - points[first] - shares[:, None] * way)
+    within_rounding = off <= _ROUNDING * np.abs(points).max(axis=0)
+    return [first, last] if within_rounding.all() else None
 
 
 def model_of(params: ModelParams) -> Model:

@@ -28,6 +28,9 @@ is exact between them and loses no digits (Berrut and Trefethen 2004). A narrow 
 its own, however narrow it is. The zeros of f are those of sum u_m / (c - c_m), which is zero where
 diag(t) - 1 (u t^2)' / sum(u t) has an eigenvalue, t = 1 / (s - c) for any s outside of -1..1.
 
+Where the command does not move the encoder of the held device, e = 0 and |g|^2 <= R^2 (Cauchy and
+Schwarz), so f is concave in (K, B, M): environments that meet the condition are a convex set.
+
 `positive_everywhere` takes f for positive if it is so at the nodes, and at the real part of every
 zero exceeds what rounding may have made of it. A dip below zero has two real zeros about it, or,
 rounded away, a conjugate pair at its bottom. What is not decided is not positive. r > x needs no
@@ -86,6 +89,7 @@ class Rational:
     nodes: _Nodes
     form: Floats  # (10, n) as in `theorem.Circles`
     circles: Circles  # at more angles, evenly in psi
+    convex: bool  # whether what lies between two environments that meet it does, too
 
 
 def rational(
@@ -110,7 +114,8 @@ def rational(
     if not (near * np.abs(values - checks) <= _AGREES * (1.0 + near * sizes)).all():
         return None
     finer = _angles_of(poles, more, _FINER)
-    return Rational(nodes, form, Circles(finer, nodes.at(np.cos(finer), form[:, None])[0]))
+    more_of_it = Circles(finer, nodes.at(np.cos(finer), form[:, None])[0])
+    return Rational(nodes, form, more_of_it, not _moves_held(model, active_damping_ns_per_m))
 
 
 def positive_everywhere(found: Rational | None, kbm: Floats) -> Flags:
@@ -186,6 +191,20 @@ def _resistance_zeros(model: Model, level: float, spare: float) -> Complexes | N
         return None
     squares = np.linalg.eigvals(inner @ inner - np.outer(into, out @ inner) / at_infinity)
     return np.asarray(squares[np.abs(squares) > _AT_REST**2], np.complex128)
+
+
+def _moves_held(model: Model, level: float) -> bool:
+    """Whether a command moves the encoder while the probe is held still."""
+    rotor = port_states(model)[0]
+    a = model.a(level)
+    held = np.delete(np.delete(a, rotor, 0), rotor, 1)
+    state = np.delete(model.b(level)[:, model.inputs.command], rotor)
+    encoder = np.delete(model.outputs.encoder.row(level), rotor)
+    for _ in range(len(held)):
+        if encoder @ state != 0.0:
+            return True
+        state = held @ state
+    return False
 
 
 def _angles_of(poles: Complexes, more: int, finer: int) -> Floats:

@@ -1,18 +1,22 @@
 """The theorem at all angles: what the nodes say of the sums between them, and of zeros."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from support.guard_device import rigid, sprung
+from support.guard_device import rigid
 from support.narrow_modes import ClosedForm, Narrow, directions, drawn, edge
 
 from hapticd.analysis import rational as subject
 from hapticd.analysis.angles import FIXED
-from hapticd.analysis.bases import Conditions, Theorem, model_of
+from hapticd.analysis.bases import Conditions, Theorem, ends_of_line, model_of
 from hapticd.analysis.coupled import GROUND, Network, coupled_radius
 from hapticd.analysis.loop import PAPER_FILTERS
 from hapticd.analysis.rational import positive_everywhere, rational
 from hapticd.analysis.theorem import circles, lift, opened, within
 from hapticd.params import FilterParams
+from hapticd.plant.compose import compose
+from hapticd.zwidth.scenes import device_scene
 
 LEAF = Narrow(0.0058, 0.002, 36.6, 0.0005, 1.54, 0.25)
 SHARP = (FilterParams(8.6, 0.3), FilterParams(25.0))
@@ -108,13 +112,58 @@ def test_poles_that_are_missing_are_noticed_and_nothing_is_safe(monkeypatch):
     assert not Theorem(model).safe(point, at)[0]
 
 
-def test_a_device_that_spares_less_by_itself_renders_nothing():
-    """At high frequencies, and in a dip of its resistance between two angles."""
+def test_a_device_that_spares_less_at_high_frequencies_renders_nothing():
     model = model_of(rigid(0.5))
     assert rational(model, 0.0, PAPER_FILTERS, 0.499) is not None
     assert rational(model, 0.0, PAPER_FILTERS, 0.501) is None
-    resistance = lift(model_of(sprung())).resistance
-    least = float(resistance.min())
-    assert rational(model_of(sprung()), 0.0, PAPER_FILTERS, least - 1e-3) is not None
-    assert rational(model_of(sprung()), 0.0, PAPER_FILTERS, least + 1e-3) is None
     assert not positive_everywhere(None, np.zeros((1, 3)))[0]
+
+
+def test_a_dip_of_the_resistance_is_found_without_a_grid():
+    """Active damping through a slow circuit: the resistance is least at no frequency's end."""
+    scene = device_scene("weir2008")
+    model = compose(scene)
+    least = float(opened(model, 1.74, np.linspace(0.01, 3.13, 300), 3).impedance.real.min())
+    high = float(opened(model, 1.74, np.ones(1), 400).impedance.real[0, -1])
+    assert least < high - 0.01
+    assert subject._poles(model, 1.74, PAPER_FILTERS, least - 1e-4) is not None
+    assert subject._poles(model, 1.74, PAPER_FILTERS, least + 1e-4) is None
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_lies_between_safe_points_is_safe(seed):
+    """The command acts on the rotor: the set is convex, and a way needs its two ends only."""
+    device = drawn(seed)
+    found = rational(device.model(), 0.0, PAPER_FILTERS, 0.0)
+    assert found.convex
+    random = np.random.default_rng((5, seed))
+    points = random.uniform((0.0, -1.0, -0.004), (600.0, 2.0, 0.006), (400, 3))
+    points *= np.exp(random.uniform(np.log(0.01), 0.0, (400, 1)))
+    safe = points[positive_everywhere(found, points)]
+    assert len(safe) > 4
+    pairs = random.integers(0, len(safe), (2, 200))
+    assert positive_everywhere(found, 0.5 * safe[pairs[0]] + 0.5 * safe[pairs[1]]).all()
+
+
+def test_a_command_that_acts_on_the_slider_too_leaves_no_convex_set():
+    model = drawn(0).model()
+    column = model.inputs.command
+    b0 = model.b0.copy()
+    rotor, slider = (
+        next(n for n, state in enumerate(model.states) if state.name == f"{body}_velocity")
+        for body in ("rotor", "slider")
+    )
+    b0[slider, column] = 0.5 * b0[rotor, column]
+    found = rational(replace(model, b0=b0), 0.0, PAPER_FILTERS, 0.0)
+    assert not found.convex
+
+
+def test_a_way_has_its_two_ends_and_a_triangle_has_none():
+    share = np.linspace(0.0, 1.0, 20)[:, None]
+    way = np.array([[10.0, 0.5, 0.0]]) + share * np.array([[300.0, -0.2, 1e-3]])
+    assert sorted(ends_of_line(way)) == [0, 19]
+    shuffled = np.random.default_rng(1).permutation(20)
+    assert sorted(ends_of_line(way[shuffled])) == sorted(np.flatnonzero(shuffled % 19 == 0))
+    assert ends_of_line(np.eye(3)) is None
+    way[7, 1] += 1e-9
+    assert ends_of_line(way) is None
