@@ -26,12 +26,12 @@ def edges(seed, count):
             yield direction, edge(lambda points: theorem.safe(points, at), direction), true
 
 
-@pytest.mark.parametrize("block", range(5))
+@pytest.mark.parametrize("block", range(10))
 def test_edges_are_those_of_a_dense_grid_on_300_devices(block):
     """Modes of 20 to 400 Hz, ratios of 0.0005 to 0.1: no edge lies too far, and few too near."""
-    seeds = range(block, DEVICES, 5)
+    seeds = range(block, DEVICES, 10)
     found = [edge / true for seed in seeds for _, edge, true in edges(seed, 2)]
-    assert len(found) > 110
+    assert len(found) > 50
     assert max(found) < 1.0 + 1e-6
     assert np.median(found) > 0.9995
     assert np.quantile(found, 0.05) > 0.998
