@@ -47,7 +47,7 @@ class Judgement:
     def conditions(self, display: Display) -> list[Conditions]:
         """Those of one display, by delay."""
         return [
-            Conditions(display.added_ns_per_m, display.filters, delay, self.spare_ns_per_m)
+            Conditions(display.active_damping_ns_per_m, display.filters, delay, self.spare_ns_per_m)
             for delay in self._delays
         ]
 
@@ -94,7 +94,11 @@ class Judgement:
     def least_level(self, display: Display, levels: Sequence[float]) -> float | None:
         """The least of `levels` (rising) at which it is safe; None for none."""
         return next(
-            (level for level in levels if self.safe([display._replace(added_ns_per_m=level)])[0]),
+            (
+                level
+                for level in levels
+                if self.safe([display._replace(active_damping_ns_per_m=level)])[0]
+            ),
             None,
         )
 

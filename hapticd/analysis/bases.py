@@ -56,7 +56,7 @@ _BETWEEN = 1e-4  # N s/m by which the margin, looked for at angles alone, may be
 class Conditions(NamedTuple):
     """What one judgement of points holds for."""
 
-    added_ns_per_m: float  # level of active damping
+    active_damping_ns_per_m: float  # level of active damping
     filters: Filters
     delay_periods: float
     spare_ns_per_m: float  # margin that has to be left
@@ -109,7 +109,7 @@ class Theorem:
     def prepare(self, at: Conditions) -> None:
         """Compute what is kept for these conditions."""
         self._everywhere(at)
-        self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
+        self._ticks(at.active_damping_ns_per_m, at.filters, at.delay_periods)
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
         """As `Basis`. What lies between two safe points of a convex set is safe: outside of all
@@ -124,7 +124,7 @@ class Theorem:
     def _sure(self, points: Floats, at: Conditions) -> Flags:
         hopeful = self.hopeful(points, at)
         if hopeful.any():
-            tick = self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
+            tick = self._ticks(at.active_damping_ns_per_m, at.filters, at.delay_periods)
             hopeful[hopeful] = radii(tick, points[hopeful]) < 1.0
             hopeful[hopeful] = positive_everywhere(self._everywhere(at), points[hopeful])
         return hopeful
@@ -143,8 +143,8 @@ class Theorem:
         return self._read(point, at)
 
     def _look(self, point: Point, at: Conditions) -> Reading:
-        lifted = self._lifted(at.added_ns_per_m, at.filters, at.delay_periods)
-        tick = self._ticks(at.added_ns_per_m, at.filters, at.delay_periods)
+        lifted = self._lifted(at.active_damping_ns_per_m, at.filters, at.delay_periods)
+        tick = self._ticks(at.active_damping_ns_per_m, at.filters, at.delay_periods)
         kbm = np.array([point])
         found = lifted_worst(lifted, kbm[0], self.model.rate_hz)
         return Reading(found.margin_ns_per_m, found.worst_hz, float(radii(tick, kbm)[0]))
@@ -164,7 +164,7 @@ class Theorem:
 
     def _draw(self, at: Conditions) -> Rational | None:
         late = self.late(at.delay_periods)
-        return rational(late, at.added_ns_per_m, at.filters, at.spare_ns_per_m + _BETWEEN)
+        return rational(late, at.active_damping_ns_per_m, at.filters, at.spare_ns_per_m + _BETWEEN)
 
     def _tick(self, level: float, filters: Filters, delay_periods: float) -> Tick:
         return tick_of(self.late(delay_periods), level, filters)
@@ -204,7 +204,7 @@ class Predicted:
         return predict(
             self._theorem.late(at.delay_periods),
             points,
-            at.added_ns_per_m,
+            at.active_damping_ns_per_m,
             at.filters,
             self._perturbation,
             stability=stability,
@@ -225,12 +225,12 @@ class Measured:
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
         """As `Basis`. A margin in N s/m is not known: none may be asked for."""
-        level = self._level(at.added_ns_per_m)
+        level = self._level(at.active_damping_ns_per_m)
         corners = tuple(one.frequency_hz for one in at.filters if one is not None)
         if level is None or at.spare_ns_per_m > 0.0 or corners != self._measured.corners_hz:
             return np.zeros(len(points), np.bool_)
-        high = (level.stiffness_n_per_m, level.damping_high_ns_per_m, level.mass_high_kg)
-        low = (0.0, level.damping_low_ns_per_m, level.mass_low_kg)
+        high = (level.stiffness_n_per_m, level.virtual_damping_high_ns_per_m, level.mass_high_kg)
+        low = (0.0, level.virtual_damping_low_ns_per_m, level.mass_low_kg)
         ends = np.where(points >= 0.0, high, low)
         shares = np.divide(points, ends, out=np.full(points.shape, np.inf), where=ends != 0.0)
         shares[points == 0.0] = 0.0
@@ -244,11 +244,11 @@ class Measured:
         """As `Basis`: limits say nothing of how far inside a point is."""
         return Reading(None, None, None)
 
-    def _level(self, added_ns_per_m: float) -> MeasuredLevel | None:
+    def _level(self, active_damping_ns_per_m: float) -> MeasuredLevel | None:
         below = [
             one
             for one in self._measured.levels
-            if one.damping_ns_per_m <= added_ns_per_m * (1.0 + 1e-3) + 1e-6
+            if one.active_damping_ns_per_m <= active_damping_ns_per_m * (1.0 + 1e-3) + 1e-6
         ]
         return below[-1] if below else None
 
@@ -299,7 +299,7 @@ def model_of(params: ModelParams) -> Model:
     )
 
 
-def cached_levels(ceiling_ns_per_m: float, added_ns_per_m: float) -> tuple[float, ...]:
+def cached_levels(ceiling_ns_per_m: float, active_damping_ns_per_m: float) -> tuple[float, ...]:
     """At most LEVELS levels of active damping from 0 to the ceiling, with that of `damping on`."""
     even = np.linspace(0.0, ceiling_ns_per_m, LEVELS - 1).tolist()
-    return tuple(sorted({*even, min(added_ns_per_m, ceiling_ns_per_m)}))
+    return tuple(sorted({*even, min(active_damping_ns_per_m, ceiling_ns_per_m)}))

@@ -250,7 +250,7 @@ def withstands(
 def shaking_hand(
     model: Model,
     point: npt.ArrayLike,
-    damping_ns_per_m: float = 0.0,
+    active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
     friction_ns_per_m: float = 0.0,
     at_hz: float | None = None,
@@ -263,7 +263,7 @@ def shaking_hand(
     images weigh, it may miss by some percent of damping; above 0.98 of half the rate none is
     sought.
     """
-    lifted = lift(model, damping_ns_per_m, filters)
+    lifted = lift(model, active_damping_ns_per_m, filters)
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))[0]
     angles = lifted.angles
     short = -_outside(lifted, kbm, friction_ns_per_m)
@@ -275,7 +275,7 @@ def shaking_hand(
     if short[at] <= 0.0:
         return None
     w = (angles[at] + 2.0 * np.pi * _IMAGES) * model.rate_hz
-    p = responses(model, w / (2.0 * np.pi), damping_ns_per_m)
+    p = responses(model, w / (2.0 * np.pi), active_damping_ns_per_m)
     own = 1.0 / p.velocity[0, 1]
     product = (
         p.velocity[0, 0]
@@ -315,7 +315,7 @@ def coupled_radius(
     model: Model,
     points: npt.ArrayLike,
     hands: list[Hand],
-    damping_ns_per_m: float = 0.0,
+    active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
 ) -> Floats:
     """Spectral radius (hands, N) of the sampled loop under `points` (N, 3) in each hand; exact,
@@ -326,7 +326,9 @@ def coupled_radius(
     """
     return np.array(
         [
-            spectral_radius(held_by(model, hand), environments(points), damping_ns_per_m, filters)
+            spectral_radius(
+                held_by(model, hand), environments(points), active_damping_ns_per_m, filters
+            )
             for hand in hands
         ]
     )

@@ -49,11 +49,11 @@ class Bottom:
     hz: Floats  # (N,) where Re Z is least
 
 
-def mode_lines(model: Model, damping_ns_per_m: float, grid_hz: Floats) -> Floats:
+def mode_lines(model: Model, active_damping_ns_per_m: float, grid_hz: Floats) -> Floats:
     """Frequencies (L,) [Hz] around the modes of `model` that are narrower than a step of
     `grid_hz` (F,).
     """
-    poles = _poles(model, damping_ns_per_m, float(grid_hz[-1]))
+    poles = _poles(model, active_damping_ns_per_m, float(grid_hz[-1]))
     centre = np.abs(poles.imag) / (2.0 * np.pi)
     half = np.abs(poles.real) / (2.0 * np.pi)
     place = np.clip(np.searchsorted(grid_hz, centre), 1, grid_hz.size - 1)
@@ -64,14 +64,16 @@ def mode_lines(model: Model, damping_ns_per_m: float, grid_hz: Floats) -> Floats
     return np.unique(lines[(lines > grid_hz[0]) & (lines < grid_hz[-1])])
 
 
-def _poles(model: Model, damping_ns_per_m: float, top_hz: float) -> Complexes:
+def _poles(model: Model, active_damping_ns_per_m: float, top_hz: float) -> Complexes:
     """Poles [rad/s] of the device with its probe held, and of the free one with its aliases up
     to `top_hz`.
     """
-    free = np.linalg.eigvals(model.a(damping_ns_per_m))
+    free = np.linalg.eigvals(model.a(active_damping_ns_per_m))
     reach = int((np.abs(free.imag).max() / (2.0 * np.pi) + top_hz) / model.rate_hz) + 1
     turns = 2j * np.pi * model.rate_hz * np.arange(-reach, reach + 1)
-    return np.concatenate((held_poles(model, damping_ns_per_m), (free[:, None] + turns).ravel()))
+    return np.concatenate(
+        (held_poles(model, active_damping_ns_per_m), (free[:, None] + turns).ravel())
+    )
 
 
 def bottom(frequency_hz: Floats, z: Complexes, at: At) -> Bottom:

@@ -71,7 +71,7 @@ class Outlook:
 def outlook(
     model: Model,
     point: npt.ArrayLike,
-    damping_ns_per_m: float,
+    active_damping_ns_per_m: float,
     filters: Filters,
     perturbation: Perturbation,
     band_hz: tuple[float, float],
@@ -80,13 +80,13 @@ def outlook(
     unless these are finite.
     """
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
-    lifted = lift(model, damping_ns_per_m, filters)
-    radius = float(spectral_radius(model, kbm, damping_ns_per_m, filters)[0])
+    lifted = lift(model, active_damping_ns_per_m, filters)
+    radius = float(spectral_radius(model, kbm, active_damping_ns_per_m, filters)[0])
     safe = radius < 1.0 and bool(kbm[0, 0] >= 0.0 and withstands(lifted, kbm)[0])
     sought = radius < 1.0 and not safe and kbm[0, 0] >= 0.0
-    proven = positive_everywhere(rational(model, damping_ns_per_m, filters, 0.0), kbm)
+    proven = positive_everywhere(rational(model, active_damping_ns_per_m, filters, 0.0), kbm)
     true, recorded = (
-        predict(model, kbm, damping_ns_per_m, filters, perturbation, band_hz, True, seen)
+        predict(model, kbm, active_damping_ns_per_m, filters, perturbation, band_hz, True, seen)
         for seen in (False, True)
     )  # fmt: skip
     return Outlook(
@@ -95,7 +95,7 @@ def outlook(
         theorem_margin=float(lifted_margin(lifted, kbm)[0]),
         theorem_passive=radius < 1.0 and bool(kbm[0, 0] >= 0.0 and proven[0]),
         withstands=safe,
-        shaker=_shaker(model, kbm, damping_ns_per_m, filters) if sought else None,
+        shaker=_shaker(model, kbm, active_damping_ns_per_m, filters) if sought else None,
         true=true,
         recorded=recorded,
     )

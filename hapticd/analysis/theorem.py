@@ -99,7 +99,7 @@ def required_damping(
 
 def paper_equation_2(
     stiffness_n_per_m: float,
-    damping_ns_per_m: float,  # virtual damping B
+    virtual_damping_ns_per_m: float,  # virtual damping B
     physical_ns_per_m: float,  # b, what the device itself has
     rate_hz: float = 1000.0,
 ) -> bool:
@@ -114,14 +114,14 @@ def paper_equation_2(
             f"Eq. 2 does not hold for K = {stiffness_n_per_m:g} N/m: it would relax for a negative"
             " stiffness, which is active at low frequencies under any damping; render K >= 0"
         )
-    if damping_ns_per_m < 0.0:
-        needed = stiffness_n_per_m / (2.0 * rate_hz) - damping_ns_per_m
+    if virtual_damping_ns_per_m < 0.0:
+        needed = stiffness_n_per_m / (2.0 * rate_hz) - virtual_damping_ns_per_m
         raise AnalysisError(
-            f"Eq. 2 does not hold for B = {damping_ns_per_m:g} N s/m: printed as b > KT/2 + B it"
-            " would relax for negative virtual damping, the theorem asks for b > KT/2 - B cos wT,"
+            f"Eq. 2 does not hold for B = {virtual_damping_ns_per_m:g} N s/m: printed as"
+            " b > KT/2 + B it would relax for negative virtual damping, the theorem asks for b > KT/2 - B cos wT,"
             f" here {needed:g} N s/m at 0 Hz; use required_damping"
         )
-    return physical_ns_per_m > stiffness_n_per_m / (2.0 * rate_hz) + damping_ns_per_m
+    return physical_ns_per_m > stiffness_n_per_m / (2.0 * rate_hz) + virtual_damping_ns_per_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ class Opened:
 
 def opened(
     model: Model,
-    damping_ns_per_m: float = 0.0,
+    active_damping_ns_per_m: float = 0.0,
     angles: Floats | None = None,  # (A,) wT
     images: int = _IMAGES,  # on each side
 ) -> Opened:
@@ -160,10 +160,10 @@ def opened(
 
     At `angles`, or else at those of its modes (`angles_of`).
     """
-    angles = angles_of(model, damping_ns_per_m) if angles is None else angles
+    angles = angles_of(model, active_damping_ns_per_m) if angles is None else angles
     harmonics = np.arange(-images, images + 1)
     f = (angles[:, None] / (2.0 * np.pi) + harmonics) * model.rate_hz
-    p = responses(model, f.ravel(), damping_ns_per_m)
+    p = responses(model, f.ravel(), active_damping_ns_per_m)
     own = p.velocity[0, 1].reshape(f.shape)
     return Opened(
         angles,
@@ -176,7 +176,7 @@ def opened(
 
 def lift(
     model: Model,
-    damping_ns_per_m: float = 0.0,
+    active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
     seen: Opened | None = None,
 ) -> Lift:
@@ -184,11 +184,11 @@ def lift(
     velocity and acceleration. `seen` is what `opened` saw of it, at whatever delay.
     """
     rate_hz = model.rate_hz
-    device = opened(model, damping_ns_per_m) if seen is None else seen
+    device = opened(model, active_damping_ns_per_m) if seen is None else seen
     f = device.frequency_hz
     turn = np.exp(1j * device.angles)
     out = device.forward * held(f.ravel(), rate_hz, model.delay_periods).reshape(f.shape)
-    inner = pulse_transfer(model, turn, damping_ns_per_m) - (out * device.back).sum(axis=1)
+    inner = pulse_transfer(model, turn, active_damping_ns_per_m) - (out * device.back).sum(axis=1)
     back = device.back * device.impedance  # only now q: E needs P_xt itself
     sizes = [np.abs(out) ** 2, np.abs(back) ** 2]
     rest, rest_late = _beyond(device.angles, 2.0 * np.pi * f / rate_hz, model.delay_periods)
