@@ -8,6 +8,7 @@
 #   make test-usb           of these the ones on a true Linux USB stack, in a user-mode kernel (docs/usb.md); with what was measured
 #   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; minutes
 #   make attack [ONLY=frames] [FACTOR=0.01]  hostile requests, frames and files at length; results in build/attack.json
+#   make hands [ARGS="--hands 100"]  random passive hands against environments at the edge of what the guard calls safe; counts those that one shakes
 #   make soak [HOURS=2]     the daemon in real time with faults, re-plugs, commands and subscribers at random; then as long in virtual time; build/soak*.json
 #   make firmware [FIRMWARE=FOLDER] check the reference firmware, or sources of your own, against the simulated board; minutes
 #   make bench [ONLY=wake]  measure; results in build/bench.json
@@ -27,7 +28,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run lab practice test check test-usb mutate attack soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
+.PHONY: run lab practice test check test-usb mutate attack hands soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -77,6 +78,9 @@ firmware: deps-check $(VENV)/check.stamp
 
 attack: deps-check $(VENV)/check.stamp
 	ONLY="$(ONLY)" FACTOR="$(FACTOR)" $(BIN)/python tests/attack.py
+
+hands: deps-check $(VENV)/check.stamp
+	$(BIN)/python tests/hands.py $(ARGS)
 
 soak: deps-bench $(VENV)/bench.stamp
 	HOURS="$(HOURS)" $(BIN)/python tests/soak.py

@@ -17,6 +17,7 @@ velocity, N s/m, at the probe unless something else is said. For scripts:
     delivered    `estimate`: the active damping that a board really delivers
     theorem      `required_damping`, `lift`, `lifted_margin`: Colgate and Schenkel
     angles       where a device is looked at, dense about its modes
+    rational     `rational`, `positive_everywhere`: the theorem at all angles, without a grid
     coupled      `withstands`, `shaking_hand`: what a passive hand can do
     outlook      `outlook`: all of these about one environment
     bases        `Theorem`, `Predicted`, `Measured`: how it is known what is safe

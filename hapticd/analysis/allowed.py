@@ -158,33 +158,36 @@ def intervals(
         if not runs:
             continue
         ends = _refined(safe, grids, runs, sure)
-        for axis, interval in (ends if sure else _made_sure(safe, ends, len(grids))).items():
+        for axis, interval in (ends if sure else _made_sure(safe, ends, at)).items():
             found[axis] = interval
     return found
 
 
 def _made_sure(
-    safe: Asked, ends: dict[int, list[float]], axes: int
+    safe: Asked, ends: dict[int, list[float]], at: Sequence[float]
 ) -> dict[int, list[float] | None]:
-    """What is sure of the intervals of some of the `axes`."""
-    checks = [_checks(*ends[axis]) if axis in ends else NONE for axis in range(axes)]
+    """What is sure of the intervals of some of the axes, which are at `at`."""
+    checks = [_checks(ends[axis], own) if axis in ends else NONE for axis, own in enumerate(at)]
     flags = safe(checks, True)
     return {axis: _sure(checks[axis], flags[axis]) for axis in ends}
 
 
-def _checks(start: float, end: float) -> Floats:
-    """Where an interval is made sure of: at its middle, and at each end or a little inside, for at
-    the edge itself rounding decides.
+def _checks(ends: list[float], own: float) -> Floats:
+    """Where an interval is made sure of: at its middle, at each end or a little inside, for an
+    end is an estimate, and at the value inside that is the display's own.
     """
-    return start + (end - start) * np.array([0.0, _INSIDE, 0.5, 1.0 - _INSIDE, 1.0])
+    start, end = ends
+    inside = start + (end - start) * np.array([0.0, _INSIDE, 0.5, 1.0 - _INSIDE, 1.0])
+    return np.append(inside, min(max(own, start), end))
 
 
 def _sure(values: Floats, flags: Flags) -> list[float] | None:
-    """What is sure of an interval that was looked at in five places; None if nothing is."""
-    first, near, middle, far, last = flags.tolist()
+    """What is sure of an interval that was looked at in six places; None if nothing is."""
+    first, near, middle, far, last, _ = flags.tolist()
     if not (middle and (first or near) and (far or last)):
         return None
-    return [float(values[0] if first else values[1]), float(values[4] if last else values[3])]
+    held = values[flags]
+    return [float(held.min()), float(held.max())]
 
 
 def _grid(low: float, high: float, at: float) -> Floats:

@@ -2,13 +2,14 @@
 
 Where they have to be dense (`angles_of`). The condition of `theorem` depends on the device alone
 through e = G - E, h and q, and none of these has other poles than the device with its probe held
-still, folded into the base band: the poles of the free device cancel, and the law is smooth. A pole
-w_i - j v_i of those makes a feature of width v_i T and larger, so a ladder of angles with
-geometric distances v_i T stands on either side of it, up to where the fixed angles are denser.
+still, folded into the base band: the poles of the free device cancel. A pole w_i - j v_i of those
+makes a feature of width v_i T and larger, so a ladder of angles with geometric distances v_i T
+stands on either side of it, up to where the fixed angles are denser. The law's filters have none.
 
 What lies between (`least_between`). A parabola through a least value and its neighbours estimates
-the true minimum. On 300 flexible devices with modes of 20 to 400 Hz and ratios of 0.0005 to 0.1,
-the edges that follow are within 0.1 % of those of a dense grid. That is measured, not proven.
+the true minimum. That is good to 0.1 % of an edge behind the filters of the paper, and to 2 %
+behind one of ratio 0.3 at 8 to 64 Hz. Margins, maps and `coupled.withstands` rest on it; the yes
+or no of the guard does not, it is exact between angles (`rational`).
 
 Limitations: a mode whose width is below the resolution of the arithmetic (`unresolved_hz`).
 """

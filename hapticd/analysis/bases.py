@@ -1,7 +1,8 @@
 """How it is known whether environments are safe: three answers.
 
     theorem     without friction, for every input and every hand: the sampled loop is stable
-                (`loop`), K >= 0, and the device has damping to spare (`theorem`)
+                (`loop`), K >= 0, and the device has damping to spare (`theorem`) at all
+                frequencies (`rational`)
     predicted   with Coulomb friction as it is at a stated perturbation (`predict`), stability
                 included. A motion much larger than that is damped less
     measured    inside what a bench measured: between the limits of K, B and M on their axes, with
@@ -9,8 +10,9 @@
                 convex (Re Z is affine in K, B, M), and limits on its axes are in it
 
 For the theorem everything that no environment changes is kept for each level, delay and pair of
-filters: what the device is without a law (`theorem.opened`, most of the work), its lift, its
-circles, its tick. Twenty points then cost half a millisecond, nearly all of it eigenvalues.
+filters: what the device is without a law (`theorem.opened`, most of the work), its lift, the
+condition as a rational function, its tick. Twenty points then cost one to two milliseconds, nearly
+all of it eigenvalues.
 
 What is kept of levels is at most LEVELS, evenly up to the ceiling of the circuit, with the level
 that `damping on` means.
@@ -29,11 +31,11 @@ from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import Filters, Tick, radii, tick_of
 from hapticd.analysis.predict import Prediction, predict
+from hapticd.analysis.rational import Rational, positive_everywhere, rational
 from hapticd.analysis.theorem import (
-    Circles,
+    NOWHERE,
     Lift,
     Opened,
-    circles,
     lift,
     lifted_worst,
     opened,
@@ -47,7 +49,8 @@ from hapticd.plant.model import InputColumns, Model, Output, Outputs, frozen
 LEVELS = 16
 _KEPT = 4 * LEVELS  # of lifts, circles and ticks: levels, some delays, filters
 _SLACK = 1e-9  # N s/m: a margin equal to what is asked for is enough
-_BETWEEN = 1e-4  # N s/m by which the worst frequency may lie between two that are looked at
+_ROUNDING = 1e-12  # of the largest K, B or M, beside a line
+_BETWEEN = 1e-4  # N s/m by which the margin, looked for at angles alone, may be too large
 
 
 class Conditions(NamedTuple):
@@ -99,28 +102,41 @@ class Theorem:
         self._late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
         self._opened: Callable[[float], Opened] = lru_cache(LEVELS + 8)(self._open)
         self._lifted: Callable[[float, Filters, float], Lift] = lru_cache(_KEPT)(self._lift)
-        self._circles: Callable[[Conditions], Circles] = lru_cache(_KEPT)(self._draw)
+        self._everywhere: Callable[[Conditions], Rational | None] = lru_cache(_KEPT)(self._draw)
         self._read: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
         self._ticks: Callable[[float, Filters, float], Tick] = lru_cache(_KEPT)(self._tick)
 
     def prepare(self, at: Conditions) -> None:
         """Compute what is kept for these conditions."""
-        self._circles(at)
+        self._everywhere(at)
         self._ticks(at.active_damping_ns_per_m, at.filters, at.delay_periods)
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As `Basis`."""
+        """As `Basis`. What lies between two safe points of a convex set is safe: outside of all
+        circles, and stable as they are.
+        """
+        found = self._everywhere(at)
+        ends = ends_of_line(points) if found is not None and found.convex else None
+        if ends is not None and self._sure(points[ends], at).all():
+            return np.ones(len(points), np.bool_)
+        return self._sure(points, at)
+
+    def _sure(self, points: Floats, at: Conditions) -> Flags:
         hopeful = self.hopeful(points, at)
         if hopeful.any():
             tick = self._ticks(at.active_damping_ns_per_m, at.filters, at.delay_periods)
             hopeful[hopeful] = radii(tick, points[hopeful]) < 1.0
+            hopeful[hopeful] = positive_everywhere(self._everywhere(at), points[hopeful])
         return hopeful
 
     def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """Without stability: an eigenvalue that crosses |z| = 1 does so where -1/C = G, inside a
-        circle, so a connected set outside the circles is stable as a whole or not at all.
+        """At some angles, and without stability: an eigenvalue that crosses |z| = 1 does so where
+        -1/C = G, inside a circle, so a connected set outside the circles is stable as a whole or
+        not at all.
         """
-        return np.asarray((points[:, 0] >= 0.0) & within(self._circles(at), points))
+        found = self._everywhere(at)
+        seen = NOWHERE if found is None else found.circles
+        return np.asarray((points[:, 0] >= 0.0) & within(seen, points))
 
     def reading(self, point: Point, at: Conditions) -> Reading:
         """As `Basis`. The margin of an unstable loop is that of its impedance alone."""
@@ -146,9 +162,9 @@ class Theorem:
     def _lift(self, level: float, filters: Filters, delay_periods: float) -> Lift:
         return lift(self.late(delay_periods), level, filters, self._opened(level))
 
-    def _draw(self, at: Conditions) -> Circles:
-        lifted = self._lifted(at.active_damping_ns_per_m, at.filters, at.delay_periods)
-        return circles(lifted, at.spare_ns_per_m + _BETWEEN)
+    def _draw(self, at: Conditions) -> Rational | None:
+        late = self.late(at.delay_periods)
+        return rational(late, at.active_damping_ns_per_m, at.filters, at.spare_ns_per_m + _BETWEEN)
 
     def _tick(self, level: float, filters: Filters, delay_periods: float) -> Tick:
         return tick_of(self.late(delay_periods), level, filters)
@@ -235,6 +251,21 @@ class Measured:
             if one.active_damping_ns_per_m <= active_damping_ns_per_m * (1.0 + 1e-3) + 1e-6
         ]
         return below[-1] if below else None
+
+
+def ends_of_line(points: Floats) -> list[int] | None:
+    """The two of `points` (N, 3) between which all others lie; None if they are on no line, or
+    two or less.
+    """
+    if len(points) < 3:
+        return None
+    first = int(np.argmax(np.abs(points - points[0]).sum(axis=1)))
+    last = int(np.argmax(np.abs(points - points[first]).sum(axis=1)))
+    way = points[last] - points[first]
+    shares = (points - points[first]) @ way / max(float(way @ way), np.finfo(np.float64).tiny)
+    off = np.abs(points - points[first] - shares[:, None] * way)
+    within_rounding = off <= _ROUNDING * np.abs(points).max(axis=0)
+    return [first, last] if within_rounding.all() else None
 
 
 def model_of(params: ModelParams) -> Model:

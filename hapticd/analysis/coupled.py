@@ -58,8 +58,7 @@ GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand 
 _ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0
 _IMAGES = np.array([0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0, -4.0, 4.0])  # for which a hand is tuned
 _DETUNED = (1e-3, 1e-4, 1e-5)  # resonances beside the frequencies that they serve
-_FAR = 10.0  # radii: farther outside of a circle nothing has to be known
-_ENDLESS = 1e200  # times 0 is 0
+_ENDLESS = 1e100  # times 0 is 0
 _LAST = 0.98 * np.pi  # nearer to half the servo's rate a frequency and its image are one
 
 
@@ -240,8 +239,11 @@ def withstands(
     """
     kbm = environments(points)
     levels = np.broadcast_to(np.asarray(friction_ns_per_m, np.float64), len(kbm))
-    found = [_outside(lifted, *each) for each in zip(kbm, levels, strict=True)]
-    values = np.minimum(found, _FAR).reshape(len(kbm), lifted.angles.size)
+    values = np.zeros((len(kbm), lifted.angles.size))
+    for row, level in enumerate(levels.tolist()):
+        found = reach(lifted, level)
+        law = kbm[row] @ lifted.law
+        values[row] = np.abs(1.0 + law * found.centre) ** 2 - np.abs(law * found.radius) ** 2
     return np.asarray(least_between(lifted.angles, values) >= 0.0)
 
 

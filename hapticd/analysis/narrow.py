@@ -26,8 +26,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hapticd.analysis.angles import held_poles
 from hapticd.analysis.arrays import Complexes, Floats, Integers
-from hapticd.analysis.loop import port_states
 from hapticd.plant.model import Model
 
 At = Callable[[Integers, Floats], Complexes]  # Z (n,) of environments (n,) at their own frequencies
@@ -68,14 +68,12 @@ def _poles(model: Model, active_damping_ns_per_m: float, top_hz: float) -> Compl
     """Poles [rad/s] of the device with its probe held, and of the free one with its aliases up
     to `top_hz`.
     """
-    a = model.a(active_damping_ns_per_m)
-    rotor = port_states(model)[0]
-    free, still = (
-        np.linalg.eigvals(one) for one in (a, np.delete(np.delete(a, rotor, 0), rotor, 1))
-    )
+    free = np.linalg.eigvals(model.a(active_damping_ns_per_m))
     reach = int((np.abs(free.imag).max() / (2.0 * np.pi) + top_hz) / model.rate_hz) + 1
     turns = 2j * np.pi * model.rate_hz * np.arange(-reach, reach + 1)
-    return np.concatenate((still, (free[:, None] + turns).ravel()))
+    return np.concatenate(
+        (held_poles(model, active_damping_ns_per_m), (free[:, None] + turns).ravel())
+    )
 
 
 def bottom(frequency_hz: Floats, z: Complexes, at: At) -> Bottom:

@@ -24,7 +24,8 @@ from hapticd.analysis.coupled import GROWS, Hand, coupled_radius, shaking_hand, 
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import Filters, spectral_radius
 from hapticd.analysis.predict import Prediction, environments, predict
-from hapticd.analysis.theorem import lift, lifted_margin, lifted_passive
+from hapticd.analysis.rational import positive_everywhere, rational
+from hapticd.analysis.theorem import lift, lifted_margin
 from hapticd.plant.model import Model
 
 
@@ -83,6 +84,7 @@ def outlook(
     radius = float(spectral_radius(model, kbm, active_damping_ns_per_m, filters)[0])
     safe = radius < 1.0 and bool(kbm[0, 0] >= 0.0 and withstands(lifted, kbm)[0])
     sought = radius < 1.0 and not safe and kbm[0, 0] >= 0.0
+    proven = positive_everywhere(rational(model, active_damping_ns_per_m, filters, 0.0), kbm)
     true, recorded = (
         predict(model, kbm, active_damping_ns_per_m, filters, perturbation, band_hz, True, seen)
         for seen in (False, True)
@@ -91,7 +93,7 @@ def outlook(
         period_s=1.0 / model.rate_hz,
         radius=radius,
         theorem_margin=float(lifted_margin(lifted, kbm)[0]),
-        theorem_passive=radius < 1.0 and bool(lifted_passive(lifted, kbm)[0]),
+        theorem_passive=radius < 1.0 and bool(kbm[0, 0] >= 0.0 and proven[0]),
         withstands=safe,
         shaker=_shaker(model, kbm, active_damping_ns_per_m, filters) if sought else None,
         true=true,

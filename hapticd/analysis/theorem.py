@@ -151,11 +151,19 @@ class Opened:
     back: Complexes  # (A, H) P_xt, m/N
 
 
-def opened(model: Model, active_damping_ns_per_m: float = 0.0) -> Opened:
-    """Look at `model` at that level of active damping: nine tenths of the work of a lift."""
-    images = np.arange(-_IMAGES, _IMAGES + 1)
-    angles = angles_of(model, active_damping_ns_per_m)
-    f = (angles[:, None] / (2.0 * np.pi) + images) * model.rate_hz
+def opened(
+    model: Model,
+    active_damping_ns_per_m: float = 0.0,
+    angles: Floats | None = None,  # (A,) wT
+    images: int = _IMAGES,  # on each side
+) -> Opened:
+    """Look at `model` at that level of active damping: nine tenths of the work of a lift.
+
+    At `angles`, or else at those of its modes (`angles_of`).
+    """
+    angles = angles_of(model, active_damping_ns_per_m) if angles is None else angles
+    harmonics = np.arange(-images, images + 1)
+    f = (angles[:, None] / (2.0 * np.pi) + harmonics) * model.rate_hz
     p = responses(model, f.ravel(), active_damping_ns_per_m)
     own = p.velocity[0, 1].reshape(f.shape)
     return Opened(
@@ -227,7 +235,7 @@ def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
 
 def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
     """Whether there is damping to spare (N,), for maps: one evaluation instead of forty per
-    environment. The loop must be stable.
+    environment, between the angles an estimate (`rational` has none). The loop must be stable.
 
     Never with K < 0, which is active below all angles that are looked at.
     """
@@ -248,6 +256,7 @@ class Circles:
 
 
 _PAIRS = np.triu_indices(3)
+NOWHERE = Circles(np.full(1, np.pi), -1.0 * (np.arange(10.0) == 0.0)[:, None])  # holds for none
 
 
 def circles(lifted: Lift, spare_ns_per_m: float = 0.0) -> Circles:
@@ -258,13 +267,8 @@ def circles(lifted: Lift, spare_ns_per_m: float = 0.0) -> Circles:
     """
     resistance = lifted.resistance - spare_ns_per_m
     if resistance.min() <= 0.0:
-        return Circles(lifted.angles[:1], np.full((10, 1), -1.0) * (np.arange(10) == 0)[:, None])
-    share = 1.0 / resistance
-    out, back, both = (
-        (weights * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
-    )
-    centre = lifted.inner + 0.5 * both
-    excess = np.abs(centre) ** 2 - 0.25 * out * back
+        return NOWHERE
+    centre, excess = _circle(lifted, spare_ns_per_m, np.arange(lifted.angles.size))
     law = lifted.law
     one, other = _PAIRS
     twice = np.where(one == other, 1.0, 2.0)[:, None]
@@ -273,30 +277,58 @@ def circles(lifted: Lift, spare_ns_per_m: float = 0.0) -> Circles:
     return Circles(lifted.angles, form)
 
 
-def within(allowed: Circles, kbm: Floats) -> Flags:
-    """True (N,) where -1/C of the environments `kbm` (N, 3) is outside all circles, also between
-    the angles: passive, if stable.
-    """
+def terms_of(kbm: Floats) -> Floats:
+    """What the rows of a form are of (N, 10): 1, K, B, M and their products, `kbm` (N, 3)."""
     one, other = _PAIRS
-    terms = np.column_stack((np.ones(len(kbm)), kbm, kbm[:, one] * kbm[:, other]))
-    values = terms @ allowed.form
+    return np.column_stack((np.ones(len(kbm)), kbm, kbm[:, one] * kbm[:, other]))
+
+
+def within(allowed: Circles, kbm: Floats) -> Flags:
+    """True (N,) where -1/C of the environments `kbm` (N, 3) is outside all circles, as estimated
+    also between the angles: passive, if stable.
+    """
+    values = terms_of(kbm) @ allowed.form
     outside = np.asarray(values.min(axis=1) >= 0.0)
     if values.shape[1] > 2:
         outside[outside] = least_between(allowed.angles, values[outside]) >= 0.0
     return outside
 
 
-def _sums(lifted: Lift, spare: float, angles: Integers) -> tuple[Floats, Floats, Complexes]:
-    """a, b and p of the module's text at some `angles`, for that damping to spare."""
-    share = 1.0 / np.maximum(lifted.resistance[angles] - spare, _CLOSEST)
+def _share(lifted: Lift, spare: float, angles: Integers) -> Floats:
+    """1 / (r - x) (n, H) at some `angles`."""
+    return np.asarray(1.0 / np.maximum(lifted.resistance[angles] - spare, _CLOSEST))
+
+
+def _sums(lifted: Lift, share: Floats, angles: Integers) -> tuple[Floats, Floats, Complexes]:
+    """a, b and p of the module's text at some `angles`, weighted by `share` (n, H)."""
     out, back, both = (
-        (weights[angles] * share).sum(axis=1) for weights in (lifted.out, lifted.back, lifted.both)
+        np.einsum("ah,ah->a", weights[angles], share)
+        for weights in (lifted.out, lifted.back, lifted.both)
     )
     return out, back, both
 
 
+def _circle(lifted: Lift, spare: float, angles: Integers) -> tuple[Complexes, Floats]:
+    """g and |g|^2 - R^2 of the circles at some `angles`.
+
+    Of the harmonic next to 0 Hz alone a b = |p|^2, at low frequencies a million times what is left.
+    """
+    share = _share(lifted, spare, angles)
+    first = share.shape[1] // 2 - 1
+    a, b, p = (
+        weights[angles, first] * share[:, first]
+        for weights in (lifted.out, lifted.back, lifted.both)
+    )
+    share[:, first] = 0.0
+    out, back, both = _sums(lifted, share, angles)
+    gap = a * back + b * out + out * back - 2.0 * (p.conj() * both).real - np.abs(both) ** 2
+    inner = lifted.inner[angles]
+    excess = np.abs(inner) ** 2 + (inner.conj() * (p + both)).real - 0.25 * gap
+    return inner + 0.5 * (p + both), excess
+
+
 def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> Flags:
-    out, back, both = _sums(lifted, spare, angles)
+    out, back, both = _sums(lifted, _share(lifted, spare, angles), angles)
     c = gain[angles]
     cp = c * both
     form = 2.0 + cp.real - np.sqrt(np.maximum(np.abs(c) ** 2 * out * back - cp.imag**2, 0.0))
@@ -364,11 +396,9 @@ def _spare_between(lifted: Lift, law: Complexes, spare: float, span: float) -> f
 
 def _outside(lifted: Lift, law: Complexes, spare: float, angles: Integers) -> Floats:
     """How far -1/C is outside the circles of `circles`, |1 + C g|^2 - R^2 |C|^2 (n,)."""
-    out, back, both = _sums(lifted, spare, angles)
+    centre, excess = _circle(lifted, spare, angles)
     c = law[angles]
-    centre = lifted.inner[angles] + 0.5 * both
-    size = c.real**2 + c.imag**2
-    return np.asarray(np.abs(1.0 + c * centre) ** 2 - 0.25 * size * out * back)
+    return np.asarray(1.0 + 2.0 * (c * centre).real + (c.real**2 + c.imag**2) * excess)
 
 
 def _beyond(angles: Floats, harmonics: Floats, delay_periods: float) -> tuple[Floats, Complexes]:

@@ -1,6 +1,7 @@
 """Narrow modes, at length: edges on 300 devices against a closed form, and hands at these edges."""
 
 import numpy as np
+import pytest
 from support.narrow_modes import ClosedForm, directions, drawn, edge
 from support.passive_hands import random_hands
 
@@ -22,18 +23,18 @@ def edges(seed, count):
     for direction in directions(seed, count):
         true = edge(form.holds, direction)
         if 0.0 < true < np.inf:
-            yield direction, edge(lambda points: theorem.hopeful(points, at), direction), true
+            yield direction, edge(lambda points: theorem.safe(points, at), direction), true
 
 
-def test_edges_are_those_of_a_dense_grid_on_300_devices():
-    """Modes of 20 to 400 Hz, ratios of 0.0005 to 0.1: no edge lies more than 0.1 % too far, and
-    few lie too near.
-    """
-    found = [edge / true for seed in range(DEVICES) for _, edge, true in edges(seed, 2)]
-    assert len(found) > 550
-    assert max(found) < 1.001
-    assert np.median(found) > 0.997
-    assert np.quantile(found, 0.05) > 0.956
+@pytest.mark.parametrize("block", range(10))
+def test_edges_are_those_of_a_dense_grid_on_300_devices(block):
+    """Modes of 20 to 400 Hz, ratios of 0.0005 to 0.1: no edge lies too far, and few too near."""
+    seeds = range(block, DEVICES, 10)
+    found = [edge / true for seed in seeds for _, edge, true in edges(seed, 2)]
+    assert len(found) > 50
+    assert max(found) < 1.0 + 1e-6
+    assert np.median(found) > 0.9995
+    assert np.quantile(found, 0.05) > 0.998
 
 
 def single(stiffness, mass):

@@ -11,6 +11,7 @@ from hapticd.analysis.bases import Conditions, Theorem
 from hapticd.analysis.coupled import GROUND, Network, coupled_radius
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.loop import PAPER_FILTERS
+from hapticd.analysis.theorem import Circles, within
 from hapticd.environment import Environment
 from hapticd.plant.effects import Coupling, Masses, Motor, Viscous
 from hapticd.settings.guard import model_params
@@ -81,6 +82,15 @@ def test_a_parabola_is_followed_to_its_vertex():
     angles = np.array([0.1, 0.13, 0.2, 0.24, 0.4])
     values = np.stack([3.0 * (angles - at) ** 2 - 0.5 for at in (0.15, 0.21, 0.3)])
     np.testing.assert_allclose(least_between(angles, values), -0.5, rtol=1e-12)
+
+
+def test_circles_between_two_angles_count():
+    """A form that is positive at its angles, with a vertex below 0 between two of them."""
+    angles = np.array([0.1, 0.2, 0.3, 0.4])
+    form = np.zeros((10, 4))
+    form[0] = (angles - 0.26) ** 2 - 1e-4
+    assert form[0].min() > 0.0
+    assert not within(Circles(angles, form), np.zeros((1, 3)))[0]
 
 
 def test_no_value_below_is_made_of_a_straight_line():

@@ -1,0 +1,73 @@
+"""`make hands`: random passive hands against environments at the edge of what the guard calls safe.
+
+    python tests/hands.py                           5,000 hands for each of 300 environments
+    python tests/hands.py --environments 30 --hands 100 --seed 7
+    python tests/hands.py --share 2                 beyond the edge, where some hands do shake it
+
+Each environment is a direction in K, B, M at 0.999 of its edge; ten of them are on one device, with
+a narrow mode of its own. Hands are the networks of masses, springs and dampers of
+support.passive_hands, chains and meshes of up to five masses among them. A violation is a loop that
+grows in one of them: a spectral radius above 1 by more than rounding. Prints a line of JSON; the
+exit code is 1 for a violation.
+"""
+
+import argparse
+import json
+import time
+
+import numpy as np
+from support.narrow_modes import directions, drawn, edge
+from support.passive_hands import random_hands
+
+from hapticd.analysis.bases import Conditions, Theorem
+from hapticd.analysis.coupled import GROWS, held_by
+from hapticd.analysis.loop import PAPER_FILTERS, radii, tick_of
+
+INSIDE = 0.999  # of an edge
+EACH = 10  # environments of one device
+
+
+def edges(seed, count, share):
+    """The model of a device and environments (n, 3) at a share of its edges, at most `count`."""
+    device = drawn(seed)
+    model = device.model()
+    theorem = Theorem(model)
+    at = Conditions(0.0, PAPER_FILTERS, device.delay_periods, 0.0)
+    ways = directions(seed, count)
+    shares = [edge(lambda points: theorem.safe(points, at), way) for way in ways]
+    found = [share * far * way for far, way in zip(shares, ways, strict=True) if 0 < far < np.inf]
+    return model, np.array(found).reshape(-1, 3)
+
+
+def played(environments, count, seed, share):
+    """Pairs, violations and the largest radius."""
+    hands = random_hands(count, seed)
+    tried = pairs = violations = 0
+    largest = 0.0
+    while tried < environments:
+        model, points = edges(1000 * seed + tried // EACH, min(EACH, environments - tried), share)
+        tried += EACH
+        for hand in hands if len(points) else ():
+            found = radii(tick_of(held_by(model, hand)), points)
+            pairs += found.size
+            violations += int((found > GROWS).sum())
+            largest = max(largest, float(found.max()))
+    return {"pairs": pairs, "violations": violations, "largest_radius": largest}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--environments", type=int, default=300)
+    parser.add_argument("--hands", type=int, default=5000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--share", type=float, default=INSIDE, help="of the edge")
+    asked = parser.parse_args()
+    begin_s = time.process_time()
+    found = played(asked.environments, asked.hands, asked.seed, asked.share)
+    spent_s = time.process_time() - begin_s
+    print(json.dumps({**found, "pairs_per_s": round(found["pairs"] / spent_s)}))
+    return int(found["violations"] > 0)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
