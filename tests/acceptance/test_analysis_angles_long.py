@@ -1,6 +1,7 @@
 """Narrow modes, at length: edges on 300 devices against a closed form, and hands at these edges."""
 
 import numpy as np
+import pytest
 from support.narrow_modes import ClosedForm, directions, drawn, edge
 from support.passive_hands import random_hands
 
@@ -25,6 +26,7 @@ def edges(seed, count):
             yield direction, edge(lambda points: theorem.hopeful(points, at), direction), true
 
 
+@pytest.mark.timeout(600)
 def test_edges_are_those_of_a_dense_grid_on_300_devices():
     """Modes of 20 to 400 Hz, ratios of 0.0005 to 0.1: no edge lies more than 0.1 % too far, and
     few lie too near.
