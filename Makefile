@@ -27,7 +27,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run lab practice test check test-usb mutate attack soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
+.PHONY: run lab practice test check usb-kernel test-usb mutate attack soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -47,24 +47,30 @@ lab: $(VENV)/lab.stamp
 practice: $(VENV)/run.stamp
 	@exec $(BIN)/python tests/practice_rig.py build/practice $(if $(ARGS),$(ARGS),rig)
 
-# tests that need no clock run on all cores; those of real processes one after the other
+# tests that need no clock run on all cores, and those of real processes file by file: the tests of a
+# file share a daemon or a browser, wait more than they compute, and assert no duration. The longest come first
 PYTEST := $(BIN)/python -m pytest
 PARALLEL := --numprocesses auto --dist worksteal
+BY_FILE := --numprocesses auto --dist loadfile --no-loadscope-reorder
+LONGEST := $(patsubst %,tests/acceptance/test_%.py,console_page usb_stack attacks packaging)
 MAIN_JOB := tests/process/test_main_job.py
 
 test: deps-test $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports & imports=$$!; $(BIN)/mypy; wait $$imports
 	$(PYTEST) $(PARALLEL) tests/unit tests/lockstep $(ARGS)
 	$(PYTEST) $(MAIN_JOB) $(ARGS)
 
 check: ARGS += --all-must-run
-check: deps-check $(VENV)/check.stamp test
+check: deps-check usb-kernel $(VENV)/check.stamp test
 	$(PYTEST) $(PARALLEL) -m "not process" tests/acceptance $(ARGS)
-	$(PYTEST) tests/process --ignore $(MAIN_JOB) $(ARGS)
-	$(PYTEST) -m process tests/acceptance $(ARGS)
+	$(PYTEST) $(BY_FILE) -m process $(LONGEST) tests/acceptance tests/process --ignore $(MAIN_JOB) $(ARGS)
+
+# built once, beside what comes before the tests that boot it; they wait for it, and say it if it failed
+usb-kernel: deps-check
+	@mkdir -p build
+	@PYTHONPATH=tests nice -n 19 $(PYTHON) -m support.usb_kernel </dev/null >build/usb-kernel.txt 2>&1 &
 
 test-usb: deps-check $(VENV)/check.stamp
 	$(BIN)/python -m pytest -rP tests/acceptance/test_usb_stack.py $(ARGS)

@@ -19,6 +19,7 @@ pytest_plugins = ["hapticd.pytest_plugin"]
 # helpers; the cases of usb_guest run in another kernel, and its conftest.py speaks to that kernel
 collect_ignore = ["support"]
 
+PROCESS = Path(__file__).parent / "process"
 MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x86
 
 
@@ -27,6 +28,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--all-must-run", action="store_true", help=text)
     text = "write the answers to mistakes at the shell into support/data/cli_mistakes.txt"
     parser.addoption("--write-texts", action="store_true", help=text)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """All of tests/process is run with `-m process`."""
+    for item in items:
+        if item.path.parent == PROCESS:
+            item.add_marker(pytest.mark.process)
 
 
 @pytest.hookimpl(trylast=True)
