@@ -65,7 +65,7 @@ def _limits(settings: Settings, guard: GuardSetup) -> EnvironmentLimits:
 
 def _refuse_beyond(limits: EnvironmentLimits, settings: Settings, servo: ServoParams) -> None:
     known = CommandLimits.simulated(
-        servo.realtime.rate_hz, servo.device.damping_limit_ns_per_m, limits
+        servo.realtime.rate_hz, servo.device.active_damping_limit_ns_per_m, limits
     )
     environment = servo.environment
     broken = [

@@ -137,7 +137,7 @@ def trial_figure(
     Of a trial that escaped force and velocity: a spectrum of them would be that of no impedance.
     """
     view = ADMITTANCE if admittance else IMPEDANCE
-    look = level_styles([result.plan.params.trial.damping_ns_per_m])[0]
+    look = level_styles([result.plan.params.trial.active_damping_ns_per_m])[0]
     if result.recorded.ended.startswith("escape"):
         reason = result.recorded.ended.removeprefix("escape: ")
         return _undrawn(result, view, f"ESCAPED, so there is no impedance to draw: {reason}")
@@ -205,7 +205,7 @@ def _title(result: TrialResult, view: View) -> str:
     simulated = "SIMULATED, " if result.recorded.simulated else ""
     low, high = verdict.band_hz
     who = f"{simulated}{result.recorded.origin}:"
-    level = result.plan.params.trial.damping_ns_per_m
+    level = result.plan.params.trial.active_damping_ns_per_m
     what = f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g, active damping {level:g} N s/m"
     judged = (
         f"{verdict.answer.replace('_', ' ')} in {low:g}..{high:g} Hz at"
@@ -242,7 +242,7 @@ def _undrawn(result: TrialResult, view: View, why: str) -> Figure:
     """Force and velocity over time, for `why` there is no spectrum of them."""
     recorded = result.recorded
     title = _title(result, view).rsplit("\n", 1)[0]
-    look = level_styles([result.plan.params.trial.damping_ns_per_m])[0]
+    look = level_styles([result.plan.params.trial.active_damping_ns_per_m])[0]
     line = {"color": look["color"], "linewidth": 0.6, "rasterized": True}
     figure, places = axes(2, 1, 7.2, 5.4, f"{title}\n{fill(why, REASON_WIDTH)}", sharex=True)
     time_s = np.arange(recorded.force_n.size) / recorded.rate_hz

@@ -85,8 +85,8 @@ def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = Fa
         lease = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
         lease.take()
         try:
-            bench.set(K=stiffness, B=damping, M=mass, damping=trial.damping_ns_per_m)
-            bench.damping("on" if trial.damping_ns_per_m else "off")
+            bench.set(K=stiffness, B=damping, M=mass, active_damping=trial.active_damping_ns_per_m)
+            bench.damping("on" if trial.active_damping_ns_per_m else "off")
             bench.perturb_load(waveform)
             bench.enable()
             bench.wait_for("enabled")

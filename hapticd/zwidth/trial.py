@@ -290,7 +290,7 @@ def _radius(shown: Display, trial: Trial) -> float | None:
     if coulomb(shown.model).any():
         return None
     points = np.array([trial.environment])
-    found = spectral_radius(shown.model, points, trial.damping_ns_per_m, shown.filters)
+    found = spectral_radius(shown.model, points, trial.active_damping_ns_per_m, shown.filters)
     return float(found[0])
 
 
@@ -301,7 +301,7 @@ def _possible(params: TrialParams) -> None:
         *zip(
             ("stiffness", "damping", "mass"), trial.environment, ("N/m", "N s/m", "kg"), strict=True
         ),
-        ("active damping", trial.damping_ns_per_m, "N s/m"),
+        ("active damping", trial.active_damping_ns_per_m, "N s/m"),
         ("mass behind the port", params.behind_mass_kg, "kg"),
         ("skew", params.skew_s, "s"),
         ("high-pass corner", params.high_pass_hz, "Hz"),
@@ -449,7 +449,7 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
     if shown is None:
         return None
     found = np.full(at.size, np.nan + 0j)
-    asked = trial.damping_ns_per_m, shown.filters, shown.perturbation
+    asked = trial.active_damping_ns_per_m, shown.filters, shown.perturbation
     found[at] = predicted_impedance(shown.model, trial.environment, z.frequency_hz[at], *asked)
     return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)
 
@@ -468,10 +468,10 @@ def summary(result: TrialResult, sines: ReferenceSines | None = None) -> dict[st
         "ended": recorded.ended,
         "environment": {
             "stiffness_n_per_m": stiffness,
-            "damping_ns_per_m": damping,
+            "virtual_damping_ns_per_m": damping,
             "mass_kg": mass,
         },
-        "added_damping_ns_per_m": params.trial.damping_ns_per_m,
+        "active_damping_ns_per_m": params.trial.active_damping_ns_per_m,
         "perturbation": params.trial.excitation,
         "estimator": result.measured.estimator,
         "interval_covers": result.covers,
@@ -542,7 +542,7 @@ def _kept_params(kept: Mapping[str, Any], scene: Scene | None) -> TrialParams:
     low_hz, high_hz = kept["verdict"]["band_hz"]
     trial = Trial(
         (stiffness, damping, mass),
-        kept["added_damping_ns_per_m"],
+        kept["active_damping_ns_per_m"],
         kept["seconds"],
         Excitation(**kept["perturbation"]),
     )

@@ -28,7 +28,19 @@ def test_interrupted_run_says_that_nothing_is_kept(
     "words",
     [
         ["trial", "--seconds", "8", "--plot"],
-        ["walls", "--stiffness", "50", "100", "2", "--viscous", "0", "2", "2", "--damping", "0"],
+        [
+            "walls",
+            "--stiffness",
+            "50",
+            "100",
+            "2",
+            "--viscous",
+            "0",
+            "2",
+            "2",
+            "--active-damping",
+            "0",
+        ],
         [*LIMITS[:-1], "--axis", "B"],
         MAP[:-1],
     ],
@@ -135,7 +147,7 @@ def test_interrupted_report_goes_on(
 
     monkeypatch.setattr(map, "run_map", interrupted)
     code, _, err = run(
-        ["report", "weir2008", *SHORT, "--damping", "1.74", "--out", str(tmp_path)], capsys
+        ["report", "weir2008", *SHORT, "--active-damping", "1.74", "--out", str(tmp_path)], capsys
     )
     kept = len(set((tmp_path / "trials.jsonl").read_text().splitlines()))
     assert code == 130

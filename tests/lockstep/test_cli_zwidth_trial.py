@@ -57,7 +57,7 @@ def test_multisine_trial_says_what_its_interval_covers(tmp_path, capsys):
             r"K = 1e\+06 N/m: beyond the limit -1000\.\.\d+ N/m .*; ask for a value inside",
         ),
         (
-            ["--damping", "500"],
+            ["--active-damping", "500"],
             2,
             r"damping = 500 N s/m: beyond the limit 0\.\.\d+ N s/m .*; ask for",
         ),
@@ -131,7 +131,7 @@ def test_longer_window_is_kept_with_the_run(tmp_path, capsys):
 @pytest.mark.parametrize("verb", ["trial", "import", "limits", "map", "search", "walls", "report"])
 def test_help_has_one_name_for_each_damping(verb, capsys):
     told = " ".join(run([verb, "--help"], capsys)[1].split())
-    assert "--damping" in told
+    assert "--active-damping" in told
     assert "--added-damping" not in told
 
 

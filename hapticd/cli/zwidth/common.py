@@ -44,7 +44,9 @@ Confidence = Annotated[
 ]
 Damping = Annotated[
     str,
-    typer.Option("--damping", metavar="LEVEL[,LEVEL...]", help="Levels of active damping, N s/m."),
+    typer.Option(
+        "--active-damping", metavar="LEVEL[,LEVEL...]", help="Levels of active damping, N s/m."
+    ),
 ]
 VirtualStiffness = Annotated[
     float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="Virtual stiffness.")
@@ -56,7 +58,7 @@ VirtualMass = Annotated[
     float | None, typer.Option("-M", "--mass", metavar="KG", help="Virtual mass.")
 ]
 OneDamping = Annotated[
-    float | None, typer.Option("--damping", metavar="NS/M", help="Active damping.", min=0)
+    float | None, typer.Option("--active-damping", metavar="NS/M", help="Active damping.", min=0)
 ]
 Plot = Annotated[
     bool, typer.Option("--plot/--no-plot", help="Draw PNG, SVG and PDF into the run folder.")
@@ -110,7 +112,7 @@ Range = tuple[float, float, int]
 RUNS = Path("zwidth-runs")
 OUTCOME_FIELDS = (
     "environment",
-    "damping_ns_per_m",
+    "active_damping_ns_per_m",
     "answer",
     "passes",
     "margin_ns_per_m",
@@ -211,7 +213,7 @@ def require_within(name: str, shown: "Display", asked: dict[str, float]) -> None
     from hapticd.zwidth.scenes import filters
 
     device = device_of(name)
-    ceiling = device.limits.damping_ns_per_m
+    ceiling = device.limits.active_damping_ns_per_m
     passive = UNKNOWN
     if device.model is not None:
         passive = passive_ranges(shown.model, filters(shown.scene), ceiling)
@@ -235,15 +237,17 @@ def conditions(
 
 
 def levels(text: str) -> tuple[float, ...]:
-    """The levels of active damping [N s/m] in the text of --damping. BadParameter for others."""
+    """The levels [N s/m] in the text of --active-damping. BadParameter for others."""
     try:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:
         raise typer.BadParameter(
-            f"--damping {text!r}: numbers in N s/m, separated by commas, for example 0,1.74"
+            f"--active-damping {text!r}: numbers in N s/m, separated by commas, for example 0,1.74"
         ) from None
     if not all(0.0 <= level < inf for level in found):
-        raise typer.BadParameter(f"--damping {text!r}: levels must be finite and not negative")
+        raise typer.BadParameter(
+            f"--active-damping {text!r}: levels must be finite and not negative"
+        )
     return found
 
 
@@ -261,7 +265,7 @@ def ranged(name: str, given: Range, least: int = 2) -> Range:
 def environment_words(trial: "Trial") -> str:
     """K, B, M and active damping of `trial` with their units."""
     k, b, m = trial.environment
-    active = f"active damping {trial.damping_ns_per_m:g} N s/m"
+    active = f"active damping {trial.active_damping_ns_per_m:g} N s/m"
     return f"K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, {active}"
 
 
@@ -303,7 +307,7 @@ def tell_open(level: dict[str, Any], what: str) -> None:
     """Says at which ends of `what`, a grid or a box, the set of a level goes on."""
     if level["open_ends"]:
         ends = ", ".join(level["open_ends"])
-        damping = f"{level['added_damping_ns_per_m']:g} N s/m"
+        damping = f"{level['active_damping_ns_per_m']:g} N s/m"
         terminal.talk(f"at {damping} the set goes beyond the {what}: {ends}")
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 DEVICE_OF = "fig4"  # where no scene is named
 LEFT_OUT = "What is not given; without it the device of fig4, and 0."
-UNITS = {"-K": "N/m", "-B": "N s/m", "-M": "kg", "--damping": "N s/m"}
+UNITS = {"-K": "N/m", "-B": "N s/m", "-M": "kg", "--active-damping": "N s/m"}
 
 
 def command(
@@ -24,7 +24,7 @@ def command(
     stiffness: common.VirtualStiffness = None,
     viscous: common.VirtualDamping = None,
     mass: common.VirtualMass = None,
-    damping: common.OneDamping = None,
+    active_damping: common.OneDamping = None,
     band: common.Band = (2.0, 500.0),
     as_json: terminal.Json = False,
 ) -> None:
@@ -41,11 +41,15 @@ def command(
     from hapticd.zwidth.sources import given
 
     shown = scenes.display(common.scene_of(scene or DEVICE_OF))
-    asked = given((stiffness, viscous, mass), damping, shown.scene if scene else None, bool(scene))
+    asked = given(
+        (stiffness, viscous, mass), active_damping, shown.scene if scene else None, bool(scene)
+    )
     k, b, m = asked.environment
-    level = asked.damping_ns_per_m
-    _require_finite({"-K": k, "-B": b, "-M": m, "--damping": level})
-    common.require_within(scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "damping": level})
+    level = asked.active_damping_ns_per_m
+    _require_finite({"-K": k, "-B": b, "-M": m, "--active-damping": level})
+    common.require_within(
+        scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "active_damping": level}
+    )
     found = outlook(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
     if as_json:
         about = {"ok": True, "simulated": True, "device": shown.scene.device}
@@ -160,7 +164,7 @@ def _outlook_json(
     perturbation = found.true.perturbation
     numbers: dict[str, Any] = {
         "environment": point,
-        "damping_ns_per_m": level,
+        "active_damping_ns_per_m": level,
         "verdict": _verdict(found),
         "passive": found.passive,
         "refused": found.refused,

@@ -59,7 +59,7 @@ class TrialOptions:
     stiffness: common.VirtualStiffness = None
     viscous: common.VirtualDamping = None
     mass: common.VirtualMass = None
-    damping: common.OneDamping = None
+    active_damping: common.OneDamping = None
     excitation: Annotated[
         str,
         typer.Option("--excitation", metavar="noise|multisine", help="How the probe is driven."),
@@ -297,10 +297,10 @@ def _params(
     if asked.excitation == "multisine":
         layout = MultisineLayout(asked.realisations, asked.periods)
     typed = (asked.stiffness, asked.viscous, asked.mass)
-    rendered = given(typed, asked.damping, scene, bool(asked.scene), recorded)
+    rendered = given(typed, asked.active_damping, scene, bool(asked.scene), recorded)
     trial = Trial(
         environment=rendered.environment,
-        damping_ns_per_m=rendered.damping_ns_per_m,
+        active_damping_ns_per_m=rendered.active_damping_ns_per_m,
         seconds=asked.seconds,
         excitation=_excitation(asked, scene, layout),
         watch=Watch(until_decided=asked.until_decided, winding_limit_c=asked.hottest),
@@ -382,7 +382,7 @@ def _refuse_beyond(name: str, scene: "Scene", trial: "Trial") -> None:
     from hapticd.zwidth.scenes import display
 
     values = dict(zip("KBM", trial.environment, strict=True))
-    level = {"damping": trial.damping_ns_per_m}
+    level = {"damping": trial.active_damping_ns_per_m}
     common.require_within(name, display(scene), values | level)
     allowed_waveform(trial, common.device_of(name).limits.probe_n)
 
@@ -551,7 +551,7 @@ class ImportOptions:
     mass: Annotated[
         float | None, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")
     ] = None
-    damping: common.OneDamping = None
+    active_damping: common.OneDamping = None
     align: Annotated[
         Path | None,
         typer.Option(
@@ -588,7 +588,7 @@ def import_record(
         stiffness=rendered.stiffness,
         viscous=rendered.viscous,
         mass=rendered.mass,
-        damping=rendered.damping,
+        active_damping=rendered.active_damping,
         band=band,
     )
     stated = file.force, file.velocity, file.rate_hz, file.counter
