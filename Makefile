@@ -28,7 +28,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run lab practice test check test-usb mutate attack hands soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
+.PHONY: run lab practice test check usb-kernel test-usb mutate attack hands soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -56,16 +56,20 @@ MAIN_JOB := tests/process/test_main_job.py
 test: deps-test $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports & imports=$$!; $(BIN)/mypy; wait $$imports
 	$(PYTEST) $(PARALLEL) tests/unit tests/lockstep $(ARGS)
 	$(PYTEST) $(MAIN_JOB) $(ARGS)
 
 check: ARGS += --all-must-run
-check: deps-check $(VENV)/check.stamp test
+check: deps-check usb-kernel $(VENV)/check.stamp test
 	$(PYTEST) $(PARALLEL) -m "not process" tests/acceptance $(ARGS)
 	$(PYTEST) tests/process --ignore $(MAIN_JOB) $(ARGS)
 	$(PYTEST) -m process tests/acceptance $(ARGS)
+
+# built once, beside what comes before the tests that boot it; they wait for it, and say it if it failed
+usb-kernel: deps-check
+	@mkdir -p build
+	@PYTHONPATH=tests nice -n 19 $(PYTHON) -m support.usb_kernel </dev/null >build/usb-kernel.txt 2>&1 &
 
 test-usb: deps-check $(VENV)/check.stamp
 	$(BIN)/python -m pytest -rP tests/acceptance/test_usb_stack.py $(ARGS)

@@ -10,9 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from hapticd.errors import ConfigError
+from hapticd.gateway.limits import CommandLimits
 from hapticd.mailbox import files
 from hapticd.mailbox.environment_limits import UNKNOWN, WIDEST, environment_limits
-from hapticd.params import EnvironmentLimits, GatewaySetup, GuardSetup, to_plain
+from hapticd.params import EnvironmentLimits, GatewaySetup, GuardSetup, ServoParams, to_plain
 from hapticd.settings.build import (
     board_params,
     gateway_params,
@@ -23,15 +25,23 @@ from hapticd.settings.build import (
 from hapticd.settings.guard import guard_setup
 from hapticd.settings.load import Settings
 
+CONFIGURED = {
+    "K": "environment.stiffness_n_per_m",
+    "B": "environment.virtual_damping_ns_per_m",
+    "M": "environment.mass_kg",
+}
 WRITTEN = (files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON, files.GUARD_JSON)
 
 
 def resolve(settings: Settings, instance: str) -> dict[str, Any]:
-    """Content of each file, by its name. A real board has no board.json."""
+    """Content of each file, by its name. A real board has no board.json. ConfigError where the
+    environment at start is one that no client may ask of the device.
+    """
     board = board_params(settings)
     unbounded = servo_params(settings, instance)
     guard = guard_setup(settings, unbounded, WIDEST.lowest, WIDEST.highest)
     limits = _limits(settings, guard)
+    _refuse_beyond(limits, settings, unbounded)
     servo = replace(unbounded, device=replace(unbounded.device, environment_limits=limits))
     setup = GatewaySetup(
         servo, gateway_params(settings), guard_params(settings), lease_params(settings)
@@ -51,6 +61,20 @@ def _limits(settings: Settings, guard: GuardSetup) -> EnvironmentLimits:
     from hapticd.analysis.bounds import ranges_of  # numpy, as the guard's model has taken already
 
     return environment_limits(ranges_of(guard))
+
+
+def _refuse_beyond(limits: EnvironmentLimits, settings: Settings, servo: ServoParams) -> None:
+    known = CommandLimits.simulated(
+        servo.realtime.rate_hz, servo.device.active_damping_limit_ns_per_m, limits
+    )
+    environment = servo.environment
+    broken = [
+        f"{settings.origins[place]}: {known.complaint(axis, value, place)}"
+        for axis, place in CONFIGURED.items()
+        if not known.allows(axis, value := getattr(environment, place.partition(".")[2]))
+    ]
+    if broken:
+        raise ConfigError("\n".join(broken))
 
 
 def write(folder: Path, settings: Settings, instance: str) -> dict[str, Path]:

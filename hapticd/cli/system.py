@@ -37,19 +37,21 @@ ConfigArgument = Annotated[
 def check_config(
     file: ConfigArgument = None, config: terminal.ConfigFile = None, as_json: terminal.Json = False
 ) -> None:
-    """Say what is wrong, with file, line, value and limit; exit 78 if anything is. Calibrations
-    that cannot be relied on are named, and leave the configuration good.
+    """Say what is wrong, with file, line, value and limit; exit 78 if anything is, as the start of
+    the daemon would. Calibrations that cannot be relied on are named, and leave the configuration
+    good.
     """
+    from hapticd.assembly.resolve import resolve
     from hapticd.gateway import auth
-    from hapticd.params import to_plain
+    from hapticd.mailbox.files import SERVO_JSON
     from hapticd.recording.calibrations import doubts
-    from hapticd.settings.build import gateway_params, servo_params
+    from hapticd.settings.build import gateway_params
     from hapticd.settings.load import MoreRules, load
 
     settings = load(file or config, also=MoreRules(_simulation_and_network_rules, _template_rules))
     if warning := auth.warning(gateway_params(settings)):
         terminal.talk(f"hapticd: {settings.origins['gateway.tcp_host']}: {warning}")
-    servo = to_plain(servo_params(settings, terminal.INSTANCE))
+    servo = resolve(settings, terminal.INSTANCE)[SERVO_JSON]
     doubted = doubts(servo, datetime.date.today())
     found = {
         "ok": True,

@@ -50,6 +50,7 @@ from hapticd.zwidth.trial import TrialResult
 
 Trace = tuple[Floats, Floats, Look]  # time [s], values, how they look
 
+RANDOM = " of the random error"  # without what the calibrations leave open
 FEWEST = 2.0  # degrees of freedom that an interval takes
 SHOWN_HZ = (1.0, 1000.0)
 # characters of a line
@@ -181,7 +182,7 @@ def trial_figure(
     judged = result.verdict.judged
     grey = dress(size, phase, (judged.first_hz, judged.last_hz), view, more=(known,))
     figure.legend(
-        handles=[*legend_handles(phase), interval(look, " at each frequency"), grey],
+        handles=[*legend_handles(phase), interval(look, RANDOM), grey],
         ncols=3,
         **BELOW,
     )
@@ -190,8 +191,8 @@ def trial_figure(
 
 
 def _interval(z: Impedance) -> Floats:
-    """Half of the 95 % interval (F,) of ln|Z|, and of the phase in radians; Student's t, for
-    realisations may be few.
+    """Half of the 95 % interval (F,) of ln|Z|, and of the phase in radians, for the random error;
+    Student's t, for realisations may be few.
     """
     freedom = z.degrees_of_freedom - 2.0
     if freedom < FEWEST:

@@ -89,8 +89,7 @@ def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = Fa
                 " disable`"
             )
         stiffness, damping, mass = trial.environment
-        waveform = _waveform(trial)
-        _refuse_stronger(servo, trial, waveform)
+        waveform = allowed_waveform(trial, float(servo["device"]["probe_limit_n"]))
         lease = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
         lease.take()
         try:
@@ -125,12 +124,12 @@ def _waveform(trial: Trial) -> Floats:
     return marked(force_n) if trial.mark else force_n
 
 
-def _refuse_stronger(servo: Mapping[str, Any], trial: Trial, waveform: Floats) -> None:
-    """AnalysisError where the probe of the device may not push as hard as `waveform` (n,) [N]."""
-    limit_n = float(servo["device"]["probe_limit_n"])
+def allowed_waveform(trial: Trial, limit_n: float) -> Floats:
+    """The perturbation (n,) [N] at 4 kHz. AnalysisError where it exceeds the probe's `limit_n`."""
+    waveform = _waveform(trial)
     peak_n = float(np.abs(waveform).max())
     if peak_n <= limit_n:
-        return
+        return waveform
     remedy = f"let it reach {limit_n:g} N at most"
     if trial.waveform_n is None:
         less = trial.excitation.psd_n2_per_hz * (ROOM * limit_n / peak_n) ** 2

@@ -92,7 +92,13 @@ NOISE_COVERS = (
     " it shows"
 )
 KIND = "trial"
-COLUMNS = ("frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "sd_ns_per_m", "coherence")
+COLUMNS = (
+    "frequency_hz",
+    "real_ns_per_m",
+    "imaginary_ns_per_m",
+    "random_error_sd_ns_per_m",
+    "coherence",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -563,8 +569,8 @@ def _kept_params(kept: Mapping[str, Any], scene: Scene | None) -> TrialParams:
 
 
 def impedance_csv(measured: Impedance) -> str:
-    """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex
-    value, coherence.
+    """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex value's
+    random error (what calibrations leave open is not in it), coherence.
     """
     z = measured.impedance_ns_per_m
     columns = np.column_stack(

@@ -76,7 +76,7 @@ def test_impedance_is_written_for_other_programs(
         "frequency_hz",
         "real_ns_per_m",
         "imaginary_ns_per_m",
-        "sd_ns_per_m",
+        "random_error_sd_ns_per_m",
         "coherence",
     ]
     found = np.array([[float(cell or "inf") for cell in row] for row in rows])

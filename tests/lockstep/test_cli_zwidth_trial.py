@@ -47,6 +47,37 @@ def test_multisine_trial_says_what_its_interval_covers(tmp_path, capsys):
     assert kept["command_limit_n"] is None
 
 
+@pytest.mark.parametrize("source", ["engine", "lockstep"])
+@pytest.mark.parametrize(
+    ("words", "exit_code", "told"),
+    [
+        (
+            ["-K", "1e6"],
+            2,
+            r"K = 1e\+06 N/m: beyond the limit -1000\.\.\d+ N/m .*; ask for a value inside",
+        ),
+        (
+            ["--active-damping", "500"],
+            2,
+            r"damping = 500 N s/m: beyond the limit 0\.\.\d+ N s/m .*; ask for",
+        ),
+        (
+            ["-K", "10", "--psd", "0.01"],
+            65,
+            r"N, and the device file allows 2 N .*: --psd \S+ stays below",
+        ),
+    ],
+)
+def test_trial_beyond_the_device_is_refused_as_a_live_one(
+    source, words, exit_code, told, tmp_path, capsys
+):
+    code, _, err = run(["trial", source, *words, "--out", str(tmp_path)], capsys)
+    assert code == exit_code
+    assert re.search(told, re.sub(r"\s+", " ", err))
+    assert "simulates" not in err
+    assert not list(tmp_path.iterdir())
+
+
 def test_multisine_trial_runs_by_the_whole_stack(tmp_path, capsys):
     words = [
         "trial",

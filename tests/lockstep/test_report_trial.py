@@ -13,6 +13,7 @@ from hapticd.zwidth.store import TrialRecord
 from hapticd.zwidth.trial import (
     MultisineLayout,
     TrialParams,
+    impedance_csv,
     judged,
     multisine_like,
     plan_trial,
@@ -79,6 +80,13 @@ def test_worst_point_lies_on_the_drawn_phase(result):
         x, y = drawn(figure.axes[1], label)
         at = int(np.argmin(np.abs(result.measured.frequency_hz - x[0])))
         assert y[0] == pytest.approx(sign * result.measured.phase_deg[at])
+
+
+def test_interval_is_said_to_be_of_the_random_error_alone(result):
+    """The calibrations' uncertainty is not in it, as in the column of impedance.csv."""
+    (legend,) = trial_figure(result).legends
+    assert "95 % interval of the random error" in [one.get_text() for one in legend.get_texts()]
+    assert "random_error_sd_ns_per_m" in impedance_csv(result.measured).splitlines()[0]
 
 
 def test_multisine_is_drawn_where_it_was_excited_and_by_its_few_realisations():

@@ -8,9 +8,10 @@ from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.gateway.view import as_records
-from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.params import InjectionParams
+from hapticd.mailbox.layout import Command, Result, Value, values_of
+from hapticd.params import InjectionParams, RealtimeParams
 from hapticd.servo.safety import State
+from hapticd.sim.axis import Probe
 from hapticd.wire import codec
 from hapticd.wire.frames import OutFlag
 
@@ -18,9 +19,7 @@ WAVE = {Value.SAMPLES: 4000.0, Value.LOOP: 1.0}
 
 
 def asked_at(tick, *injections):
-    """What is said to a perturbation in that tick, the records from there on, and the torque [N] of
-    the board's perturbation that acted in each of them.
-    """
+    """What is said to a perturbation in that tick, and the records from there on."""
     with LockStep(servo_params(), board_params(injections=injections)) as stack:
         stack.run(5)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
@@ -63,3 +62,39 @@ def test_a_perturbation_begins_behind_a_single_lost_frame():
     result, flown = asked_at(700, lost)
     assert result is Result.APPLIED
     assert all(playing(flown)[1:])
+
+
+@pytest.fixture
+def played(monkeypatch):
+    """Torques [N] of the board's perturbation, one for each of its intervals with any."""
+    found = []
+    end_interval = Probe.end_interval
+
+    def heard(probe, *motion):
+        if probe.torque_n:
+            found.append(probe.torque_n)
+        end_interval(probe, *motion)
+
+    monkeypatch.setattr(Probe, "end_interval", heard)
+    return found
+
+
+@pytest.mark.parametrize("late", [3, 4, 5, 6, 7])
+def test_enable_and_a_perturbation_together_move_nothing_while_frames_are_lost(late, played):
+    """The enable is obeyed and withholds nothing yet in its tick. At 500 Hz a lost frame costs no
+    slot, so that the board would play what this tick sends.
+    """
+    lost = InjectionParams("drop_in", tick=700, count=7)
+    slow = RealtimeParams(mode="off", rate_hz=500.0)
+    board = board_params(rate_hz=500.0, injections=(lost,))
+    with LockStep(servo_params(realtime=slow), board) as stack:
+        stack.run(5)
+        stack.load_waveform([2000] * 4000)
+        stack.run(700 + late - stack.loop.tick)
+        stack.gateway.post(Command.ENABLE, 1, 0, values_of({}))
+        stack.gateway.post(Command.PERTURB_START, 1, 0, values_of(WAVE))
+        stack.run(20)
+        said = [one.result for one in stack.gateway.answers()][-2:]
+    heard = late == 7  # frames come again
+    assert said == [Result.APPLIED, Result.APPLIED if heard else Result.REFUSED_CAUSE]
+    assert bool(played) == heard

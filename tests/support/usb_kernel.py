@@ -5,12 +5,14 @@ The distribution's own user-mode kernel has no USB. The build takes two to three
 cores; what is kept is one static program of a few megabytes.
 """
 
+import fcntl
 import hashlib
 import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 CONFIG = Path(__file__).with_name("usb_guest") / "kernel.config"
@@ -26,17 +28,29 @@ JOBS = 2
 
 
 def kernel() -> Path:
-    """The kernel, built if it is not there. AssertionError with the words of what failed."""
+    """The kernel, built if it is not there, by one process at a time. AssertionError with the words
+    of what failed.
+    """
     source = _source()
     folder = _cache() / f"uml-{source.name.removesuffix('.tar.xz')}-{_key(source)}"
     kept = folder / "linux"
-    if not kept.exists():
-        folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with _alone(folder.with_suffix(".lock")):
+        if kept.exists():
+            return kept
         with tempfile.TemporaryDirectory(prefix="uml-", dir=folder.parent) as build:
             made = _build(source, Path(build))
             folder.mkdir(exist_ok=True)
             made.rename(kept)
     return kept
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """While no other process holds the lock of that file."""
+    with path.open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def _source() -> Path:

@@ -547,6 +547,26 @@ def test_config_check_tells_all_that_is_wrong_at_once(
     assert len(said.splitlines()) == 5
 
 
+@pytest.mark.parametrize("verb", [["check"], ["resolve", "--config"]])
+@pytest.mark.usefixtures("runtime")
+def test_environment_at_start_keeps_the_limits_of_the_device(
+    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a client's request; `hapticd run` resolves in the same way."""
+    file = tmp_path / "far.toml"
+    file.write_text(
+        "device = 'weir2008'\n[environment]\nmass_kg = 9.0\nstiffness_n_per_m = 90000\n"
+        "virtual_damping_ns_per_m = 1.0\n"
+    )
+    assert main(["config", *verb, str(file)]) == 78
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith(f"hapticd: {file}:4: environment.stiffness_n_per_m = 90000 N/m: beyond")
+    assert second.startswith(f"hapticd: {file}:3: environment.mass_kg = 9 kg: beyond the limit -")
+    assert "(of this device, against mistaken units)" in first
+    file.write_text("device = 'weir2008'\n[environment]\nstiffness_n_per_m = 1000.0\n")
+    assert main(["config", *verb, str(file)]) == 0
+
+
 def test_config_check_knows_open_telemetry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from hapticd.plant.scene import Scene
     from hapticd.settings.device import DeviceFile
     from hapticd.zwidth.outcomes import Conditions, Outcome
+    from hapticd.zwidth.scenes import Display
     from hapticd.zwidth.sources import Trial
     from hapticd.zwidth.store import TrialStore
 
@@ -202,6 +203,23 @@ def device_of(name: str) -> "DeviceFile":
         return load_files(name).device
     except ConfigError:
         return device_file(str(Path(name).resolve()) if name.endswith(".toml") else name)
+
+
+def require_within(name: str, shown: "Display", asked: dict[str, float]) -> None:
+    """BadParameter for what a daemon would refuse to render on this device."""
+    from hapticd.analysis.bounds import passive_ranges
+    from hapticd.gateway.limits import CommandLimits
+    from hapticd.mailbox.environment_limits import UNKNOWN, environment_limits
+    from hapticd.zwidth.scenes import filters
+
+    device = device_of(name)
+    ceiling = device.limits.active_damping_ns_per_m
+    passive = UNKNOWN
+    if device.model is not None:
+        passive = passive_ranges(shown.model, filters(shown.scene), ceiling)
+    limits = CommandLimits.simulated(shown.model.rate_hz, ceiling, environment_limits(passive))
+    if broken := limits.broken_by(asked):
+        raise typer.BadParameter("; ".join(one["msg"] for one in broken))
 
 
 def conditions(

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from hapticd.analysis.linearise import Perturbation
     from hapticd.analysis.outlook import Outlook
     from hapticd.analysis.predict import Prediction
-    from hapticd.zwidth.scenes import Display
 
 DEVICE_OF = "fig4"  # where no scene is named
 LEFT_OUT = "What is not given; without it the device of fig4, and 0."
@@ -48,7 +47,9 @@ def command(
     k, b, m = asked.free
     level = asked.active_damping_ns_per_m
     _require_finite({"-K": k, "-B": b, "-M": m, "--active-damping": level})
-    _require_within(scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "active_damping": level})
+    common.require_within(
+        scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "active_damping": level}
+    )
     found = outlook(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
     if as_json:
         about = {"ok": True, "simulated": True, "device": shown.scene.device}
@@ -65,23 +66,6 @@ def _require_finite(values: dict[str, float]) -> None:
         if not isfinite(value):
             needed = f"a finite number of {UNITS[option]} is needed"
             raise typer.BadParameter(f"{option} {value:g}: {needed}")
-
-
-def _require_within(name: str, shown: "Display", asked: dict[str, float]) -> None:
-    """BadParameter for what a daemon would refuse to render on this device."""
-    from hapticd.analysis.bounds import passive_ranges
-    from hapticd.gateway.limits import CommandLimits
-    from hapticd.mailbox.environment_limits import UNKNOWN, environment_limits
-    from hapticd.zwidth.scenes import filters
-
-    device = common.device_of(name)
-    ceiling = device.limits.active_damping_ns_per_m
-    passive = UNKNOWN
-    if device.model is not None:
-        passive = passive_ranges(shown.model, filters(shown.scene), ceiling)
-    limits = CommandLimits.simulated(shown.model.rate_hz, ceiling, environment_limits(passive))
-    if broken := limits.broken_by(asked):
-        raise typer.BadParameter("; ".join(one["msg"] for one in broken))
 
 
 def _lines(found: "Outlook", perturbation: "Perturbation") -> list[tuple[str, str]]:

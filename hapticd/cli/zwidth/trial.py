@@ -246,6 +246,8 @@ def _tried(
         if asked.source == "live":
             plan, source = _live(plan, scene, instance, asked, file, stack)
         else:
+            if scene and not recorded:
+                _refuse_beyond(name, scene, plan.params.trial)
             terminal.talk(announced(asked.source, plan.params.trial, scene, recorded))
             simulated = scene or common.scene_of(ENGINE_SCENE)
             source = file_source(recorded) if recorded else _simulated(asked, simulated, stack)
@@ -374,6 +376,17 @@ def _live(
     return replace(known, spectral_radius=None), daemon_source(
         found.client, found.origin, asked.uncalibrated
     )
+
+
+def _refuse_beyond(name: str, scene: "Scene", trial: "Trial") -> None:
+    """What a daemon would refuse on that scene's device, as a live trial refuses it."""
+    from hapticd.zwidth.live import allowed_waveform
+    from hapticd.zwidth.scenes import display
+
+    values = dict(zip("KBM", trial.environment, strict=True))
+    level = {"damping": trial.active_damping_ns_per_m}
+    common.require_within(name, display(scene), values | level)
+    allowed_waveform(trial, common.device_of(name).limits.probe_n)
 
 
 def _simulated(asked: TrialOptions, scene: "Scene", stack: ExitStack) -> "Source":

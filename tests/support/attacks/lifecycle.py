@@ -121,10 +121,10 @@ ATTACKS = (
     ),
     Attack(
         "masks",
-        "ENABLE and WITHHOLD whose mask is not a number",
+        "ENABLE and WITHHOLD whose mask is not a number, also after slots were lost",
         "the servo goes on: force stays or comes, and STOP works",
         {"kind": ("ENABLE", "WITHHOLD"), "mask": ("nan", "inf", "-inf"),
-         "state": ("enabled", "disabled")},
+         "state": ("enabled", "disabled"), "slots": (lifecycle_servo.LOST, "no slot lost")},
         lifecycle_servo.masks,
     ),
     Attack(

@@ -153,6 +153,8 @@ def mute_perturbation(chosen: Chosen, random: Random) -> None:
 
 # --- masks ----------------------------------------------------------------------------------------
 
+LOST = "slots lost"  # from then on the servo makes slots of the ticks of every command
+
 
 def masks(chosen: Chosen, random: Random) -> None:
     """The other numbers of the command are the same, or 0."""
@@ -160,6 +162,10 @@ def masks(chosen: Chosen, random: Random) -> None:
         stand.push_in_force()
         if chosen["state"] == "enabled":
             stand.enabled()
+        if chosen["slots"] == LOST:
+            stand.pause(random.randint(3, 5))
+            stand.fly(2)
+            assert stand.view.record["slot"] > stand.view.record["tick"], "no slot is lost"
         mask = float(chosen["mask"])
         others = random.choice((mask, 0.0))
         values = (mask, *[others] * (COMMAND_VALUES - 1))
