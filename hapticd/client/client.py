@@ -192,8 +192,12 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         while time.monotonic() < deadline:
             if found := hand_of(self.status(), verdict):
                 return found
-            time.sleep(POLL_S)
+            self._pause(POLL_S)
         return None
+
+    def _pause(self, seconds: float) -> None:
+        """Let time pass; on virtual time no clock of this computer does."""
+        time.sleep(seconds)
 
     def stop(self) -> Receipt:
         """Latched stop.
@@ -269,7 +273,7 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
             if isinstance(due, Ask):
                 answer = self._tried(due)
             elif isinstance(due, Pause):
-                time.sleep(due.seconds)
+                self._pause(due.seconds)
                 answer = None
             else:
                 return due
@@ -301,4 +305,4 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
                 return
             if time.monotonic() >= deadline:
                 raise not_reached(state, found, timeout_s)
-            time.sleep(POLL_S)
+            self._pause(POLL_S)
