@@ -2,8 +2,9 @@
 
 `VirtualBoard` answers as `hapticd run` does: the requests of a client go to the gateway's own desk,
 which checks limits and leases, has the guard judge them and gives receipts. Left out are sockets,
-processes, and the topics `state`, `event` and `servo`. Its clock goes on only while it is run,
-streamed, recorded or waited for. `aio()` is the same board for asyncio.
+processes, the flight recording, and the topics `event` and `servo`. Its clock goes on only while
+it is run, streamed, recorded or waited for. `aio()` is the same board for asyncio; its leases are
+renewed by requests alone.
 
     hapticd.virtual_board()            the simulated board of the shipped configuration
     hapticd.virtual_board(hand=True)   with a hand that holds the handle and moves it
@@ -28,7 +29,7 @@ from hapticd.assembly.resolve import resolve
 from hapticd.client.client import Client
 from hapticd.client.conversation import Receipt, accepted
 from hapticd.client.lease import ClientLease
-from hapticd.errors import ConfigError
+from hapticd.errors import CommandError, ConfigError
 from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
 from hapticd.gateway.guard import MOST_RECORDS, Guard
@@ -180,16 +181,29 @@ class VirtualBoard(LockStepBench):
 
     def _inquire(self, cmd: str) -> dict[str, Any]:
         """What the desk does not know itself: the contents of hello and status."""
+        if cmd == "dump":
+            raise CommandError("refused", "dump: virtual time keeps no flight recording; record it")
         if cmd == "hello":
             servo = to_plain(self._servo)
             return {"rate_hz": self._servo.realtime.rate_hz, "simulated": True, "servo": servo}
         assert self._desk is not None
         return {
-            **state_map(self._view, self._desk.actors, self._desk.leases, time.time_ns()),
+            **self._state(),
             "servo": self._view.report(),
             "guard": self._desk.guard_summary(),
             "events": list(self._journal.recent),
         }
+
+    def _state(self) -> dict[str, Any]:
+        assert self._desk is not None
+        return state_map(self._view, self._desk.actors, self._desk.leases, time.time_ns())
+
+    def _payloads(self, topic: str) -> Generator[bytes, None, None]:
+        """The topic `state` every second, and what the bench has."""
+        while topic == "state":
+            yield encode(Encoding.MSGPACK, self._state())
+            self.sleep(1.0)
+        yield from super()._payloads(topic)
 
     def stop(self) -> Receipt:
         """Latched stop."""
@@ -224,6 +238,9 @@ class _AsyncLine:
 
     async def exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
         return self._board.exchange(cmd, fields)
+
+    async def pause(self, seconds: float) -> None:
+        self._board.sleep(seconds)
 
     async def listen(self, topic: str, timeout_s: float) -> AsyncGenerator[bytes, None]:
         payloads: Generator[bytes, None, None] = self._board._payloads(topic)
