@@ -18,8 +18,8 @@ PAGE = ROOT / "docs" / "psychopy.md"
 
 
 def run(folder: Path, monkeypatch: pytest.MonkeyPatch, keys: str) -> dict[str, Any]:
-    """The names of the script after it ran, with shorter presentations; `keys` are pressed one after the other, again and
-    again.
+    """The names of the script after it ran, with shorter presentations; `keys` are pressed one
+    after the other, again and again.
     """
     (script,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     assert "lease.sleep(2.0)" in script
