@@ -25,7 +25,7 @@ async def main(asked: argparse.Namespace, seconds: float = 2.0) -> None:
         for value in ("on", "off", "on", "off"):
             receipt = await device.damping(value)
             records, _ = await device.record(seconds)
-            level = receipt.effective["damping"]
+            level = receipt.effective["active_damping"]
             speed = 1e3 * np.std(records["velocity_m_per_s"])
             margin = receipt.guard.text if receipt.guard else "not judged"
             print(f"damping {level:.2f} N s/m: {speed:.2f} mm/s rms; {margin}")

@@ -24,7 +24,7 @@ SYMBOLS = {  # what people call a parameter
     "mass": "M",
     "virtual_mass": "M",
     "inertia": "M",
-    "active_damping": "damping",
+    "active_damping": "active_damping",
 }
 NO_UNITS = ("1", "side")
 _WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s.,].*)")

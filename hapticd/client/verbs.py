@@ -83,7 +83,7 @@ class Verbs(Generic[R, D]):
         M: float | None = None,
         filters: dict[str, float] | None = None,
         wall: dict[str, float] | None = None,
-        damping: float | None = None,
+        active_damping: float | None = None,
         ramp_s: float | None = None,
         at_tick: int | None = None,
         until_tick: int | None = None,
@@ -92,8 +92,8 @@ class Verbs(Generic[R, D]):
     ) -> R:
         """Change what is rendered; what is not given stays.
 
-        `K` virtual stiffness [N/m], `B` virtual damping [N s/m], `M` virtual mass [kg], `damping`
-        active damping [N s/m]; `filters` and `wall` by the names of `hapticd set`. `ramp_s` is the
+        `K` virtual stiffness [N/m], `B` virtual damping [N s/m], `M` virtual mass [kg],
+        `active_damping` [N s/m]; `filters` and `wall` by the names of `hapticd set`. `ramp_s` is the
         length of the ramp [s], `at_tick` the servo tick from which it acts. From `until_tick` on
         the same fields are as they were before. With `if_rev` it acts only if the revision is still
         that one. `limit_cycle_faults`: whether force_at_limit and energy end a limit cycle; on
@@ -112,7 +112,7 @@ class Verbs(Generic[R, D]):
             M=M,
             filters=filters,
             wall=wall,
-            damping=damping,
+            active_damping=active_damping,
             ramp_s=ramp_s,
             at_tick=at_tick,
             until_tick=until_tick,

@@ -51,7 +51,7 @@ class GuardVerdict:
     #: ends of each of K [N/m], B [N s/m] and M [kg], with the others as asked; None: nothing would
     #: do
     allowed: dict[str, list[float] | None] = field(default_factory=dict)
-    least_damping_ns_per_m: float | None = None  #: of active damping that would do
+    least_active_damping_ns_per_m: float | None = None  #: of active damping that would do
     clamped: bool = False  #: `given` is less than what was asked
     given: dict[str, Any] = field(default_factory=dict)  #: where it leads, in the shape of a `set`
     path_points: int = 0  #: that were judged on the way

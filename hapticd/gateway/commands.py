@@ -93,7 +93,7 @@ def values_given(given: dict[str, Any]) -> dict[Value, float]:
         values[Value.LIMIT_CYCLE_FAULTS] = float(given["limit_cycle_faults"])
     if "until_tick" in given:
         values[Value.UNTIL_TICK] = float(given["until_tick"])
-    return values | _switched(values.pop(Value.ADDED_DAMPING, None))
+    return values | _switched(values.pop(Value.ACTIVE_DAMPING, None))
 
 
 def _switched(asked: str | float | None) -> dict[Value, float]:
@@ -105,8 +105,8 @@ def _switched(asked: str | float | None) -> dict[Value, float]:
     if asked in (None, "auto"):
         return {}
     if asked in ("on", "off", 0.0):
-        return {Value.ADDED_DAMPING_ON: float(asked == "on")}
-    return {Value.ADDED_DAMPING: float(asked), Value.ADDED_DAMPING_ON: 1.0}
+        return {Value.ACTIVE_DAMPING_ON: float(asked == "on")}
+    return {Value.ACTIVE_DAMPING: float(asked), Value.ACTIVE_DAMPING_ON: 1.0}
 
 
 def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
@@ -122,8 +122,8 @@ def parameters(effective: tuple[float, ...]) -> dict[str, Any]:
     del found["ramp_s"]
     found["wall"]["side"] = int(found["wall"]["side"])
     found["limit_cycle_faults"] = effective[Value.LIMIT_CYCLE_FAULTS] != 0.0
-    found["damping_level"] = found["damping"]
-    found["damping"] *= effective[Value.ADDED_DAMPING_ON]
+    found["active_damping_level"] = found["active_damping"]
+    found["active_damping"] *= effective[Value.ACTIVE_DAMPING_ON]
     return found
 
 
@@ -365,7 +365,7 @@ def changed_parts(request: Request | None) -> tuple[str, ...]:
     if isinstance(request, Set):
         rest = request.given.keys() & {"K", "B", "M", "filters", "wall", "limit_cycle_faults"}
         parts = (ENVIRONMENT,) if rest else ()
-        return (*parts, DAMPING) if "damping" in request.given else parts
+        return (*parts, DAMPING) if "active_damping" in request.given else parts
     if isinstance(request, Damping):
         return (DAMPING,)
     if isinstance(request, Perturb):

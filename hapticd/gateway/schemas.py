@@ -111,7 +111,7 @@ class Wall(MessagePart):
     """Unilateral wall."""
 
     stiffness_n_per_m: float = _absent("stiffness")
-    damping_ns_per_m: float = _absent("damping while pressed")
+    virtual_damping_ns_per_m: float = _absent("damping while pressed")
     position_m: float = _absent("where it stands")
     side: Side = _absent("+1: solid beyond the position, -1: before it, 0: no wall")
 
@@ -141,7 +141,7 @@ class Set(Change):
     M: float = _absent("virtual mass")
     filters: Filters = _absent("derivative filters")
     wall: Wall = _absent("unilateral wall")
-    damping: float = _absent("active damping; 0 switches it off and keeps the level")
+    active_damping: float = _absent("active damping; 0 switches it off and keeps the level")
     limit_cycle_faults: bool = _absent(
         "whether force_at_limit and energy end a limit cycle; on again when force is off"
     )
@@ -162,9 +162,13 @@ class Set(Change):
 
     @model_validator(mode="after")
     def _asks_for_something(self) -> "Set":
-        if not self.model_fields_set & {"K", "B", "M", "damping", "limit_cycle_faults"} and not any(
-            part.given for part in self.parts()
-        ):
+        if not self.model_fields_set & {
+            "K",
+            "B",
+            "M",
+            "active_damping",
+            "limit_cycle_faults",
+        } and not any(part.given for part in self.parts()):
             raise ValueError(
                 "nothing to set; give one of K, B, M, filters, wall, damping, limit_cycle_faults"
             )

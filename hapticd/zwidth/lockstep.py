@@ -102,7 +102,7 @@ class LockStepBench(Client):
         held = request.action != "release"
         holder = float(ALONE if held else 0)
         faults = not held and self._servo.safety.limit_cycle_faults
-        values = {Value.LEASE_CONTROL: holder, Value.LEASE_DAMPING: holder}
+        values = {Value.LEASE_CONTROL: holder, Value.LEASE_ACTIVE_DAMPING: holder}
         if request.what == MEASURING and request.action != "renew":
             self.stack.do(Command.SET, values | {Value.LIMIT_CYCLE_FAULTS: float(faults)})
             self._leases = {MEASURING: {"actor": ALONE}} if held else {}
@@ -218,7 +218,7 @@ def run_lockstep(
             Command.PERTURB_START, {Value.SAMPLES: float(force.size), Value.LOOP: 0.0}
         )
         for at_s, level in steps:
-            values = {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0}
+            values = {Value.ACTIVE_DAMPING: level, Value.ACTIVE_DAMPING_ON: 1.0}
             bench.stack.command(Command.DAMPING, values, begin + round(at_s * rate_hz))
         found = as_records(bench.run(round(force.size / PROBE_RATE_HZ * rate_hz)))
         refused = [

@@ -60,7 +60,7 @@ __all__ = ["VirtualBoard", "virtual_board"]
 
 CLIENT = b"virtual"  # identity of the only connection
 LOOK_TICKS = 20  # between two passes of the desk while nothing is due
-HAND = HandParams("hold", stiffness_n_per_m=500.0, damping_ns_per_m=3.0, tremor_m=1e-3)
+HAND = HandParams("hold", stiffness_n_per_m=500.0, active_damping_ns_per_m=3.0, tremor_m=1e-3)
 
 
 class _Judging:

@@ -41,7 +41,7 @@ def test_set_gives_its_own_receipt(rig: DeskRig) -> None:
         K=100,
         B=1,
         M=0.010,
-        damping=1.74,
+        active_damping=1.74,
         wall={"side": 1},
         filters={"velocity_hz": 200},
     )
@@ -53,7 +53,7 @@ def test_set_gives_its_own_receipt(rig: DeskRig) -> None:
         52,
     )
     effective = receipt["effective"]
-    assert (effective["K"], effective["B"], effective["M"], effective["damping"]) == (
+    assert (effective["K"], effective["B"], effective["M"], effective["active_damping"]) == (
         100.0,
         1.0,
         0.010,
@@ -64,10 +64,13 @@ def test_set_gives_its_own_receipt(rig: DeskRig) -> None:
 
 
 def test_effective_can_be_set_again(rig: DeskRig) -> None:
-    rig.ask(cmd="set", K=50, B=2, damping=1.0, wall={"side": -1, "stiffness_n_per_m": 500.0})
+    rig.ask(cmd="set", K=50, B=2, active_damping=1.0, wall={"side": -1, "stiffness_n_per_m": 500.0})
     first = rig.ask(cmd="get")["result"]["parameters"]
-    level = first.pop("damping_level")
-    assert rig.ask(cmd="set", **first)["receipt"]["effective"] == {**first, "damping_level": level}
+    level = first.pop("active_damping_level")
+    assert rig.ask(cmd="set", **first)["receipt"]["effective"] == {
+        **first,
+        "active_damping_level": level,
+    }
 
 
 def test_only_given_values_are_posted(rig: DeskRig) -> None:
@@ -81,10 +84,10 @@ def test_only_given_values_are_posted(rig: DeskRig) -> None:
 @pytest.mark.parametrize(
     ("value", "meant"),
     [
-        ("on", {Value.ADDED_DAMPING_ON: 1.0}),
-        ("off", {Value.ADDED_DAMPING_ON: 0.0}),
-        (0, {Value.ADDED_DAMPING_ON: 0.0}),
-        (1.5, {Value.ADDED_DAMPING: 1.5, Value.ADDED_DAMPING_ON: 1.0}),
+        ("on", {Value.ACTIVE_DAMPING_ON: 1.0}),
+        ("off", {Value.ACTIVE_DAMPING_ON: 0.0}),
+        (0, {Value.ACTIVE_DAMPING_ON: 0.0}),
+        (1.5, {Value.ACTIVE_DAMPING: 1.5, Value.ACTIVE_DAMPING_ON: 1.0}),
     ],
 )
 def test_damping_switches_or_sets_level(
@@ -390,19 +393,19 @@ def test_actor_table_is_bounded(rig: DeskRig) -> None:
 
 def test_hello_tells_limits_of_this_device(rig: DeskRig) -> None:
     limits = rig.ask(cmd="hello")["result"]["limits"]
-    assert limits["damping"] == {"low": 0.0, "high": 2.0, "unit": "N s/m"}
+    assert limits["active_damping"] == {"low": 0.0, "high": 2.0, "unit": "N s/m"}
     assert limits["filters.velocity_hz"]["high"] == 450.0
 
 
 def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
     schema = rig.ask(cmd="schema")["result"]
-    assert schema["$defs"]["Set"]["properties"]["damping"]["maximum"] == 2.0
+    assert schema["$defs"]["Set"]["properties"]["active_damping"]["maximum"] == 2.0
     assert schema["$defs"]["Wall"]["properties"]["stiffness_n_per_m"]["unit"] == "N/m"
     assert set(schema["discriminator"]["mapping"]) == {
         "hello",
         "get",
         "set",
-        "damping",
+        "active_damping",
         "enable",
         "disable",
         "stop",

@@ -20,7 +20,12 @@ ALLOWED: list[dict[str, Any]] = [
     {"cmd": "set", "filters": {"velocity_hz": 80.0, "acceleration_zeta": 1}},
     {
         "cmd": "set",
-        "wall": {"stiffness_n_per_m": 1000, "damping_ns_per_m": 2, "position_m": -0.01, "side": -1},
+        "wall": {
+            "stiffness_n_per_m": 1000,
+            "virtual_damping_ns_per_m": 2,
+            "position_m": -0.01,
+            "side": -1,
+        },
     },
     {"cmd": "damping", "value": "on"},
     {"cmd": "damping", "value": 2},
@@ -45,7 +50,7 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
     ),
     (
         {"cmd": "set", "damping": 2.5},
-        "damping",
+        "active_damping",
         (
             "damping = 2.5 N s/m: beyond the limit 0..2 N s/m (the device file sets it); ask for a"
             " value inside"
@@ -222,7 +227,7 @@ def test_limits_are_the_mailbox_table() -> None:
 
 
 def test_limit_itself_is_allowed() -> None:
-    for name, value in (("K", 1e5), ("K", -1e4), ("damping", 2.0), ("damping", 0.0)):
+    for name, value in (("K", 1e5), ("K", -1e4), ("active_damping", 2.0), ("active_damping", 0.0)):
         assert parse({"cmd": "set", name: value}, LIMITS).given[name] == value
 
 
