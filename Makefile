@@ -17,6 +17,7 @@
 #   make reproduction-docs  the same, then tables, numbers and figures of docs/reproduction.md from it, and of docs/timing.md
 #   make pictures           take the screenshots of README and docs anew
 #   make docs               build the documentation in build/docs; warnings are errors
+#   make site               the documentation as static files for any web server, build/hapticd-site.tar.gz
 #   make deps               install the system packages that are missing
 #   make pins               write constraints.txt and requirements.lock anew: the newest of every library that pyproject.toml allows
 #   make test-lowest        what talks to a library, with the lowest versions that pyproject.toml declares; minutes
@@ -28,7 +29,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run lab practice test check usb-kernel test-usb mutate attack hands soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
+.PHONY: run lab practice test check usb-kernel test-usb mutate attack hands soak firmware bench reproduce reproduction-docs pictures docs site deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -111,6 +112,11 @@ docs: $(VENV)/docs.stamp
 	$(BIN)/python docs/generate.py
 	$(BIN)/python -m sphinx -W --keep-going -q -j auto -b html docs build/docs
 	@echo "open build/docs/index.html"
+
+# .nojekyll: code hosts would else leave out folders that begin with an underscore
+site: docs
+	@touch build/docs/.nojekyll
+	tar -czf build/hapticd-site.tar.gz --exclude=./.doctrees -C build/docs .
 
 deps:
 	@.ci/deps all

@@ -1,14 +1,18 @@
 """A whole protocol of an experiment as one call: a spring, force on, active damping on and off at
-exact times, a stiffer spring, force off; and what became of each step. Needs a running daemon.
+exact times, a stiffer spring, force off; and what became of each step.
 """
 
+import argparse
 import sys
 
-from hapticd.client import Client, SequenceError, step
+from connect import arguments, connected
+
+from hapticd.client import SequenceError, step
 
 
-def main(pause_s: float = 0.5) -> None:
+def main(asked: argparse.Namespace) -> None:
     """Each step with its tick and revision, by which recordings are joined to it."""
+    pause_s = asked.pause
     steps = [
         step("set", K=100, B=1),
         step("damping", value="off"),
@@ -19,7 +23,7 @@ def main(pause_s: float = 0.5) -> None:
         step("disable", after_s=pause_s),
     ]
     with (
-        Client(name="steps") as device,
+        connected(asked, "steps") as device,
         device.lease("environment", ttl_s=10, at_end="disable"),
     ):
         try:
@@ -32,4 +36,6 @@ def main(pause_s: float = 0.5) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(float, sys.argv[1:]))
+    parser = arguments("A protocol as one call.")
+    parser.add_argument("--pause", type=float, default=0.5, metavar="S", help="between two steps")
+    main(parser.parse_args())

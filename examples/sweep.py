@@ -3,17 +3,16 @@ stiffnesses. Nobody else changes anything meanwhile, and force goes off if it di
 """
 
 import numpy as np
+from connect import arguments, connected
 
-from hapticd.client import Client
-
+asked = arguments("How far 0.2 N at 5 Hz moves several springs.").parse_args()
 with (
-    Client(name="sweep") as device,
+    connected(asked, "sweep") as device,
     device.lease("environment", at_end="disable"),
     device.lease("perturbation"),
 ):
-    device.perturb_load(
-        0.2 * np.sin(2 * np.pi * 5 * np.arange(4000) / 4000)
-    )  # N, one second at 4 kHz
+    time_s = np.arange(4000) / 4000
+    device.perturb_load(0.2 * np.sin(2 * np.pi * 5 * time_s))  # N, one second at 4 kHz
     device.enable()
     device.perturb_start(loop=True)
     for stiffness in (50, 100, 200, 400):

@@ -1,18 +1,18 @@
 """Switch the active damping on and off while a hand holds a stiff spring, and see what it does to
-the motion: the heart of the paper, live. Needs a running daemon; asyncio.
+the motion: the heart of the paper, live. Asyncio.
 """
 
+import argparse
 import asyncio
 
 import numpy as np
+from connect import arguments, connected_aio
 
-from hapticd.client import AsyncClient
 
-
-async def main(seconds: float = 2.0) -> None:
+async def main(asked: argparse.Namespace, seconds: float = 2.0) -> None:
     """Twice on and off."""
     async with (
-        AsyncClient(name="toggle") as device,
+        connected_aio(asked, "toggle") as device,
         device.lease("environment", at_end="disable"),
         device.lease("perturbation"),
     ):
@@ -33,4 +33,4 @@ async def main(seconds: float = 2.0) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    asyncio.run(main(arguments("Active damping on and off.").parse_args()))

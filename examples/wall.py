@@ -1,9 +1,12 @@
 """A wall at x = 1 mm: find the greatest stiffness that the guard lets pass, with and without active
-damping, and render it. Needs a running daemon.
+damping, and render it.
 """
 
-from hapticd.client import Client
-from hapticd.errors import CommandError
+import argparse
+
+from connect import arguments, connected
+
+from hapticd.client import Client, CommandError
 
 
 def greatest(device: Client, damping: float) -> float:
@@ -21,10 +24,10 @@ def greatest(device: Client, damping: float) -> float:
     return low
 
 
-def main() -> None:
+def main(asked: argparse.Namespace) -> None:
     """Without and with damping."""
     with (
-        Client(name="wall", strict=True) as device,
+        connected(asked, "wall", strict=True) as device,
         device.lease("environment", at_end="disable"),
     ):
         device.set(K=0, B=0, M=0, ramp_s=0)  # at once: force comes on when nothing is rendered
@@ -37,4 +40,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(arguments("The stiffest wall that is passive.").parse_args())

@@ -5,7 +5,7 @@
             my_script(device)
 
     def test_my_controller(hapticd_board):       the same stack on virtual time, in this process
-        hapticd_board.set(K=100, B=1)
+        hapticd_board.set(K=100)
         hapticd_board.enable()
         hapticd_board.run(1000)                  ticks; no time passes outside
         assert hapticd_board.newest["stiffness_n_per_m"] == 100
@@ -31,7 +31,7 @@ import pytest
 
 if TYPE_CHECKING:
     from hapticd.client import Client
-    from hapticd.zwidth.lockstep import LockStepBench
+    from hapticd.zwidth.virtual import VirtualBoard
 
 ENDED_S = 20.0
 
@@ -96,9 +96,9 @@ def hapticd_daemon(hapticd_config: Path | None) -> Iterator[DaemonProcess]:
 
 
 @pytest.fixture
-def hapticd_board(hapticd_config: Path | None) -> Iterator["LockStepBench"]:
+def hapticd_board(hapticd_config: Path | None) -> Iterator["VirtualBoard"]:
     """Servo, wire and simulated board on one virtual clock, ready and disabled."""
-    from hapticd.zwidth.lockstep import virtual_board
+    from hapticd.zwidth.virtual import virtual_board
 
     with virtual_board(hapticd_config) as bench:
         yield bench

@@ -21,7 +21,7 @@ import numpy as np
 
 from hapticd.report.style import BLUE, ORANGE, WIDTH_IN, axes, styled
 from hapticd.settings.load import load
-from hapticd.zwidth.lockstep import virtual_board
+from hapticd.zwidth.virtual import virtual_board
 
 device = virtual_board()  # live: device = Client()
 print(device.status()["state"])
@@ -30,8 +30,11 @@ print(device.status()["state"])
 # A change and its receipt
 # ------------------------
 # A servo starts disabled and renders nothing. ``set`` changes what will be rendered, and the
-# receipt says from which tick on, and what it became.
+# receipt says from which tick on, and what it became. Active damping goes on first: without it
+# this spring is not passive on this device, and a ``GuardWarning`` would say so.
 
+device.damping("on")
+device.run(200)  # ticks, until it is there; live, time goes on by itself
 receipt = device.set(K=200, B=1)
 print(f"revision {receipt.revision}, ticks {receipt.first_tick} to {receipt.ramp_end_tick}")
 print(f"K = {receipt.effective['K']:g} N/m, B = {receipt.effective['B']:g} N s/m")
@@ -71,8 +74,8 @@ with styled():
 # -------------
 # Stiffness after stiffness. Each record carries the revision that was in force, so the ramp is left
 # out by the receipt's last tick, and no clocks have to be compared. Beside it stands what textbook
-# mechanics expect of the simulated device, a mass with some damping of its own: x = F / \|K - M w^2
-# + j w B\|.
+# mechanics expect of the simulated device: x = F / \|K - M w^2 + j w b\|, where b is virtual,
+# active and mechanical damping together.
 
 plant = load(None).device.plant
 w = 2 * np.pi * RATE_HZ
@@ -82,7 +85,8 @@ for stiffness in (50, 100, 200, 400):
     records, lost = device.record(seconds=1.0)
     assert (records["revision"] == receipt.revision).all()
     moved_mm = 1e3 * np.sqrt(2) * records["position_m"].std()
-    dynamic = stiffness - plant.mass_kg * w**2 + 1j * w * (1.0 + plant.viscous_ns_per_m)
+    b = 1.0 + receipt.effective["damping"] + plant.viscous_ns_per_m
+    dynamic = stiffness - plant.mass_kg * w**2 + 1j * w * b
     expected_mm = 1e3 * PUSH_N / abs(dynamic)
     print(f"K = {stiffness:3d} N/m: moved {moved_mm:.3f} mm, expected {expected_mm:.3f} mm")
 
@@ -96,7 +100,7 @@ for stiffness in (50, 100, 200, 400):
 # does not enable.
 
 device.stop()
-device.run(1100)  # ticks; live, time goes on by itself. For a second nobody else may undo a stop.
+device.run(1100)  # For a second nobody else may undo a stop.
 print(device.status()["state"])
 device.reset()
 print(device.status()["state"])

@@ -337,9 +337,11 @@ def get_parameters(
 
 
 Changes = Annotated[
-    list[str],
+    list[str] | None,
     typer.Argument(
-        metavar="NAME=VALUE...", help="K in N/m, B in N s/m, M in kg, damping in N s/m, ..."
+        metavar="NAME=VALUE...",
+        help="K in N/m, B in N s/m, M in kg, damping in N s/m, ...",
+        show_default=False,
     ),
 ]
 Ramp = Annotated[
@@ -358,7 +360,7 @@ IfRev = Annotated[
 
 
 def set_parameters(
-    what: Changes,
+    what: Changes = None,
     ramp_s: Ramp = None,
     at_tick: AtTick = None,
     if_rev: IfRev = None,
@@ -372,6 +374,8 @@ def set_parameters(
     filters.acceleration_zeta, wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m,
     wall.position_m, wall.side (-1, 0, 1).
     """
+    if not what:
+        raise typer.BadParameter("write what to set, as NAME=VALUE, for example K=100 B=1")
     asked = changes(what)
     change(
         instance,
@@ -508,6 +512,9 @@ WaveformFile = Annotated[
 ]
 
 
+WAVEFORM_FORMATS = "a waveform is text with a force in N on each line, or .npy of shape (n,)"
+
+
 @terminal.verb(perturb_app, "load")
 def load_waveform(
     file: WaveformFile,
@@ -530,12 +537,11 @@ def load_waveform(
                 else np.loadtxt(file, ndmin=1)
             )
     except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"{file}: {error}; expected force in N, one number a line or a .npy of shape (n,)"
-        ) from error
+        why = "not text" if isinstance(error, UnicodeDecodeError) else error
+        raise ConfigError(f"{file}: {why}; {WAVEFORM_FORMATS}") from error
     if samples_n.ndim != 1 or samples_n.dtype.kind not in "fiu" or not samples_n.size:
         raise ConfigError(
-            f"{file}: shape {samples_n.shape} of {samples_n.dtype}; expected numbers of shape (n,)"
+            f"{file}: shape {samples_n.shape} of {samples_n.dtype}; {WAVEFORM_FORMATS}"
         )
     with connect(instance) as client:
         count = client.perturb_load(samples_n)

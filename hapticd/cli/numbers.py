@@ -78,7 +78,7 @@ def _mistyped(name: str, text: str, expected: str, joint: str) -> Mistyped:
 def _meant(text: str, unit: str) -> tuple[str, str]:
     """The number that `text` certainly means, else nothing; and what to do."""
     if comma := _WITH_COMMA.fullmatch(text):
-        if len(comma[2]) == _THOUSAND:
+        if len(comma[2]) == _THOUSAND and comma[1].lstrip("+-") not in ("", "0"):
             return "", "; write a decimal point, not a comma"
         return f"{comma[1]}.{comma[2]}", "; write a decimal point"
     if unit and (found := _WITH_UNIT.fullmatch(text)):

@@ -23,7 +23,9 @@
 are loaded when they are used, so that it stays fast.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from hapticd.lazy import lazily
 
 if TYPE_CHECKING:
     from hapticd.client.aio import AsyncClient
@@ -52,31 +54,22 @@ __all__ = [
     "StepReceipt",
     "step",
 ]
-_HOMES = {
-    "AsyncClient": "hapticd.client.aio",
-    "Block": "hapticd.client.blocks",
-    "Client": "hapticd.client.client",
-    "ClientLease": "hapticd.client.lease",
-    "CommandError": "hapticd.errors",
-    "DaemonDown": "hapticd.errors",
-    "GuardVerdict": "hapticd.client.verdict",
-    "GuardWarning": "hapticd.errors",
-    "Listener": "hapticd.client.listener",
-    "Receipt": "hapticd.client.conversation",
-    "SequenceError": "hapticd.errors",
-    "Step": "hapticd.client.sequence",
-    "StepReceipt": "hapticd.client.sequence",
-    "step": "hapticd.client.sequence",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    return getattr(import_module(_HOMES[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = lazily(
+    __name__,
+    {
+        "AsyncClient": "hapticd.client.aio",
+        "Block": "hapticd.client.blocks",
+        "Client": "hapticd.client.client",
+        "ClientLease": "hapticd.client.lease",
+        "CommandError": "hapticd.errors",
+        "DaemonDown": "hapticd.errors",
+        "GuardVerdict": "hapticd.client.verdict",
+        "GuardWarning": "hapticd.errors",
+        "Listener": "hapticd.client.listener",
+        "Receipt": "hapticd.client.conversation",
+        "SequenceError": "hapticd.errors",
+        "Step": "hapticd.client.sequence",
+        "StepReceipt": "hapticd.client.sequence",
+        "step": "hapticd.client.sequence",
+    },
+)

@@ -139,6 +139,10 @@ class AsyncLine:
             async with self._came:
                 self._came.notify_all()
 
+    async def pause(self, seconds: float) -> None:
+        """Let time pass."""
+        await asyncio.sleep(seconds)
+
     async def listen(self, topic: str, timeout_s: float) -> AsyncGenerator[bytes, None]:
         """Payloads of exactly `topic`. DaemonDown after silence for `timeout_s`."""
         path = socket_file(self._folder, TELEMETRY_SOCKET)
@@ -170,7 +174,8 @@ async def _until(deadline: float, done: Awaitable[Any]) -> None:
 class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
     """One connection to the daemon `instance`, used as an asynchronous context manager.
 
-    Arguments as those of `Client`.
+    Arguments and errors as those of `Client`. In the examples `device` is
+    `hapticd.virtual_board().aio()`, disabled, with its active damping on.
     """
 
     def __init__(
@@ -195,13 +200,19 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
         await self.close()
 
     async def close(self) -> None:
-        """Give up the connection; may be called twice."""
+        """Give up the connection; may be called twice.
+
+        >>> await device.close()
+        """
         await self._line.close()
 
     async def call(self, cmd: str, **fields: Any) -> Answer:
         """Send any command; its whole reply {ok, id, rev, state, result or receipt}.
 
         CommandError where the daemon refuses, DaemonDown where none answers in time.
+
+        >>> (await device.call("set", K=50))["receipt"]["effective"]["K"]
+        50.0
         """
         asked = self._as_asked(cmd, fields)
         return accepted(await self._line.exchange(cmd, asked, self._timeout_s))
@@ -222,6 +233,9 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
         """Latched stop; without a reply within 40 ms the stop word is pressed.
 
         DaemonDown if there is no servo either.
+
+        >>> (await device.stop()).state
+        'stopped'
         """
         try:
             return receipt_of(accepted(await self._line.exchange("stop", {}, STOP_TIMEOUT_S)))
@@ -236,11 +250,21 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
         at_end: AtEnd | None = None,
         take_over: bool = False,
     ) -> "AsyncLease":
-        """Be the only one who changes `what`, as an asynchronous context: see AsyncLease."""
+        """Be the only one who changes `what`, as an asynchronous context: see AsyncLease.
+
+        >>> async with device.lease("environment", at_end="disable"):
+        ...     receipt = await device.set(K=100)
+        """
         return AsyncLease(self, what, ttl_s=ttl_s, at_end=at_end, take_over=take_over or None)
 
     async def perturb_load(self, samples_n: ArrayLike) -> int:
-        """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has."""
+        """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has.
+
+        CommandError as of `Client.perturb_load`.
+
+        >>> await device.perturb_load(0.1 * np.ones(4000))
+        4000
+        """
         loaded: int = 0
         for chunk in chunks(samples_n):
             loaded = (await self._result("perturb", **chunk))["samples"]
@@ -255,6 +279,10 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
         """Do `steps` in their order and at their ticks, as `Client.sequence`; a receipt for each.
 
         CommandError: nothing was sent; SequenceError: it ended before the last step.
+
+        >>> steps = [step("enable"), step("set", K=100, after_s=0.5), step("disable", after_s=1)]
+        >>> [one.result for one in await device.sequence(steps)]
+        ['applied', 'applied', 'applied']
         """
         try:
             done = await self._carried_out(course(steps, at_refusal, self._name, lead_s))
@@ -271,7 +299,7 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
             if isinstance(due, Ask):
                 answer = await self._tried(due)
             elif isinstance(due, Pause):
-                await asyncio.sleep(due.seconds)
+                await self._line.pause(due.seconds)
                 answer = None
             else:
                 return due
@@ -283,26 +311,40 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
             return error
 
     async def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> Answer | None:
-        """The hand that would shake what `verdict` is about; None if `timeout_s` passes first."""
+        """The hand that would shake what `verdict` is about; None if `timeout_s` passes first.
+
+        >>> receipt = await device.set(K=-100)
+        >>> (await device.hand(receipt.guard))["text"]
+        '...'
+        """
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             if found := hand_of(await self.status(), verdict):
                 return found
-            await asyncio.sleep(POLL_S)
+            await self._line.pause(POLL_S)
         return None
 
     async def wait_for(self, state: str, timeout_s: float = 10.0) -> None:
-        """Return when the servo is in `state`. CommandError `timeout` after `timeout_s`."""
+        """Return when the servo is in `state`. CommandError `timeout` after `timeout_s`.
+
+        >>> receipt = await device.enable()
+        >>> await device.wait_for("enabled")
+        """
         deadline = time.monotonic() + timeout_s
         while (found := (await self.call("get"))["state"]) != state:
             if time.monotonic() >= deadline:
                 raise not_reached(state, found, timeout_s)
-            await asyncio.sleep(POLL_S)
+            await self._line.pause(POLL_S)
 
     async def stream(
         self, topic: str = "servo.raw", seconds: float | None = None, count: int | None = None
     ) -> AsyncGenerator[Block, None]:
-        """Blocks of `servo.raw` or `probe` as they come, as those of `Client.stream`."""
+        """Blocks of `servo.raw` or `probe` as they come, as those of `Client.stream`, with its
+        errors.
+
+        >>> [len(block.records) async for block in device.stream(count=50)]
+        [20, 20, 10]
+        """
         excerpt = Excerpt(topic, seconds, count)
         async for payload in self._line.listen(topic, self._timeout_s):
             block = excerpt.next(payload)
@@ -312,13 +354,25 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
                 return
 
     async def record(self, seconds: float, topic: str = "servo.raw") -> tuple[Records, int]:
-        """All records of the next `seconds` in one structured array (n,), and how many it lacks."""
+        """All records of the next `seconds` in one structured array (n,), and how many it lacks.
+
+        Fields carry their units in their names. ConfigError and DaemonDown as of `stream`.
+
+        >>> records, lost = await device.record(seconds=0.5)
+        >>> records["position_m"].shape, lost
+        ((500,), 0)
+        """
         return concatenated([block async for block in self.stream(topic, seconds=seconds)])
 
     async def listen(self, topic: str) -> AsyncGenerator[Any, None]:
         """Decoded messages of `state`, `event` or `servo` as they come.
 
         ConfigError: no such topic. DaemonDown when the daemon is silent for the client's time-out.
+
+        >>> async for message in device.listen("state"):
+        ...     print(message["state"])
+        ...     break
+        disabled
         """
         check_topic(topic)
         async for payload in self._line.listen(topic, self._timeout_s):

@@ -26,11 +26,11 @@ class Block:
     The dtype of `records` is that which the message announces; its field names carry units.
     """
 
-    records: Records  # structured array (n,), read-only
-    gap: int  # records that were lost before it, on the way or in the gateway; 0 if restarted
-    restarted: bool  # the numbering began anew: another servo life, or another run of the board
-    # everything else in the message, such as `simulated`, `mono_unix_offset_ns` (add it to
-    # `time_ns` for Unix time) or, for the probe, `scale`
+    records: Records  #: structured array (n,), read-only
+    gap: int  #: records that were lost before it, on the way or in the gateway; 0 if restarted
+    restarted: bool  #: the numbering began anew: another servo life, or another run of the board
+    #: everything else in the message, such as `simulated`, `mono_unix_offset_ns` (add it to
+    #: `time_ns` for Unix time) or, for the probe, `scale`
     header: dict[str, Any]
 
 

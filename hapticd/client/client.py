@@ -141,6 +141,10 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
     runtime folder where it is not that of the instance. A change that acts and is not safe emits a
     `GuardWarning`, once for each environment. With `strict` none acts: whatever the policy of the
     guard, what this client asks is judged as under `refuse`.
+
+    Errors of every method: CommandError where the daemon refuses, DaemonDown where none answers in
+    time. In the examples `device` is a `hapticd.virtual_board()`, disabled, with its active damping
+    on; `np` is numpy, `step` is `hapticd.client.step`.
     """
 
     _line: GatewayLine
@@ -166,6 +170,9 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         """Send any command; its whole reply {ok, id, rev, state, result or receipt}.
 
         CommandError where the daemon refuses, DaemonDown where none answers in time.
+
+        >>> device.call("set", K=50)["receipt"]["effective"]["K"]
+        50.0
         """
         return accepted(self._line.exchange(cmd, self._as_asked(cmd, fields), self._timeout_s))
 
@@ -187,13 +194,21 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         """The hand that would shake what `verdict` is about: the event `guard` with `text`.
 
         None if `timeout_s` passes first.
+
+        >>> receipt = device.set(K=-100)
+        >>> device.hand(receipt.guard)["text"]
+        '...'
         """
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             if found := hand_of(self.status(), verdict):
                 return found
-            time.sleep(POLL_S)
+            self._pause(POLL_S)
         return None
+
+    def _pause(self, seconds: float) -> None:
+        """Let time pass; on virtual time no clock of this computer does."""
+        time.sleep(seconds)
 
     def stop(self) -> Receipt:
         """Latched stop.
@@ -201,6 +216,9 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         Without a reply within 40 ms the stop word is pressed, which the servo reads.
 
         DaemonDown if there is no servo either.
+
+        >>> device.stop().state
+        'stopped'
         """
         try:
             return receipt_of(accepted(self._line.exchange("stop", {}, STOP_TIMEOUT_S)))
@@ -221,13 +239,24 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
 
         It ends when this client asks nothing for `ttl_s`, and at once when it dies; the environment
         then goes as `at_end` says, damping stays. `take_over`: end another's.
+
+        >>> with device.lease("environment", ttl_s=5, at_end="disable") as lease:
+        ...     receipt = device.set(K=100)
+        ...     lease.sleep(10)
         """
         return ClientLease(
             self.call, what, keep_alive, ttl_s=ttl_s, at_end=at_end, take_over=take_over or None
         )
 
     def perturb_load(self, samples_n: "ArrayLike") -> int:
-        """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has."""
+        """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has.
+
+        CommandError: a sample beyond the limits of the probe, or a waveform is playing.
+
+        >>> one_second = 0.1 * np.sin(2 * np.pi * 5 * np.arange(4000) / 4000)
+        >>> device.perturb_load(one_second)
+        4000
+        """
         from hapticd.client.blocks import chunks
 
         loaded: int = 0
@@ -249,6 +278,10 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         with "hold", left as it was. A lost daemon is stopped by the stop word, but with "hold".
         `lead_s`: how long before its tick a step is sent; left out: half a second. It
         emits each `GuardWarning` at its end.
+
+        >>> steps = [step("enable"), step("set", K=100, after_s=0.5), step("disable", after_s=1)]
+        >>> [one.result for one in device.sequence(steps)]
+        ['applied', 'applied', 'applied']
         """
         from hapticd.client.sequence import course
 
@@ -269,7 +302,7 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
             if isinstance(due, Ask):
                 answer = self._tried(due)
             elif isinstance(due, Pause):
-                time.sleep(due.seconds)
+                self._pause(due.seconds)
                 answer = None
             else:
                 return due
@@ -287,6 +320,9 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
         """Return when the servo is in `state`.
 
         CommandError `timeout` or DaemonDown after `timeout_s`.
+
+        >>> receipt = device.enable()
+        >>> device.wait_for("enabled")
         """
         deadline = time.monotonic() + timeout_s
         while True:
@@ -301,4 +337,4 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
                 return
             if time.monotonic() >= deadline:
                 raise not_reached(state, found, timeout_s)
-            time.sleep(POLL_S)
+            self._pause(POLL_S)

@@ -31,16 +31,16 @@ class Receipt:
     Ticks count from the servo's start.
     """
 
-    # "applied": in force from `first_tick` on; "scheduled": will be, and `effective` holds until
-    # then; "staged": it has begun, and an event tells the end; "pressed": a stop by way of the
-    # stop word, which gives no receipt
+    #: "applied": in force from `first_tick` on; "scheduled": will be, and `effective` holds until
+    #: then; "staged": it has begun, and an event tells the end; "pressed": a stop by way of the
+    #: stop word, which gives no receipt
     result: str
-    state: str = ""  # of the servo: disabled, enabled, homing, stopped, fault
-    revision: int = 0  # number of accepted changes in this life of the servo
-    first_tick: int = 0  # from which the change acts
-    ramp_end_tick: int = 0  # at which the last ramp ends
-    effective: dict[str, Any] = field(default_factory=dict)  # parameters in the shape of a `set`
-    guard: GuardVerdict | None = None  # on it, where one was asked for
+    state: str = ""  #: of the servo: disabled, enabled, homing, stopped, fault
+    revision: int = 0  #: number of accepted changes in this life of the servo
+    first_tick: int = 0  #: from which the change acts
+    ramp_end_tick: int = 0  #: at which the last ramp ends
+    effective: dict[str, Any] = field(default_factory=dict)  #: parameters in the shape of a `set`
+    guard: GuardVerdict | None = None  #: on it, where one was asked for
 
 
 class TimedOut(NamedTuple):

@@ -89,13 +89,13 @@ class StepReceipt:
     """What became of a step."""
 
     step: Step
-    # "applied"; "pressed": a stop without a receipt; "refused", "cancelled", "superseded";
-    # "scheduled" or "staged" while that is open; "unknown": nobody answered; "not sent"
+    #: "applied"; "pressed": a stop without a receipt; "refused", "cancelled", "superseded";
+    #: "scheduled" or "staged" while that is open; "unknown": nobody answered; "not sent"
     result: str = "not sent"
-    tick: int = 0  # of the servo, from which it acts; 0 if it did not
-    revision: int = 0  # that it made, by which telemetry is joined
-    text: str = ""  # why it did not act
-    guard: GuardVerdict | None = None  # on it
+    tick: int = 0  #: of the servo, from which it acts; 0 if it did not
+    revision: int = 0  #: that it made, by which telemetry is joined
+    text: str = ""  #: why it did not act
+    guard: GuardVerdict | None = None  #: on it
 
     @property
     def acted(self) -> bool:

@@ -41,19 +41,36 @@ class Verbs(Generic[R, D]):
     # --- asking -----------------------------------------------------------------------------------
 
     def hello(self) -> D:
-        """Versions, limits, endpoints and topics of the daemon."""
+        """Versions, limits, endpoints and topics of the daemon; each limit has its unit.
+
+        >>> device.hello()["limits"]["damping"]
+        {'low': 0.0, 'high': 10.0, 'unit': 'N s/m'}
+        """
         return self._result("hello", name=self._name)
 
     def get(self) -> D:
-        """{parameters: what was asked, ramps at their ends; in_force: what acts at this tick}."""
+        """{parameters: what was asked, ramps at their ends; in_force: what acts at this tick}.
+
+        >>> device.get()["in_force"]["stiffness_n_per_m"]
+        0.0
+        """
         return self._result("get")
 
     def status(self) -> D:
-        """State, fault, counters, stage times, what the servo was granted, the last events."""
+        """State, fault, counters, stage times, what the servo was granted, the last events.
+
+        >>> status = device.status()
+        >>> status["state"], status["rate_hz"], status["fault"]
+        ('disabled', 1000.0, 'none')
+        """
         return self._result("status")
 
     def schema(self) -> D:
-        """The protocol as JSON schema, with units and the limits of this device."""
+        """The protocol as JSON schema, with units and the limits of this device.
+
+        >>> sorted(device.schema())[:2]
+        ['$defs', 'discriminator']
+        """
         return self._result("schema")
 
     # --- changing ---------------------------------------------------------------------------------
@@ -81,6 +98,12 @@ class Verbs(Generic[R, D]):
         on the same fields are as they were before. With `if_rev` it acts only if the revision is
         still that one. `limit_cycle_faults`: whether force_at_limit and energy end a limit cycle;
         on again as soon as force is off.
+
+        >>> receipt = device.set(K=100, B=1, ramp_s=0.2)
+        >>> receipt.effective["K"], receipt.ramp_end_tick - receipt.first_tick
+        (100.0, 200)
+        >>> receipt.guard.safe
+        True
         """
         return self._change(
             "set",
@@ -100,6 +123,9 @@ class Verbs(Generic[R, D]):
     def damping(self, value: Literal["on", "off", "auto"] | float) -> R:
         """Switch the active damping, set its level [N s/m] and switch it on, or have the guard
         choose the least level that will do.
+
+        >>> device.damping(0.5).effective["damping"]
+        0.500...
         """
         return self._change("damping", value=value)
 
@@ -115,55 +141,106 @@ class Verbs(Generic[R, D]):
 
         `margin_ns_per_m` is the damping that has to be left [N s/m], `mode` that of the active
         damping. {policy, basis, margin_ns_per_m, mode, worker, delay_periods, verdict, ..}.
+
+        >>> device.guard("refuse", margin_ns_per_m=0.1)["policy"]
+        'refuse'
         """
         return self._result(
             "guard", policy=policy, basis=basis, margin_ns_per_m=margin_ns_per_m, mode=mode
         )
 
     def enable(self) -> R:
-        """Force on, with a gain ramp."""
+        """Force on, with a gain ramp (`enable_ramp_s` of the configuration).
+
+        CommandError `stopped` after a stop or a fault, until `reset`.
+
+        >>> device.enable().state
+        'enabled'
+        """
         return self._change("enable")
 
     def disable(self) -> R:
-        """Force off."""
+        """Force off; active damping goes off as well, unless it was asked for in `disabled`.
+
+        >>> device.disable().state
+        'disabled'
+        """
         return self._change("disable")
 
     def reset(self) -> R:
-        """From `stopped` or `fault` to `disabled`."""
+        """From `stopped` or `fault` to `disabled`. CommandError while a cause persists.
+
+        >>> receipt = device.stop()
+        >>> device.reset().state
+        'disabled'
+        """
         return self._change("reset")
 
     def zero(self) -> R:
-        """Here is x = 0; only in `disabled`."""
+        """Here is x = 0; only in `disabled`.
+
+        >>> receipt = device.zero()
+        >>> device.record(0.01)[0]["position_m"][-1]
+        np.float64(0.0)
+        """
         return self._change("zero")
 
     def home(self) -> R:
-        """Begin to look for the origin; only in `disabled`, to which it returns afterwards."""
+        """Begin to look for the origin; only in `disabled`, to which it returns afterwards.
+
+        CommandError: the device file names no way to home.
+
+        >>> device.home()
+        Traceback (most recent call last):
+        CommandError: home: the device file names no way to home; set `method` in its table [home]
+        """
         return self._change("home")
 
     def withhold(self, seconds: float) -> R:
         """Send the board no frames for `seconds`, at most 1 s: its watchdog trips; only in
         `disabled`.
+
+        >>> device.withhold(0.1).result
+        'applied'
         """
         return self._change("withhold", seconds=seconds)
 
     def perturb_start(self, loop: bool = False) -> R:
-        """Play the loaded waveform, once or until stopped."""
+        """Play the loaded waveform, once or until stopped.
+
+        CommandError: none is loaded, or the servo is not enabled.
+
+        >>> device.perturb_load([0.1, -0.1] * 200)
+        400
+        >>> device.enable().state, device.perturb_start(loop=True).result
+        ('enabled', 'applied')
+        """
         return self._change("perturb", action="start", loop=loop)
 
     def perturb_stop(self) -> R:
-        """Stop playing."""
+        """Stop playing.
+
+        >>> device.perturb_stop().result
+        'applied'
+        """
         return self._change("perturb", action="stop")
 
     def dump(self) -> D:
         """Write the flight recording; {path, records, reason}.
 
         The file appears soon after this returns, and is whole when it does.
+
+        >>> device.dump()["reason"]
+        'asked'
         """
         return self._result("dump")
 
     def mark(self, text: str) -> D:
         """Note `text`, at most 96 characters, with the newest tick: an event `mark`, which
         recordings keep; {tick}.
+
+        >>> device.mark("participant 7 ready")
+        {'tick': ...}
         """
         return self._result("mark", text=text)
 

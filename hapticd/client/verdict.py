@@ -32,39 +32,39 @@ FALLBACK = "ask for less of K, B and M"  # where the verdict names no number tha
 class GuardReading:
     """How far a display is from the edge; None where the basis does not say."""
 
-    margin_ns_per_m: float | None = None  # damping to spare, N s/m; negative: so much is lacking
-    worst_hz: float | None = None  # the frequency at which it is least
-    radius: float | None = None  # spectral radius of a tick; 1 or more: unstable by itself
+    margin_ns_per_m: float | None = None  #: damping to spare, N s/m; negative: so much is lacking
+    worst_hz: float | None = None  #: the frequency at which it is least
+    radius: float | None = None  #: spectral radius of a tick; 1 or more: unstable by itself
 
 
 @dataclass(frozen=True, slots=True)
 class GuardVerdict:
     """What the guard says of a change."""
 
-    safe: bool | None = None  # of what was asked, every hand and the whole way; None: unknown
-    policy: str = ""  # by which it was judged: off, warn, clamp, refuse, follow
-    basis: str = "unknown"  # theorem, predicted, or the measurement
-    margin_ns_per_m: float | None = None  # as in GuardReading, in free space
+    safe: bool | None = None  #: of what was asked, every hand and the whole way; None: unknown
+    policy: str = ""  #: by which it was judged: off, warn, clamp, refuse, follow
+    basis: str = "unknown"  #: theorem, predicted, or the measurement
+    margin_ns_per_m: float | None = None  #: as in GuardReading, in free space
     worst_hz: float | None = None
     radius: float | None = None
-    contact: GuardReading | None = None  # the same in the wall; None without a wall
-    delay_periods: float | None = None  # of the loop, on which it counts
-    # ends of each of K [N/m], B [N s/m] and M [kg], with the others as asked; None: nothing would
-    # do
+    contact: GuardReading | None = None  #: the same in the wall; None without a wall
+    delay_periods: float | None = None  #: of the loop, on which it counts
+    #: ends of each of K [N/m], B [N s/m] and M [kg], with the others as asked; None: nothing would
+    #: do
     allowed: dict[str, list[float] | None] = field(default_factory=dict)
-    least_active_damping_ns_per_m: float | None = None  # of active damping that would do
-    clamped: bool = False  # `given` is less than what was asked
-    given: dict[str, Any] = field(default_factory=dict)  # where it leads, in the shape of a `set`
-    path_points: int = 0  # that were judged on the way
-    not_covered: tuple[str, ...] = ()  # what no verdict promises
-    outcome: str = ""  # an `explanation.Outcome`
-    reasons: tuple[Entry, ...] = ()  # what is wrong, or known
-    remedies: tuple[Entry, ...] = ()  # of which one would do
-    text: str = ""  # one sentence made of these
-    cmd: str = ""  # what was asked: set, damping, enable ...
-    number: int = 0  # by which the event with the hand refers to it
-    stages: int = 0  # in which it is done
-    hand: dict[str, Any] | None = None  # that would shake it, where it was waited for
+    least_active_damping_ns_per_m: float | None = None  #: of active damping that would do
+    clamped: bool = False  #: `given` is less than what was asked
+    given: dict[str, Any] = field(default_factory=dict)  #: where it leads, in the shape of a `set`
+    path_points: int = 0  #: that were judged on the way
+    not_covered: tuple[str, ...] = ()  #: what no verdict promises
+    outcome: str = ""  #: an `explanation.Outcome`
+    reasons: tuple[Entry, ...] = ()  #: what is wrong, or known
+    remedies: tuple[Entry, ...] = ()  #: of which one would do
+    text: str = ""  #: one sentence made of these
+    cmd: str = ""  #: what was asked: set, damping, enable ...
+    number: int = 0  #: by which the event with the hand refers to it
+    stages: int = 0  #: in which it is done
+    hand: dict[str, Any] | None = None  #: that would shake it, where it was waited for
 
     @property
     def worse(self) -> GuardReading:

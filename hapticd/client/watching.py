@@ -110,7 +110,10 @@ class Watching:
         self.close()
 
     def close(self) -> None:
-        """Give up the connection; may be called twice."""
+        """Give up the connection; may be called twice.
+
+        >>> device.close()
+        """
         self._line.close()
 
     def stream(
@@ -121,6 +124,9 @@ class Watching:
         `seconds` of recorded time or `count` records, the last block cut to fit; without either,
         until you stop. DaemonDown when nothing comes for the client's time-out; ConfigError for a
         topic without blocks (see `listen`).
+
+        >>> [len(block.records) for block in device.stream(count=50)]
+        [20, 20, 10]
         """
         from hapticd.client.blocks import Excerpt
 
@@ -134,7 +140,14 @@ class Watching:
 
     def record(self, seconds: float, topic: str = "servo.raw") -> "tuple[Records, int]":
         """All records of the next `seconds` in one structured array (n,), and how many were lost
-        on the way. Of a slot that the servo lost (its counter `lost_slots`) there is no record.
+        on the way. Fields carry their units in their names. Of a slot that the servo lost (its
+        counter `lost_slots`) there is no record.
+
+        ConfigError and DaemonDown as of `stream`.
+
+        >>> records, lost = device.record(seconds=0.5)
+        >>> records["position_m"].shape, lost
+        ((500,), 0)
         """
         from hapticd.client.blocks import concatenated
 
@@ -144,6 +157,9 @@ class Watching:
         """Decoded messages of `state`, `event` or `servo` as they come.
 
         ConfigError: no such topic. DaemonDown when the daemon is silent for the client's time-out.
+
+        >>> next(device.listen("state"))["state"]
+        'disabled'
         """
         check_topic(topic)
         for payload in self._payloads(topic):
@@ -160,5 +176,9 @@ class Watching:
 
         A look every `look_s` takes all that came meanwhile; with 0 each comes at once, and None
         after a silence.
+
+        >>> topic, payload = next(device.messages(["servo.raw"]))
+        >>> topic
+        'servo.raw'
         """
         yield from self._line.listen_all(topics, look_s)

@@ -272,11 +272,13 @@ def wrong_state(cmd: str, view: ServoView, actors: Actors) -> CommandError:
             "refused",
             "home: the device file names no way to home; set `method` in its table [home]",
         )
+    if cmd == "reset":
+        reason = "nothing is latched, so there is nothing to reset; `hapticd disable` ends force"
+        return CommandError("refused", f"reset in state {view.state_name}: {reason}")
     allowed = " or ".join(state.name.lower() for state in ALLOWED.get(cmd, ()))
-    return CommandError(
-        "refused",
-        f"{cmd} in state {view.state_name}: possible only in {allowed or 'another state'}",
-    )
+    first = "; `hapticd disable` first" if allowed == "disabled" else ""
+    reason = f"possible only in {allowed or 'another state'}{first}"
+    return CommandError("refused", f"{cmd} in state {view.state_name}: {reason}")
 
 
 class AskedRequest(NamedTuple):

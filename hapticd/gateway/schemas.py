@@ -407,6 +407,14 @@ def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
     return request
 
 
+_REASONS = {  # in place of what pydantic says, by its type of error
+    "finite_number": "not a finite number",
+    "float_type": "not a number",
+    "int_type": "not a whole number",
+    "literal_error": "not {}",
+}
+
+
 def invalid(detail: list[dict[str, Any]]) -> CommandError:
     """The error for a request that breaks the schema or a limit; detail is [{loc, msg}], of a
     number beyond its limit [{loc, msg, value, unit, low, high}].
@@ -419,7 +427,8 @@ def _explained(item: ErrorDetails, limits: CommandLimits) -> dict[str, str]:
     command, *path = [str(part) for part in item["loc"]] or [""]
     names = [part for part in path if part not in _BRANCHES]
     loc = ".".join(map(shown, names))
-    value = shown(item["input"])
+    given = shown(item["input"])
+    value = f"'{given}'" if isinstance(item["input"], str) else given
     if item["type"].startswith("union_tag"):
         asked = item["input"].get("cmd", "") if isinstance(item["input"], dict) else ""
         reason = f"unknown command{_meant(asked, tuple(MODELS))}; known: {', '.join(MODELS)}"
@@ -433,8 +442,11 @@ def _explained(item: ErrorDetails, limits: CommandLimits) -> dict[str, str]:
         return {"loc": loc, "msg": f"{loc}: missing; {_REMEDY}"}
     if item["type"] == "value_error" and not loc:
         return {"loc": command, "msg": f"{command}: {item['ctx']['error']}"}
+    context = item.get("ctx", {})
     own = item["type"] == "value_error"  # of a validator of ours
-    reason = str(item["ctx"]["error"]) if own else item["msg"]
+    said = str(context["error"]) if own else item["msg"]
+    known = _REASONS.get(item["type"])
+    reason = known.format(context.get("expected")) if known else said
     remedy = limits.remedy(loc.partition(".")[0] if loc.startswith("samples_n") else loc) or _REMEDY
     return {
         "loc": loc or command,

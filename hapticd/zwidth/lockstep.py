@@ -3,7 +3,7 @@
 `LockStepBench` is a `hapticd.client.Client` whose calls go straight to the servo. Telemetry goes
 the whole way: frames of the board, the gateway's decoder, its messages, the client's decoder. What
 is left out are sockets and processes, and so the guard. Time goes on only while records are asked
-for. `virtual_board` makes one of a configuration.
+for. `virtual.virtual_board` makes one of a configuration, with a guard.
 
 `run_lockstep` is one trial of a scene. The stack comes up as after `hapticd run`: enabled at rest
 and the gain ramped to 1. Then, at one tick, the perturbation starts and the scene's damping steps
@@ -35,12 +35,9 @@ from hapticd.gateway.schemas import ADAPTER, LeaseRequest
 from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
 from hapticd.gateway.view import Records, as_records, configured
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
 from hapticd.params import BoardParams, ServoParams, to_plain
 from hapticd.servo.plan import masked_places
-from hapticd.settings.build import board_params, servo_params
-from hapticd.settings.load import load
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.zwidth.live import signals
@@ -182,17 +179,6 @@ class LockStepBench(Client):
         data = self.stack.run(ticks)
         self.newest = as_records(data[-RECORD.size :])[-1]
         return data
-
-
-def virtual_board(config: Path | None = None) -> LockStepBench:
-    """The simulated board of the configuration `config` (None: the shipped one) with its servo, on
-    virtual time; a Client, ready and disabled. ConfigError for the configuration of a real board.
-    """
-    settings = load(config)
-    board = board_params(settings)
-    if board is None:
-        raise ConfigError(f"{settings.device_file} is a real board's; virtual time needs another")
-    return LockStepBench(servo_params(settings, DEFAULT_INSTANCE), board)
 
 
 @dataclass(frozen=True, eq=False)

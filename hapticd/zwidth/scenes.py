@@ -194,6 +194,8 @@ def device_scene(name: str) -> Scene | None:
         document = _device_document(name)
     except ConfigError:
         return None
+    if "device" in document.data:  # it names one, so it is a scene
+        return None
     device = validated(DeviceFile, document.data, document.where)
     effects = rigid_effects(device) or device_effects(device)
     if not effects:

@@ -2,6 +2,7 @@
 lowest versions that pyproject.toml declares.
 """
 
+import email
 import hashlib
 import json
 import os
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from markdown_it import MarkdownIt
 from support.programs import program
 from support.tree import ROOT
 
@@ -182,6 +184,26 @@ def test_wheel_holds_no_tests_and_the_sdist_does(built: Built) -> None:
         members = {name.partition("/")[2] for name in archive.getnames()}
     wanted = {"tests/conftest.py", "Makefile", "SECURITY.md", "LICENSE", "requirements.lock"}
     assert wanted - members == set()
+
+
+def test_readme_of_both_renders_and_links_to_nothing_beside_it(built: Built) -> None:
+    (name,) = [one for one in zipfile.ZipFile(built.wheel).namelist() if one.endswith("/METADATA")]
+    wheel = zipfile.ZipFile(built.wheel).read(name).decode()
+    with tarfile.open(built.sdist) as archive:
+        (member,) = [one for one in archive.getmembers() if one.name.count("/") == 1
+                     and one.name.endswith("/PKG-INFO")]  # fmt: skip
+        stream = archive.extractfile(member)
+        assert stream is not None
+        sdist = stream.read().decode()
+    texts = [email.message_from_string(one) for one in (wheel, sdist)]
+    assert [one["Description-Content-Type"] for one in texts] == ["text/markdown"] * 2
+    bodies = [one.get_payload() for one in texts]
+    assert bodies[0] == bodies[1]
+    html = MarkdownIt("gfm-like", {"linkify": False}).render(bodies[0])
+    assert html.count("<h2>") == bodies[0].count("\n## ") > 3
+    assert "<table>" in html
+    links = re.findall(r'(?:href|src)="([^"]*)"', html)
+    assert [one for one in links if not one.startswith("http")] == []
 
 
 # --- what runs of them ----------------------------------------------------------------------------

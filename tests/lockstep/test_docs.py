@@ -15,6 +15,7 @@ import pytest
 from support.docs import CODES, broken
 from support.tree import ROOT, path_of_test
 
+import hapticd
 from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.settings.load import load
@@ -125,6 +126,8 @@ def exists(name: str) -> bool:
     """Whether `name` is a module, or is written in the module that its beginning names."""
     parts = re.sub(r"\.(__\w+|NAME)$", "", f"hapticd.{name}").split(".")
     if parts[-1] in FILE_ENDINGS or parts[1] in FILE_ENDINGS - {"limits"}:
+        return True
+    if parts[1] in hapticd.__all__:
         return True
     for count in range(len(parts), 1, -1):
         file = MODULES.get(".".join(parts[:count]))

@@ -59,7 +59,7 @@ def test_toggle_example_moves_less_with_damping(hapticd_daemon, tmp_path):
 
 
 def test_steps_example_acts_step_by_step(hapticd_daemon, tmp_path):
-    lines = python(hapticd_daemon, tmp_path, "steps", "1.0")
+    lines = python(hapticd_daemon, tmp_path, "steps", "--pause", "1.0")
     ticks = [int(line.split()[1].rstrip(",")) for line in lines]
     assert len(lines) == 7
     assert ticks == sorted(set(ticks))

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from support import cli_mistakes
 from support.cli_mistakes import DeskClient, Mistake, answer_lines, mistakes, noted
@@ -67,6 +68,8 @@ def files(folder: Path) -> None:
     (folder / "wave.wav").write_bytes(b"RIFF\xb8\x0b\x00\x00WAVE")
     (folder / "strong.txt").write_text("0.1\n400.0\n")
     (folder / "broken.toml").write_text("# mine\nrate 1000\n")
+    (folder / "mine.toml").write_text('title = "mine"\ndevice = "nosuch"\neffects = ["viscous"]\n')
+    np.save(folder / "table.npy", np.zeros((2, 3)))
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +105,10 @@ FIELDS: dict[str, tuple[int, str, dict[str, Any]]] = {  # exit code, code, field
     "damping -1": (4, "invalid", {"loc": "value", "value": -1.0, "low": 0.0, "high": 2.0}),
     "set K=1e9": (4, "invalid", {"loc": "K", "value": 1e9, "unit": "N/m", "high": 1e5}),
     "perturb load strong.txt": (4, "invalid", {"value": 400.0, "unit": "N", "high": 1.0}),
+    "zwidth predict --scene mine.toml": (78, "ConfigError", {}),
+    "zwidth report nosuch": (78, "ConfigError", {}),
+    "sim run mine.toml": (78, "ConfigError", {}),
+    "sim run nothere.toml": (78, "ConfigError", {}),
     "get --instance nope": (3, "DaemonDown", {"remedy": "hapticd run --instance nope"}),
     "set K=100": (3, "DaemonDown", {"remedy": "hapticd run", "running": []}),
 }
@@ -114,8 +121,16 @@ def test_programs_have_value_unit_limit_and_remedy_as_fields(words: str, answer:
     expected_code, name, fields = FIELDS[words]
     assert (code, error["code"]) == (expected_code, name)
     detail = error["detail"]
+    if not fields:
+        return
     found = detail[0] if isinstance(detail, list) else detail
     assert {field: found[field] for field in fields} == fields
+
+
+@pytest.mark.parametrize("words", ["damping ON", "damping Off", "guard WARN"])
+def test_words_may_be_written_in_any_case(words: str, runtime: Path, monkeypatch: Any) -> None:
+    connect_to_desk("disabled", runtime / "desk", monkeypatch)
+    assert main(words.split()) == 0
 
 
 def test_every_row_has_a_state_and_stands_once() -> None:

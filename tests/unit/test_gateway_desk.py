@@ -159,7 +159,7 @@ def test_servo_has_the_last_word(rig: DeskRig) -> None:
     replies = [decoded(reply) for reply in rig.run()]
     assert replies[1]["error"] == {
         "code": "refused",
-        "message": "zero in state enabled: possible only in disabled",
+        "message": "zero in state enabled: possible only in disabled; `hapticd disable` first",
         "detail": [],
     }
 
@@ -405,7 +405,7 @@ def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
         "hello",
         "get",
         "set",
-        "damping",
+        "active_damping",
         "enable",
         "disable",
         "stop",

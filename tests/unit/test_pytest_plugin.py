@@ -7,7 +7,7 @@ from hapticd.errors import ConfigError
 
 
 def test_board_fixture_is_a_client_on_virtual_time(hapticd_board):
-    hapticd_board.set(K=100, B=1)
+    hapticd_board.set(K=100)
     hapticd_board.enable()
     hapticd_board.run(1000)
     assert hapticd_board.newest["stiffness_n_per_m"] == 100
@@ -15,7 +15,7 @@ def test_board_fixture_is_a_client_on_virtual_time(hapticd_board):
 
 
 def test_board_on_virtual_time_is_recorded_as_a_daemon_is(hapticd_board):
-    hapticd_board.set(K=100, B=1, ramp_s=0.0)
+    hapticd_board.set(K=100, ramp_s=0.0)
     before = int(hapticd_board.newest["tick"])
     records, lost = hapticd_board.record(seconds=1.25)
     assert (len(records), lost) == (1250, 0)

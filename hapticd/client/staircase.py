@@ -1,0 +1,88 @@
+"""An adaptive staircase: the level at which a person is right in a known share of the trials.
+
+    staircase = Staircase(0.5)
+    while not staircase.finished:
+        staircase.answer(presented_and_answered_rightly(staircase.level))
+    print(staircase.threshold)
+
+Transformed up-down method (Levitt 1971, J. Acoust. Soc. Am. 49:467): `down` right answers in a row
+lower the level, each wrong answer raises it. It goes to the level at which both are as likely,
+where the share of right answers p has p^down = 1/2: 0.707 for two, 0.794 for three. Steps are
+factors, so the threshold is the geometric mean of the levels at which the direction turned; the
+first turns depend on where it began and are left out.
+
+What would break it: levels that may be 0 or negative, since a step multiplies them.
+"""
+
+from math import exp, inf, isfinite, log
+
+from hapticd.errors import ConfigError
+
+__all__ = ["Staircase"]
+
+DISCARDED = 2  # turns that depend on the first level
+
+
+class Staircase:
+    """A staircase that begins at `level`, in any unit, and ends after `reversals` turns.
+
+    `down` right answers in a row divide the level by `factor`, a wrong one multiplies it, within
+    `lowest` to `highest`. ConfigError for numbers that give no staircase.
+    """
+
+    def __init__(
+        self,
+        level: float,
+        *,
+        down: int = 2,
+        factor: float = 1.25,
+        reversals: int = 8,
+        lowest: float = 0.0,
+        highest: float = inf,
+    ) -> None:
+        if not (isfinite(level) and level > 0.0 and lowest <= level <= highest):
+            limits = f"positive, in {lowest:g}..{highest:g}"
+            raise ConfigError(f"level = {level:g}: a staircase begins at a level that is {limits}")
+        if not factor > 1.0 or down < 1 or reversals <= DISCARDED:
+            asked = f"factor = {factor:g}, down = {down}, reversals = {reversals}"
+            needed = f"factor > 1, down >= 1, reversals > {DISCARDED}"
+            raise ConfigError(f"{asked}: a staircase needs {needed}")
+        self.level = level
+        self.turns: list[float] = []  # levels at which the direction turned
+        self._down = down
+        self._factor = factor
+        self._reversals = reversals
+        self._limits = (lowest, highest)
+        self._right = 0  # answers in a row
+        self._falling = True
+
+    @property
+    def finished(self) -> bool:
+        """Whether it has turned often enough."""
+        return len(self.turns) >= self._reversals
+
+    @property
+    def threshold(self) -> float:
+        """The geometric mean of the turns, in the unit of the level.
+
+        ConfigError as long as it is not finished.
+        """
+        if not self.finished:
+            told = f"{len(self.turns)} of {self._reversals} turns"
+            raise ConfigError(f"the staircase has {told}; answer until it is finished")
+        counted = self.turns[DISCARDED:]
+        return exp(sum(map(log, counted)) / len(counted))
+
+    def answer(self, right: bool) -> None:
+        """Take the answer to the presentation at `level`, and move the level."""
+        self._right = self._right + 1 if right else 0
+        if self._right not in (0, self._down):
+            return
+        falls = self._right == self._down
+        self._right = 0
+        if falls != self._falling:
+            self.turns.append(self.level)
+        self._falling = falls
+        lowest, highest = self._limits
+        moved = self.level / self._factor if falls else self.level * self._factor
+        self.level = min(highest, max(lowest, moved))

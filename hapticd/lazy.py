@@ -1,0 +1,30 @@
+"""Names of a package that are loaded when they are first used (PEP 562).
+
+`import hapticd` takes a millisecond, while what its names bring (numpy, ZeroMQ, pydantic) takes
+hundreds, and the servo process, which imports the package too, may load none of it.
+"""
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+__all__ = ["lazily"]
+
+
+def lazily(
+    package: str, homes: Mapping[str, str]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of the module `package`, for names by the module that has them.
+
+    AttributeError for any other name.
+    """
+
+    def load(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        found = getattr(import_module(homes[name]), name)
+        setattr(sys.modules[package], name, found)  # the next use finds it without a call
+        return found
+
+    return load, lambda: sorted({*vars(sys.modules[package]), *homes})

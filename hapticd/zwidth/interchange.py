@@ -1,0 +1,98 @@
+"""Z(f) of a trial, with its interval, for the tools of control engineering.
+
+    npz   python-control:  d = numpy.load("trial.npz")
+                           control.FrequencyResponseData(d["response"], d["omega_rad_per_s"])
+    mat   MATLAB, Octave:  load trial.mat; sys = frd(response, omega_rad_per_s)
+    csv   a line for each frequency, the units in the header
+
+The interval is that of Re Z: |Z| q s on each side, with the relative deviation s of `impedance` and
+Student's q at the confidence of the verdict for all frequencies together (Sidak). It covers what
+the intervals of the verdict cover by chance; what a fit leaves open (`resolved`) is not in it.
+
+The least Re Z over the band is what control theory calls the input feedforward passivity index,
+here of the band alone: nu = min lambda_min(Z + Z^H) / 2. Each of these tools can compute it again.
+
+What would break it: frequencies without a value; they are left out, and so is 0 Hz.
+"""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from hapticd.analysis.arrays import Floats
+from hapticd.analysis.impedance import relative_sd, spread_of
+from hapticd.analysis.verdict import sidak, student_quantile
+from hapticd.errors import ConfigError
+from hapticd.extras import need
+from hapticd.zwidth.trial import TrialResult
+
+__all__ = ["Format", "frequency_response", "write_response"]
+
+Format = Literal["npz", "mat", "csv"]
+HEADER = (
+    "frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "real_low_ns_per_m",
+    "real_high_ns_per_m", "sd_ns_per_m", "coherence",
+)  # fmt: skip
+
+
+def frequency_response(result: TrialResult) -> dict[str, Any]:
+    """Z over the band of the verdict, by name: `frequency_hz`, `omega_rad_per_s` (F,),
+    `response` (F,) complex [N s/m], `real_low_ns_per_m`, `real_high_ns_per_m`, `sd_ns_per_m`,
+    `coherence` (F,), and the numbers `confidence`, `passivity_index_ns_per_m`.
+    """
+    z = result.measured
+    low_hz, high_hz = result.verdict.band_hz
+    inside = (z.frequency_hz >= max(low_hz, 1e-9)) & (z.frequency_hz <= high_hz)
+    use = inside & np.isfinite(z.impedance_ns_per_m)
+    response = z.impedance_ns_per_m[use]
+    level = sidak(result.verdict.confidence, response.size)
+    freedom = z.degrees_of_freedom - 2.0
+    relative: Floats = student_quantile(level, freedom) * relative_sd(z.coherence[use], freedom)
+    half = spread_of(np.abs(response), relative)
+    return {
+        "frequency_hz": z.frequency_hz[use],
+        "omega_rad_per_s": 2.0 * np.pi * z.frequency_hz[use],
+        "response": response,
+        "real_low_ns_per_m": response.real - half,
+        "real_high_ns_per_m": response.real + half,
+        "sd_ns_per_m": z.sd_ns_per_m[use],
+        "coherence": z.coherence[use],
+        "confidence": result.verdict.confidence,
+        "passivity_index_ns_per_m": float(response.real.min()),
+    }
+
+
+def write_response(result: TrialResult, path: Path, form: Format) -> Path:
+    """Write the response to `path`. ConfigError: it cannot be written; MissingLibrary: a .mat file
+    without scipy.
+    """
+    found = frequency_response(result)
+    try:
+        if form == "npz":
+            np.savez(path, **found)
+        elif form == "mat":
+            _write_mat(path, found)
+        else:
+            path.write_text(_text(found))
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}; name a file that you may write") from error
+    return path
+
+
+def _write_mat(path: Path, found: dict[str, Any]) -> None:
+    """As `frd` takes it: the response 1 x 1 x F, all else in columns."""
+    response = {"response": found["response"].reshape(1, 1, -1)}
+    need("scipy.io", "a .mat file").savemat(path, {**found, **response}, oned_as="column")
+
+
+def _text(found: dict[str, Any]) -> str:
+    parts = {
+        "real_ns_per_m": found["response"].real,
+        "imaginary_ns_per_m": found["response"].imag,
+    }
+    rows = np.column_stack([{**found, **parts}[name] for name in HEADER])
+    lines = (
+        ",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row) for row in rows
+    )
+    return "\n".join((",".join(HEADER), *lines, ""))

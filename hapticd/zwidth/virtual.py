@@ -1,0 +1,276 @@
+"""A daemon on virtual time, in this process: servo, wire, board, and the gateway's desk and guard.
+
+`VirtualBoard` answers as `hapticd run` does: the requests of a client go to the gateway's own desk,
+which checks limits and leases, has the guard judge them and gives receipts. Left out are sockets,
+processes, the flight recording, and the topics `event` and `servo`. Its clock goes on only while
+it is run, streamed, recorded or waited for. `aio()` is the same board for asyncio; its leases are
+renewed by requests alone.
+
+    hapticd.virtual_board()            the simulated board of the shipped configuration
+    hapticd.virtual_board(hand=True)   with a hand that holds the handle and moves it
+
+The hand is a spring and a damper (500 N/m, 3 N s/m: a light grasp) to a point that wanders by
+1 mm rms, first order below 10 Hz, seeded (`plant.touch`).
+
+What would break it: a request that a thread sends, since the clock belongs to whoever asks.
+"""
+
+import json
+import time
+from collections.abc import AsyncGenerator, Generator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgpack
+
+from hapticd.analysis.judge import Judge
+from hapticd.assembly.resolve import resolve
+from hapticd.client.client import Client
+from hapticd.client.conversation import Receipt, accepted
+from hapticd.client.lease import ClientLease
+from hapticd.errors import CommandError, ConfigError
+from hapticd.gateway.codec import Encoding, encode
+from hapticd.gateway.desk import Desk
+from hapticd.gateway.guard import MOST_RECORDS, Guard
+from hapticd.gateway.journal import Journal
+from hapticd.gateway.publisher import state_map
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox import files
+from hapticd.params import (
+    BoardParams,
+    GatewaySetup,
+    GuardSetup,
+    HandParams,
+    TouchParams,
+    from_plain,
+    to_plain,
+)
+from hapticd.settings.build import board_params
+from hapticd.settings.load import load
+from hapticd.zwidth.lockstep import LockStepBench
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from hapticd.client.aio import AsyncClient
+    from hapticd.params import AtEnd, Leased
+
+__all__ = ["VirtualBoard", "virtual_board"]
+
+CLIENT = b"virtual"  # identity of the only connection
+LOOK_TICKS = 20  # between two passes of the desk while nothing is due
+HAND = HandParams("hold", stiffness_n_per_m=500.0, damping_ns_per_m=3.0, tremor_m=1e-3)
+
+
+class _Judging:
+    """The guard's worker in this process: it answers before it is looked for."""
+
+    state = "up"
+    trouble = ""
+    life = 1
+
+    def __init__(self, setup: GuardSetup) -> None:
+        self._judge = Judge(setup)
+        self.hello: dict[str, Any] = self._judge.hello(0)["hello"]
+        self._said: list[dict[str, Any]] = []
+
+    def tend(self, now_ns: int) -> None:
+        """It needs no care."""
+
+    def ask(self, request: dict[str, Any]) -> None:
+        """Take a question."""
+        self._said.append(self._judge.answer(request))
+
+    def answers(self) -> list[dict[str, Any]]:
+        """The answers to all questions since the last call."""
+        found = self._said
+        self._said = []
+        return found
+
+    def give_up(self, trouble: str) -> None:
+        """Nothing ends: an answer is there at once."""
+
+    def close(self) -> None:
+        """There is nothing to end."""
+
+
+class VirtualLease(ClientLease):
+    """A lease whose `sleep` runs the board; nothing has to keep it alive meanwhile."""
+
+    def __init__(self, board: "VirtualBoard", what: str, **asked: Any) -> None:
+        super().__init__(board.call, what, **asked)
+        self._board = board
+
+    def sleep(self, seconds: float) -> None:
+        """Let virtual time pass, and keep the lease. CommandError as soon as it is lost."""
+        self.renew()
+        while seconds > 0.0:
+            self._board.sleep(min(seconds, 1.0))
+            seconds -= 1.0
+            self.renew()
+
+
+class VirtualBoard(LockStepBench):
+    """A Client whose daemon is in this process and whose clock is virtual; ready and disabled.
+
+    `newest` is the record of the newest tick.
+    """
+
+    def __init__(self, setup: GatewaySetup, guard: GuardSetup, board: BoardParams) -> None:
+        self._desk: Desk | None = None
+        self._replies: list[list[bytes]] = []
+        self._asked = 0  # requests, by which later answers are told apart
+        super().__init__(setup.servo, board)
+        self._journal = Journal(time.time_ns)
+        self._view = ServoView(self._folder, setup.servo, time.time_ns)
+        judged = Guard(self._view, self._journal, setup.guard, _Judging(guard))
+        self._desk = Desk(self._view, self._journal, self._inquire, judged, setup.lease)
+        self.run(MOST_RECORDS + LOOK_TICKS)  # until the guard knows the delay
+        self.hello()
+
+    def close(self) -> None:
+        """End servo and board; may be called twice."""
+        if self._desk is not None:
+            self._desk = None
+            self._view.drop()
+            super().close()
+
+    def aio(self) -> "AsyncClient":
+        """A client for asyncio of the same board, which it closes; time passes while it waits."""
+        from hapticd.client.aio import AsyncClient
+
+        client = AsyncClient(name=self._name, folder=self._folder, strict=self._strict)
+        client._line._context.destroy()  # no socket is needed
+        client._line = _AsyncLine(self)  # type: ignore[assignment]  # all that a client asks of it
+        return client
+
+    def sleep(self, seconds: float) -> None:
+        """Let `seconds` of virtual time pass."""
+        self.run(max(1, round(seconds * self._servo.realtime.rate_hz)))
+
+    def run(self, ticks: int) -> bytes:
+        """Run as `LockStep.run` does, the desk passing as often as it has something to do."""
+        if self._desk is None:
+            return super().run(ticks)
+        data = []
+        while ticks > 0:
+            count = 1 if self._desk.waiting else min(ticks, LOOK_TICKS)
+            data.append(super().run(count))
+            ticks -= count
+            now_ns = self.stack.clock.now_ns()
+            self._view.refresh(now_ns)
+            self._replies += self._desk.collect(now_ns)
+        return b"".join(data)
+
+    def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
+        """Send any command; its whole reply. CommandError where the desk or servo refuses."""
+        return accepted(self.exchange(cmd, self._as_asked(cmd, fields)))
+
+    def exchange(self, cmd: str, fields: dict[str, Any]) -> dict[str, Any]:
+        """Send a request and run until its reply is there, accepted or not."""
+        assert self._desk is not None
+        given = {name: value for name, value in fields.items() if value is not None}
+        self._asked += 1
+        payload = encode(Encoding.MSGPACK, {"cmd": cmd, "id": self._asked, **given})
+        self._replies = self._desk.serve([[CLIENT, payload]], self.stack.clock.now_ns())
+        while not self._replies:
+            self.run(1)
+        reply: dict[str, Any] = msgpack.unpackb(self._replies[-1][-1])
+        return reply
+
+    def _inquire(self, cmd: str) -> dict[str, Any]:
+        """What the desk does not know itself: the contents of hello and status."""
+        if cmd == "dump":
+            raise CommandError("refused", "dump: virtual time keeps no flight recording; record it")
+        if cmd == "hello":
+            servo = to_plain(self._servo)
+            return {"rate_hz": self._servo.realtime.rate_hz, "simulated": True, "servo": servo}
+        assert self._desk is not None
+        return {
+            **self._state(),
+            "servo": self._view.report(),
+            "guard": self._desk.guard_summary(),
+            "events": list(self._journal.recent),
+        }
+
+    def _state(self) -> dict[str, Any]:
+        assert self._desk is not None
+        return state_map(self._view, self._desk.actors, self._desk.leases, time.time_ns())
+
+    def _payloads(self, topic: str) -> Generator[bytes, None, None]:
+        """The topic `state` every second, and what the bench has."""
+        while topic == "state":
+            yield encode(Encoding.MSGPACK, self._state())
+            self.sleep(1.0)
+        yield from super()._payloads(topic)
+
+    def stop(self) -> Receipt:
+        """Latched stop."""
+        return self._change("stop")
+
+    def lease(
+        self,
+        what: "Leased",
+        *,
+        ttl_s: float | None = None,
+        at_end: "AtEnd | None" = None,
+        take_over: bool = False,
+        keep_alive: bool = False,
+    ) -> ClientLease:
+        """As `Client.lease`. Time passes in this thread alone, so none keeps it alive."""
+        asked = {"ttl_s": ttl_s, "at_end": at_end, "take_over": take_over or None}
+        return VirtualLease(self, what, **asked)
+
+    def perturb_load(self, samples_n: "ArrayLike") -> int:
+        """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples it has."""
+        return Client.perturb_load(self, samples_n)
+
+    def _pause(self, seconds: float) -> None:
+        self.sleep(seconds)
+
+
+class _AsyncLine:
+    """The line of an AsyncClient to a virtual board."""
+
+    def __init__(self, board: VirtualBoard) -> None:
+        self._board = board
+
+    async def exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
+        return self._board.exchange(cmd, fields)
+
+    async def pause(self, seconds: float) -> None:
+        self._board.sleep(seconds)
+
+    async def listen(self, topic: str, timeout_s: float) -> AsyncGenerator[bytes, None]:
+        payloads: Generator[bytes, None, None] = self._board._payloads(topic)
+        for payload in payloads:
+            yield payload
+
+    async def close(self) -> None:
+        """End the board."""
+        self._board.close()
+
+
+def virtual_board(
+    config: Path | None = None, *, hand: bool = False, strict: bool = False, name: str = "script"
+) -> VirtualBoard:
+    """The simulated board of the configuration `config` (None: the shipped one) with its servo and
+    guard, on virtual time; a Client, ready and disabled.
+
+    `hand`: whether a hand holds the handle and moves it. `name` and `strict` as of `Client`.
+    ConfigError for the configuration of a real board.
+    """
+    settings = load(config)
+    board = board_params(settings)
+    if board is None:
+        raise ConfigError(f"{settings.device_file} is a real board's; virtual time needs another")
+    if hand:
+        board = replace(board, touch=TouchParams(hands=(HAND,)))
+    plain = json.loads(json.dumps(resolve(settings, files.DEFAULT_INSTANCE)))
+    setup = from_plain(GatewaySetup, plain[files.GATEWAY_JSON])
+    found = VirtualBoard(setup, from_plain(GuardSetup, plain[files.GUARD_JSON]), board)
+    found._strict = strict
+    found._name = name
+    found.hello()
+    return found

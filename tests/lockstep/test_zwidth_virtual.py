@@ -1,0 +1,113 @@
+"""The virtual board answers as a daemon does: limits, leases, the guard, sequences, asyncio."""
+
+import asyncio
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import hapticd
+from hapticd.client import CommandError, step
+from hapticd.zwidth.virtual import VirtualBoard
+
+pytestmark = pytest.mark.filterwarnings("ignore::hapticd.errors.GuardWarning")
+
+
+@pytest.fixture
+def board() -> Iterator[VirtualBoard]:
+    with hapticd.virtual_board() as board:
+        yield board
+
+
+def tick(board: VirtualBoard) -> int:
+    return int(board.newest["tick"])
+
+
+def test_a_change_beyond_a_limit_is_refused_with_value_and_limit(board: VirtualBoard) -> None:
+    with pytest.raises(CommandError) as caught:
+        board.set(K=1e9)
+    assert caught.value.code == "invalid"
+    assert caught.value.detail[0]["value"] == 1e9
+    assert caught.value.detail[0]["high"] < 1e9
+
+
+def test_the_guard_judges_and_refuses_as_its_policy_says(board: VirtualBoard) -> None:
+    receipt = board.set(K=200, B=1)
+    assert receipt.guard is not None
+    assert receipt.guard.safe is False
+    board.guard("refuse")
+    with pytest.raises(CommandError) as caught:
+        board.set(K=400, B=1)
+    assert caught.value.guard is not None
+    assert caught.value.guard.safe is False
+    assert board.get()["parameters"]["K"] == 200
+
+
+def test_a_strict_client_is_refused_what_is_not_passive() -> None:
+    with hapticd.virtual_board(strict=True) as board, pytest.raises(CommandError):
+        board.set(K=200, B=1)
+
+
+def test_a_silent_client_loses_its_lease_and_one_that_sleeps_in_it_does_not(
+    board: VirtualBoard,
+) -> None:
+    with board.lease("environment", ttl_s=2.0) as lease:
+        lease.sleep(10.0)
+        board.set(K=10)
+    with pytest.raises(CommandError, match="lease"), board.lease("environment", ttl_s=2.0):  # noqa: PT012
+        board.sleep(10.0)
+        board.set(K=20)
+
+
+def test_a_sequence_acts_at_its_ticks(board: VirtualBoard) -> None:
+    steps = [
+        step("damping", value="on"),
+        step("enable", after_s=0.5),
+        step("set", K=100, after_s=0.5),
+        step("damping", value="off", after_s=1.0),
+        step("disable", after_s=1.0),
+    ]
+    done = board.sequence(steps)
+    assert all(one.acted for one in done)
+    ticks = [one.tick for one in done]
+    assert np.diff(ticks)[1:3].tolist() == [500, 1000]
+    assert len({one.revision for one in done}) == len(done)
+
+
+def test_the_hand_moves_the_handle(board: VirtualBoard) -> None:
+    assert board.record(0.5)[0]["position_m"].std() == 0.0
+    with hapticd.virtual_board(hand=True) as held:
+        assert 2e-4 < held.record(2.0)[0]["position_m"].std() < 2e-3
+
+
+def test_two_boards_repeat_each_other_to_the_bit() -> None:
+    records = []
+    for _ in range(2):
+        with hapticd.virtual_board(hand=True) as board:
+            board.damping("on")
+            board.enable()
+            board.set(K=100)
+            records.append(board.record(0.5)[0])
+    for name in ("position_m", "force_n", "tick", "revision"):
+        assert np.array_equal(*(one[name] for one in records))
+
+
+def test_asyncio_has_the_same_board(board: VirtualBoard) -> None:
+    async def experiment() -> tuple[float, int, int]:
+        async with board.aio() as device:
+            receipt = await device.set(K=50)
+            samples = await device.perturb_load(np.zeros(10_000))
+            records, _ = await device.record(0.25)
+            return receipt.effective["K"], samples, len(records)
+
+    assert asyncio.run(experiment()) == (50.0, 10_000, 250)
+
+
+def test_stop_latches_until_it_is_reset(board: VirtualBoard) -> None:
+    assert board.stop().state == "stopped"
+    with pytest.raises(CommandError) as caught:
+        board.enable()
+    assert caught.value.code == "stopped"
+    board.sleep(1.1)
+    board.reset()
+    assert board.status()["state"] == "disabled"
