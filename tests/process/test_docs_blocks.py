@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.daemon import until
 from support.tree import ROOT
 
 from hapticd.pytest_plugin import DaemonProcess
@@ -35,12 +36,18 @@ def test_programs_of_the_page_run(page: str, hapticd_daemon: DaemonProcess, tmp_
     (program,) = programs(page)
     with hapticd_daemon.client() as device:
         device.damping("on")
+    until(lambda: ran(program, hapticd_daemon, tmp_path), page)
+
+
+def ran(program: str, daemon: DaemonProcess, folder: Path) -> bool:
+    """Whether `program` ran to its end. On a busy computer the guard asks to try again."""
     done = subprocess.run(
         [sys.executable, "-c", program],
-        cwd=tmp_path,
-        env={**hapticd_daemon.environment, "PYTHONPATH": os.pathsep.join(sys.path)},
+        cwd=folder,
+        env={**daemon.environment, "PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
         timeout=DEADLINE_S,
     )
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0 or "the computer is busy" in done.stderr, done.stderr
+    return done.returncode == 0
