@@ -28,7 +28,7 @@ PATTERNS = {
     "bare": r"\b(?:greatest|dozen|least)\b|\bsome \d",
     "inverted": r"^(?:Refused|Found|Gone|Promised|Lost|Shown|Held|Taken|Tried|Counted)\b",
 }
-SENTENCE_END = re.compile(r"(?<=[.!?])\**\s+(?=[A-Z*\[`])|(?<=:)\s+(?=[A-Z]\w+ )")
+SENTENCE_END = re.compile(r"(?<=[.!?])\**\s+(?=[A-Z*\[`]|hapticd\b)|(?<=:)\s+(?=[A-Z]\w+ )")
 PAGES = ("*.md", "docs/*.md", "docs/development/*.md", "docs/faults/*.md", "examples/*.md")
 LEFT_OUT = ("CHANGELOG.md",)
 SAFETY_CASE = re.compile(r"^\|.*`test_\w+\.py::.*$", re.MULTILINE)
@@ -61,7 +61,7 @@ def prose(page: str) -> str:
     page = re.sub(r"^(?: {4}|>).*$", "", page, flags=re.MULTILINE)
     page = re.sub(r"!?\[((?:[^\[\]]|\[[^\]]*\])*)\]\([^)]*\)", r"\1", page)
     page = re.sub(r'"[^"\n]{1,200}"', '"x"', page)
-    return re.sub(r"`[^`]+`", "x", page)
+    return re.sub(r"`[^`]+`", "X", page)
 
 
 def sentences(text: str) -> list[str]:
