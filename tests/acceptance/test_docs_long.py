@@ -62,7 +62,7 @@ def test_every_fault_has_its_page(site: Path, code: str) -> None:
             fault.action,
             fault.remedy,
             f"fault == {fault.number}",
-            "## What to look at",
+            "## Checks",
         )
     )
     assert f"[`{code}`]({code}.md)" in page(site, "faults/index.md")
