@@ -25,7 +25,7 @@ device = LockStepBench(*scene_params("fig7"))  # live: device = Client()
 # spring, then the force. Noise at the probe replaces a hand that is never still.
 
 NOISE_N = np.random.default_rng(1).normal(0.0, 0.2, 4000)  # 4 kHz
-print(f"damping {device.damping('on').effective['damping']:.4f} N s/m")
+print(f"damping {device.damping('on').effective['active_damping']:.4f} N s/m")
 device.set(K=250, B=1)
 device.enable()
 device.perturb_load(NOISE_N)
@@ -43,7 +43,9 @@ for asked in ("on", "off", "on", "off"):
     records, lost = device.record(seconds=1.0)
     parts.append(records)
     moved_um = 1e6 * records["position_m"].std()
-    print(f"damping {receipt.effective['damping']:.2f} N s/m: {moved_um:.0f} um rms, {lost} lost")
+    print(
+        f"damping {receipt.effective['active_damping']:.2f} N s/m: {moved_um:.0f} um rms, {lost} lost"
+    )
 
 # %%
 # The damping in the second panel is what the **board reports**, tick by tick.
@@ -56,7 +58,7 @@ with styled():
         at_s = (part["tick"] - records["tick"][0]) / 1e3
         top.plot(at_s, 1e3 * part["position_m"], color=look["color"], linewidth=0.6)
     top.set(ylabel="position (mm)", title="K = 250 N/m under the same noise")
-    bottom.plot(time_s, records["added_damping_ns_per_m"], color=BLUE)
+    bottom.plot(time_s, records["active_damping_ns_per_m"], color=BLUE)
     bottom.set(ylabel="damping (N s/m)", xlabel="time (s)")
 
 # %%

@@ -31,11 +31,11 @@ seconds = 1.0
 
 [environment.wall]
 stiffness_n_per_m = 1000.0      # N/m
-damping_ns_per_m = 1.0          # N s/m
+virtual_damping_ns_per_m = 1.0          # N s/m
 position_m = 0.002              # m
 side = 1                        # solid beyond it
 
-[[damping]]
+[[active_damping]]
 level_ns_per_m = 1.74           # N s/m
 
 [excitation]

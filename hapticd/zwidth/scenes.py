@@ -49,12 +49,12 @@ SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
 def point(scene: Scene) -> tuple[float, float, float]:
     """K [N/m], B [Ns/m], M [kg] that the scene renders."""
     rendered = scene.environment
-    return rendered.stiffness_n_per_m, rendered.damping_ns_per_m, rendered.mass_kg
+    return rendered.stiffness_n_per_m, rendered.virtual_damping_ns_per_m, rendered.mass_kg
 
 
 def level(scene: Scene) -> float:
     """The highest active damping [Ns/m] of the scene."""
-    return max(step.level_ns_per_m for step in scene.damping)
+    return max(step.level_ns_per_m for step in scene.active_damping)
 
 
 def filters(scene: Scene) -> tuple[FilterParams, FilterParams]:
