@@ -5,7 +5,7 @@
 #   make practice           a simulated rig with hidden truths, to try `hapticd rig` without hardware (docs/first-day.md)
 #   make test               format, lint, types, layers, unit and lock-step tests and the main job in real processes; minutes
 #   make check              that and all other tests: what continuous integration runs; half an hour
-#   make test-usb           of these the ones on a true Linux USB stack, in a user-mode kernel (docs/usb.md); with what was measured
+#   make test-usb           of these the ones on a true Linux USB stack, in a user-mode kernel (docs/development/usb.md); with what was measured
 #   make mutate [ONLY=stop] put known defects back, one at a time, and see that a test fails for each; minutes
 #   make attack [ONLY=frames] [FACTOR=0.01]  hostile requests, frames and files at length; results in build/attack.json
 #   make hands [ARGS="--hands 100"]  random passive hands against environments at the edge of what the guard calls safe; counts those that one shakes

@@ -6,8 +6,8 @@
     python benchmarks/run.py --only new              a group of parts, see GROUPS
     python benchmarks/run.py --repeat 5 --only new   so often, and for each figure its values, the
                                                      worst, and 1.3 times that
-    python benchmarks/run.py --page                  the table of targets, as docs/benchmarks.md has
-                                                     it
+    python benchmarks/run.py --page                  the table of targets, as it is in
+                                                     docs/development/benchmarks.md
 
 A part is a module of this folder with TARGETS (names and targets of its figures) and `measure()`,
 which yields figures as they become known. What cannot be measured is a figure that is not ok and

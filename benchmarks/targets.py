@@ -1,9 +1,11 @@
 """Every figure with its target, the yardstick it is judged by, and why the target is what it is.
 
-This is the one table: parts ask it for their targets, build/bench.json and docs/benchmarks.md
-repeat it, a test compares them. A reason says what the figure does beyond its yardstick and what
-that should cost. What would break it: a time without a yardstick, since it says more about the
-machine than about the program; such figures have no target and are information.
+This is the one table: parts ask it for their targets, build/bench.json and
+docs/development/benchmarks.md repeat it, a test compares them. A reason says what the figure does
+beyond its yardstick and what that should cost.
+
+What would break it: a time without a yardstick, since it says more about the machine than about
+the program; such figures have no target and are information.
 """
 
 from typing import NamedTuple
@@ -363,7 +365,7 @@ def of(part: str) -> dict[str, str]:
 
 
 def page() -> str:
-    """The table in Markdown, as it stands in docs/benchmarks.md."""
+    """The table in Markdown, as it stands in docs/development/benchmarks.md."""
     lines = ["| part | name | target | yardstick | why that much |", "|---|---|---|---|---|"]
     for part, rows in TABLE.items():
         for place, (name, target) in enumerate(rows.items()):

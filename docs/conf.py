@@ -10,6 +10,7 @@ import hapticd
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from pages.contents import contents
 from pages.docstrings import as_text, named
 
 project = "hapticd"
@@ -47,6 +48,7 @@ sphinx_gallery_conf = {
 
 
 def setup(app: Any) -> None:
-    """Docstrings are plain text."""
+    """Docstrings are plain text, and the first page lists the others."""
+    app.connect("source-read", contents)
     app.connect("autodoc-process-docstring", as_text)
     app.connect("autodoc-process-signature", named)

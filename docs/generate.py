@@ -1,5 +1,5 @@
-"""Write the reference pages below docs/generated, and the drawing of the layers:
-`python docs/generate.py`, before each build of the site.
+"""Write the reference pages below docs/generated, the drawing of the layers, and the tables of
+docs/analysis.md: `python docs/generate.py`, before each build of the site.
 """
 
 from pathlib import Path
@@ -7,7 +7,9 @@ from pathlib import Path
 from pages.commands import commands_page
 from pages.faults import fault_page, faults_page
 from pages.layers import DRAWING, drawing
+from pages.markdown import replaced
 from pages.messages import messages_page
+from pages.records import bits_tables, fields_table
 from pages.scenes import effects_page, scene_page
 from pages.settings import settings_page
 from pages.simulated_board import simulated_board_page
@@ -15,6 +17,7 @@ from pages.simulated_board import simulated_board_page
 from hapticd.faults import FAULTS
 
 GENERATED = Path(__file__).parent / "generated"
+ANALYSIS = Path(__file__).parent / "analysis.md"
 
 
 def pages() -> dict[str, str]:
@@ -45,6 +48,12 @@ def write_pages(folder: Path) -> None:
             path.write_text(text)
 
 
+def analysis_page(text: str) -> str:
+    """The page on recordings, with the tables of fields and of bits as the program has them."""
+    return replaced(replaced(text, "fields", fields_table()), "bits", bits_tables())
+
+
 if __name__ == "__main__":
     write_pages(GENERATED)
     DRAWING.write_text(drawing())
+    ANALYSIS.write_text(analysis_page(ANALYSIS.read_text()))

@@ -1,5 +1,5 @@
-"""Write the tables of docs/reliability.md from what was measured: `python docs/reliability.py`,
-after `make attack` and `make soak`.
+"""Write the tables of docs/development/reliability.md from what was measured:
+`python docs/reliability.py`, after `make attack` and `make soak`.
 
 They come from build/attack.json, build/soak.json and build/soak_lockstep.json, each where it is
 there; the words are written by hand.
@@ -13,7 +13,7 @@ from typing import Any
 from pages.markdown import replaced
 
 DOCS = Path(__file__).parent
-PAGE = DOCS / "reliability.md"
+PAGE = DOCS / "development" / "reliability.md"
 BUILD = DOCS.parent / "build"
 UNITS = {"ms": "ms", "kb": "kB", "percent": "%", "s": "s"}
 PLAIN = {"true_mounts": "", "true_user": "", "fifo": ""}  # said in words, by hand

@@ -10,7 +10,7 @@ NOTES = Path(__file__).parents[1] / "faults"  # what to look at, one file per co
 REFUSED_EXIT = CommandError("stopped", "").exit_code
 INTRODUCTION = """# Faults
 
-Every reason for which the servo leaves `enabled` by itself. The number is in every tick record and recording, the code in
+The reasons for which the servo leaves `enabled` by itself. The number is in every tick record and recording, the code in
 state, events, `hapticd status` and error messages.
 """
 TABLE_OF_CONTENTS = """

@@ -1,7 +1,5 @@
 """Commands and telemetry over ZeroMQ, with the limits of the simulated device."""
 
-from typing import Any
-
 from hapticd.gateway.addresses import MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, REPLIES_QUEUED
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.gateway.desk import MOST_QUEUED
@@ -10,11 +8,11 @@ from hapticd.gateway.peers import MOST_PEERS, QUEUED_BYTES
 from hapticd.gateway.schemas import json_schema
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.gateway.zmtp import MOST_PARTS
-from hapticd.mailbox.layout import TELEMETRY
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from pages.markdown import table
+from pages.records import bits_tables, fields_table
 from pages.schemas import Schema, described
 
 INTRODUCTION = """# Messages
@@ -53,9 +51,7 @@ def messages_page() -> str:
         ("topic", "payload", "rate"),
         [(f"`{topic.name}`", topic.content, topic.rate) for topic in TOPICS],
     )
-    records = table(
-        ("field", "type"), [(f"`{field[0]}`", f"`{_kind(field)}`") for field in TELEMETRY]
-    )
+    records = f"{fields_table()}\n{bits_tables()}"
     bounds = INTRODUCTION.format(
         ok="{ok: true, id, rev, state, result or receipt}",
         refused="{ok: false, id, error: {code, message, detail}}",
@@ -78,7 +74,3 @@ def _fields(root: Schema, model: Schema) -> str:
             unit, takes, _, meaning = described(root, field, False)
             rows.append((f"`{name}`", unit, "table" if "$ref" in str(field) else takes, meaning))
     return table(("field", "unit", "takes", "meaning"), rows) if rows else ""
-
-
-def _kind(field: tuple[Any, ...]) -> str:
-    return f"{field[1]} x {field[2][0]}" if len(field) > 2 else str(field[1])

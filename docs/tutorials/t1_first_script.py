@@ -13,8 +13,8 @@ A script talks to a running daemon through a **client**:
     with Client() as device:
         ...
 
-Here the same client is connected to a simulated board on **virtual time**: its clock goes on only
-while somebody records, so this page needs no daemon. Everything else is as it is live.
+Here the same client is connected to a simulated board on **virtual time**: its clock advances only
+during a recording, so this page needs no daemon. Everything else is the same live.
 """
 
 import numpy as np
@@ -42,8 +42,8 @@ print(f"K = {receipt.effective['K']:g} N/m, B = {receipt.effective['B']:g} N s/m
 # %%
 # Force on
 # --------
-# ``enable`` brings the force up over half a second. Then the probe's motor plays a waveform, 4000
-# samples a second, again and again.
+# ``enable`` ramps the force up over half a second. Then the probe's motor plays a waveform in a
+# loop, 4000 samples a second.
 
 PUSH_N = 0.2
 RATE_HZ = 5.0
@@ -54,8 +54,8 @@ device.perturb_start(loop=True)
 # %%
 # Every tick
 # ----------
-# ``record`` gives a numpy structured array, a record for each tick, and how many are missing.
-# Fields carry their units in their names.
+# ``record`` returns a numpy structured array, one record a tick, and the number of missing records.
+# Names of fields contain their units.
 
 records, lost = device.record(seconds=1.0)
 print(f"{len(records)} ticks, {lost} lost")
@@ -91,13 +91,13 @@ for stiffness in (50, 100, 200, 400):
     print(f"K = {stiffness:3d} N/m: moved {moved_mm:.3f} mm, expected {expected_mm:.3f} mm")
 
 # %%
-# What is moved is up to 3 % less: B is computed from a filtered velocity that is some 3 ms old, and
-# a force that follows velocity so late acts like a little stiffness as well.
+# The motion is up to 3 % smaller: B uses a filtered velocity that is about 3 ms old, and a force
+# with such a delay also acts like some stiffness.
 #
 # Stop
 # ----
-# Anybody may stop, at any time. It latches: nothing is enabled until somebody resets, and a reset
-# does not enable.
+# Any client can stop the device at any time. The stop latches: ``enable`` is refused until a reset,
+# and a reset does not enable.
 
 device.stop()
 device.run(1100)  # For a second nobody else may undo a stop.

@@ -2,11 +2,11 @@
 Toggle damping
 ==============
 
-Switch the active damping under a stiff spring, and see what it does. This is the heart of the paper
-by Weir, Colgate and Peshkin (2008): the same spring, the same hand, one analog circuit.
+Switch the active damping under a stiff spring and compare the motion. This is the main result of
+Weir, Colgate and Peshkin (2008): the same spring, the same hand, one analog circuit.
 
 The device is ``weir2008``, the simulated display that reproduces the paper's limits: without
-damping it bears some 100 N/m, with 1.74 N s/m of it some 600.
+damping it renders about 100 N/m, with 1.74 N s/m about 600.
 """
 
 import numpy as np
@@ -21,8 +21,8 @@ device = LockStepBench(*scene_params("fig7"))  # live: device = Client()
 # %%
 # A spring beyond the limit
 # -------------------------
-# 250 N/m is more than twice what the undamped device bears. Damping first, then the spring, then
-# force. A hand that is never still is played by noise at the probe.
+# 250 N/m is more than twice the limit of the undamped device. Switch on the damping first, then the
+# spring, then the force. Noise at the probe replaces a hand that is never still.
 
 NOISE_N = np.random.default_rng(1).normal(0.0, 0.2, 4000)  # 4 kHz
 print(f"damping {device.damping('on').effective['active_damping']:.4f} N s/m")
@@ -34,8 +34,8 @@ device.perturb_start(loop=True)
 # %%
 # On, off, on, off
 # ----------------
-# ``damping`` is a change like any other: a receipt, a revision, the level as the 16-bit converter
-# of the board made it.
+# ``damping`` is a change like any other, with a receipt, a revision, and the level after the
+# board's 16-bit converter.
 
 parts = []
 for asked in ("on", "off", "on", "off"):
@@ -65,9 +65,8 @@ with styled():
 # %%
 # Too far
 # -------
-# At 400 N/m the undamped loop gives out more than friction takes. What happens then is not left to
-# luck: the servo sees a handle that is faster than any hand, takes the force away in 20 ms, and
-# keeps the damping.
+# At 400 N/m the undamped loop gives out more energy than friction dissipates. The servo detects a
+# handle that is faster than any hand, ramps the force to 0 in 20 ms, and keeps the damping.
 
 device.damping("on")
 device.set(K=400)
@@ -89,8 +88,8 @@ with styled():
     bottom.set(ylabel="force (N)", xlabel="time (s)")
 
 # %%
-# A daemon would have said so before anything moved: its :doc:`guard </guard>` knows from the
-# device's model that 400 N/m without damping can be shaken by a passive hand, and under the policy
-# ``refuse`` the damping stays on. Virtual time has no gateway, and so no guard.
+# A daemon warns before anything moves: by the device's model, its :doc:`guard </guard>` finds that
+# 400 N/m without damping is not passive. Under the policy ``refuse`` the damping stays on. Virtual
+# time has no gateway, and so no guard.
 
 device.close()

@@ -43,14 +43,14 @@ print(passive.verdict.answer, passive.verdict.margin_ns_per_m)
 figure = trial_figure(passive)
 
 # %%
-# The verdict is a sentence that says all that it depends on:
+# The verdict is a sentence with all its conditions:
 
 print(passive.verdict)
 
 # %%
 # Too stiff
 # ---------
-# A bare spring of 150 N/m is beyond what the undamped display bears: the sentinel ended the trial.
+# A bare spring of 150 N/m is beyond the limit of the undamped display: the trial ended early.
 
 active = judged((150.0, 0.0, 0.0))
 print(active.verdict.answer)
@@ -65,8 +65,8 @@ print(damped.verdict.answer, damped.verdict.margin_ns_per_m)
 # %%
 # How far, without a trial
 # ------------------------
-# Prediction linearises the friction at the amplitude of a trial and takes a moment for each limit.
-# ``hapticd zwidth limits`` goes on from here with trials, until each is known to 1 %.
+# Prediction linearises the friction at the amplitude of a trial. It takes a moment for each limit.
+# ``hapticd zwidth limits`` continues with trials until each limit is known to 1 %.
 
 conditions = Conditions(scene, seconds=30.0)
 limits = {
@@ -83,9 +83,9 @@ for level, found in limits.items():
 # %%
 # The Z-width
 # -----------
-# Environments at random within those limits, some of which fail together although none does alone.
-# Of all that pass, the largest and the smallest \|Z\| at each frequency are the envelope: what this
-# display can render. The paper's Fig. 8 has the same axes.
+# Random environments within those limits; some combinations fail although no single value does. The
+# largest and the smallest \|Z\| of the passing ones at each frequency are the envelope: the range
+# of this display. The paper's Fig. 8 has the same axes.
 
 random = np.random.default_rng(1)
 levels = []
@@ -99,5 +99,5 @@ for level, (stiffness, damping, mass) in limits.items():
 envelopes = envelope_figure(conditions, levels)
 
 # %%
-# ``hapticd zwidth map`` and ``search`` choose the environments better than chance does:
-# :doc:`/zwidth`. How far this agrees with the paper: :doc:`/reproduction`.
+# ``hapticd zwidth map`` and ``search`` choose the environments better: :doc:`/zwidth`. For the
+# agreement with the paper, see :doc:`/reproduction`.

@@ -2,8 +2,8 @@
 Write a scene
 =============
 
-A scene is a TOML file of some twenty lines: a device, which of its effects count, what is rendered,
-and what moves it. Here one is written, read, simulated, and changed. Every key: :doc:`/scenes`.
+A scene is a TOML file of about twenty lines: a device, its effects, what it renders, and what moves
+it. This tutorial writes, reads, simulates and changes one. See also :doc:`/scenes`.
 """
 
 import tempfile
@@ -20,8 +20,8 @@ folder = Path(tempfile.mkdtemp(prefix="scenes-"))
 # %%
 # The file
 # --------
-# A wall at 2 mm. The handle comes with 0.1 m/s, a hand pushes it on with half a newton, and the
-# display has its active damping.
+# A wall at 2 mm. The handle arrives with 0.1 m/s, a hand pushes it with half a newton, and the
+# active damping is on.
 
 WALL = """
 title = "a stiff wall, damped"
@@ -51,9 +51,9 @@ scene = load_scene(path)
 print(scene.title, "|", ", ".join(effect.key for effect in scene.effects))
 
 # %%
-# What was built
-# --------------
-# Only the effects that were named, and the masses of the device. Nothing else is computed.
+# Look at the model
+# -----------------
+# The model contains only the listed effects and the masses of the device.
 
 model = compose(scene)
 for state in model.states:
@@ -70,13 +70,12 @@ for trial in result.trials:
     print(f"{trial.case.name}: at most {trial.numbers['max_force_n']:.2f} N of the wall's force")
 
 # %%
-# Without damping the wall throws the handle back again and again; with it the handle comes to rest.
+# Without damping the handle bounces off the wall again and again; with it the handle comes to rest.
 #
 # Change the device
 # -----------------
-# ``[model.KEY]`` replaces single numbers of the device. Here its dry friction is ten times as much,
-# and it does what the active damping did: a stiff wall is easy on a device that nobody likes to
-# move.
+# ``[model.KEY]`` replaces single numbers of the device. Here its dry friction is ten times as large
+# and has the effect of the active damping: a stiff wall is easy on a device that is hard to move.
 
 (folder / "rough.toml").write_text(WALL + "\n[model.coulomb]\nrotor_n = 0.293\n")
 rough = run_scene(plan_scene(load_scene(folder / "rough.toml")))
@@ -85,9 +84,9 @@ for name, found in (("as it is", result), ("with ten times the friction", rough)
     print(f"{name}: {speeds[0]:.0f} mm/s rms without damping, {speeds[1]:.0f} mm/s with it")
 
 # %%
-# What is wrong is said
-# ---------------------
-# With file, line, key and limit; a misspelt key with the likely one.
+# Read an error
+# -------------
+# A message contains file, line, key and limit, and suggests the likely name for a misspelt key.
 
 (folder / "wrong.toml").write_text(WALL.replace("side = 1", "side = 2").replace("force_n", "force"))
 try:

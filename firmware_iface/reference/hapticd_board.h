@@ -10,7 +10,7 @@
  * Times are what the port's 32-bit microsecond clock reads. It wraps after 71.6 minutes; only
  * differences of less than half of that are formed.
  *
- * docs/porting-firmware.md says what each port function must do, and within which time.
+ * docs/development/porting-firmware.md says what each port function must do, and within which time.
  */
 #ifndef HAPTICD_BOARD_H
 #define HAPTICD_BOARD_H

@@ -41,7 +41,8 @@ from hapticd.units import PROBE_RATE_HZ
 TRIAL_S = 90.0
 NOISE = Excitation("noise")  # the paper's perturbation
 FREQUENCIES = 60
-SUBSTEPS = 4  # per 4 kHz sample: their error is below the chance of a 90 s trial (docs/accuracy.md)
+# per 4 kHz sample: their error is below the chance of a 90 s trial (docs/development/accuracy.md)
+SUBSTEPS = 4
 SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
 
 

@@ -1,4 +1,4 @@
-"""docs/new-effect.md, followed to the letter in a copy of the package."""
+"""docs/development/new-effect.md, followed to the letter in a copy of the package."""
 
 import ast
 import json
@@ -14,7 +14,7 @@ import pytest
 from scipy.special import ellipk
 from support.tree import ROOT
 
-PAGE = (ROOT / "docs" / "new-effect.md").read_text()
+PAGE = (ROOT / "docs" / "development" / "new-effect.md").read_text()
 FENCE = re.compile(r"```(?:python|toml)\n# ([^\s,]+)(?:, after class (\w+))?\n(.*?)```", re.DOTALL)
 BLOCKS = {name: text for name, _, text in FENCE.findall(PAGE)}
 AFTER = {name: neighbour for name, neighbour, _ in FENCE.findall(PAGE)}

@@ -1,5 +1,5 @@
 """The daemon on a true Linux USB stack: usbcore, usbfs, libusb, udev and permissions, in a
-user-mode kernel, with the product's own board behind USB/IP (docs/usb.md).
+user-mode kernel, with the product's own board behind USB/IP (docs/development/usb.md).
 
 The cases stand in tests/support/usb_guest and run there, all in one boot; here each has a test
 that looks

@@ -200,7 +200,7 @@ def test_every_promised_name_is_measured() -> None:
 
 
 def test_page_repeats_the_table() -> None:
-    page = (ROOT / "docs" / "benchmarks.md").read_text()
+    page = (ROOT / "docs" / "development" / "benchmarks.md").read_text()
     assert targets.page() in page  # python benchmarks/run.py --page
 
 
