@@ -102,8 +102,8 @@ class Judge:
             nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
             return timing | {
                 "verdict": self.verdicts.of(None, target, "", Outcome.UNKNOWN, unknown, []),
-                "without_damping": nothing,
-                "with_damping": {"level": request["level_on"], **nothing},
+                "without_active_damping": nothing,
+                "with_active_damping": {"level": request["level_on"], **nothing},
             }
         safe = judgement.safe([target])[0]
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
@@ -111,8 +111,10 @@ class Judge:
         why = explained(judgement, target, safe)
         return timing | {
             "verdict": self.verdicts.of(judgement, target, "", outcome, why, [target], safe),
-            "without_damping": self._seen(judgement, replace(target, active_damping_ns_per_m=0.0)),
-            "with_damping": {
+            "without_active_damping": self._seen(
+                judgement, replace(target, active_damping_ns_per_m=0.0)
+            ),
+            "with_active_damping": {
                 "level": on,
                 **self._seen(judgement, replace(target, active_damping_ns_per_m=on)),
             },
@@ -136,8 +138,8 @@ class Judge:
         return {
             "delay_periods": delay,
             "ideal_delay_periods": IDEAL_PERIODS,
-            "without_damping": timing_cost(self.theorem, filters, 0.0, delays),
-            "with_damping": timing_cost(self.theorem, filters, on, delays),
+            "without_active_damping": timing_cost(self.theorem, filters, 0.0, delays),
+            "with_active_damping": timing_cost(self.theorem, filters, on, delays),
         }
 
     def _plane(self, request: Mapping[str, Any]) -> dict[str, Any]:

@@ -73,8 +73,8 @@ def timing_words(found: dict[str, Any]) -> str:
     timing = found.get("timing")
     if not timing:
         return ""
-    without = timing["without_damping"]
-    damped = timing["with_damping"]
+    without = timing["without_active_damping"]
+    damped = timing["with_active_damping"]
     known = "measured" if timing["measured"] else "assumed by the model"
     delay = f"delay {timing['delay_periods']:g} periods, {known}"
     if without["lost_share"] is None:

@@ -453,8 +453,8 @@ class Guard:
                 **self._terms(),
                 "worker": self.worker,
                 "verdict": verdict,
-                "without_damping": looked.get("without_damping"),
-                "with_damping": looked.get("with_damping"),
+                "without_active_damping": looked.get("without_active_damping"),
+                "with_active_damping": looked.get("with_active_damping"),
             }
         ]
 

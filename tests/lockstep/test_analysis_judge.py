@@ -388,13 +388,13 @@ def test_look_says_what_the_delay_costs_of_stiffness() -> None:
     asked = {"ask": "look", "n": 1, "target": FREE, "level_on": 1.0, "margin_ns_per_m": 0.0}
     found = judge.answer(asked | {"basis": "measured", "delay_periods": 0.6875})["timing"]
     assert (found["delay_periods"], found["ideal_delay_periods"]) == (0.6875, 0.0)
-    for name, physical in (("without_damping", 0.36), ("with_damping", 1.36)):
+    for name, physical in (("without_active_damping", 0.36), ("with_active_damping", 1.36)):
         cost = found[name]
         closed = 2e3 * physical / (0.5 + 0.6875 + np.sqrt(0.25 + 2.0 * 0.6875))
         assert cost["stiffness_n_per_m"] == pytest.approx(closed, rel=2e-3)
         assert cost["ideal_stiffness_n_per_m"] == pytest.approx(2e3 * physical, rel=2e-3)
         assert cost["lost_share"] == pytest.approx(1.0 - closed / (2e3 * physical), abs=2e-3)
-    assert found["with_damping"]["level_ns_per_m"] == 1.0
+    assert found["with_active_damping"]["level_ns_per_m"] == 1.0
 
 
 def test_delay_costs_nothing_that_is_known_without_a_model() -> None:

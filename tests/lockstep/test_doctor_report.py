@@ -30,7 +30,12 @@ PRIVATE = {  # where a status has what people named, or a secret
 }
 COST = dict.fromkeys(("level_ns_per_m", "stiffness_n_per_m", "ideal_stiffness_n_per_m"), 1.0)
 COST["lost_share"] = 0.0
-TIMING = {"delay_periods": 0.6875, "measured": True, "without_damping": COST, "with_damping": COST}
+TIMING = {
+    "delay_periods": 0.6875,
+    "measured": True,
+    "without_active_damping": COST,
+    "with_active_damping": COST,
+}
 STATUS: dict[str, Any] = {
     **PRIVATE,
     "state": "enabled",

@@ -937,7 +937,10 @@ def looking(rig: DeskRig, wanted: bool = True) -> list[dict[str, Any]]:
 def looked(request: dict[str, Any], safe: bool = True) -> dict[str, Any]:
     """An answer to a look."""
     more = {"margin_ns_per_m": 0.2, "allowed": {"K": [0.0, 90.0]}}
-    seen = {"without_damping": more, "with_damping": {"level": request["level_on"], **more}}
+    seen = {
+        "without_active_damping": more,
+        "with_active_damping": {"level": request["level_on"], **more},
+    }
     return {"verdict": verdict(safe, "as it is"), **seen}
 
 
@@ -950,8 +953,8 @@ def test_topic_tells_twice_a_second_with_and_without_damping(
     assert len(told) >= 2
     second = told[-1]
     assert second["verdict"]["text"] == "as it is"
-    assert second["with_damping"]["level"] == 1.0
-    assert second["without_damping"]["allowed"] == {"K": [0.0, 90.0]}
+    assert second["with_active_damping"]["level"] == 1.0
+    assert second["without_active_damping"]["allowed"] == {"K": [0.0, 90.0]}
     assert (second["policy"], second["mode"], second["worker"]) == ("warn", "level", "up")
     assert worker.asked[-1]["target"]["K"] == 30
 

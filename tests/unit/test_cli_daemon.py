@@ -361,8 +361,8 @@ def test_status_and_doctor_say_what_the_delay_costs(
     monkeypatch.setattr(system, "connect", lambda instance: client)
     cost = {"level_ns_per_m": 0.0, "stiffness_n_per_m": 292.3, "ideal_stiffness_n_per_m": 719.6}
     cost["lost_share"] = 0.594
-    timing = {"delay_periods": 0.6875, "measured": True, "without_damping": cost}
-    timing["with_damping"] = cost
+    timing = {"delay_periods": 0.6875, "measured": True, "without_active_damping": cost}
+    timing["with_active_damping"] = cost
     guard = dict.fromkeys(("basis", "margin_ns_per_m", "mode", "measuring", "trouble", "policy"))
     guard |= {"delay_periods": 0.6875, "worker": "up", "timing": timing}
     client.states = [RUNNING | {"guard": guard}] * 2 + [RUNNING]

@@ -269,7 +269,7 @@ def test_cost_of_the_delay_is_one_line(
     without: dict[str, Any], damped: dict[str, Any], measured: bool, says: str
 ) -> None:
     timing = {"delay_periods": 0.6875, "measured": measured}
-    timing |= {"without_damping": without, "with_damping": damped}
+    timing |= {"without_active_damping": without, "with_active_damping": damped}
     assert timing_words({"timing": timing}) == says
 
 
