@@ -31,6 +31,7 @@ import usb.util
 
 from hapticd.errors import ConfigError, LinkAccess, LinkError, LinkLost, LinkStalled, LinkTimeout
 from hapticd.link.base import Link
+from hapticd.link.flight import InFlight, OutFailed, in_flight
 from hapticd.params import UsbParams
 from hapticd.wire.frames import Request
 
@@ -144,6 +145,8 @@ class UsbLink(Link):
         self._device = None
         # in place of a test in every transfer whether the link is open
         self._read = self._write = _not_open
+        self._flight: InFlight | None = None
+        self.in_flight = False
         self._in = self._out = 0
         self._halted: set[int] = set()  # endpoints whose last transfer stalled
 
@@ -162,19 +165,30 @@ class UsbLink(Link):
 
     def close(self) -> None:
         device = self._device
+        flight = self._flight
         # before it is disposed of: whatever fails there, the link is closed
         self._forget()
+        if flight is not None:
+            flight.close(self._timeout_ms, DEVICE_ERRORS)
         if device is not None:
             _dispose(device)
+
+    def drain(self) -> None:
+        if self._flight is not None:
+            self._flight.drain(self._timeout_ms)
 
     def read(self, buffer: "array[int]") -> int:
         try:
             count = self._read(self._in, buffer, self._timeout_ms)
         except DEVICE_ERRORS as error:
             raise self._transfer_failure("read", self._in, error) from error
+        except OutFailed as failed:
+            raise self._transfer_failure("write", self._out, failed.error) from failed
         # only two stalls in a row mean that the board is lost
         if self._halted:
             self._halted.discard(self._in)
+            if self.in_flight:  # the OUT before has arrived, or this one would not have been read
+                self._halted.discard(self._out)
         return count
 
     def write(self, buffer: "array[int]") -> None:
@@ -182,7 +196,9 @@ class UsbLink(Link):
             self._write(self._out, buffer, self._timeout_ms)
         except DEVICE_ERRORS as error:
             raise self._transfer_failure("write", self._out, error) from error
-        if self._halted:
+        except OutFailed as failed:
+            raise self._transfer_failure("write", self._out, failed.error) from failed
+        if self._halted and not self.in_flight:
             self._halted.discard(self._out)
 
     def request(self, request: Request, length: int = 0, value: int = 0) -> bytes:
@@ -239,6 +255,12 @@ class UsbLink(Link):
         usb.util.claim_interface(device, number)
         self._read = device.read
         self._write = device.write
+        if self._params.in_flight:
+            self._flight = in_flight(self._backend, self._out, self._in)
+        if self._flight is not None:
+            self._read = self._flight.read
+            self._write = self._flight.write
+            self.in_flight = True
 
     def _transfer_failure(self, action: str, endpoint: int, error: Exception) -> LinkError:
         failure = link_error(f"{action} endpoint 0x{endpoint:02x}", error)

@@ -12,7 +12,8 @@ from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result
 from hapticd.params import InjectionParams
 from hapticd.servo.safety import State
-from hapticd.sim.backend import usb_error
+from hapticd.sim.bus import Passed
+from hapticd.sim.errors import usb_error
 from hapticd.wire.frames import Request
 
 EVER = range(10**6)
@@ -107,16 +108,20 @@ def uneven(monkeypatch, share_quick):
 
     def make(board, clock):
         backend = made(board, clock)
-        usual = backend._pass
+        bus = backend._bus
+        out_usually, received_usually = bus.out, bus.received_ns
         done = [0]
 
-        def passed(transport_ns):
+        def quick():
             before = int(share_quick * done[0])
             done[0] += 1
-            quick = int(share_quick * done[0]) > before
-            usual(100_000 if quick else transport_ns)
+            return int(share_quick * done[0]) > before
 
-        backend._pass = passed
+        def out(t_ns, size):
+            return Passed(t_ns + 100_000, t_ns + 100_000) if quick() else out_usually(t_ns, size)
+
+        bus.out = out
+        bus.received_ns = lambda t_ns: t_ns + 100_000 if quick() else received_usually(t_ns)
         return backend
 
     monkeypatch.setattr(lockstep, "simulated_backend", make)
