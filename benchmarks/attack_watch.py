@@ -132,19 +132,18 @@ class Watch:
             self.tell("clamp", f"{force_n:.3f} N, limit {self.limit_n:g} N")
 
     def _watch_transfers(self, stack: LockStep) -> None:
-        write = stack.backend.bulk_write
+        deliver = stack.backend.deliver
         board = self._board
         axis = self._axis
 
-        def watched(*transfer: Any) -> int:
-            count: int = write(*transfer)
+        def watched(data: memoryview, t_ns: int) -> None:
+            deliver(data, t_ns)
             if board._next_seq != self._taken:
                 self._taken = board._next_seq
                 self._taken_at = axis.now
                 self._note(stack.clock.now_ns())
-            return count
 
-        stack.backend.bulk_write = watched  # type: ignore[method-assign]
+        stack.backend.deliver = watched
 
     def _note(self, now_ns: int) -> None:
         axis = self._axis

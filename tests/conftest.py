@@ -22,6 +22,13 @@ collect_ignore = ["support"]
 MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x86
 
 
+@pytest.fixture(params=["in_flight", "in_turn"])
+def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test runs twice: with transfers in flight, and one after the other."""
+    if request.param == "in_turn":
+        monkeypatch.setattr("hapticd.link.usb.UsbLink._transfers", lambda *_: None)
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     text = "a test that is skipped fails the run, except " + ", ".join(sorted(MAY_BE_SKIPPED))
     parser.addoption("--all-must-run", action="store_true", help=text)

@@ -26,7 +26,7 @@ leaves an IN unread for ticks (it is then one frame behind, which `link.device` 
 
 import errno
 from array import array
-from typing import Any, Protocol
+from typing import NamedTuple, Protocol
 
 import usb.core
 
@@ -45,7 +45,15 @@ class Transfers(Protocol):
     def in_done(self, buffer: "array[int]", wait_ns: int) -> int:
         """Bytes of the IN, copied to `buffer`; -1: none after waiting for `wait_ns` at most."""
 
+    def clear_halt(self, endpoint: int) -> None: ...
     def cancel(self) -> None: ...
+
+
+class End(NamedTuple):
+    """An endpoint of the board."""
+
+    address: int
+    interrupt: bool
 
 
 class OutFailed(Exception):
@@ -63,6 +71,7 @@ class InFlight:
         self._transfers = transfers
         self._out_pending = False
         self._in_pending = False
+        self._failed: OutFailed | None = None  # met outside of a tick
 
     def read(self, _endpoint: int, buffer: "array[int]", timeout_ms: int) -> int:
         """Reap the IN, or ask for one first; bytes. OutFailed, USBError."""
@@ -92,12 +101,15 @@ class InFlight:
         return len(buffer)
 
     def drain(self, timeout_ms: int) -> None:
-        """Give the OUT that is on its way the time to arrive; never raises."""
-        try:
-            if self._out_pending:
+        """Give the OUT that is on its way the time to arrive; never raises: how it failed is told
+        by the next `read` or `write`.
+        """
+        if self._out_pending:
+            try:
                 self._landed(timeout_ms * NS_PER_MS)
-        except OutFailed:
-            pass  # it did not arrive: the board's watchdog does the rest
+            except OutFailed as failed:
+                self._out_pending = True
+                self._failed = failed
 
     def close(self, timeout_ms: int, errors: tuple[type[Exception], ...]) -> None:
         """Drain, and cancel what is left; `errors` are not told."""
@@ -108,6 +120,10 @@ class InFlight:
             pass  # the device is gone, and its transfers with it
 
     def _landed(self, wait_ns: int) -> bool:
+        failed, self._failed = self._failed, None
+        if failed is not None:
+            self._out_pending = False
+            raise failed
         try:
             landed = self._transfers.out_done(wait_ns)
         except Exception as error:
@@ -121,9 +137,3 @@ def _pending() -> Exception:
     """As libusb reports a time-out; the transfer goes on all the same."""
     error: Exception = usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
     return error
-
-
-def in_flight(backend: Any, out_endpoint: int, in_endpoint: int) -> InFlight | None:
-    """Transfers in flight of a claimed board, if its `backend` has them."""
-    make = getattr(backend, "transfers", None)
-    return None if make is None else InFlight(make(out_endpoint, in_endpoint))

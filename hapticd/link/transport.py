@@ -107,7 +107,8 @@ def _in_flight(device: Device, clock: Clock, settable: bool) -> Held:
     if not settable:
         round_us = _round_us(device, clock)
         pair_us = round_us - USUAL_PHASE * period_us
-        return Held(pair_us, USUAL_PHASE, US_PER_S / (round_us + STEP_US))
+        held_hz = US_PER_S / (pair_us + STEP_US) * (1.0 - USUAL_PHASE)
+        return Held(pair_us, USUAL_PHASE, held_hz)
     device.set_phase(0.0)
     round_us = _round_us(device, clock)
     first = floor(PHASES * (1.0 - (round_us + STEP_US) / period_us)) + 2
@@ -120,7 +121,8 @@ def _in_flight(device: Device, clock: Clock, settable: bool) -> Held:
             break
     else:
         device.set_phase(0.0)
-    return Held(round_us - phase * period_us, phase, US_PER_S / (round_us + STEP_US))
+    pair_us = round_us - phase * period_us
+    return Held(pair_us, phase, US_PER_S / (pair_us + STEP_US))
 
 
 def _round_us(device: Device, clock: Clock) -> float:

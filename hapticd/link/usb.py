@@ -31,7 +31,7 @@ import usb.util
 
 from hapticd.errors import ConfigError, LinkAccess, LinkError, LinkLost, LinkStalled, LinkTimeout
 from hapticd.link.base import Link
-from hapticd.link.flight import InFlight, OutFailed, in_flight
+from hapticd.link.flight import End, InFlight, OutFailed, Transfers
 from hapticd.params import UsbParams
 from hapticd.wire.frames import Request
 
@@ -144,7 +144,7 @@ class UsbLink(Link):
     def _forget(self) -> None:
         self._device = None
         # in place of a test in every transfer whether the link is open
-        self._read = self._write = _not_open
+        self._read = self._write = self._clear_halt = _not_open
         self._flight: InFlight | None = None
         self.in_flight = False
         self._in = self._out = 0
@@ -249,18 +249,34 @@ class UsbLink(Link):
             del unreadable  # it holds this frame: a circle, which nobody collects in the servo
 
     def _take(self, device: Any) -> None:
-        number, self._out, self._in = _frame_endpoints(_configuration(device))
+        number, out, into = _frame_endpoints(_configuration(device))
+        self._out, self._in = out.address, into.address
         # before the claim, which fails with EBUSY while a kernel driver holds the interface
         _detach_kernel_driver(device, number)
+        transfers = self._transfers(device, number, out, into) if self._params.in_flight else None
+        if transfers is None:
+            usb.util.claim_interface(device, number)
+            self._read, self._write = device.read, device.write
+            self._clear_halt = device.clear_halt
+            return
+        self._flight = flight = InFlight(transfers)
+        self._read, self._write = flight.read, flight.write
+        self._clear_halt = transfers.clear_halt
+        self.in_flight = True
+
+    def _transfers(self, device: Any, number: int, out: End, into: End) -> Transfers | None:
+        """Transfers in flight of the interface that is claimed with them; None: only in turn."""
+        if self._system is not None:
+            from hapticd.link.usbfs import UsbfsTransfers  # not for a simulated board
+
+            path = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
+            return UsbfsTransfers(path, number, out, into)
+        make = getattr(self._backend, "transfers", None)
+        if make is None:
+            return None
         usb.util.claim_interface(device, number)
-        self._read = device.read
-        self._write = device.write
-        if self._params.in_flight:
-            self._flight = in_flight(self._backend, self._out, self._in)
-        if self._flight is not None:
-            self._read = self._flight.read
-            self._write = self._flight.write
-            self.in_flight = True
+        transfers: Transfers = make(out.address, into.address)
+        return transfers
 
     def _transfer_failure(self, action: str, endpoint: int, error: Exception) -> LinkError:
         failure = link_error(f"{action} endpoint 0x{endpoint:02x}", error)
@@ -273,7 +289,7 @@ class UsbLink(Link):
         self._halted.add(endpoint)
         try:
             # a control request to the board, which also sets both data toggles to 0
-            self._device.clear_halt(endpoint)
+            self._clear_halt(endpoint)
         except DEVICE_ERRORS as worse:
             return LinkLost(str(link_error(f"clear the halt of endpoint 0x{endpoint:02x}", worse)))
         return failure
@@ -305,32 +321,32 @@ def _configuration(device: Any) -> Any:
     return device.get_active_configuration()
 
 
-def _frame_endpoints(configuration: Any) -> tuple[int, int, int]:
-    """Number of the vendor interface and the addresses of its OUT and IN endpoint."""
+def _frame_endpoints(configuration: Any) -> tuple[int, End, End]:
+    """Number of the vendor interface, and its OUT and IN endpoint."""
     for interface in configuration:
         # alternate setting 0 is the one in force when nobody has chosen
         if interface.bInterfaceClass == VENDOR_CLASS and interface.bAlternateSetting == 0:
-            found = [
-                e.bEndpointAddress
-                for e in interface
-                if usb.util.endpoint_type(e.bmAttributes) in FRAME_TRANSFERS
-            ]
-            outs = [
-                address
-                for address in found
-                if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_OUT
-            ]
-            ins = [
-                address
-                for address in found
-                if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_IN
-            ]
+            outs, ins = (
+                _ends(interface, usb.util.ENDPOINT_OUT),
+                _ends(interface, usb.util.ENDPOINT_IN),
+            )
             if outs and ins:
                 return interface.bInterfaceNumber, outs[0], ins[0]
     raise LinkLost(
         "the device has no vendor interface with a bulk or interrupt OUT and IN endpoint; is it a"
         " hapticd board?"
     )
+
+
+def _ends(interface: Any, direction: int) -> list[End]:
+    """Endpoints of that direction that may carry frames."""
+    found = []
+    for endpoint in interface:
+        kind = usb.util.endpoint_type(endpoint.bmAttributes)
+        address = endpoint.bEndpointAddress
+        if kind in FRAME_TRANSFERS and usb.util.endpoint_direction(address) == direction:
+            found.append(End(address, kind == usb.util.ENDPOINT_TYPE_INTR))
+    return found
 
 
 def _detach_kernel_driver(device: Any, number: int) -> None:

@@ -87,6 +87,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._clock = clock
         self._bus = bus
         self._flight: Flight | None = None
+        self.deliver = port.on_out  # an OUT packet reaches the board, on either way of transfers
         self._transfer = transfer
         self._spin_ns = SPIN_NS if isinstance(clock, MonotonicClock) else 0
         self._addresses = 0
@@ -249,7 +250,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         if device.gone or device.halted:
             self._check(device, endpoint)
         try:
-            self._port.on_out(memoryview(data), self._clock.now_ns())
+            self.deliver(memoryview(data), self._clock.now_ns())
         except TransferFault as fault:
             self._fail(fault, device, endpoint, timeout_ms)
         return len(data)

@@ -120,6 +120,12 @@ class Flight:
         memoryview(buffer)[: len(packet)] = packet
         return len(packet)
 
+    def clear_halt(self, endpoint: int) -> None:
+        """Clear the halt of an endpoint. ENODEV."""
+        self._look()
+        assert self._device.owner is not None
+        self._backend.clear_halt(self._device.owner, endpoint)
+
     def cancel(self) -> None:
         """Take both back; what has reached the board by now stays there."""
         self.play()
@@ -175,7 +181,7 @@ class Flight:
             return
         self._refused = False
         try:
-            self._port.on_out(memoryview(data), t_ns)
+            self._backend.deliver(memoryview(data), t_ns)
         except TransferFault as fault:
             if fault.number == errno.ETIMEDOUT:
                 self._refused = True

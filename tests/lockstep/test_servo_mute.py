@@ -14,6 +14,9 @@ from hapticd.servo.safety import State
 from hapticd.wire import codec
 from hapticd.wire.frames import OutFlag
 
+pytestmark = pytest.mark.usefixtures("either_way")
+
+
 WAVE = {Value.SAMPLES: 4000.0, Value.LOOP: 1.0}
 
 
