@@ -23,7 +23,7 @@ fires late, and a device that outlives its context by more than one look.
 
 import errno
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import usb.core
@@ -144,7 +144,8 @@ class UsbLink(Link):
     def _forget(self) -> None:
         self._device = None
         # in place of a test in every transfer whether the link is open
-        self._read = self._write = self._clear_halt = _not_open
+        self._read = self._write = _not_open
+        self._clear_halt: Callable[[int], object] = _not_open
         self._flight: InFlight | None = None
         self.in_flight = False
         self._in = self._out = 0

@@ -74,7 +74,7 @@ class Flight:
         self._out = data.tobytes()
         self._arrives_ns, self._out_done_ns = self._bus.out(now_ns, len(data))
         if self._arrives_ns <= now_ns:
-            self._play(now_ns)
+            self._deliver(self._out, now_ns)
 
     def submit_in(self) -> None:
         """Ask for a packet. ENODEV."""
@@ -90,8 +90,9 @@ class Flight:
 
         USBError: how it failed.
         """
-        deadline_ns = self._clock.now_ns() + wait_ns
-        while not self._out_ended(now_ns := self._look()):
+        now_ns = self._clock.now_ns()
+        deadline_ns = now_ns + wait_ns
+        while not (self._out_ended(now_ns) or self._out_ended(now_ns := self._look())):
             if now_ns >= deadline_ns:
                 return False
             self._backend.wait_until(min(deadline_ns, self._next_ns(now_ns)))
@@ -145,8 +146,10 @@ class Flight:
         return now_ns
 
     def _submitted_ns(self) -> int:
-        submitted_ns = self._bus.submitted_ns(self._clock.now_ns())
-        self._backend.wait_until(submitted_ns)
+        now_ns = self._clock.now_ns()
+        submitted_ns = self._bus.submitted_ns(now_ns)
+        if submitted_ns > now_ns:
+            self._backend.wait_until(submitted_ns)
         return self._look()
 
     def _out_ended(self, now_ns: int) -> bool:

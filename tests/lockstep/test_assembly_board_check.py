@@ -258,7 +258,7 @@ HELD = {  # way, pair [ms]: phase
     (IN_TURN, 0.36): 0.375,
     (IN_TURN, 0.4): 0.3125,
     (IN_FLIGHT, 0.3): 0.625,
-    (IN_FLIGHT, 0.36): 0.5625,
+    (IN_FLIGHT, 0.36): 0.5,
     (IN_FLIGHT, 0.4): 0.5,
 }
 

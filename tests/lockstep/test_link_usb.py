@@ -542,7 +542,7 @@ def test_board_that_is_plugged_in_late_and_again_is_found_without_messages_of_ud
     bus = Bench(opened=False).backend
     bus.unplug()
     monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: EventFed(bus))
-    link = UsbLink(UsbParams(serial="SIM0001"))
+    link = UsbLink(UsbParams(serial="SIM0001", in_flight=False))  # its device node is none
     for _ in range(2):
         list(bus.enumerate_devices())  # a dead device is listed once more
         with pytest.raises(LinkLost, match="no board"):
