@@ -57,7 +57,6 @@ class Out(NamedTuple):
     """The motor around one OUT that the board took."""
 
     t_ns: int
-    tick: int  # of the servo that sent it
     before_n: float  # force that the plant felt last
     after_n: float
     position_m: float
@@ -141,7 +140,7 @@ class Watch:
             if board._next_seq != self._taken:
                 self._taken = board._next_seq
                 self._taken_at = axis.now
-                self._note(stack.clock.now_ns())
+                self._note(t_ns)
 
         stack.backend.deliver = watched
 
@@ -150,8 +149,7 @@ class Watch:
         odd = axis.amplifier is not None
         number = getattr(self._port, "tick", 0)
         moved_m = axis.state[POSITION]
-        tick = self._stack.loop.tick
-        self.outs.append(Out(now_ns, tick, self._felt_n, axis.force_n, moved_m, odd, number))
+        self.outs.append(Out(now_ns, self._felt_n, axis.force_n, moved_m, odd, number))
 
     def tell(self, rule: str, text: str) -> None:
         """Note a violation at this moment."""
@@ -170,7 +168,9 @@ class Watch:
         if len(self.outs) < STRUCK_OUTS:
             return self.found
         outs = Outs(*(np.array(column) for column in zip(*self.outs, strict=True)))
-        ticks = np.minimum(outs.tick, len(records) - 1)
+        # by the time at which the board took them: in flight that is after the call of the tick
+        ticks = np.searchsorted(records["time_ns"], outs.t_ns, side="right") - 1
+        ticks = np.clip(ticks, 0, len(records) - 1)
         found = [*self._late_ends(outs, ticks, records), *self._unasked(records)]
         found += self._steps(outs, ticks, lies, np.isin(records["state"][ticks], list(GRANTED)))
         return self.found + found[: MOST_TOLD - len(self.found)]
@@ -263,7 +263,6 @@ class Outs(NamedTuple):
     """The columns of some Out."""
 
     t_ns: Any
-    tick: Any
     before_n: Any
     after_n: Any
     position_m: Any
