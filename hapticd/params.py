@@ -265,7 +265,7 @@ class UsbParams:
     product_id: int = 0x0001
     serial: str | None = None
     timeout_ms: int = 1  # of one transfer; what libusb can do least
-    in_flight: bool = True  # transfers under way while the servo computes, where that is possible
+    in_flight: bool = False  # transfers under way while the servo computes
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,11 +3,13 @@
 import shutil
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from hapticd.link.usb import UsbLink
 from hapticd.mailbox import files
 
 if TYPE_CHECKING:
@@ -25,8 +27,13 @@ MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x
 @pytest.fixture(params=["in_flight", "in_turn"])
 def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """The test runs twice: with transfers in flight, and one after the other."""
-    if request.param == "in_turn":
-        monkeypatch.setattr("hapticd.link.usb.UsbLink._transfers", lambda *_: None)
+    made = UsbLink._transfers
+
+    def transfers(link: UsbLink, *interface: Any) -> Any:
+        link._params = replace(link._params, in_flight=request.param == "in_flight")
+        return made(link, *interface)
+
+    monkeypatch.setattr(UsbLink, "_transfers", transfers)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -254,7 +254,7 @@ class UsbLink(Link):
         self._out, self._in = out.address, into.address
         # before the claim, which fails with EBUSY while a kernel driver holds the interface
         _detach_kernel_driver(device, number)
-        transfers = self._transfers(device, number, out, into) if self._params.in_flight else None
+        transfers = self._transfers(device, number, out, into)
         if transfers is None:
             usb.util.claim_interface(device, number)
             self._read, self._write = device.read, device.write
@@ -267,6 +267,8 @@ class UsbLink(Link):
 
     def _transfers(self, device: Any, number: int, out: End, into: End) -> Transfers | None:
         """Transfers in flight of the interface that is claimed with them; None: only in turn."""
+        if not self._params.in_flight:
+            return None
         if self._system is not None:
             from hapticd.link.usbfs import UsbfsTransfers  # not for a simulated board
 

@@ -148,7 +148,7 @@ class Usb(TomlTable):
     )
     """Of one transfer. A silent board may delay the end of force by one."""
     in_flight: bool = _usb.in_flight
-    """Transfers go on while the servo computes; false: one after the other."""
+    """Transfers go on while the servo computes, so the force acts earlier."""
 
 
 class GatewayTable(TomlTable):
