@@ -71,6 +71,7 @@ class InFlight:
         self._transfers = transfers
         self._out_pending = False
         self._in_pending = False
+        self._begun = False  # an OUT has been sent
         self._failed: OutFailed | None = None  # met outside of a tick
 
     def read(self, _endpoint: int, buffer: "array[int]", timeout_ms: int) -> int:
@@ -93,11 +94,12 @@ class InFlight:
         if self._out_pending and not self._landed(0):
             raise _pending()
         transfers = self._transfers
-        if not self._in_pending:
+        # before the first OUT it would take a frame that an earlier session has left in the board
+        if self._begun and not self._in_pending:
             transfers.submit_in()
             self._in_pending = True
         transfers.submit_out(buffer)
-        self._out_pending = True
+        self._out_pending = self._begun = True
         return len(buffer)
 
     def drain(self, timeout_ms: int) -> None:

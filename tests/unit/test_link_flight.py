@@ -55,6 +55,8 @@ class Bench:
         self.flight = InFlight(self.bus)
         self.buffer = array("B", bytes(64))
         self.write()
+        self.read()
+        self.write()
         self.bus.heard()
 
     def read(self):
@@ -77,6 +79,16 @@ def test_tick_reaps_its_in_and_submits_the_next_before_its_out(bench):
     assert bench.read() == 64
     bench.write()
     assert bench.bus.heard() == ["out? 0", "in? 1000000", "in", "out"]
+
+
+def test_first_out_comes_before_the_first_in():
+    """Or the IN would take a frame of an earlier session."""
+    bus = Bus()
+    flight = InFlight(bus)
+    flight.write(OUT, array("B", bytes(32)), TIMEOUT_MS)
+    assert bus.heard() == ["out"]
+    flight.read(IN, array("B", bytes(64)), TIMEOUT_MS)
+    assert bus.heard() == ["out? 0", "in", "in? 1000000"]
 
 
 def test_there_is_never_a_second_in(bench):
