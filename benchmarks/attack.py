@@ -81,7 +81,7 @@ KINDS = {
     "amplifier_stuck": Kind((1, 30), (-3.0, 3.0)),
     "amplifier_limited": Kind((1, 60), (0.2, 1.0)),
     "amplifier_gain": Kind((1, 30), (-1.0, 0.5, 1.5)),
-    "damping_gain": Kind((1, 30), (0.0, 0.5)),
+    "active_damping_gain": Kind((1, 30), (0.0, 0.5)),
     "restart": Kind(values=(0.0, 40 * 60.0, 2147.48, 4294.96)),
     "hang": Kind(values=(0.003, 0.02, 0.08)),
     "hang_unwatched": Kind(values=(0.003, 0.02, 0.05)),
@@ -234,10 +234,10 @@ RARE_EVERY = 12
 TAMPERED = (nan, inf, -inf, 1e300, -1e300, 5e-324)
 MOST = {
     Value.STIFFNESS: (0.0, 50.0, 200.0, 600.0, 600.0, -20.0, 3000.0, 1e5),
-    Value.DAMPING: (0.0, 1.0, 3.0, 5.0, -0.2),
+    Value.VIRTUAL_DAMPING: (0.0, 1.0, 3.0, 5.0, -0.2),
     Value.MASS: (0.0, 0.005, 0.02),
     Value.WALL_STIFFNESS: (0.0, 500.0, 3000.0),
-    Value.WALL_DAMPING: (0.0, 2.0),
+    Value.WALL_VIRTUAL_DAMPING: (0.0, 2.0),
     Value.WALL_POSITION: (-0.005, 0.0, 0.005),
     Value.WALL_SIDE: (-1.0, 0.0, 1.0),
     Value.RAMP_S: (0.0, 0.0, 0.01, 0.1, 0.5),
@@ -286,8 +286,8 @@ class Operator:
                 values[place] = random.choice(MOST[place])
         elif kind == Command.DAMPING:
             values = {
-                Value.ADDED_DAMPING: random.choice((0.0, 1.74, 5.0)),
-                Value.ADDED_DAMPING_ON: random.choice((0.0, 1.0)),
+                Value.ACTIVE_DAMPING: random.choice((0.0, 1.74, 5.0)),
+                Value.ACTIVE_DAMPING_ON: random.choice((0.0, 1.0)),
             }
         elif kind == Command.PERTURB_START:
             values = {

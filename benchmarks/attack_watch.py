@@ -250,7 +250,13 @@ class Watch:
         """Highest |K|, |B|, |M| and wall numbers that were asked for up to each OUT."""
         highest = np.zeros((len(PARAMETERS), ticks.max() + 2))
         start = self._servo.environment
-        highest[:, 0] = (start.stiffness_n_per_m, start.damping_ns_per_m, start.mass_kg, 0.0, 0.0)
+        highest[:, 0] = (
+            start.stiffness_n_per_m,
+            start.virtual_damping_ns_per_m,
+            start.mass_kg,
+            0.0,
+            0.0,
+        )
         for one in self.given:
             if one.result in (Result.APPLIED, Result.SCHEDULED) and one.tick < highest.shape[1]:
                 asked = np.abs([one.values[place] for place in PARAMETERS])
@@ -258,7 +264,13 @@ class Watch:
         return np.maximum.accumulate(highest, axis=1)[:, ticks]
 
 
-PARAMETERS = (Value.STIFFNESS, Value.DAMPING, Value.MASS, Value.WALL_STIFFNESS, Value.WALL_DAMPING)
+PARAMETERS = (
+    Value.STIFFNESS,
+    Value.VIRTUAL_DAMPING,
+    Value.MASS,
+    Value.WALL_STIFFNESS,
+    Value.WALL_VIRTUAL_DAMPING,
+)
 
 
 class Outs(NamedTuple):

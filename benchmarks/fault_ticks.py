@@ -256,7 +256,9 @@ def parameters(scenario: Scenario, random: Random) -> tuple[ServoParams, BoardPa
     safety = replace(servo.safety, enable_ramp_s=ENABLE_S)
     held = TouchParams(hands=(HandParams("hold", stiffness_n_per_m=2e4, damping_ns_per_m=20.0),))
     board = replace(board, touch=held, watchdog_ms=WATCHDOG_MS, seed=random.randrange(1000))
-    calm = replace(servo.environment, stiffness_n_per_m=0.0, damping_ns_per_m=0.0, mass_kg=0.0)
+    calm = replace(
+        servo.environment, stiffness_n_per_m=0.0, virtual_damping_ns_per_m=0.0, mass_kg=0.0
+    )
     if scenario.hardware:
         servo = replace(servo, realtime=replace(servo.realtime, grace_s=0.0))
     servo = replace(

@@ -21,7 +21,7 @@ T = TypeVar("T")
 Policy = Literal["off", "warn", "clamp", "refuse", "follow"]
 BasisName = Literal["theorem", "predicted", "measured"]
 DampingMode = Literal["off", "level", "auto"]
-Leased = Literal["environment", "damping", "perturbation", "measuring"]
+Leased = Literal["environment", "active_damping", "perturbation", "measuring"]
 AtEnd = Literal["hold", "zero", "disable"]
 STRICT_POLICIES = frozenset({"clamp", "refuse", "follow"})  # what is unknown is refused
 
@@ -31,7 +31,7 @@ COMMISSIONING_SHARE = 0.1  # of the device's force, until its signs are verified
 CALIBRATION_DAYS = 365  # see ADR 0124
 SHORTEST_LEASE_S = 0.2  # twenty passes of the gateway
 LONGEST_LEASE_S = 60.0
-ADDED_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
+ACTIVE_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class WallParams:
     """
 
     stiffness_n_per_m: float = 0.0
-    damping_ns_per_m: float = 0.0  # virtual damping B of the wall
+    virtual_damping_ns_per_m: float = 0.0  # virtual damping B of the wall
     position_m: float = 0.0
     side: int = 0
 
@@ -73,7 +73,9 @@ class EnvironmentParams:
     """
 
     stiffness_n_per_m: float = 0.0
-    damping_ns_per_m: float = 0.0  # virtual damping B; active damping has a field of its own
+    virtual_damping_ns_per_m: float = (
+        0.0  # virtual damping B; active damping has a field of its own
+    )
     mass_kg: float = 0.0
     velocity_filter: FilterParams = FilterParams(100.0)
     acceleration_filter: FilterParams = FilterParams(72.0)
@@ -172,7 +174,7 @@ class DeviceParams:
     serial: str
     position: ScaleParams  # m
     force: ScaleParams  # N
-    damping: ScaleParams  # N s/m of active damping
+    active_damping: ScaleParams  # N s/m of active damping
     probe_torque: ScaleParams  # N at the endpoint
     probe_velocity: ScaleParams  # m/s
     current: ScaleParams  # A
@@ -180,7 +182,7 @@ class DeviceParams:
     emf_velocity: ScaleParams  # m/s
     temperature: ScaleParams  # degC
     force_limit_n: float
-    damping_limit_ns_per_m: float
+    active_damping_limit_ns_per_m: float
     probe_limit_n: float
     temperature_limit_c: float
     speed_limit_m_per_s: float  # faster is not a motion but a sensor fault
@@ -207,7 +209,9 @@ class DeviceParams:
     # its signs are not verified: little force, a box for K, B and M (servo.commissioning)
     commissioning: bool = False
     signs_firmware: str = ""  # of the board when its signs were seen, like 1.0; "": any
-    damping_with_force_n: float = 0.0  # full scale of force when damping was measured; 0: unknown
+    active_damping_with_force_n: float = (
+        0.0  # full scale of force when damping was measured; 0: unknown
+    )
     probe_skew_us: float = 0.0  # by which the probe's velocity is later than its force
     calibration_days: int = CALIBRATION_DAYS  # after which a calibration is too old to rely on
     environment_limits: EnvironmentLimits | None = None  # None: those of the mailbox alone
@@ -227,10 +231,10 @@ class SafetyParams:
     force_limit_n: float = 8.0
     enable_ramp_s: float = 0.5
     stop_ramp_s: float = 0.02
-    damping_hold_s: float = 2.0
-    damping_release_s: float = 0.5
-    safe_damping_ns_per_m: float = 0.0
-    damping_slew_ns_per_m_s: float = 20.0
+    active_damping_hold_s: float = 2.0
+    active_damping_release_s: float = 0.5
+    safe_active_damping_ns_per_m: float = 0.0
+    active_damping_slew_ns_per_m_s: float = 20.0
     gateway_timeout_s: float = 1.0
     on_gateway_loss: str = "fault"  # "fault" | "hold"
     lost_slots_limit: int = 10  # within one second
@@ -279,7 +283,7 @@ class ServoParams:
     safety: SafetyParams
     realtime: RealtimeParams
     usb: UsbParams
-    added_damping_ns_per_m: float = ADDED_DAMPING_NS_PER_M
+    active_damping_ns_per_m: float = ACTIVE_DAMPING_NS_PER_M
     config_hash: str = ""
     device_file: str = ""  # from which `device` was read; "": from none
     device_file_sha256: str = ""  # of its bytes then
@@ -476,7 +480,7 @@ class BoardParams:
     rate_hz: float
     position_m_per_count: float
     force_n_per_count: float
-    damping_ns_per_m_per_count: float
+    active_damping_ns_per_m_per_count: float
     probe_torque_n_per_count: float
     probe_velocity_m_per_s_per_count: float
     current_a_per_count: float
@@ -578,10 +582,10 @@ class MeasuredLevel:
     by the end of its interval that is nearer to 0; 0 where none was looked for.
     """
 
-    damping_ns_per_m: float  # active damping
+    active_damping_ns_per_m: float  # active damping
     stiffness_n_per_m: float  # largest K
-    damping_low_ns_per_m: float  # least B
-    damping_high_ns_per_m: float  # largest B
+    virtual_damping_low_ns_per_m: float  # least B
+    virtual_damping_high_ns_per_m: float  # largest B
     mass_low_kg: float  # least M
     mass_high_kg: float  # largest M
 
@@ -605,9 +609,9 @@ class GuardSetup:
     config_hash: str  # of the servo that it judges for
     rate_hz: float
     environment: EnvironmentParams  # its filters' way of being made discrete
-    added_damping_ns_per_m: float  # what `damping on` means
-    damping_limit_ns_per_m: float  # ceiling of the damping circuit, by the device file
-    damping_count_ns_per_m: float  # one count of its DAC
+    active_damping_ns_per_m: float  # what `damping on` means
+    active_damping_limit_ns_per_m: float  # ceiling of the damping circuit, by the device file
+    active_damping_count_ns_per_m: float  # one count of its DAC
     lowest: tuple[float, ...]  # of K, B, M that a client may ask for
     highest: tuple[float, ...]
     model: ModelParams | None = None  # None: nothing is known of the device

@@ -115,7 +115,7 @@ def recorded_run() -> "RecordedFlight":
     with RecordedFlight(board=board) as run:
         run.move()
         run.fly(1000)
-        run.stack.do(Command.DAMPING, {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0})
+        run.stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0})
         run.fly(1000)
         run.stack.do(Command.STOP)
         run.fly(1000)

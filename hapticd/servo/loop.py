@@ -222,7 +222,7 @@ class ServoLoop:
         timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
         period_ns = self.period_ns
         periods_per_us = self.params.realtime.rate_hz / US_PER_S
-        damping = self.params.device.damping
+        damping = self.params.device.active_damping
         damping_slope = damping.to_value(1.0) - damping.to_value(0.0)
         damping_start = damping.to_value(0.0)
         stepped = self._stepped_ns

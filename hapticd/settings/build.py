@@ -64,7 +64,7 @@ TRAITS = (
 FULL_SCALES = {
     "position_m_per_count": ("position_m_per_count", 1),
     "force_n_per_count": ("force_full_scale_n", I16_HIGHEST),
-    "damping_ns_per_m_per_count": ("damping_full_scale_ns_per_m", U16_HIGHEST),
+    "active_damping_ns_per_m_per_count": ("damping_full_scale_ns_per_m", U16_HIGHEST),
     "probe_torque_n_per_count": ("probe_torque_full_scale_n", I16_HIGHEST),
     "probe_velocity_m_per_s_per_count": ("probe_velocity_full_scale_m_per_s", I16_HIGHEST),
     "current_a_per_count": ("current_full_scale_a", I16_HIGHEST),
@@ -91,7 +91,7 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
         safety=SafetyParams(**safety),
         realtime=RealtimeParams(**config.realtime.model_dump()),
         usb=UsbParams(**config.usb.model_dump(), serial=device.serial),
-        added_damping_ns_per_m=config.added_damping_ns_per_m,
+        active_damping_ns_per_m=config.active_damping_ns_per_m,
         config_hash=settings.config_hash,
         device_file=str(settings.device_file.absolute()),
         device_file_sha256=settings.device_file_sha256,
@@ -110,7 +110,10 @@ def board_params(settings: Settings) -> BoardParams | None:
         device,
         settings.config.realtime.rate_hz,
         built,
-        (settings.config.added_damping_ns_per_m, settings.config.safety.safe_damping_ns_per_m),
+        (
+            settings.config.active_damping_ns_per_m,
+            settings.config.safety.safe_active_damping_ns_per_m,
+        ),
         sample_phase=phase if simulation.sample_phase is None else simulation.sample_phase,
         lag_periods=lag_periods if simulation.sample_phase is None else 0,
         watchdog_ms=simulation.watchdog_ms,
@@ -195,7 +198,7 @@ def board_of(
         rate_hz=rate_hz,
         position_m_per_count=scales.position.per_count,
         force_n_per_count=scales.force.per_count,
-        damping_ns_per_m_per_count=scales.damping.per_count,
+        active_damping_ns_per_m_per_count=scales.active_damping.per_count,
         probe_torque_n_per_count=scales.probe_torque.per_count,
         probe_velocity_m_per_s_per_count=scales.probe_velocity.per_count,
         current_a_per_count=scales.current.per_count,
@@ -222,7 +225,7 @@ def _composed(
 
     model = compose_device(device.name, effects, rate_hz)
     refuse_unstable(model, (0.0, *exact_levels))
-    highest_ns_per_m = device.limits.damping_ns_per_m
+    highest_ns_per_m = device.limits.active_damping_ns_per_m
     return board_fields(model, exact_levels, highest_ns_per_m, abs(_trim_ohm(device)))
 
 
@@ -283,12 +286,14 @@ def device_params(device: DeviceFile) -> DeviceParams:
         serial=device.serial,
         position=device.position.params(device.position.m_per_count),
         force=device.force.params(device.force.full_scale_n / I16_HIGHEST),
-        damping=device.damping.params(device.damping.full_scale_ns_per_m / U16_HIGHEST),
+        active_damping=device.active_damping.params(
+            device.active_damping.full_scale_ns_per_m / U16_HIGHEST
+        ),
         probe_torque=device.probe_torque.params(device.probe_torque.full_scale_n / I16_HIGHEST),
         probe_velocity=device.probe_velocity.params(
             device.probe_velocity.full_scale_m_per_s / I16_HIGHEST
         ),
-        damping_with_force_n=device.damping.with_force_full_scale_n or 0.0,
+        active_damping_with_force_n=device.active_damping.with_force_full_scale_n or 0.0,
         probe_skew_us=device.probe_velocity.skew_us,
         current=device.current.params(device.current.full_scale_a / I16_HIGHEST),
         voltage=device.voltage.params(device.voltage.full_scale_v / I16_HIGHEST),
@@ -297,7 +302,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
         ),
         temperature=device.temperature.params(device.temperature.c_per_count),
         force_limit_n=limits.force_n,
-        damping_limit_ns_per_m=limits.damping_ns_per_m,
+        active_damping_limit_ns_per_m=limits.active_damping_ns_per_m,
         probe_limit_n=limits.probe_n,
         temperature_limit_c=limits.temperature_c,
         force_step_n=limits.force_step_n,
@@ -364,7 +369,7 @@ def environment_params(asked: Environment, travel: Travel) -> EnvironmentParams:
     ends = asked.workspace
     return EnvironmentParams(
         stiffness_n_per_m=asked.stiffness_n_per_m,
-        damping_ns_per_m=asked.damping_ns_per_m,
+        virtual_damping_ns_per_m=asked.virtual_damping_ns_per_m,
         mass_kg=asked.mass_kg,
         velocity_filter=FilterParams(**asked.velocity_filter.model_dump()),
         acceleration_filter=FilterParams(**asked.acceleration_filter.model_dump()),
@@ -392,7 +397,7 @@ def converter_effects(device: DeviceFile) -> dict[str, Effect]:
             limit_n=scales.force_limit_n, source=_tag(scales.force), note=scales.force.source
         ),
         "damping_dac": DampingDac(
-            quantum_ns_per_m=scales.damping.per_count, note=scales.damping.source
+            quantum_ns_per_m=scales.active_damping.per_count, note=scales.active_damping.source
         ),
         "probe_adc": ProbeAdc(
             velocity_quantum_m_per_s=scales.probe_velocity.per_count,

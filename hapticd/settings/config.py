@@ -45,7 +45,7 @@ _board: Any = BoardParams.__dataclass_fields__
 _hand = HandParams("hold")
 _touch = TouchParams()
 _bus = BusParams()
-_added_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["added_damping_ns_per_m"].default
+_active_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["active_damping_ns_per_m"].default
 
 Stiffness = Annotated[float, Field(ge=-1e4, le=1e5)]
 VirtualDamping = Annotated[float, Field(ge=-1e2, le=1e3)]
@@ -69,7 +69,7 @@ def _filter(default: FilterParams) -> Filter:
 
 class WallTable(TomlTable):
     stiffness_n_per_m: float = Field(_wall.stiffness_n_per_m, ge=0, le=1e5)
-    damping_ns_per_m: float = Field(_wall.damping_ns_per_m, ge=0, le=1e3)
+    virtual_damping_ns_per_m: float = Field(_wall.virtual_damping_ns_per_m, ge=0, le=1e3)
     position_m: float = Field(_wall.position_m, ge=-10, le=10)
     side: Literal[-1, 0, 1] = 0
     """+1: solid beyond the position, -1: solid before it, 0: no wall."""
@@ -86,7 +86,7 @@ class Environment(TomlTable):
     """What is rendered at start; `hapticd set` changes it live."""
 
     stiffness_n_per_m: Stiffness = _environment.stiffness_n_per_m
-    damping_ns_per_m: VirtualDamping = _environment.damping_ns_per_m
+    virtual_damping_ns_per_m: VirtualDamping = _environment.virtual_damping_ns_per_m
     mass_kg: float = Field(_environment.mass_kg, ge=-1, le=10)
     velocity_filter: Filter = _filter(_environment.velocity_filter)
     acceleration_filter: Filter = _filter(_environment.acceleration_filter)
@@ -101,11 +101,13 @@ class Safety(TomlTable):
     """Tighter than the device's own limit; left out: the device's limit."""
     enable_ramp_s: Duration = _safety.enable_ramp_s
     stop_ramp_s: float = Field(_safety.stop_ramp_s, ge=0, le=1)
-    damping_hold_s: Duration = _safety.damping_hold_s
-    damping_release_s: Duration = _safety.damping_release_s
-    safe_damping_ns_per_m: float = Field(_safety.safe_damping_ns_per_m, ge=0)
+    active_damping_hold_s: Duration = _safety.active_damping_hold_s
+    active_damping_release_s: Duration = _safety.active_damping_release_s
+    safe_active_damping_ns_per_m: float = Field(_safety.safe_active_damping_ns_per_m, ge=0)
     """Active damping held after a stop or fault."""
-    damping_slew_ns_per_m_s: float = Field(_safety.damping_slew_ns_per_m_s, gt=0, le=1e6)
+    active_damping_slew_ns_per_m_s: float = Field(
+        _safety.active_damping_slew_ns_per_m_s, gt=0, le=1e6
+    )
     gateway_timeout_s: float = Field(_safety.gateway_timeout_s, ge=0.2, le=60)
     on_gateway_loss: Literal["fault", "hold"] = "fault"
     lost_slots_limit: int = Field(_safety.lost_slots_limit, ge=1, le=10_000)
@@ -328,7 +330,7 @@ class Config(TomlTable):
 
     device: str = Field("simulated", min_length=1)
     """Name of a device file (devices/NAME.toml beside this file, else a shipped one), or a path."""
-    added_damping_ns_per_m: float = Field(_added_damping_ns_per_m, ge=0)
+    active_damping_ns_per_m: float = Field(_active_damping_ns_per_m, ge=0)
     """Active damping that `hapticd damping on` asks for."""
     environment: Environment = Environment()
     safety: Safety = Safety()

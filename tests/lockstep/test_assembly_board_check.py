@@ -39,7 +39,7 @@ def flown(servo, board, ticks=5):
 
 OTHER_BOARDS = {
     "force full scale": {"force_n_per_count": 80.0 / 32767},
-    "damping full scale": {"damping_ns_per_m_per_count": 5.0 / 65535},
+    "damping full scale": {"active_damping_ns_per_m_per_count": 5.0 / 65535},
     "probe torque full scale": {"probe_torque_n_per_count": 0.2 / 32767},
     "probe velocity full scale": {"probe_velocity_m_per_s_per_count": 20.0 / 32767},
     "current full scale": {"current_a_per_count": 1.0 / 32767},
@@ -270,7 +270,7 @@ def test_phase_leaves_room_for_the_measured_pair(usb, pair_ms, depth):
         first, _, *others = as_records(stack.run(5))["arrival"]
         assert (first, *others) == (SEED, 0, 0, 0)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
-        stack.do(Command.SET, {Value.STIFFNESS: 200.0, Value.DAMPING: 3.0})
+        stack.do(Command.SET, {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 3.0})
         ticks = as_records(stack.run(3000))
         found = stack.loop.board.report()["transport"]
     phase = HELD[usb, pair_ms]

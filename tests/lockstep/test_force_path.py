@@ -20,8 +20,8 @@ from hapticd.wire.frames import StatusBit
 pytestmark = pytest.mark.usefixtures("either_way")
 
 
-FIG_WALL = {Value.STIFFNESS: 200.0, Value.DAMPING: 3.0, Value.RAMP_S: 0.0}
-SPRING = {Value.STIFFNESS: 500.0, Value.DAMPING: 2.0, Value.RAMP_S: 0.0}
+FIG_WALL = {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 3.0, Value.RAMP_S: 0.0}
+SPRING = {Value.STIFFNESS: 500.0, Value.VIRTUAL_DAMPING: 2.0, Value.RAMP_S: 0.0}
 
 
 def enable(stack, settings):

@@ -24,8 +24,8 @@ from hapticd.wire.frames import OutFlag
 pytestmark = pytest.mark.usefixtures("either_way")
 
 
-SPRING = {Value.STIFFNESS: 200.0, Value.DAMPING: 5.0, Value.RAMP_S: 0.0}
-ADDED = {Value.ADDED_DAMPING: 1.74, Value.ADDED_DAMPING_ON: 1.0}
+SPRING = {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 5.0, Value.RAMP_S: 0.0}
+ADDED = {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0}
 PUSH_COUNTS = 16_000  # of 32767 = 2 N: held against the spring
 SETTLED_TICKS = 1500
 FADE_TICKS = 20

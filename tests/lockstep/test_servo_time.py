@@ -144,7 +144,7 @@ def elapsed_s(stack, until, most_s=10.0):
 
 @pytest.mark.parametrize("pause_ms", [0.0, 1.4, 3.7])
 def test_ramps_and_holds_end_by_the_clock_on_a_slow_host(pause_ms):
-    params = servo_params(safety=SafetyParams(safe_damping_ns_per_m=1.0))
+    params = servo_params(safety=SafetyParams(safe_active_damping_ns_per_m=1.0))
     tick_s = 0.001 + 2 * pause_ms * 1e-3
     with LockStep(params, board_params(mass_kg=1.0)) as stack:
         stack.run(20)
@@ -162,7 +162,7 @@ def test_ramps_and_holds_end_by_the_clock_on_a_slow_host(pause_ms):
         assert elapsed_s(stack, lambda record: record["gain"] == 0.0) == (
             pytest.approx(0.02, abs=2 * tick_s)
         )
-        level = "added_damping_ns_per_m"
+        level = "active_damping_ns_per_m"
         assert elapsed_s(stack, lambda record: record[level] > 0.999) == (
             pytest.approx(0.03, abs=2 * tick_s)  # 20 N s/m a second, 20 ms of which are over
         )

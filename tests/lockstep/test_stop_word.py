@@ -39,7 +39,7 @@ pytestmark = pytest.mark.usefixtures("either_way")
 
 MENDED_TICKS = 256  # between two looks at what stands under the word's name
 HELD_TICKS = 1000  # for which nobody resets a press of the word
-FIG_4 = {Value.STIFFNESS: 100.0, Value.DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
+FIG_4 = {Value.STIFFNESS: 100.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
 ENABLE_TICKS = 520
 FADE_TICKS = 21  # of a stop ramp of 20 ms, after which the word is taken back
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
