@@ -140,7 +140,9 @@ def drawn(seed: int, random: Random) -> Flight:
         enable_ramp_s=random.choice((0.02, 0.1, 0.5)),
         energy_controller=seed % 2 == 1,
     )
-    servo = replace(servo, device=device, safety=safety, simulated=random.random() < 0.5)
+    usb = replace(servo.usb, in_flight=seed % 4 < 2)
+    simulated = random.random() < 0.5
+    servo = replace(servo, device=device, safety=safety, usb=usb, simulated=simulated)
     traits = [name for name, (share, _) in TRAITS.items() if random.random() < share]
     traits += RARE[seed % RARE_EVERY : seed % RARE_EVERY + 1]
     board = replace(

@@ -43,6 +43,7 @@ CALM_OUTS = 4  # over which the law's own step is looked for
 STRUCK_OUTS = 24  # over which, after samples or commands were lost
 SLACK_N = 0.02  # quantised positions through the derivative filters
 MOST_TOLD = 20
+SEQ_WORD = 0  # of an OUT frame in 16 bits
 
 
 class Violation(NamedTuple):
@@ -56,8 +57,7 @@ class Violation(NamedTuple):
 class Out(NamedTuple):
     """The motor around one OUT that the board took."""
 
-    t_ns: int
-    tick: int  # of the servo that sent it
+    seq: int  # its number; it is that of a tick's record
     before_n: float  # force that the plant felt last
     after_n: float
     position_m: float
@@ -132,27 +132,25 @@ class Watch:
             self.tell("clamp", f"{force_n:.3f} N, limit {self.limit_n:g} N")
 
     def _watch_transfers(self, stack: LockStep) -> None:
-        write = stack.backend.bulk_write
+        deliver = stack.backend.deliver
         board = self._board
         axis = self._axis
 
-        def watched(*transfer: Any) -> int:
-            count: int = write(*transfer)
+        def watched(data: memoryview, t_ns: int) -> None:
+            deliver(data, t_ns)
             if board._next_seq != self._taken:
                 self._taken = board._next_seq
                 self._taken_at = axis.now
-                self._note(stack.clock.now_ns())
-            return count
+                self._note(board._echo)
 
-        stack.backend.bulk_write = watched  # type: ignore[method-assign]
+        stack.backend.deliver = watched
 
-    def _note(self, now_ns: int) -> None:
+    def _note(self, seq: int) -> None:
         axis = self._axis
         odd = axis.amplifier is not None
         number = getattr(self._port, "tick", 0)
         moved_m = axis.state[POSITION]
-        tick = self._stack.loop.tick
-        self.outs.append(Out(now_ns, tick, self._felt_n, axis.force_n, moved_m, odd, number))
+        self.outs.append(Out(seq, self._felt_n, axis.force_n, moved_m, odd, number))
 
     def tell(self, rule: str, text: str) -> None:
         """Note a violation at this moment."""
@@ -171,7 +169,10 @@ class Watch:
         if len(self.outs) < STRUCK_OUTS:
             return self.found
         outs = Outs(*(np.array(column) for column in zip(*self.outs, strict=True)))
-        ticks = np.minimum(outs.tick, len(records) - 1)
+        # by their number: in flight the board takes an OUT after the call of its tick
+        frames = np.ascontiguousarray(records["out_frame"]).view("<u2").reshape(len(records), -1)
+        numbers = frames[:, SEQ_WORD]
+        ticks = np.minimum(np.searchsorted(numbers, outs.seq), len(records) - 1)
         found = [*self._late_ends(outs, ticks, records), *self._unasked(records)]
         found += self._steps(outs, ticks, lies, np.isin(records["state"][ticks], list(GRANTED)))
         return self.found + found[: MOST_TOLD - len(self.found)]
@@ -186,7 +187,7 @@ class Watch:
         woken = (
             records["wake_ns"] > period_ns
         )  # the host stood still: this tick is the first to end
-        in_time = outs.t_ns - left_ns[ticks] <= END_PERIODS * period_ns
+        in_time = records["time_ns"][ticks] - left_ns[ticks] <= END_PERIODS * period_ns
         fading = latched[ticks] & (in_time | woken[ticks])
         wrong = (outs.after_n != 0.0) & ~granted[ticks] & ~fading
         return [
@@ -275,8 +276,7 @@ PARAMETERS = (
 class Outs(NamedTuple):
     """The columns of some Out."""
 
-    t_ns: Any
-    tick: Any
+    seq: Any
     before_n: Any
     after_n: Any
     position_m: Any

@@ -9,6 +9,7 @@ step alone, called as often and for as many sub-steps.
 import time
 from array import array
 from collections.abc import Iterator
+from dataclasses import replace
 
 from benchmarks import targets
 from benchmarks.bare import empty_link
@@ -36,7 +37,7 @@ def measure() -> Iterator[Figure]:
     """Least of blocks that take turns; then the lock-step runs."""
     servo, board = scene_params(SCENE)
     clocks = VirtualClock(NS_PER_MS), VirtualClock(NS_PER_MS)
-    link = UsbLink(servo.usb, simulated_backend(board, clocks[0]))
+    link = UsbLink(replace(servo.usb, in_flight=False), simulated_backend(board, clocks[0]))
     link.open()
     pairs = Pairs(link, clocks[0])
     empty = Pairs(empty_link(servo.usb, board, clocks[1]), clocks[1])

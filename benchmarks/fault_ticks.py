@@ -146,14 +146,14 @@ def struck(kind: str, values: tuple[float, ...] = (0.0,), count: int = 1) -> Any
 def next_strike(rig: Rig) -> None:
     """Go on to the OUT that is struck; its attempt is the cause."""
     number = rig.port._injections[0].tick
-    write = rig.stack.backend.bulk_write
+    deliver = rig.stack.backend.deliver
 
-    def noted(*transfer: Any) -> int:
+    def noted(data: memoryview, t_ns: int) -> None:
         if rig.port.tick == number:
             rig.caused_now()
-        return int(write(*transfer))
+        deliver(data, t_ns)
 
-    rig.stack.backend.bulk_write = noted  # type: ignore[method-assign]
+    rig.stack.backend.deliver = noted
 
 
 def pause(low_ms: float, high_ms: float, rig: Rig) -> None:

@@ -186,6 +186,13 @@ TABLE: dict[str, dict[str, Target]] = {
             "<= 5", "", "percent; a guard that refuses what is safe is switched off"
         ),
     },
+    "delay": {
+        "delay_ratio": Target(
+            "<= 0.5x",
+            "the same bus, one transfer after the other; model, the worst bus of a band",
+            "no wake-ups and no waiting: the way of one frame out and one back, and the step",
+        ),
+    },
     "fault_ticks": {
         f"fault_ticks_{code}": Target(
             "<= 1x",

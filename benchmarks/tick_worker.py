@@ -6,6 +6,7 @@ import sys
 import time
 from array import array
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 from benchmarks.bare import empty_link
@@ -59,7 +60,8 @@ class TickBench:
         self.period_ns = self.servo.loop.period_ns
         self.reference = yardstick(params.environment, params.realtime.rate_hz)
         self.in_c = CReference(library, params) if library else None
-        self.usb = UsbLink(params.usb, simulated_backend(board, MonotonicClock()))
+        in_turn = replace(params.usb, in_flight=False)
+        self.usb = UsbLink(in_turn, simulated_backend(board, MonotonicClock()))
         self.usb.open()
         self.empty = empty_link(params.usb, board, MonotonicClock())
 

@@ -231,6 +231,7 @@ class UsbParams:
     product_id: int = 0x0001
     serial: str | None = None
     timeout_ms: int = 1  # of one transfer; what libusb can do least
+    in_flight: bool = False  # transfers under way while the servo computes
 
 
 @dataclass(frozen=True, slots=True)
@@ -415,6 +416,23 @@ class TouchParams:
 
 
 @dataclass(frozen=True, slots=True)
+class BusParams:
+    """A full-speed bus behind an xHCI controller; `sim.bus` has the source of each number."""
+
+    transfer: str = "bulk"  # or "interrupt": of both endpoints
+    bit_stuffing: float = 0.0  # share of the worst case, 0..1
+    nak_us: float = 16.0  # after a NAK until the controller asks a bulk IN again
+    hub_microframes: int = 0  # more each way behind a high-speed hub; 0: a root port
+    moderation_us: float = 40.0  # shortest time between two interrupts of the controller
+    frame_ppm: float = 0.0  # by which the clock of the frames is slower than that of the host
+    periodic_us: float = 0.0  # of each frame, from its start on: other devices' periodic transfers
+    busy: float = 0.0  # share of transfers that find a packet of another device on the wire
+    submit_us: float = 8.0  # mean: from the call until the controller knows of the transfer
+    complete_us: float = 12.0  # mean: from the interrupt until the kernel has completed it
+    wake_us: float = 15.0  # mean: until a thread that waits for it runs
+
+
+@dataclass(frozen=True, slots=True)
 class BoardParams:
     """Everything the simulated board needs (board.json): nominal scales of its firmware and the
     plant's numbers.
@@ -452,6 +470,7 @@ class BoardParams:
     board_time_us: int = 0  # at which board time begins whenever it is powered up
     out_transport_us: float = 0.0  # from the host's write until the board has the OUT
     in_transport_us: float = 0.0  # from the board's IN, or the host's read, until the host has it
+    bus: BusParams | None = None  # in place of these two: a model of full speed
     touch: TouchParams | None = None  # what touches its rotor beside the motor
     emergency_stop_bounce_ms: float = 0.0  # of its contact, at either edge
     hello_serial: str = ""  # serial number in the hello reply; empty: `serial`

@@ -3,11 +3,13 @@
 import shutil
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from hapticd.link.usb import UsbLink
 from hapticd.mailbox import files
 
 if TYPE_CHECKING:
@@ -20,6 +22,18 @@ pytest_plugins = ["hapticd.pytest_plugin"]
 collect_ignore = ["support"]
 
 MAY_BE_SKIPPED = {"test_lane_loop_is_vector_code"}  # it reads the assembly of x86
+
+
+@pytest.fixture(params=["in_flight", "in_turn"])
+def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test runs twice: with transfers in flight, and one after the other."""
+    made = UsbLink._transfers
+
+    def transfers(link: UsbLink, *interface: Any) -> Any:
+        link._params = replace(link._params, in_flight=request.param == "in_flight")
+        return made(link, *interface)
+
+    monkeypatch.setattr(UsbLink, "_transfers", transfers)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

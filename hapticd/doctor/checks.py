@@ -713,7 +713,7 @@ def transport(machine: Machine, asked: Requirements) -> CheckResult:
         f" {found['sample_phase']:g} periods after OUT, force acts {found['delay_us']:.0f} us after"
         " its sample"
     )
-    why = "each tick waits for two transfers; what does not fit is a lost slot"
+    why = "both transfers have to fit into a period; what does not fit is a lost slot"
     if found["rate_hz"] < asked.realtime.rate_hz:
         fix = f"set realtime.rate_hz to at most {found['rate_hz']:g}"
         return fail(name, measured, why, fix)

@@ -10,7 +10,13 @@ from hapticd.wire.frames import Request
 
 
 class Link(ABC):
-    """One board, one owner. Every call returns within the link's time-out or raises a LinkError."""
+    """One board, one owner. Every call returns within the link's time-out or raises a LinkError.
+
+    `in_flight`: `write` returns before its frame has arrived, and a frame may be under way while
+    no call is (`link.flight`).
+    """
+
+    in_flight = False
 
     @abstractmethod
     def open(self) -> None:
@@ -30,6 +36,12 @@ class Link(ABC):
     @abstractmethod
     def write(self, buffer: "array[int]") -> None:
         """Send `buffer` (array('B')) as one OUT frame. LinkTimeout, LinkStalled, LinkLost."""
+
+    def drain(self) -> None:  # noqa: B027  # nothing to do where `write` waits
+        """Give the OUT frame that is on its way the time-out to arrive; never raises.
+
+        Between ticks only: the next `write` does not find the bus taken.
+        """
 
     @abstractmethod
     def request(self, request: Request, length: int = 0, value: int = 0) -> bytes:

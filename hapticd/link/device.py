@@ -129,6 +129,7 @@ class Device:
 
     def begin(self) -> None:
         """A frame without torque, from which on everything counts anew."""
+        self.link.drain()
         # samples of an earlier session may wait in the board; a frame without ENABLE also
         # ends a tripped watchdog
         self.send(frames.OutFlag.FIFO_CLEAR, 0, 0, 0)

@@ -11,6 +11,14 @@ and 1.45 times as much at the 99th percentile. So room is left for 1.45 times th
 and 50 us of step, and the phase is the largest multiple of 1/16 of the period, up to 0.875, that
 leaves it. What the force loses by it is known: it acts (1 - phase) periods after its sample.
 
+With transfers in flight (`link.flight`) neither is waited for. What has to fit is
+
+    phase + way of an OUT to the board + way of its IN back + step  <=  period
+
+and no wake-up is in it. That round is measured as a tick makes it, at one phase after the other,
+from later ones to earlier; the first whose median leaves 50 us is taken. A frame that comes later
+than that makes its tick wait for it and its force act later, and costs no slot.
+
 Whether there is a bus at all is asked first, by a control transfer, which no board counts: what
 answers within 100 us is in the same process. Only then frames are exchanged, all of them without
 torque: an OUT, a pause of a period, so that its IN is there, and the read.
@@ -24,6 +32,7 @@ from statistics import median
 from typing import NamedTuple
 
 from hapticd.clock import Clock
+from hapticd.errors import LinkTimeout
 from hapticd.link.device import Device
 from hapticd.units import NS_PER_US, US_PER_S
 from hapticd.wire import frames
@@ -33,6 +42,8 @@ USUAL_PHASE = 0.875  # of a period: what a board has of itself (firmware_iface/P
 PHASES = 16  # in a period
 PAIRS = 32
 GREETINGS = 3
+ROUNDS = 16  # at one phase, in flight
+LOOKS = 4  # for the answer of a round, each a time-out long
 NO_BUS_US = 100.0  # USB needs at least three frames of 125 us for a control transfer
 SLOWEST_OVER_MEDIAN = 1.45  # 99th percentile of pairs through a Linux kernel
 STEP_US = 50.0  # wake-up, law and record of one tick, with a margin of its own
@@ -42,10 +53,19 @@ RATE_STEP_HZ = 10.0
 class Transport(NamedTuple):
     """What was measured, and what follows from it."""
 
-    pair_us: float  # median of an OUT and an IN transfer; 0 without a bus
+    pair_us: float  # of an OUT and an IN transfer; 0 without a bus
     sample_phase: float  # of a period, from an OUT to the latch of its IN
     delay_us: float  # from a sample to its force
     rate_hz: float  # highest that is held, or the servo's own
+    in_flight: bool  # an OUT and an IN may be under way while the servo computes
+
+
+class Held(NamedTuple):
+    """What a measurement gave."""
+
+    pair_us: float
+    phase: float
+    rate_hz: float
 
 
 def settle_transport(device: Device, clock: Clock) -> Transport:
@@ -55,23 +75,75 @@ def settle_transport(device: Device, clock: Clock) -> Transport:
     """
     period_us = device.period_us
     rate_hz = US_PER_S / period_us
+    in_flight = device.link.in_flight
     if _greeting_us(device, clock) < NO_BUS_US:
-        return Transport(0.0, USUAL_PHASE, (1.0 - USUAL_PHASE) * period_us, rate_hz)
+        delay_us = (1.0 - USUAL_PHASE) * period_us
+        return Transport(0.0, USUAL_PHASE, delay_us, rate_hz, in_flight)
+    assert device.hello is not None
+    settable = bool(device.hello.capabilities & Capability.SAMPLE_PHASE)
+    measured = _in_flight if in_flight else _in_turn
+    pair_us, phase, held_hz = measured(device, clock, settable)
+    device.begin()
+    if held_hz < rate_hz:
+        rate_hz = RATE_STEP_HZ * floor(held_hz / RATE_STEP_HZ)
+    return Transport(pair_us, phase, (1.0 - phase) * period_us, rate_hz, in_flight)
+
+
+def _in_turn(device: Device, clock: Clock, settable: bool) -> Held:
+    """By the median of pairs without torque."""
+    period_us = device.period_us
     pair_us = median(_pairs_us(device, clock))
     needed_us = SLOWEST_OVER_MEDIAN * pair_us + STEP_US
-    assert device.hello is not None
-    if device.hello.capabilities & Capability.SAMPLE_PHASE:
-        phase = min(USUAL_PHASE, max(0, floor(PHASES * (1.0 - needed_us / period_us))) / PHASES)
-        device.set_phase(phase * period_us)
-        held_hz = US_PER_S / needed_us
+    if not settable:
+        return Held(pair_us, USUAL_PHASE, US_PER_S / needed_us * (1.0 - USUAL_PHASE))
+    phase = min(USUAL_PHASE, max(0, floor(PHASES * (1.0 - needed_us / period_us))) / PHASES)
+    device.set_phase(phase * period_us)
+    return Held(pair_us, phase, US_PER_S / needed_us)
+
+
+def _in_flight(device: Device, clock: Clock, settable: bool) -> Held:
+    """By trying phases, from later ones to earlier, until the answers come in time."""
+    period_us = device.period_us
+    if not settable:
+        round_us = _round_us(device, clock)
+        pair_us = round_us - USUAL_PHASE * period_us
+        held_hz = US_PER_S / (pair_us + STEP_US) * (1.0 - USUAL_PHASE)
+        return Held(pair_us, USUAL_PHASE, held_hz)
+    device.set_phase(0.0)
+    round_us = _round_us(device, clock)
+    first = floor(PHASES * (1.0 - (round_us + STEP_US) / period_us)) + 2
+    phase = 0.0
+    for sixteenths in range(min(first, floor(PHASES * USUAL_PHASE)), 0, -1):
+        device.set_phase(sixteenths / PHASES * period_us)
+        tried_us = _round_us(device, clock)
+        if tried_us + STEP_US <= period_us:
+            phase, round_us = sixteenths / PHASES, tried_us
+            break
     else:
-        phase = USUAL_PHASE
-        held_hz = US_PER_S / needed_us * (1.0 - phase)
+        device.set_phase(0.0)
+    pair_us = round_us - phase * period_us
+    return Held(pair_us, phase, US_PER_S / (pair_us + STEP_US))
+
+
+def _round_us(device: Device, clock: Clock) -> float:
+    """From an OUT to its answer, both in flight: the median of ROUNDS. LinkTimeout."""
+    period_ns = round(device.period_us * NS_PER_US)
     device.begin()
-    delay_us = (1.0 - phase) * period_us
-    if held_hz >= rate_hz:
-        return Transport(pair_us, phase, delay_us, rate_hz)
-    return Transport(pair_us, phase, delay_us, RATE_STEP_HZ * floor(held_hz / RATE_STEP_HZ))
+    clock.sleep_until_ns(clock.now_ns() + period_ns)
+    device.receive()  # the answer to that frame
+    rounds = []
+    for _ in range(ROUNDS):
+        start_ns = clock.now_ns()
+        device.send(0, 0, 0, 0)
+        device.link.drain()  # no tick: an OUT may be waited for
+        if any(device.receive()[0] >= 0 for _ in range(LOOKS)):
+            rounds.append((clock.now_ns() - start_ns) / NS_PER_US)
+        clock.sleep_until_ns(max(clock.now_ns(), start_ns + period_ns))
+    if len(rounds) < ROUNDS - 1:
+        raise LinkTimeout(
+            f"the board answered {len(rounds)} of {ROUNDS} frames while the bus was measured"
+        )
+    return median(rounds)
 
 
 def _greeting_us(device: Device, clock: Clock) -> float:

@@ -23,7 +23,7 @@ fires late, and a device that outlives its context by more than one look.
 
 import errno
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import usb.core
@@ -31,6 +31,7 @@ import usb.util
 
 from hapticd.errors import ConfigError, LinkAccess, LinkError, LinkLost, LinkStalled, LinkTimeout
 from hapticd.link.base import Link
+from hapticd.link.flight import End, InFlight, OutFailed, Transfers
 from hapticd.params import UsbParams
 from hapticd.wire.frames import Request
 
@@ -144,6 +145,9 @@ class UsbLink(Link):
         self._device = None
         # in place of a test in every transfer whether the link is open
         self._read = self._write = _not_open
+        self._clear_halt: Callable[[int], object] = _not_open
+        self._flight: InFlight | None = None
+        self.in_flight = False
         self._in = self._out = 0
         self._halted: set[int] = set()  # endpoints whose last transfer stalled
 
@@ -162,19 +166,30 @@ class UsbLink(Link):
 
     def close(self) -> None:
         device = self._device
+        flight = self._flight
         # before it is disposed of: whatever fails there, the link is closed
         self._forget()
+        if flight is not None:
+            flight.close(self._timeout_ms, DEVICE_ERRORS)
         if device is not None:
             _dispose(device)
+
+    def drain(self) -> None:
+        if self._flight is not None:
+            self._flight.drain(self._timeout_ms)
 
     def read(self, buffer: "array[int]") -> int:
         try:
             count = self._read(self._in, buffer, self._timeout_ms)
         except DEVICE_ERRORS as error:
             raise self._transfer_failure("read", self._in, error) from error
+        except OutFailed as failed:
+            raise self._transfer_failure("write", self._out, failed.error) from failed
         # only two stalls in a row mean that the board is lost
         if self._halted:
             self._halted.discard(self._in)
+            if self.in_flight:  # the OUT before has arrived, or this one would not have been read
+                self._halted.discard(self._out)
         return count
 
     def write(self, buffer: "array[int]") -> None:
@@ -182,7 +197,9 @@ class UsbLink(Link):
             self._write(self._out, buffer, self._timeout_ms)
         except DEVICE_ERRORS as error:
             raise self._transfer_failure("write", self._out, error) from error
-        if self._halted:
+        except OutFailed as failed:
+            raise self._transfer_failure("write", self._out, failed.error) from failed
+        if self._halted and not self.in_flight:
             self._halted.discard(self._out)
 
     def request(self, request: Request, length: int = 0, value: int = 0) -> bytes:
@@ -233,12 +250,36 @@ class UsbLink(Link):
             del unreadable  # it holds this frame: a circle, which nobody collects in the servo
 
     def _take(self, device: Any) -> None:
-        number, self._out, self._in = _frame_endpoints(_configuration(device))
+        number, out, into = _frame_endpoints(_configuration(device))
+        self._out, self._in = out.address, into.address
         # before the claim, which fails with EBUSY while a kernel driver holds the interface
         _detach_kernel_driver(device, number)
+        transfers = self._transfers(device, number, out, into)
+        if transfers is None:
+            usb.util.claim_interface(device, number)
+            self._read, self._write = device.read, device.write
+            self._clear_halt = device.clear_halt
+            return
+        self._flight = flight = InFlight(transfers)
+        self._read, self._write = flight.read, flight.write
+        self._clear_halt = transfers.clear_halt
+        self.in_flight = True
+
+    def _transfers(self, device: Any, number: int, out: End, into: End) -> Transfers | None:
+        """Transfers in flight of the interface that is claimed with them; None: only in turn."""
+        if not self._params.in_flight:
+            return None
+        if self._system is not None:
+            from hapticd.link.usbfs import UsbfsTransfers  # not for a simulated board
+
+            path = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
+            return UsbfsTransfers(path, number, out, into)
+        make = getattr(self._backend, "transfers", None)
+        if make is None:
+            return None
         usb.util.claim_interface(device, number)
-        self._read = device.read
-        self._write = device.write
+        transfers: Transfers = make(out.address, into.address)
+        return transfers
 
     def _transfer_failure(self, action: str, endpoint: int, error: Exception) -> LinkError:
         failure = link_error(f"{action} endpoint 0x{endpoint:02x}", error)
@@ -251,7 +292,7 @@ class UsbLink(Link):
         self._halted.add(endpoint)
         try:
             # a control request to the board, which also sets both data toggles to 0
-            self._device.clear_halt(endpoint)
+            self._clear_halt(endpoint)
         except DEVICE_ERRORS as worse:
             return LinkLost(str(link_error(f"clear the halt of endpoint 0x{endpoint:02x}", worse)))
         return failure
@@ -283,32 +324,32 @@ def _configuration(device: Any) -> Any:
     return device.get_active_configuration()
 
 
-def _frame_endpoints(configuration: Any) -> tuple[int, int, int]:
-    """Number of the vendor interface and the addresses of its OUT and IN endpoint."""
+def _frame_endpoints(configuration: Any) -> tuple[int, End, End]:
+    """Number of the vendor interface, and its OUT and IN endpoint."""
     for interface in configuration:
         # alternate setting 0 is the one in force when nobody has chosen
         if interface.bInterfaceClass == VENDOR_CLASS and interface.bAlternateSetting == 0:
-            found = [
-                e.bEndpointAddress
-                for e in interface
-                if usb.util.endpoint_type(e.bmAttributes) in FRAME_TRANSFERS
-            ]
-            outs = [
-                address
-                for address in found
-                if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_OUT
-            ]
-            ins = [
-                address
-                for address in found
-                if usb.util.endpoint_direction(address) == usb.util.ENDPOINT_IN
-            ]
+            outs, ins = (
+                _ends(interface, usb.util.ENDPOINT_OUT),
+                _ends(interface, usb.util.ENDPOINT_IN),
+            )
             if outs and ins:
                 return interface.bInterfaceNumber, outs[0], ins[0]
     raise LinkLost(
         "the device has no vendor interface with a bulk or interrupt OUT and IN endpoint; is it a"
         " hapticd board?"
     )
+
+
+def _ends(interface: Any, direction: int) -> list[End]:
+    """Endpoints of that direction that may carry frames."""
+    found = []
+    for endpoint in interface:
+        kind = usb.util.endpoint_type(endpoint.bmAttributes)
+        address = endpoint.bEndpointAddress
+        if kind in FRAME_TRANSFERS and usb.util.endpoint_direction(address) == direction:
+            found.append(End(address, kind == usb.util.ENDPOINT_TYPE_INTR))
+    return found
 
 
 def _detach_kernel_driver(device: Any, number: int) -> None:

@@ -509,6 +509,7 @@ class ServoLoop:
         settled = self.state[SETTLED]
         try:
             if self.linked:
+                self.device.link.drain()  # that of the last tick: this one is the last
                 self.device.send(
                     _FIFO_CLEAR,
                     force.to_count(0.0, I16_LOWEST, I16_HIGHEST),

@@ -10,6 +10,7 @@ from typing import Any
 from hapticd.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.params import (
     BoardParams,
+    BusParams,
     DeviceParams,
     GatewayParams,
     GuardParams,
@@ -117,6 +118,7 @@ def board_params(settings: Settings) -> BoardParams | None:
         injections=tuple(InjectionParams(**item.model_dump()) for item in simulation.injections),
         **{trait: getattr(simulation, trait) for trait in TRAITS},
         touch=touch_params(simulation.touch),
+        bus=None if simulation.bus is None else BusParams(**simulation.bus.model_dump()),
     )
     return replace(board, **_another_board(simulation.board))
 

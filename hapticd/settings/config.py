@@ -15,6 +15,7 @@ from hapticd.params import (
     AtEnd,
     BasisName,
     BoardParams,
+    BusParams,
     GatewayParams,
     GuardParams,
     HandParams,
@@ -40,6 +41,7 @@ _lease = LeaseParams()
 _board: Any = BoardParams.__dataclass_fields__
 _hand = HandParams("hold")
 _touch = TouchParams()
+_bus = BusParams()
 _active_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["active_damping_ns_per_m"].default
 
 LONGEST_TIMEOUT_MS = 5  # of a transfer, for which docs/safety.md says when force is gone
@@ -151,6 +153,8 @@ class Usb(TomlTable):
         _usb.timeout_ms, ge=1, json_schema_extra={"maximum": LONGEST_TIMEOUT_MS}
     )
     """Of one transfer. A silent board may delay the end of force by one."""
+    in_flight: bool = _usb.in_flight
+    """Transfers go on while the servo computes, so the force acts earlier."""
 
 
 class GatewayTable(TomlTable):
@@ -259,6 +263,34 @@ class SimulatedBoard(TomlTable):
     """Beyond which it clamps the torque itself."""
 
 
+class Bus(TomlTable):
+    """A model of full-speed USB behind an xHCI controller; times that it gives are those of a
+    model.
+    """
+
+    transfer: Literal["bulk", "interrupt"] = "bulk"
+    bit_stuffing: float = Field(_bus.bit_stuffing, ge=0, le=1)
+    """Share of the worst case."""
+    nak_us: float = Field(_bus.nak_us, ge=1, le=1000)
+    """After a NAK until the controller asks a bulk IN again."""
+    hub_microframes: int = Field(_bus.hub_microframes, ge=0, le=2)
+    """More each way behind a high-speed hub; 0: a root port."""
+    moderation_us: float = Field(_bus.moderation_us, ge=0, le=10_000)
+    """Shortest time between two interrupts of the controller."""
+    frame_ppm: float = Field(_bus.frame_ppm, ge=-1000, le=1000)
+    """By which the clock of the frames is slower than that of the host."""
+    periodic_us: float = Field(_bus.periodic_us, ge=0, le=800)
+    """Of each frame, taken by periodic transfers of other devices."""
+    busy: float = Field(_bus.busy, ge=0, le=1)
+    """Share of transfers that find a packet of another device on the wire."""
+    submit_us: float = Field(_bus.submit_us, ge=0, le=1000)
+    """Mean cost of a submission."""
+    complete_us: float = Field(_bus.complete_us, ge=0, le=1000)
+    """Mean time from the interrupt until the kernel has completed a transfer."""
+    wake_us: float = Field(_bus.wake_us, ge=0, le=1000)
+    """Mean time until a thread runs that waited for a transfer."""
+
+
 class Simulation(TomlTable):
     """The simulated board's firmware; ignored with a real one."""
 
@@ -279,6 +311,8 @@ class Simulation(TomlTable):
     """How long a written packet is on its way to the board."""
     in_transport_us: float = Field(_board["in_transport_us"].default, ge=0, le=10_000)
     """How long a packet of the board is on its way to the host."""
+    bus: Bus | None = None
+    """In place of these two times: a model of the bus; left out: none."""
     emergency_stop_bounce_ms: float = Field(
         _board["emergency_stop_bounce_ms"].default, ge=0, le=100
     )

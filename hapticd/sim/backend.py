@@ -18,10 +18,10 @@ from types import SimpleNamespace
 from typing import NamedTuple, NoReturn
 
 import usb.backend
-from usb.core import USBError, USBTimeoutError
 
 from hapticd.clock import Clock, MonotonicClock
 from hapticd.sim.board import VENDOR_OUT
+from hapticd.sim.bus import Bus, FixedBus
 from hapticd.sim.descriptors import (
     Transfer,
     configuration_descriptor,
@@ -29,37 +29,10 @@ from hapticd.sim.descriptors import (
     endpoint_descriptor,
     interface_descriptor,
 )
+from hapticd.sim.errors import usb_error
+from hapticd.sim.flight import Endpoints, Flight
 from hapticd.sim.injection import Port, TransferFault
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
-
-LIBUSB_ERRORS = {  # errno: (libusb code, libusb_strerror)
-    errno.EIO: (-1, "Input/Output Error"),
-    errno.EINVAL: (-2, "Invalid parameter"),
-    errno.EACCES: (-3, "Access denied (insufficient permissions)"),
-    errno.ENODEV: (-4, "No such device (it may have been disconnected)"),
-    errno.ENOENT: (-5, "Entity not found"),
-    errno.EBUSY: (-6, "Resource busy"),
-    errno.ETIMEDOUT: (-7, "Operation timed out"),
-    errno.EOVERFLOW: (-8, "Overflow"),
-    errno.EPIPE: (-9, "Pipe error"),
-    errno.EINTR: (-10, "System call interrupted (perhaps due to signal)"),
-    errno.ENOMEM: (-11, "Insufficient memory"),
-    errno.ENOSYS: (-12, "Operation not supported or unimplemented on this platform"),
-}
-
-
-def usb_error(number: int) -> Exception:
-    """The exception that pyusb's libusb1 backend raises for `number`; ENOSYS is no USBError
-    there.
-    """
-    code, text = LIBUSB_ERRORS[number]
-    if number == errno.ENOSYS:
-        return NotImplementedError(text)
-    error: Exception = (USBTimeoutError if number == errno.ETIMEDOUT else USBError)(
-        text, code, number
-    )
-    return error
-
 
 SPIN_NS = 60 * NS_PER_US  # a sleep of the machine is coarser than this
 ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the simulated board gives up
@@ -94,6 +67,7 @@ class Unready(NamedTuple):
 
 
 READY = Unready()
+NO_BUS = FixedBus()
 
 
 class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
@@ -107,9 +81,13 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         clock: Clock,
         transfer: Transfer = "bulk",
         unready: Unready = READY,
+        bus: Bus = NO_BUS,
     ) -> None:
         self._port = port
         self._clock = clock
+        self._bus = bus
+        self._flight: Flight | None = None
+        self.deliver = port.on_out  # an OUT packet reaches the board, on either way of transfers
         self._transfer = transfer
         self._spin_ns = SPIN_NS if isinstance(clock, MonotonicClock) else 0
         self._addresses = 0
@@ -250,9 +228,11 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         timeout_ms: int,
     ) -> int:
         device = _alive(handle.device)
+        if self._flight is not None:
+            self._flight.play()
         vendor = request_type & VENDOR_OUT
         if vendor and not self._since_plug(self.unready.hello_s):
-            self._wait_until(self._clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS)
+            self.wait_until(self._clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS)
             raise usb_error(errno.ETIMEDOUT)
         if vendor and device.boot_loader:
             reply = self.unready.boot_hello
@@ -270,7 +250,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         if device.gone or device.halted:
             self._check(device, endpoint)
         try:
-            self._port.on_out(memoryview(data), self._clock.now_ns())
+            self.deliver(memoryview(data), self._clock.now_ns())
         except TransferFault as fault:
             self._fail(fault, device, endpoint, timeout_ms)
         return len(data)
@@ -304,15 +284,15 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         while True:
             due_ns = port.next_in_ns()
             wake_ns = deadline_ns if due_ns is None else min(due_ns, deadline_ns)
-            self._wait_until(wake_ns)
+            self.wait_until(wake_ns)
             packet = port.poll_in(clock.now_ns())
             if packet is not None:
                 return packet
             if clock.now_ns() >= deadline_ns:
                 raise usb_error(errno.ETIMEDOUT)
 
-    def _wait_until(self, wake_ns: int) -> None:
-        """Wakes early and spins the rest; virtual time is exact and needs no spin."""
+    def wait_until(self, wake_ns: int) -> None:
+        """Return at `wake_ns`. It wakes early and spins the rest; virtual time needs no spin."""
         clock = self._clock
         clock.sleep_until_ns(wake_ns - self._spin_ns)
         while self._spin_ns and clock.now_ns() < wake_ns:
@@ -326,15 +306,27 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def _fail(
         self, fault: TransferFault, device: PluggedDevice, endpoint: int, timeout_ms: int
     ) -> NoReturn:
-        if fault.number == errno.EPIPE:
-            device.halted.add(endpoint)
         # nobody took the packet: the host tries until its time is over
         if fault.number == errno.ETIMEDOUT:
-            self._wait_until(self._clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS)
+            self.wait_until(self._clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS)
+        raise self.failure(fault, device, endpoint) from None
+
+    def failure(self, fault: TransferFault, device: PluggedDevice, endpoint: int) -> Exception:
+        """What a transfer ends with that met `fault`; endpoint and cable are as it leaves them."""
+        if fault.number == errno.EPIPE:
+            device.halted.add(endpoint)
         # the transfer under way fails with its own number; only the next one finds no device
         if fault.away_s is not None:
             self.unplug(fault.away_s)
-        raise usb_error(fault.number) from None
+        return usb_error(fault.number)
+
+    # --- transfers in flight ----------------------------------------------------------------------
+    def transfers(self, out_endpoint: int, in_endpoint: int) -> Flight:
+        """One OUT and one IN of the claimed board, submitted and reaped (`link.flight`)."""
+        assert self.device is not None
+        ends = Endpoints(out_endpoint, in_endpoint)
+        self._flight = Flight(self, self._port, self.device, ends, self._bus, self._clock)
+        return self._flight
 
 
 def _alive(device: PluggedDevice) -> PluggedDevice:

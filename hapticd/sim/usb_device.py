@@ -36,7 +36,7 @@ GET_STATUS = 0x00
 GET_CONFIGURATION = 0x08
 GET_INTERFACE = 0x0A
 # of one machine's bus and not of the board: a true bus has its own
-BUS_TRAITS = ("out_transport_us", "in_transport_us", "rights_s", "boot_loader_s")
+BUS_TRAITS = ("out_transport_us", "in_transport_us", "bus", "rights_s", "boot_loader_s")
 
 
 class Setup(NamedTuple):
@@ -181,6 +181,6 @@ def check_traits(params: BoardParams) -> None:
     for name in BUS_TRAITS:
         if getattr(params, name):
             raise ConfigError(
-                f"simulation.{name} {getattr(params, name):g} is of the bus within one process; a"
-                " board at a true bus takes what that has: leave it out"
+                f"simulation.{name} is of the bus within one process; a board at a true bus takes"
+                " what that has: leave it out"
             )

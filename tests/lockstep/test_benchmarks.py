@@ -45,6 +45,7 @@ from hapticd.wire import codec, frames
 PROMISED = {
     *(f"fault_ticks_{code}" for code in CASES),
     "thermal_delivered_pct",
+    "delay_ratio",
     *(f"attack_{name}" for name in ("ticks", "violations", "under_force", "rarest")),
     *(f"wake_{name}" for name in ("p50", "p99", "stress_p99", "sleep_p50", "sleep_p99")),
     *(f"tick_{name}" for name in ("p50_ratio", "p99_ratio", "c_ratio")),

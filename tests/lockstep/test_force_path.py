@@ -17,6 +17,9 @@ from hapticd.servo.plan import AMPLIFIER_TOLD
 from hapticd.servo.safety import State
 from hapticd.wire.frames import StatusBit
 
+pytestmark = pytest.mark.usefixtures("either_way")
+
+
 FIG_WALL = {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 3.0, Value.RAMP_S: 0.0}
 SPRING = {Value.STIFFNESS: 500.0, Value.VIRTUAL_DAMPING: 2.0, Value.RAMP_S: 0.0}
 

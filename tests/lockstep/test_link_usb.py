@@ -23,8 +23,9 @@ from hapticd.errors import (
 from hapticd.link.base import backoff_s
 from hapticd.link.usb import FAILURES, UsbLink, link_error, system_backend
 from hapticd.params import InjectionParams, UsbParams
-from hapticd.sim.backend import SimulatedBackend, usb_error
+from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
+from hapticd.sim.errors import usb_error
 from hapticd.sim.injection import with_injections
 from hapticd.wire import codec
 from hapticd.wire.frames import Request, StatusBit
@@ -81,15 +82,29 @@ class Backend(SimulatedBackend):
 
     intr_read = bulk_read
 
+    def transfers(self, *endpoints):
+        flight = super().transfers(*endpoints)
+        done = flight.in_done
+
+        def in_done(*arguments):
+            self._may("read")
+            return done(*arguments)
+
+        flight.in_done = in_done
+        return flight
+
 
 class Bench:
     """A board with its injections, a clock, and a link that is open unless asked otherwise."""
+
+    in_flight = False  # set by the fixture below
 
     def __init__(self, *injections, transfer="bulk", opened=True, **usb):
         params = board_params(injections=injections)
         self.clock, self.board = VirtualClock(), BoardModel(params)
         self.backend = Backend(with_injections(self.board, params), self.clock, transfer)
-        self.link = UsbLink(UsbParams(**usb), self.backend)
+        params = UsbParams(**{"in_flight": self.in_flight, **usb})
+        self.link = UsbLink(params, self.backend)
         self.buffer = array("B", bytes(64))
         self.tick = 0
         if opened:
@@ -106,8 +121,14 @@ class Bench:
         return codec.decode_in(memoryview(self.buffer)[:count])
 
 
+@pytest.fixture(params=[False, True], ids=["in_turn", "in_flight"], autouse=True)
+def path(request, monkeypatch):
+    """Every case over both ways of transfers."""
+    monkeypatch.setattr(Bench, "in_flight", request.param)
+
+
 @pytest.fixture
-def bench():
+def bench(path):
     return Bench()
 
 
@@ -521,7 +542,7 @@ def test_board_that_is_plugged_in_late_and_again_is_found_without_messages_of_ud
     bus = Bench(opened=False).backend
     bus.unplug()
     monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: EventFed(bus))
-    link = UsbLink(UsbParams(serial="SIM0001"))
+    link = UsbLink(UsbParams(serial="SIM0001", in_flight=False))  # its device node is none
     for _ in range(2):
         list(bus.enumerate_devices())  # a dead device is listed once more
         with pytest.raises(LinkLost, match="no board"):

@@ -15,6 +15,9 @@ from hapticd.servo.compensation import UNKNOWN_S
 from hapticd.servo.plan import SETTLED
 from hapticd.units import NS_PER_MS
 
+pytestmark = pytest.mark.usefixtures("either_way")
+
+
 OFF = ScaleParams(COUNT_M, offset_count=-round(0.010 / COUNT_M))
 HELD = TouchParams(hands=(HandParams("hold", stiffness_n_per_m=2e4, damping_ns_per_m=50.0),))
 STEP_N = 0.5

@@ -10,11 +10,13 @@ from hapticd.assembly import lockstep
 from hapticd.assembly.lockstep import LockStep
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result
-from hapticd.params import InjectionParams
+from hapticd.params import InjectionParams, UsbParams
 from hapticd.servo.safety import State
-from hapticd.sim.backend import usb_error
+from hapticd.sim.bus import Passed
+from hapticd.sim.errors import usb_error
 from hapticd.wire.frames import Request
 
+IN_TURN = UsbParams(in_flight=False)  # a pair of 0.8 ms is too slow for 1 kHz
 EVER = range(10**6)
 # which requests fail, of those to a board from its start on; the first HELLO greets it
 FAILURES = [
@@ -57,7 +59,7 @@ def failing(monkeypatch, kind, which, number=errno.EPIPE):
 def test_a_slow_bus_is_barred_though_its_first_measurement_fails(monkeypatch, kind, which, number):
     """0.8 ms a pair."""
     failing(monkeypatch, kind, which, number)
-    with LockStep(servo_params(), far_board(800.0)) as stack:
+    with LockStep(servo_params(usb=IN_TURN), far_board(800.0)) as stack:
         assert stack.do(Command.ENABLE).result in (Result.REFUSED_DEVICE, Result.REFUSED_RATE)
         stack.run(3000)
         assert stack.do(Command.ENABLE).result is Result.REFUSED_RATE
@@ -68,7 +70,7 @@ def test_a_slow_bus_is_barred_though_its_first_measurement_fails(monkeypatch, ki
 @pytest.mark.parametrize(("kind", "which"), FAILURES)
 def test_a_bus_that_is_fast_enough_is_used_after_the_next_measurement(monkeypatch, kind, which):
     failing(monkeypatch, kind, which)
-    with LockStep(servo_params(simulated=False), far_board(360.0)) as stack:
+    with LockStep(servo_params(usb=IN_TURN, simulated=False), far_board(360.0)) as stack:
         stack.run(3000)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         ticks = as_records(stack.run(2000))
@@ -81,7 +83,7 @@ def test_a_bus_that_is_fast_enough_is_used_after_the_next_measurement(monkeypatc
 @pytest.mark.parametrize("kind", [Request.HELLO, Request.SAMPLE_PHASE])
 def test_a_bus_that_is_never_measured_makes_no_force(monkeypatch, kind):
     failing(monkeypatch, kind, EVER[1:] if kind is Request.HELLO else EVER)
-    with LockStep(servo_params(), far_board(800.0)) as stack:
+    with LockStep(servo_params(usb=IN_TURN), far_board(800.0)) as stack:
         for _ in range(8):
             stack.run(500)
             assert stack.do(Command.ENABLE).result is Result.REFUSED_DEVICE
@@ -92,7 +94,7 @@ def test_a_bus_that_is_never_measured_makes_no_force(monkeypatch, kind):
 def test_a_board_that_comes_back_is_measured_though_that_fails_at_first(monkeypatch):
     away = (InjectionParams("unplug", tick=200, value=0.05),)
     failing(monkeypatch, Request.SAMPLE_PHASE, range(1, 8))
-    with LockStep(servo_params(), far_board(400.0, injections=away)) as stack:
+    with LockStep(servo_params(usb=IN_TURN), far_board(400.0, injections=away)) as stack:
         stack.run(500)
         stack.do(Command.RESET)
         assert stack.do(Command.ENABLE).result is Result.REFUSED_DEVICE
@@ -107,16 +109,20 @@ def uneven(monkeypatch, share_quick):
 
     def make(board, clock):
         backend = made(board, clock)
-        usual = backend._pass
+        bus = backend._bus
+        out_usually, received_usually = bus.out, bus.received_ns
         done = [0]
 
-        def passed(transport_ns):
+        def quick():
             before = int(share_quick * done[0])
             done[0] += 1
-            quick = int(share_quick * done[0]) > before
-            usual(100_000 if quick else transport_ns)
+            return int(share_quick * done[0]) > before
 
-        backend._pass = passed
+        def out(t_ns, size):
+            return Passed(t_ns + 100_000, t_ns + 100_000) if quick() else out_usually(t_ns, size)
+
+        bus.out = out
+        bus.received_ns = lambda t_ns: t_ns + 100_000 if quick() else received_usually(t_ns)
         return backend
 
     monkeypatch.setattr(lockstep, "simulated_backend", make)
@@ -132,6 +138,6 @@ def test_the_bus_is_judged_by_its_median_not_its_best_pair(
 ):
     """Slow pairs among which some are quick, and the other way round."""
     uneven(monkeypatch, share_quick)
-    with LockStep(servo_params(), far_board(pair_us)) as stack:
+    with LockStep(servo_params(usb=IN_TURN), far_board(pair_us)) as stack:
         stack.run(5)
         assert stack.do(Command.ENABLE).result is result

@@ -21,6 +21,9 @@ from hapticd.units import NS_PER_MS
 from hapticd.wire import codec
 from hapticd.wire.frames import OutFlag
 
+pytestmark = pytest.mark.usefixtures("either_way")
+
+
 SPRING = {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 5.0, Value.RAMP_S: 0.0}
 ADDED = {Value.ACTIVE_DAMPING: 1.74, Value.ACTIVE_DAMPING_ON: 1.0}
 PUSH_COUNTS = 16_000  # of 32767 = 2 N: held against the spring
@@ -44,14 +47,13 @@ class Watched:
         self.stack = stack
         self.seen: list[Outputs] = []
         self.axis = stack.backend._port._axis  # type: ignore[attr-defined]
-        write = stack.backend.bulk_write
+        deliver = stack.backend.deliver
 
-        def noted(*transfer: object) -> int:
-            count = write(*transfer)  # type: ignore[arg-type]
+        def noted(data: memoryview, t_ns: int) -> None:
+            deliver(data, t_ns)
             self.note()
-            return count
 
-        stack.backend.bulk_write = noted  # type: ignore[method-assign]
+        stack.backend.deliver = noted
 
     def note(self) -> None:
         """Note the outputs as they are now."""

@@ -19,7 +19,7 @@ from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.params import InjectionParams
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
-from hapticd.sim.backend import usb_error
+from hapticd.sim.errors import usb_error
 from hapticd.units import NS_PER_MS
 from hapticd.wire.frames import OutFlag, Request
 

@@ -15,6 +15,9 @@ from hapticd.sim.axis import Probe
 from hapticd.wire import codec
 from hapticd.wire.frames import OutFlag
 
+pytestmark = pytest.mark.usefixtures("either_way")
+
+
 WAVE = {Value.SAMPLES: 4000.0, Value.LOOP: 1.0}
 
 

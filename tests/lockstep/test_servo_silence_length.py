@@ -10,6 +10,9 @@ from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.params import RealtimeParams, UsbParams
 
+pytestmark = pytest.mark.usefixtures("either_way")
+
+
 PERIODS = [1, 2, 7, 8, 9, 10, 25, 64, 300, 500]
 
 
@@ -21,14 +24,14 @@ def flown(periods, rate_hz=1000.0, timeout_ms=1):
     with LockStep(servo, board_params(watchdog_ms=20.0, rate_hz=rate_hz)) as stack:
         stack.run(10)
         stack.blocks.clear()
-        write = stack.backend.bulk_write
+        deliver = stack.backend.deliver
         taken_ns = []
 
-        def noted(*transfer):
-            taken_ns.append(stack.clock.now_ns())
-            return write(*transfer)
+        def noted(data, t_ns):
+            taken_ns.append(t_ns)
+            deliver(data, t_ns)
 
-        stack.backend.bulk_write = noted
+        stack.backend.deliver = noted
         stack.run(2)
         answer = stack.do(Command.WITHHOLD, {Value.SILENCE_S: periods / rate_hz})
         assert answer.result is Result.APPLIED

@@ -19,6 +19,9 @@ from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
 from hapticd.wire.frames import OutFlag, StatusBit
 
+pytestmark = pytest.mark.usefixtures("either_way")
+
+
 PRESSED = {Value.STIFFNESS: 200.0}
 DENTED = 38_000  # counts = 19 mm: -3.8 N at 200 N/m
 FADE_TICKS = 20

@@ -20,6 +20,9 @@ from hapticd.params import InjectionParams, SafetyParams, UsbParams
 from hapticd.servo.safety import State
 from hapticd.units import NS_PER_MS
 
+pytestmark = pytest.mark.usefixtures("either_way")
+
+
 PRESSED = {Value.STIFFNESS: 200.0, Value.RAMP_S: 0.0}
 SILENT_AT = 1000
 LATE_NS = 600_000  # what libusb takes longer than asked

@@ -34,6 +34,9 @@ from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.wire.frames import OutFlag
 
+pytestmark = pytest.mark.usefixtures("either_way")
+
+
 MENDED_TICKS = 256  # between two looks at what stands under the word's name
 HELD_TICKS = 1000  # for which nobody resets a press of the word
 FIG_4 = {Value.STIFFNESS: 100.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}

@@ -9,8 +9,9 @@ import usb.util
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.clock import MonotonicClock, VirtualClock
-from hapticd.sim.backend import ENDLESS_MS, LIBUSB_ERRORS, SPIN_NS, SimulatedBackend, usb_error
+from hapticd.sim.backend import ENDLESS_MS, SPIN_NS, SimulatedBackend
 from hapticd.sim.board import BoardModel
+from hapticd.sim.errors import LIBUSB_ERRORS, usb_error
 from hapticd.wire import codec
 
 OUT = 0x01

@@ -83,5 +83,5 @@ def test_power_up_empties_the_queue() -> None:
 
 def test_kind_board_is_the_default() -> None:
     fields = BoardParams.__dataclass_fields__
-    names = ("in_queue_depth", "board_time_us", "out_transport_us", "in_transport_us")
+    names = ("in_queue_depth", "board_time_us", "out_transport_us", "in_transport_us", "bus")
     assert not any(fields[name].default for name in names)

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 from machine import Board, have_udev
@@ -36,19 +37,25 @@ def board(udev: None, any_board: Board) -> Iterator[Board]:
     any_board.unplug()
 
 
+@pytest.fixture(params=[False, True], ids=["in_turn", "in_flight"])
+def in_flight(request: pytest.FixtureRequest) -> bool:
+    """Which way transfers go."""
+    return bool(request.param)
+
+
 @pytest.fixture
-def link(board: Board) -> Iterator[UsbLink]:
+def link(board: Board, in_flight: bool) -> Iterator[UsbLink]:
     """Open."""
-    link = UsbLink(OURS)
+    link = UsbLink(replace(OURS, in_flight=in_flight))
     link.open()
     yield link
     link.close()
 
 
 @pytest.fixture
-def device(board: Board) -> Iterator[Device]:
+def device(board: Board, in_flight: bool) -> Iterator[Device]:
     """Connected."""
-    device = Device(UsbLink(OURS), 1000.0)
+    device = Device(UsbLink(replace(OURS, in_flight=in_flight)), 1000.0)
     device.connect()
     yield device
     device.close()

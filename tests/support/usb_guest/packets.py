@@ -12,7 +12,9 @@ def frame(seq: int = 0) -> "array[int]":
 
 
 def write(link: UsbLink, seq: int = 0) -> None:
+    """A frame, and time for it to arrive: these cases are no ticks."""
     link.write(frame(seq))
+    link.drain()
 
 
 def read(link: UsbLink) -> bytes:

@@ -1,0 +1,141 @@
+"""Transfers in flight: the IN of the next sample and the OUT of this tick are under way while the
+servo computes, sleeps and computes again.
+
+In turn, a tick waits for its IN, computes, and waits for its OUT: each wait holds a submission, the
+bus, an interrupt and a wake-up. In flight, only what the force really has to pass is left:
+
+    board latches -> IN on the wire -> kernel has it | deadline: law | submission, OUT on the wire
+
+The rules, which bound what a transfer can do to a tick:
+
+    one IN      submitted just before the OUT whose sample it will bring, reaped when it is due.
+                Never a second one: a spare would take the frame that a newer one should replace.
+    one OUT     not waited for. If it is still on its way at the next deadline that tick is lost (no
+                sample, WRITE_FAILED in its record) and no other OUT is submitted behind it. So
+                STOP goes into the next OUT, a period later unless the bus is stuck, and then the
+                board's watchdog ends the force.
+    no cancel   in a tick: an OUT that is taken back may have been delivered, an IN acknowledged.
+                Only a link that closes cancels, after it has given its last OUT the time-out.
+
+Both buffers may be used again at once: the kernel copies an OUT when it is submitted and an IN when
+it is reaped. An OUT that failed is known in the next tick, which has no sample anyway.
+
+What would break it: a backend that fills the buffer of an IN before it is reaped, a caller that
+leaves an IN unread for ticks (it is then one frame behind, which `link.device` reads past).
+"""
+
+import errno
+from array import array
+from typing import NamedTuple, Protocol
+
+import usb.core
+
+from hapticd.units import NS_PER_MS
+
+
+class Transfers(Protocol):
+    """One OUT and one IN of a board. Errors are those of pyusb (`usb.core.USBError`)."""
+
+    def submit_out(self, data: "array[int]") -> None: ...
+    def submit_in(self) -> None: ...
+
+    def out_done(self, wait_ns: int) -> bool:
+        """Whether the OUT has arrived, after waiting for `wait_ns` at most."""
+
+    def in_done(self, buffer: "array[int]", wait_ns: int) -> int:
+        """Bytes of the IN, copied to `buffer`; -1: none after waiting for `wait_ns` at most."""
+
+    def clear_halt(self, endpoint: int) -> None: ...
+    def cancel(self) -> None: ...
+
+
+class End(NamedTuple):
+    """An endpoint of the board."""
+
+    address: int
+    interrupt: bool
+
+
+class OutFailed(Exception):
+    """The OUT that was on its way has failed with `error`."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__(str(error))
+        self.error = error
+
+
+class InFlight:
+    """`read` and `write` as pyusb's device has them, over transfers in flight."""
+
+    def __init__(self, transfers: Transfers) -> None:
+        self._transfers = transfers
+        self._out_pending = False
+        self._in_pending = False
+        self._begun = False  # an OUT has been sent
+        self._failed: OutFailed | None = None  # met outside of a tick
+
+    def read(self, _endpoint: int, buffer: "array[int]", timeout_ms: int) -> int:
+        """Reap the IN, or ask for one first; bytes. OutFailed, USBError."""
+        if self._out_pending and not self._landed(0):
+            raise _pending()
+        transfers = self._transfers
+        if not self._in_pending:
+            transfers.submit_in()
+        # cleared by whatever ends it, an error too
+        self._in_pending = False
+        count = transfers.in_done(buffer, timeout_ms * NS_PER_MS)
+        if count < 0:
+            self._in_pending = True
+            raise _pending()
+        return count
+
+    def write(self, _endpoint: int, buffer: "array[int]", _timeout_ms: int) -> int:
+        """Ask for the next IN and send `buffer`; its bytes. OutFailed, USBError."""
+        if self._out_pending and not self._landed(0):
+            raise _pending()
+        transfers = self._transfers
+        # before the first OUT it would take a frame that an earlier session has left in the board
+        if self._begun and not self._in_pending:
+            transfers.submit_in()
+            self._in_pending = True
+        transfers.submit_out(buffer)
+        self._out_pending = self._begun = True
+        return len(buffer)
+
+    def drain(self, timeout_ms: int) -> None:
+        """Give the OUT that is on its way the time to arrive; never raises: how it failed is told
+        by the next `read` or `write`.
+        """
+        if self._out_pending:
+            try:
+                self._landed(timeout_ms * NS_PER_MS)
+            except OutFailed as failed:
+                self._out_pending = True
+                self._failed = failed
+
+    def close(self, timeout_ms: int, errors: tuple[type[Exception], ...]) -> None:
+        """Drain, and cancel what is left; `errors` are not told."""
+        self.drain(timeout_ms)
+        try:
+            self._transfers.cancel()
+        except errors:
+            pass  # the device is gone, and its transfers with it
+
+    def _landed(self, wait_ns: int) -> bool:
+        failed, self._failed = self._failed, None
+        if failed is not None:
+            self._out_pending = False
+            raise failed
+        try:
+            landed = self._transfers.out_done(wait_ns)
+        except Exception as error:
+            self._out_pending = False
+            raise OutFailed(error) from error
+        self._out_pending = not landed
+        return landed
+
+
+def _pending() -> Exception:
+    """As libusb reports a time-out; the transfer goes on all the same."""
+    error: Exception = usb.core.USBTimeoutError("Operation timed out", -7, errno.ETIMEDOUT)
+    return error

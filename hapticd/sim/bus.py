@@ -1,0 +1,208 @@
+"""A model of full-speed USB behind an xHCI controller, on the clock of the simulation.
+
+A frame of 1 ms begins with its SOF, on a clock of its own, and then carries the periodic transfers
+of other devices; bulk goes as soon as there is room, and no transaction crosses the end of a frame.
+
+    one packet    13 bytes of overhead and the data at 12 Mbit/s: 51.3 us for 64 bytes, 59.3 us
+                  with the worst bit stuffing (USB 2.0, table 5-9 and section 5.11.3)
+    bulk IN       NAK until the board has a frame; the controller asks again at a spacing of its
+                  own (16 us is the reset value of NAK_POLL in the RP2040's host controller; a
+                  controller that goes by microframes takes 125 us)
+    interrupt     once a frame, at a place in it that the controller chooses
+    hub           behind a high-speed hub each way begins with a microframe: at its boundary, and
+                  one later where the hub needs two (USB 2.0, section 11.14)
+    completion    at most one interrupt in `moderation_us` (xhci-pci.c of Linux: 40 us)
+    host          submission, completion and wake-up each take four fifths of their mean and an
+                  exponential rest: 99th percentile over median 1.8, between the 1.2 and 2.4 that
+                  cyclictest shows on a quiet and on a loaded machine. The means are assumed, but
+                  for the wake-up's 13 us (cyclictest) and its system calls.
+
+What it is checked against: 19 packets of 64 bytes fit into a frame (USB 2.0, table 5-9); 1,024
+bytes of bulk take 1.68 ms out and 1.35 ms in at an STM32 of one buffer (zephyr #97729), which says
+NAK to each OUT once and is ready again some 30 us after each packet; one interrupt transfer at a
+time takes 0.5 to 1 ms (rusb #21). Whatever is computed on it is called "model" and stated as a band
+over `BAND`, since no bus has been measured for it.
+
+What would break it: transfers of more than one packet, two of one direction at once, a controller
+that serves bulk by microframes only.
+"""
+
+from math import ceil
+from random import Random
+from typing import NamedTuple, Protocol
+
+from hapticd.params import BusParams
+from hapticd.units import NS_PER_MS, NS_PER_US
+from hapticd.wire.frames import HELLO_BYTES, IN_BYTES, PACKET_BYTES
+
+MICROFRAMES = 8  # in a frame
+BIT_NS = 1000.0 / 12.0
+OVERHEAD_BYTES = 13  # of a bulk or interrupt transaction
+SOF_NS = round(35 * BIT_NS)  # its packet, with SYNC and EOP
+END_NS = round(32 * BIT_NS)  # before the end of a frame nothing may be on the wire (EOF1)
+SETUP_BYTES = 8
+FIXED = 0.8  # share of a host's cost that never varies
+
+BAND = {  # what is not known of a bus, one thing at a time
+    "root port": BusParams(),
+    "interrupt": BusParams(transfer="interrupt"),
+    "worst bit stuffing": BusParams(bit_stuffing=1.0),
+    "asked by microframes": BusParams(nak_us=125.0),
+    "asked at once": BusParams(nak_us=8.0),
+    "hub, one microframe": BusParams(hub_microframes=1),
+    "hub, two microframes": BusParams(hub_microframes=2),
+    "no moderation": BusParams(moderation_us=0.0),
+    "moderation 100 us": BusParams(moderation_us=100.0),
+    "frames drift": BusParams(frame_ppm=100.0),
+    "other devices": BusParams(periodic_us=200.0, busy=0.3),
+    "quick host": BusParams(submit_us=4.0, complete_us=6.0, wake_us=8.0),
+    "slow host": BusParams(submit_us=20.0, complete_us=30.0, wake_us=40.0),
+}
+
+
+class Passed(NamedTuple):
+    """A transfer: when the board got or gave its packet, and when the host's kernel had done."""
+
+    board_ns: int
+    host_ns: int
+
+
+class Bus(Protocol):
+    """How long transfers take. Each method but `polled_ns` is called once a transfer, in the
+    order of time.
+    """
+
+    def submitted_ns(self, t_ns: int) -> int:
+        """When a submission that begins at `t_ns` returns."""
+
+    def out(self, t_ns: int, size: int) -> Passed:
+        """An OUT of `size` bytes that was submitted by `t_ns`."""
+
+    def polled_ns(self, asked_ns: int, ready_ns: int) -> int:
+        """When the controller takes an IN that was submitted by `asked_ns` and lies in the board
+        from `ready_ns` on.
+        """
+
+    def received_ns(self, polled_ns: int) -> int:
+        """When the host's kernel has the IN that was taken then."""
+
+    def woken_ns(self, t_ns: int) -> int:
+        """When a thread runs that waited for what was completed at `t_ns`."""
+
+    def control_ns(self, t_ns: int) -> int:
+        """When a control transfer returns that begins at `t_ns`."""
+
+
+class FixedBus:
+    """A bus that takes the same time for every transfer of a direction."""
+
+    def __init__(self, out_ns: int = 0, in_ns: int = 0) -> None:
+        self._out_ns = out_ns
+        self._in_ns = in_ns
+
+    def submitted_ns(self, t_ns: int) -> int:
+        return t_ns
+
+    def out(self, t_ns: int, size: int) -> Passed:
+        return Passed(t_ns + self._out_ns, t_ns + self._out_ns)
+
+    def polled_ns(self, asked_ns: int, ready_ns: int) -> int:
+        return ready_ns if ready_ns > asked_ns else asked_ns
+
+    def received_ns(self, polled_ns: int) -> int:
+        return polled_ns + self._in_ns
+
+    def woken_ns(self, t_ns: int) -> int:
+        return t_ns
+
+    def control_ns(self, t_ns: int) -> int:
+        return t_ns + self._out_ns + self._in_ns
+
+
+class FullSpeedBus:
+    """The bus of `params`, in one of the many histories that they allow, by `seed`."""
+
+    def __init__(self, params: BusParams, seed: int = 1) -> None:
+        self._params = params
+        self._random = Random(seed)
+        self._frame_ns = NS_PER_MS * (1.0 + 1e-6 * params.frame_ppm)
+        self._origin_ns = self._random.randrange(NS_PER_MS)  # of a SOF
+        # of the frame, where interrupt endpoints are served: out, in
+        self._places = (self._random.random(), self._random.random())
+        self._nak_ns = max(1, round(params.nak_us * NS_PER_US))
+        if params.hub_microframes:
+            self._nak_ns = max(self._nak_ns, NS_PER_MS // MICROFRAMES)
+        self._interrupt_ns = -NS_PER_MS
+
+    def submitted_ns(self, t_ns: int) -> int:
+        return t_ns + self._cost_ns(self._params.submit_us)
+
+    def out(self, t_ns: int, size: int) -> Passed:
+        end_ns = self.transacted_ns(self._served_ns(t_ns, 0), self.wire_ns(size))
+        return Passed(end_ns, self._completed_ns(self._split_ns(end_ns)))
+
+    def polled_ns(self, asked_ns: int, ready_ns: int) -> int:
+        if self._params.transfer == "interrupt":
+            return self._served_ns(max(asked_ns, ready_ns), 1)
+        naks = max(0, ceil((ready_ns - asked_ns) / self._nak_ns))
+        return self._split_ns(asked_ns) + naks * self._nak_ns
+
+    def received_ns(self, polled_ns: int) -> int:
+        end_ns = self.transacted_ns(polled_ns, self.wire_ns(IN_BYTES))
+        return self._completed_ns(self._split_ns(end_ns))
+
+    def woken_ns(self, t_ns: int) -> int:
+        return t_ns + self._cost_ns(self._params.wake_us)
+
+    def control_ns(self, t_ns: int) -> int:
+        t_ns = self.submitted_ns(t_ns)
+        for size in (SETUP_BYTES, PACKET_BYTES, HELLO_BYTES - PACKET_BYTES, 0):
+            t_ns = self._split_ns(self.transacted_ns(self._split_ns(t_ns), self.wire_ns(size)))
+        return self.woken_ns(self._completed_ns(t_ns))
+
+    def wire_ns(self, size: int) -> int:
+        """How long a transaction with `size` bytes of data takes on the wire."""
+        least_ns = 8 * BIT_NS * (OVERHEAD_BYTES + size)
+        most_ns = 9107.0 + 83.54 * int(3.167 + 7.0 / 6.0 * 8.0 * size)  # section 5.11.3
+        return round(least_ns + self._params.bit_stuffing * (most_ns - least_ns))
+
+    def transacted_ns(self, t_ns: int, wire_ns: int) -> int:
+        """When a transaction ends that may begin at `t_ns` and takes `wire_ns`."""
+        params = self._params
+        if params.busy and self._random.random() < params.busy:
+            t_ns += round(self._random.random() * self.wire_ns(PACKET_BYTES))
+        taken_ns = SOF_NS + round(params.periodic_us * NS_PER_US)
+        frame = int((t_ns - self._origin_ns) // self._frame_ns)
+        while True:
+            begin_ns = max(t_ns, self._sof_ns(frame) + taken_ns)
+            frame += 1
+            if begin_ns + wire_ns <= self._sof_ns(frame) - END_NS:
+                return begin_ns + wire_ns
+
+    def _sof_ns(self, frame: int) -> int:
+        return self._origin_ns + round(frame * self._frame_ns)
+
+    def _served_ns(self, t_ns: int, direction: int) -> int:
+        """When the controller begins with an endpoint that has something to do at `t_ns`."""
+        if self._params.transfer == "bulk":
+            return self._split_ns(t_ns)
+        place_ns = self._origin_ns + self._places[direction] * self._frame_ns
+        return round(place_ns + ceil((t_ns - place_ns) / self._frame_ns) * self._frame_ns)
+
+    def _split_ns(self, t_ns: int) -> int:
+        """The next way through a high-speed hub from `t_ns` on."""
+        microframes = self._params.hub_microframes
+        if not microframes:
+            return t_ns
+        microframe_ns = self._frame_ns / MICROFRAMES
+        boundary = ceil((t_ns - self._origin_ns) / microframe_ns)
+        return self._origin_ns + round((boundary + microframes - 1) * microframe_ns)
+
+    def _completed_ns(self, t_ns: int) -> int:
+        moderation_ns = round(self._params.moderation_us * NS_PER_US)
+        self._interrupt_ns = max(t_ns, self._interrupt_ns + moderation_ns)
+        return self._interrupt_ns + self._cost_ns(self._params.complete_us)
+
+    def _cost_ns(self, mean_us: float) -> int:
+        varies = (1.0 - FIXED) * self._random.expovariate(1.0)
+        return round((FIXED + varies) * mean_us * NS_PER_US)
