@@ -18,8 +18,11 @@ __all__ = ["FOLDER", "VALUES", "NgspiceError", "Value", "deck", "draw", "run"]
 FOLDER = Path(__file__).parent
 LINE = re.compile(r"\.param\s+(\w+)\s*=\s*(\S+)\s*\$\s*([^;]+);\s*([^;]+);\s*(.+)")
 SOURCES = ("sheet", "sheet, recalled", "paper", "device", "design", "assumed")
-OPTIONS = ".options reltol=1e-5 abstol=1e-10 vntol=1e-8 method=gear maxord=2"
+OPTIONS = ".options reltol=1e-5 abstol=1e-10 vntol=1e-8 method=gear maxord=2 rshunt=1e12"
 INPUTS = {"dac": "{v_ref/2}", "ref": "{v_ref}", "level": "{d_level}", "trim": "{trim}"}
+# words of ngspice: an analysis that ended early; an operating point out of a transient of 10 us,
+# which has not settled
+FAILED = ("aborted", "Transient op started")
 RUN_S = 120.0  # longer than any run of these decks takes on a slow machine
 
 Waves = dict[str, np.ndarray]
@@ -87,7 +90,7 @@ def deck(
         [
             "* active electrical damping",
             f".include {FOLDER / 'values.inc'}",
-            *(f".param {name} = {value!r}" for name, value in (values or {}).items()),
+            *(f".param {name} = {float(value)!r}" for name, value in (values or {}).items()),
             f".include {FOLDER / 'circuit.cir'}",
             *(f"V{node} {node} 0 {text}" for node, text in driven.items()),
             f"Ipush 0 rotor {push}",
@@ -113,8 +116,9 @@ def run(text: str) -> list[Waves]:
             timeout=RUN_S,
             check=False,
         )
-        if done.returncode or not raw.exists() or "aborted" in done.stdout + done.stderr:
-            raise NgspiceError(f"{done.stdout[-2000:]}\n{done.stderr[-2000:]}")
+        said = done.stdout + done.stderr
+        if done.returncode or not raw.exists() or any(sign in said for sign in FAILED):
+            raise NgspiceError(said[-4000:])
         return _plots(raw.read_bytes())
 
 
