@@ -201,7 +201,9 @@ def growth_per_s(waves: Waves, first_s: float, last_s: float, width_s: float) ->
     return float(np.log(last / first) / (last_s - first_s))
 
 
-def switched(inputs: Mapping[str, str], seconds: float = 0.02, values: Values | None = None) -> Waves:
+def switched(
+    inputs: Mapping[str, str], seconds: float = 0.02, values: Values | None = None
+) -> Waves:
     """A held rotor while inputs of the board change: time, force."""
     text = deck(
         [f".tran 10u {seconds!r} 0 10u"], [FORCE], {"b_rotor": 1e6, **(values or {})}, inputs

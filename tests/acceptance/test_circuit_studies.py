@@ -100,7 +100,7 @@ def test_a_compensation_for_60_degrees_has_a_loop_gain_of_0_16_or_0_93_on_a_wind
 
 @pytest.mark.parametrize(("share", "latches"), [(0.3, False), (0.9, False), (1.1, True)])
 def test_over_compensation_latches_up_at_a_loop_gain_of_one_and_at_no_less(share, latches):
-    """A push of 10 mN for 1 ms: gone after 0.3 s, or the amplifier at its limit with nobody near."""
+    """A push of 10 mN for 1 ms: gone after 0.3 s, or the amplifier at its limit for good."""
     r_hat_ohm = R_OHM + share * K_F**2 / FULL_NS_PER_M
     force = kicked(FULL_NS_PER_M, 0.3, compensating(r_hat_ohm))["v(force)"]
 
