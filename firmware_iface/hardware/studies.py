@@ -238,6 +238,6 @@ def _injected(hz: np.ndarray, values: Values, free: bool = False) -> Waves:
 
 def _sweep(hz: np.ndarray) -> str:
     if len(hz) == 1:
-        return f".ac lin 1 {hz[0]!r} {hz[0]!r}"
+        return f".ac lin 1 {float(hz[0])!r} {float(hz[0])!r}"
     per_decade = (len(hz) - 1) / np.log10(hz[-1] / hz[0])
     return f".ac dec {round(per_decade)} {float(hz[0])!r} {float(hz[-1])!r}"

@@ -133,10 +133,8 @@ def test_ceiling_over_the_winding_is_printed(capsys: pytest.CaptureFixture[str])
     code, out, _ = spoken(capsys, "sim", "ceiling", "fig7")
     assert code == 0
     assert "Largest stable active damping: no limit" in out
-    assert (
-        "The scene asks for 1.74 N s/m: loop gain g dR / K^2 = 0.0582, unstable at -1; -0.3 is allowed."
-        in out
-    )
+    assert "The scene asks for 1.74 N s/m: loop gain g dR / K^2 = 0.0582, unstable at -1;" in out
+    assert "-0.3 is allowed." in out
     assert "-40 K                             10.2" in out
 
 
