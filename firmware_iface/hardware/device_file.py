@@ -101,7 +101,7 @@ def written(nominal: Measured, spread: dict[str, tuple[float, float]], circuits:
     """The text of the device file."""
     schema, *lines = BASE.read_text().split("\n")
     body = "\n".join(line for line in lines if not line.startswith("# "))
-    document: Any = tomlkit.parse(f"{schema}\n{ABOUT}\n{body}")
+    document: Any = tomlkit.parse(f"{schema}\n{ABOUT}{body}")
     document["name"] = "Weir 2008 display, circuit of the netlist"
     document["serial"] = "SIM-CIRCUIT"
     full_n = abs(driven(0.0, 0.0, 0.0))

@@ -4,6 +4,7 @@ drive transistors, motor and masses instead of the composed model.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,16 @@ from hapticd.params import BoardParams
 from hapticd.plant.step import SUBSTEPS_PER_TICK, Plant, make_plant
 
 SETTLING_S = 0.04  # of relay and amplifier after power-up, before the board starts
-KICK_N = 0.3
+ENABLE_S = 0.02  # shorter than a person would have it: everything is in force before the kick
+KICK_N = 0.02  # small: undamped it grows a hundredfold in the time that is compared
 KICK = range(60 * SUBSTEPS_PER_TICK, 62 * SUBSTEPS_PER_TICK)  # sub-steps
 RECORD = np.dtype(list(TELEMETRY))
 SCENE = """
 title = "the circuit of the netlist, without dry friction"
 device = "weir2008_circuit"
 effects = [
-  "probe", "coupling", "viscous", "delay", "smoothing", "amplifier", "damping_circuit", "multiplier",
-  "winding", "inductance",
+  "probe", "coupling", "viscous", "delay", "smoothing", "amplifier", "damping_circuit",
+  "multiplier", "winding", "inductance",
 ]
 seconds = 1.0
 [environment]
@@ -118,6 +120,7 @@ def flown(
     scene = folder / "circuit.toml"
     scene.write_text(SCENE.format(stiffness=stiffness, damping=damping, level=level))
     servo, board = scene_params(scene)
+    servo = replace(servo, safety=replace(servo.safety, enable_ramp_s=ENABLE_S))
     with plants(in_ngspice) as make:
         monkeypatch.setattr(firmware_board, "make_plant", make)
         monkeypatch.setattr("hapticd.sim.transport.make_board", firmware_board.FirmwareBoard)
