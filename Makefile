@@ -10,6 +10,7 @@
 #   make attack [ONLY=frames] [FACTOR=0.01]  hostile requests, frames and files at length; results in build/attack.json
 #   make soak [HOURS=2]     the daemon in real time with faults, re-plugs, commands and subscribers at random; then as long in virtual time; build/soak*.json
 #   make firmware [FIRMWARE=FOLDER] check the reference firmware, or sources of your own, against the simulated board; minutes
+#   make circuit            the analog circuit in ngspice: its tests, figures, schematic and device file in build/circuit; minutes
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
@@ -27,7 +28,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run lab practice test check test-usb mutate attack soak firmware bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
+.PHONY: run lab practice test check test-usb mutate attack soak firmware circuit bench reproduce reproduction-docs pictures docs deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -74,6 +75,10 @@ mutate: deps-check $(VENV)/check.stamp
 
 firmware: deps-check $(VENV)/check.stamp
 	$(BIN)/python tests/million_frames.py $(FIRMWARE)
+
+circuit: deps-check $(VENV)/check.stamp
+	$(PYTEST) --all-must-run tests/acceptance/test_circuit_*.py $(ARGS)
+	$(BIN)/python -m firmware_iface.hardware build/circuit
 
 attack: deps-check $(VENV)/check.stamp
 	ONLY="$(ONLY)" FACTOR="$(FACTOR)" $(BIN)/python tests/attack.py

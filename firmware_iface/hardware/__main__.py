@@ -1,4 +1,4 @@
-"""`python -m firmware_iface.hardware FOLDER`: figures, schematic and device file from the netlist."""
+"""`python -m firmware_iface.hardware FOLDER`: figures, schematic, device file from the netlist."""
 
 import sys
 from pathlib import Path

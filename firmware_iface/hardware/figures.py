@@ -30,8 +30,10 @@ SIZE_IN = (6.69, 7.4)  # as wide as the other figures of the documentation
 
 def drawn(path: Path) -> None:
     """Draw all panels into `path`."""
+    from matplotlib import rcParams
     from matplotlib.figure import Figure
 
+    rcParams.update({"svg.hashsalt": "circuit", "svg.fonttype": "none"})
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     panels: tuple[Callable[[Any], None], ...] = (
         _delivered, _wrong, _temperature, _ceiling, _saturation, _stop,
