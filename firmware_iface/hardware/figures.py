@@ -1,4 +1,4 @@
-"""The figure of what a laboratory has to know: six panels, all out of ngspice."""
+"""The figure of what a laboratory has to know: nine panels, all out of ngspice."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,13 +19,23 @@ from firmware_iface.hardware.studies import (
     driven,
     emergency_stop,
     impedance,
+    noise_mn,
+    resting,
+    switched,
 )
 
 __all__ = ["drawn"]
 
 HZ = np.geomspace(1.0, 1e3, 31)
 CIRCUITS = 20
-SIZE_IN = (6.69, 7.4)  # as wide as the other figures of the documentation
+FALLS = "pwl(0 2.5 5m 2.5 6m 0)"
+OFF_AT_5_MS = "pwl(0 1 5m 1 5.01m 0)"
+SWITCHES = {
+    "power-up": {"enable": "0", "ref": "pwl(0 0 5m 0 6m 2.5)", "dac": "pwl(0 0 5m 0 6m 2.1)"},
+    "reset": {"dac": "2.5", "enable": OFF_AT_5_MS},
+    "pulled plug": {"dac": FALLS, "ref": FALLS, "enable": OFF_AT_5_MS},
+}
+SIZE_IN = (6.69, 11.5)  # as wide as the other figures of the documentation
 
 
 def drawn(path: Path) -> None:
@@ -36,13 +46,14 @@ def drawn(path: Path) -> None:
     rcParams.update({"svg.hashsalt": "circuit", "svg.fonttype": "none"})
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     panels: tuple[Callable[[Any], None], ...] = (
-        _delivered, _wrong, _temperature, _ceiling, _saturation, _stop,
+        _delivered, _wrong, _temperature, _ceiling, _saturation, _stop, _offset, _noise, _switches,
     )  # fmt: skip
-    for axis, panel in zip(figure.subplots(3, 2).flat, panels, strict=True):
+    for axis, panel in zip(figure.subplots(5, 2).flat, panels, strict=False):
         panel(axis)
         axis.tick_params(labelsize=8)
         axis.grid(alpha=0.3)
         axis.title.set_fontsize(9)
+    figure.axes[-1].remove()
     figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
@@ -114,4 +125,32 @@ def _saturation(axis: Any) -> None:
 def _stop(axis: Any) -> None:
     waves = emergency_stop(0.2)
     axis.plot(1e3 * waves["time"], waves["v(force)"])
+    around_ohm = sum(VALUES[name].value for name in ("r_motor", "r_wire", "r_on"))
+    axis.axhline(-0.2 * K_F**2 / around_ohm, color="black", linestyle=":", label="-K^2/R v (Eq. 3)")
+    axis.legend(fontsize=7)
     _labelled(axis, "Emergency stop at 5 ms, at 0.2 m/s", "ms", "N")
+
+
+def _offset(axis: Any) -> None:
+    levels = np.linspace(0.0, 9.9, 12)
+    found = [1e3 * resting(float(one), {"vos_ina": 50e-6})[0] for one in levels]
+    axis.plot(levels, found, ".-")
+    axis.axhline(0.0, color="black", linewidth=0.8)
+    _labelled(axis, "50 uV of offset at the shunt, rotor held", "N s/m", "mN")
+
+
+def _noise(axis: Any) -> None:
+    levels = np.linspace(0.0, 9.9, 12)
+    for high_hz in (1e3, 1e4):
+        found = [noise_mn(float(one), high_hz) for one in levels]
+        axis.plot(levels, found, ".-", label=f"to {high_hz / 1e3:g} kHz")
+    axis.legend(fontsize=7)
+    _labelled(axis, "White noise of the parts", "N s/m", "mN rms")
+
+
+def _switches(axis: Any) -> None:
+    for name, inputs in SWITCHES.items():
+        waves = switched(inputs)
+        axis.semilogy(1e3 * waves["time"], np.abs(waves["v(force)"]) + 1e-6, label=name)
+    axis.legend(fontsize=7)
+    _labelled(axis, "8 N until 5 ms; power-up with a DAC that floats", "ms", "|force|, N")
