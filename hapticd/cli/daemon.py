@@ -130,7 +130,7 @@ def _ready_text(settings: "Settings", instance: str) -> str:
     if commissioning(device):
         force_n = COMMISSIONING_SHARE * device.limits.force_n
         head += f"\n\nIts signs are not verified: at most {force_n:g} N until `hapticd rig motor`."
-    level = f"{config.added_damping_ns_per_m:g} N s/m"
+    level = f"{config.active_damping_ns_per_m:g} N s/m"
     ramp = f"{config.safety.enable_ramp_s:g} s"
     return f"""
 {head}
@@ -292,7 +292,7 @@ def delay_words(found: dict[str, Any]) -> str:
 
 def delivered_words(found: dict[str, Any]) -> str:
     """How much active damping the board delivers, as people read it."""
-    delivered = found.get("delivered_damping", {"basis": "unknown", "commanded": 0.0})
+    delivered = found.get("delivered_active_damping", {"basis": "unknown", "commanded": 0.0})
     commanded = f"of {delivered['commanded']:.4g} N s/m commanded"
     if delivered.get("estimate_ns_per_m") is None:
         return f"delivered {commanded}: {delivered['basis']}"
@@ -306,9 +306,9 @@ def delivered_words(found: dict[str, Any]) -> str:
 
 def _rendered(found: dict[str, Any]) -> str:
     stiffness, damping, mass = (
-        found.get(name, 0) for name in ("stiffness_n_per_m", "damping_ns_per_m", "mass_kg")
+        found.get(name, 0) for name in ("stiffness_n_per_m", "virtual_damping_ns_per_m", "mass_kg")
     )
-    active = f"active damping {found.get('added_damping_ns_per_m', 0):.4g} N s/m"
+    active = f"active damping {found.get('active_damping_ns_per_m', 0):.4g} N s/m"
     gain = f"gain {found.get('gain', 0):.3g}"
     return f"K {stiffness:g} N/m, B {damping:g} N s/m, M {mass:g} kg, {active}, {gain}"
 
@@ -367,8 +367,8 @@ def set_parameters(
     nothing.
 
     Also filters.velocity_hz, filters.velocity_zeta, filters.acceleration_hz,
-    filters.acceleration_zeta, wall.stiffness_n_per_m, wall.damping_ns_per_m, wall.position_m,
-    wall.side (-1, 0, 1).
+    filters.acceleration_zeta, wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m,
+    wall.position_m, wall.side (-1, 0, 1).
     """
     asked = changes(what)
     change(
@@ -395,7 +395,9 @@ def damping(
     """
     word = value.lower()
     expected = "on, off, auto or a level in N s/m"
-    asked = word if word in ("on", "off", "auto") else number("damping", value, expected, " ")
+    asked = (
+        word if word in ("on", "off", "auto") else number("active_damping", value, expected, " ")
+    )
     change(instance, as_json, lambda client: client.damping(asked))  # type: ignore[arg-type]
 
 

@@ -93,30 +93,35 @@ def _warmed(
 
 
 def target_ohm(
-    params: ResistanceParams, winding: Winding, sensor_c: float | None, damping_ns_per_m: float
+    params: ResistanceParams,
+    winding: Winding,
+    sensor_c: float | None,
+    active_damping_ns_per_m: float,
 ) -> float:
     """The trim [ohm] that `winding` should have; `sensor_c` None or not finite: no sensor.
-    `damping_ns_per_m`: the highest that the device may be asked for.
+    `active_damping_ns_per_m`: the highest that the device may be asked for.
     """
     celsius = winding.low_c
     if sensor_c is not None and isfinite(sensor_c):
         celsius = min(sensor_c, winding.high_c)
     wanted = ohm(params, celsius) - params.base_ohm - params.tolerance_ohm
     furthest = ohm(params, winding.low_c) - params.base_ohm
-    furthest += over_compensation_ohm(params, damping_ns_per_m)
+    furthest += over_compensation_ohm(params, active_damping_ns_per_m)
     return max(0.0, min(wanted, furthest, params.full_scale_ohm))
 
 
-def over_compensation_ohm(params: ResistanceParams, damping_ns_per_m: float) -> float:
+def over_compensation_ohm(params: ResistanceParams, active_damping_ns_per_m: float) -> float:
     """By how many ohm more than the winding has may be compensated at that damping."""
-    if damping_ns_per_m <= 0.0:
+    if active_damping_ns_per_m <= 0.0:
         return inf
-    return -LEAST_LOOP_GAIN * params.force_n_per_a**2 / damping_ns_per_m
+    return -LEAST_LOOP_GAIN * params.force_n_per_a**2 / active_damping_ns_per_m
 
 
-def loop_gain(params: ResistanceParams, residual_ohm: float, damping_ns_per_m: float) -> float:
+def loop_gain(
+    params: ResistanceParams, residual_ohm: float, active_damping_ns_per_m: float
+) -> float:
     """g dR / K^2."""
-    return damping_ns_per_m * residual_ohm / params.force_n_per_a**2
+    return active_damping_ns_per_m * residual_ohm / params.force_n_per_a**2
 
 
 def least_residual_ohm(params: ResistanceParams, limit_c: float) -> float:

@@ -169,7 +169,9 @@ def _traces_alone(result: SceneResult) -> Figure:
 
 
 def _steps(trial: SceneTrial, seconds: float, look: Look) -> Trace:
-    at_s, levels = zip(*trial.case.damping, (seconds, trial.case.damping[-1][1]), strict=True)
+    at_s, levels = zip(
+        *trial.case.active_damping, (seconds, trial.case.active_damping[-1][1]), strict=True
+    )
     return np.array(at_s), np.array(levels), {**look, "drawstyle": "steps-post"}
 
 
@@ -178,7 +180,7 @@ def _title(result: SceneResult) -> str:
     wall = scene.environment.wall
     k, b, m = point(scene)
     rendered = (
-        f"wall of {wall.stiffness_n_per_m:g} N/m and {wall.damping_ns_per_m:g} N s/m at"
+        f"wall of {wall.stiffness_n_per_m:g} N/m and {wall.virtual_damping_ns_per_m:g} N s/m at"
         f" {1e3 * wall.position_m:g} mm"
         if wall.side
         else f"K = {k:g} N/m, B = {b:g} N s/m, M = {1e3 * m:g} g"
@@ -279,7 +281,7 @@ def explained(found: Explanation) -> tuple[Table, ...]:
         for name, value, unit, tag in note.parameters
     ]
     modes = [
-        [shown(at.damping_ns_per_m), *_mode(at, place)]
+        [shown(at.active_damping_ns_per_m), *_mode(at, place)]
         for at in found.levels
         for place in range(len(at.modes))
     ]

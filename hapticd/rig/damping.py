@@ -82,7 +82,7 @@ class Rig:
         self.most_n = allowed_n(servo)
         self.force = ScaleParams(**servo["device"]["force"])
         self.m_per_count = float(servo["device"]["position"]["per_count"])
-        self.slew = float(servo["safety"]["damping_slew_ns_per_m_s"])
+        self.slew = float(servo["safety"]["active_damping_slew_ns_per_m_s"])
         self.rows: list[Row] = []
         self.parts: list[Records] = []
         self.after_s = AFTER_S
@@ -108,7 +108,7 @@ class Rig:
         def scheduled(begin: int) -> None:
             off = begin + round(ON_S * self.rate_hz)
             on = begin - round((LEAD_S + level / self.slew) * self.rate_hz)
-            self.bench.set(damping=level, at_tick=on, until_tick=off)
+            self.bench.set(active_damping=level, at_tick=on, until_tick=off)
 
         return scheduled
 
@@ -130,8 +130,13 @@ class Rig:
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """The raw record: what was sent and seen of every push, and the rows made of it."""
         names = (
-            "slot", "position_m", "force_n", "damping_effect_ns_per_m", "current_a", "delay_us",
-        )  # fmt: skip
+            "slot",
+            "position_m",
+            "force_n",
+            "active_damping_effect_ns_per_m",
+            "current_a",
+            "delay_us",
+        )
         raw = {name: np.concatenate([part[name] for part in self.parts]) for name in names}
         return raw | {f"row_{name}": np.array(found) for name, found in _columns(self.rows)}
 
@@ -149,9 +154,9 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     servo = bench.hello()["servo"]
     device = servo["device"]
     require_verified(servo, "damping is measured")
-    top = float(device["damping_limit_ns_per_m"])
+    top = float(device["active_damping_limit_ns_per_m"])
     if top <= 0.0:
-        why = "limits.damping_ns_per_m is 0: a board without active damping has none to measure"
+        why = "limits.active_damping_ns_per_m is 0: there is no active damping to measure"
         return StepResult("damping", (), [Finding("active damping", "not done", why)])
     ask(Request("let go", "let go of the handle in the middle of its travel; it is pushed"))
     with undamped(bench):
@@ -259,7 +264,7 @@ def _levels(rig: Rig, top: float, a_per_count: float) -> list[Finding]:
         collect(rig.bench, level / rig.slew + 0.1)
         if _noise(rig) > quiet + QUIET_COUNTS:
             what = f"the handle trembles at rest with {level:.3g} N s/m"
-            remedy = "the analog circuit rings: keep limits.damping_ns_per_m below"
+            remedy = "the analog circuit rings: keep limits.active_damping_ns_per_m below"
             return [Finding(what, "warning", remedy)]
         if weak := _pushed_at(rig, known, level):
             return [weak]

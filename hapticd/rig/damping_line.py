@@ -62,11 +62,11 @@ def concluded(
     found = balance(rows, float(device["current"]["per_count"]))
     scales = _scales(device)
     levels, gains = by_level(rows, found)
-    full = float(device["damping"]["per_count"]) * U16_HIGHEST
+    full = float(device["active_damping"]["per_count"]) * U16_HIGHEST
     scatter = _scatter(gains) if len(gains) > 2 else 0.0
     relative = hypot(found.gain_half / found.gain, scatter / found.gain, scales, FLOOR)
     gain = _value("damping.full_scale_ns_per_m", found.gain * full, "N s/m", relative)
-    top = float(device["damping_limit_ns_per_m"])
+    top = float(device["active_damping_limit_ns_per_m"])
     own = found.physical_ns_per_m
     half = hypot(found.physical_half, BIAS * own)
     physical = _about("physical damping", own, "N s/m", half, scales)
@@ -84,7 +84,7 @@ def concluded(
         _loop(found, top),
     ]
     with_n = float(device["force"]["per_count"]) * I16_HIGHEST
-    resting = Change("damping", "with_force_full_scale_n", float(f"{with_n:.6g}"))
+    resting = Change("active_damping", "with_force_full_scale_n", float(f"{with_n:.6g}"))
     changes = [*_changes(gain, physical, top), resting]
     return StepResult("damping", values, said, changes if settled(said) else (), arrays or {})
 
@@ -92,9 +92,9 @@ def concluded(
 def _changes(gain: Value, physical: Value, top: float) -> list[Change]:
     """What is written, with the limit `top` [N s/m] of the device file."""
     written = rounded(gain.value, gain.low, gain.high)
-    changes = [Change("damping", "full_scale_ns_per_m", written)]
+    changes = [Change("active_damping", "full_scale_ns_per_m", written)]
     if written < top:  # no more than the converter makes
-        changes.append(Change("limits", "damping_ns_per_m", written))
+        changes.append(Change("limits", "active_damping_ns_per_m", written))
     if physical.low > 0.0:
         least = float(f"{LEAST_SHARE * physical.low:.2g}")
         changes.append(Change("limits", "physical_damping_ns_per_m", least))
@@ -186,9 +186,7 @@ def _line(levels: Floats, shares: Floats) -> Iterator[Finding]:
     if worst <= BESIDE:
         yield Finding(f"levels beside the line: {told}", "ok")
         return
-    remedy = (
-        "is the multiplier offset or at its end? Keep limits.damping_ns_per_m where it is straight"
-    )
+    remedy = "is the multiplier offset or at its end? Keep limits.active_damping_ns_per_m where it is straight"
     yield Finding(f"levels beside the line: {told}", "warning", remedy)
 
 
@@ -207,5 +205,5 @@ def _loop(found: Balance, top: float) -> Finding:
     if loop >= WARN:
         return Finding(what, "ok")
     greatest = REFUSE * top / loop
-    remedy = f"too much is compensated: limits.damping_ns_per_m at most {greatest:.3g}"
+    remedy = f"too much is compensated: limits.active_damping_ns_per_m at most {greatest:.3g}"
     return Finding(what, "refused" if loop < REFUSE else "warning", remedy)

@@ -133,7 +133,7 @@ def residual(pieces: Sequence[Means], device: dict[str, Any], new: Records) -> R
         per_force / share,
         hypot(float(fit.halves[0]) / share, ALLOWED),
         float(device["motor_n_per_a"]),
-        float(device["damping_limit_ns_per_m"]),
+        float(device["active_damping_limit_ns_per_m"]),
         int(new["resistance_count"][-1]),
         float(new["winding_c"][-1]),
     )
@@ -170,6 +170,6 @@ def _margin(last: Residual) -> Finding:
         return Finding(what, "ok")
     remedy = (
         f"too much is compensated: the greatest allowed damping is {last.greatest_ns_per_m:.3g}"
-        " N s/m; lower resistance.base_ohm, or limits.damping_ns_per_m to that"
+        " N s/m; lower resistance.base_ohm, or limits.active_damping_ns_per_m to that"
     )
     return Finding(what, "refused" if last.loop < REFUSE else "warning", remedy)

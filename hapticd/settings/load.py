@@ -323,14 +323,14 @@ def _limit_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterat
             " leak is known; measure it or switch the controller off"
         )
         yield Mistake(("safety", "energy_controller"), True, reason)
-    damping = device.limits.damping_ns_per_m
+    damping = device.limits.active_damping_ns_per_m
     levels: dict[tuple[str, ...], float] = {
-        ("added_damping_ns_per_m",): config.added_damping_ns_per_m,
-        ("safety", "safe_damping_ns_per_m"): config.safety.safe_damping_ns_per_m,
+        ("active_damping_ns_per_m",): config.active_damping_ns_per_m,
+        ("safety", "safe_active_damping_ns_per_m"): config.safety.safe_active_damping_ns_per_m,
     }
     for path, level in levels.items():
         if level > damping:
-            source = in_device(("limits", "damping_ns_per_m"))
+            source = in_device(("limits", "active_damping_ns_per_m"))
             reason = f"must be at most {damping} N s/m, the limit of the device ({source})"
             yield Mistake(path, level, reason)
 
@@ -341,7 +341,11 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
     plant = device.plant
     for name, limit, full in (
         ("force_n", limits.force_n, device.force.full_scale_n),
-        ("damping_ns_per_m", limits.damping_ns_per_m, device.damping.full_scale_ns_per_m),
+        (
+            "active_damping_ns_per_m",
+            limits.active_damping_ns_per_m,
+            device.active_damping.full_scale_ns_per_m,
+        ),
         ("probe_n", limits.probe_n, device.probe_torque.full_scale_n),
     ):
         if limit > full:
@@ -399,11 +403,11 @@ def _resistance_rules(device: DeviceFile) -> Iterator[Mistake]:
         reason += f" limits.temperature_c = {limit_c} degC"
         yield Mistake(("resistance", "ambient_high_c"), table.ambient_high_c, reason)
         return
-    yield from _compensation_rules(table, limit_c, device.limits.damping_ns_per_m)
+    yield from _compensation_rules(table, limit_c, device.limits.active_damping_ns_per_m)
 
 
 def _compensation_rules(
-    table: ResistanceTable, limit_c: float, damping_ns_per_m: float
+    table: ResistanceTable, limit_c: float, active_damping_ns_per_m: float
 ) -> Iterator[Mistake]:
     params = table.params()
     coldest_ohm = ohm(params, table.ambient_low_c)
@@ -416,11 +420,15 @@ def _compensation_rules(
     if table.slew_ohm_per_s < least:
         reason = f"must be at least {least:.3g} ohm/s, as fast as the winding cools down"
         yield Mistake(("resistance", "slew_ohm_per_s"), table.slew_ohm_per_s, reason)
-    found = loop_gain(params, least_residual_ohm(params, limit_c), damping_ns_per_m)
+    found = loop_gain(params, least_residual_ohm(params, limit_c), active_damping_ns_per_m)
     if not found >= LEAST_LOOP_GAIN:
-        reason = f"leaves a loop gain g dR / K^2 of {found:.3g} at {damping_ns_per_m} N s/m when"
+        reason = (
+            f"leaves a loop gain g dR / K^2 of {found:.3g} at {active_damping_ns_per_m} N s/m when"
+        )
         reason += f" the sensor reads too high; the limit is {LEAST_LOOP_GAIN}, the circuit"
-        reason += " latches up at -1: raise it, lower model_error or limits.damping_ns_per_m, or"
+        reason += (
+            " latches up at -1: raise it, lower model_error or limits.active_damping_ns_per_m, or"
+        )
         reason += " narrow the ambient"
         yield Mistake(("resistance", "tolerance_ohm"), table.tolerance_ohm, reason)
 
@@ -441,10 +449,10 @@ def _winding_rule(device: DeviceFile, model: DeviceModel) -> Iterator[Mistake]:
         return
     cold_ohm = motor.resistance_ohm * COPPER_PER_K * (winding.temperature_c - winding.compensated_c)
     per_level = cold_ohm * (motor.lever_m / motor.torque_constant_nm_per_a) ** 2
-    highest = device.limits.damping_ns_per_m
+    highest = device.limits.active_damping_ns_per_m
     if per_level * highest < LEAST_LOOP_GAIN:
         reason = f"leaves a loop gain g dR / K^2 of {per_level * highest:.3g} at limits."
-        reason += f"damping_ns_per_m = {highest} N s/m; the limit is {LEAST_LOOP_GAIN}, the circuit"
+        reason += f"active_damping_ns_per_m = {highest} N s/m; the limit is {LEAST_LOOP_GAIN}, the circuit"
         reason += f" latches up at -1: lower it, or that limit to {LEAST_LOOP_GAIN / per_level:.3g}"
         yield Mistake(("model", "winding", "compensated_c"), winding.compensated_c, reason)
 

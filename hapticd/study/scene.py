@@ -44,7 +44,7 @@ from hapticd.analysis.loop import spectral_radius
 from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.engine import BatchResult, simulate
 from hapticd.errors import ConfigError
-from hapticd.params import ADDED_DAMPING_NS_PER_M
+from hapticd.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.plant.compose import compose, compose_device
 from hapticd.plant.discrete import expm
 from hapticd.plant.effects import WindingTemperature
@@ -73,7 +73,7 @@ LONGEST_S = 1.0  # steps up to here are tried
 DRIFT = 1e-6  # of the fastest pole: a slower one only drifts
 
 DampingSteps = tuple[tuple[float, float], ...]  # time s, level N s/m
-ON: DampingSteps = ((0.0, ADDED_DAMPING_NS_PER_M),)
+ON: DampingSteps = ((0.0, ACTIVE_DAMPING_NS_PER_M),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class DampingCase:
     """The active damping of one trial of the scene."""
 
     name: str
-    damping: DampingSteps
+    active_damping: DampingSteps
     own: bool  # as the scene file says
 
 
@@ -126,7 +126,7 @@ class SceneResult:
 
 def plan_scene(scene: Scene, seconds: float | None = None) -> ScenePlan:
     """Two cases: without active damping and with it. `seconds` None: the scene's own."""
-    own = tuple((step.at_s, step.level_ns_per_m) for step in scene.damping)
+    own = tuple((step.at_s, step.level_ns_per_m) for step in scene.active_damping)
     damped = level(scene) > 0.0
     cases = (
         DampingCase("no active damping", ((0.0, 0.0),), own=not damped),
@@ -162,7 +162,12 @@ def _trial(plan: ScenePlan, case: DampingCase, start_c: float | None, steps: Ste
 
 def _simulated(plan: ScenePlan, case: DampingCase, seconds: float, keep: str) -> BatchResult:
     return simulate(
-        plan.scene, [point(plan.scene)], seconds, damping=case.damping, substeps=SUBSTEPS, keep=keep
+        plan.scene,
+        [point(plan.scene)],
+        seconds,
+        active_damping=case.active_damping,
+        substeps=SUBSTEPS,
+        keep=keep,
     )
 
 
@@ -172,7 +177,10 @@ def _judged(plan: ScenePlan, case: DampingCase, found: BatchResult) -> TrialResu
     if recorded.seconds < LEAST_S:
         return None
     trial = Trial(
-        point(scene), max(height for _, height in case.damping), plan.seconds, scene.excitation
+        point(scene),
+        max(height for _, height in case.active_damping),
+        plan.seconds,
+        scene.excitation,
     )
     return judged(plan_trial(TrialParams(trial, scene)), recorded)
 

@@ -37,7 +37,7 @@ def _simulator():
 
 def scene_of(folder: Path, level: float):
     path = folder / "circuit.toml"
-    path.write_text(SCENE.format(stiffness=0.0, damping=0.0, level=level))
+    path.write_text(SCENE.format(stiffness=0.0, active_damping=0.0, level=level))
     return load_scene(path)
 
 

@@ -17,14 +17,14 @@ def told(capsys, *arguments):
 
 def scene_file(folder):
     path = folder / "circuit.toml"
-    path.write_text(SCENE.format(stiffness=500.0, damping=2.0, level=1.74))
+    path.write_text(SCENE.format(stiffness=500.0, active_damping=2.0, level=1.74))
     return str(path)
 
 
 def test_it_predicts_that_k_500_b_2_is_passive_with_active_damping_alone(tmp_path, capsys):
     scene = scene_file(tmp_path)
-    with_it = told(capsys, "zwidth", "predict", "--scene", scene, "--damping", "1.74")
-    without = told(capsys, "zwidth", "predict", "--scene", scene, "--damping", "0")
+    with_it = told(capsys, "zwidth", "predict", "--scene", scene, "--active-damping", "1.74")
+    without = told(capsys, "zwidth", "predict", "--scene", scene, "--active-damping", "0")
 
     assert (with_it["device"], with_it["passive"]) == (NAME, True)
     assert with_it["theorem"]["passive"]
@@ -33,7 +33,7 @@ def test_it_predicts_that_k_500_b_2_is_passive_with_active_damping_alone(tmp_pat
 
 def test_its_limit_of_stiffness_is_found_by_trials(tmp_path, capsys):
     found = told(
-        capsys, "zwidth", "limits", "--scene", scene_file(tmp_path), "--damping", "1.74",
+        capsys, "zwidth", "limits", "--scene", scene_file(tmp_path), "--active-damping", "1.74",
         "--axis", "K", "--seconds", "20", "--out", str(tmp_path / "run"), "--no-plot",
     )  # fmt: skip
     (limit,) = found["limits"]

@@ -25,7 +25,7 @@ def test_board_without_the_dac_gets_0_and_loses_what_theory_says():
     moments = list(flown(*device(("resistance",)), 6))
     for one in moments:
         gain = 1.0 / (1.0 + DAMPING_NS_PER_M * (copper(one.winding_c) - 1.5) / 1.65**2)
-        assert one.damping_ns_per_m == pytest.approx(DAMPING_NS_PER_M * gain, rel=0.01)
+        assert one.active_damping_ns_per_m == pytest.approx(DAMPING_NS_PER_M * gain, rel=0.01)
     assert deviation_pct(moments) > 15.0
     with LockStep(*device(("resistance",))) as stack:
         ticks = np.frombuffer(stack.run(500), dtype=RECORD)
@@ -40,13 +40,13 @@ def test_sensor_that_breaks_in_flight_never_over_compensates_the_circuit(reads_c
     circuit's own ohm are looked at in the simulated board.
     """
     servo, board = device()
-    level = servo.device.damping_limit_ns_per_m
+    level = servo.device.active_damping_limit_ns_per_m
     hand = HandParams("push", 0.5, 6.0, 4.0)
     with LockStep(servo, replace(board, touch=TouchParams(hands=(hand,)))) as stack:
         axis = stack.backend._port._axis
         honest = stack.backend._port._celsius
         stack.do(Command.SET, {Value.STIFFNESS: 600.0, Value.RAMP_S: 0.0})
-        stack.do(Command.DAMPING, {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0})
+        stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: level, Value.ACTIVE_DAMPING_ON: 1.0})
         stack.do(Command.ENABLE)
         gains = []
         for step in range(200):

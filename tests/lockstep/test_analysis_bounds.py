@@ -55,7 +55,7 @@ def test_bounds_move_with_the_model():
     [
         (["-M", "10"], "in kg; did you mean 0.010?"),
         (["-B", "1740"], "B = 1740 N s/m: beyond the limit -100.."),
-        (["--damping", "1740"], "damping = 1740 N s/m: beyond the limit 0..10 N s/m"),
+        (["--active-damping", "1740"], "damping = 1740 N s/m: beyond the limit 0..10 N s/m"),
         (["--scene", "simulated", "-K", "60000"], "K = 60000 N/m: beyond the limit -1000..50000"),
     ],
 )
@@ -66,13 +66,15 @@ def test_prediction_refuses_what_a_daemon_would(words, said, capsys):
 
 
 def test_prediction_at_the_ceiling_of_active_damping_is_given(capsys):
-    assert main(["zwidth", "predict", "-K", "100", "--damping", "10", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["damping_ns_per_m"] == 10.0
+    assert main(["zwidth", "predict", "-K", "100", "--active-damping", "10", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["active_damping_ns_per_m"] == 10.0
 
 
 def test_prediction_knows_a_device_file_by_its_path(tmp_path: Path, capsys):
     file = tmp_path / "mine.toml"
     text = (shipped("config") / "devices" / "weir2008.toml").read_text()
-    file.write_text(text.replace("damping_ns_per_m = 10.0", "damping_ns_per_m = 5.0", 1))
-    assert main(["zwidth", "predict", "--scene", str(file), "--damping", "6"]) == 2
+    file.write_text(
+        text.replace("active_damping_ns_per_m = 10.0", "active_damping_ns_per_m = 5.0", 1)
+    )
+    assert main(["zwidth", "predict", "--scene", str(file), "--active-damping", "6"]) == 2
     assert "0..5 N s/m" in capsys.readouterr().err

@@ -68,7 +68,11 @@ def test_run_as_json_has_trials_and_impedance(
         [],
     )
     first, second = found["trials"]
-    assert first["leg"] == {"name": "no active damping", "damping": [[0.0, 0.0]], "own": True}
+    assert first["leg"] == {
+        "name": "no active damping",
+        "active_damping": [[0.0, 0.0]],
+        "own": True,
+    }
     assert second["verdict"]["answer"] in ("passive", "undecided")
     assert {"frequency_hz", "impedance_ns_per_m", "phase_deg", "predicted_phase_deg"} <= first[
         "impedance"

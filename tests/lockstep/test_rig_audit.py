@@ -84,7 +84,7 @@ def test_audit_finds_what_a_warm_winding_takes_of_damping_and_force(residual_ohm
         result = audit.measure(hand.bench, hand.ask, 5.0)
         assert hand.bench.status()["state"] == "disabled"
         hand.settle()
-        assert hand.bench.newest["added_damping_ns_per_m"] == 0.0
+        assert hand.bench.newest["active_damping_ns_per_m"] == 0.0
     found = values_of(result)
     assert holds(found["delivered damping"], 5.0 * alpha)
     assert holds(found["delivered force"], alpha)
@@ -155,7 +155,7 @@ def test_ctrl_c_ends_force_and_damping(step):
         assert hand.bench.status()["state"] == "disabled"
         records = as_records(hand.bench.run(500))
         assert not records["force_n"].any()
-        assert not records["added_damping_ns_per_m"][-1]
+        assert not records["active_damping_ns_per_m"][-1]
 
 
 def test_a_handle_that_is_let_go_comes_to_rest():

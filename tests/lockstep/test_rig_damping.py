@@ -26,7 +26,7 @@ RECORD = np.dtype(
         ("slot", "<u8"),
         ("position_m", "<f8"),
         ("force_n", "<f8"),
-        ("damping_effect_ns_per_m", "<f4"),
+        ("active_damping_effect_ns_per_m", "<f4"),
         ("current_a", "<f4"),
         ("delay_us", "<i4"),
     ]
@@ -61,13 +61,13 @@ def recorded(mass_kg, damping, friction_n, force_n, push_s, level=0.0):
     records["slot"] = np.arange(len(t))
     records["position_m"] = COUNT_M * np.floor(x / COUNT_M + 0.5)
     records["force_n"] = np.where((t >= 0.0) & (t < push_s - 1e-9), force_n, 0.0)
-    records["damping_effect_ns_per_m"] = level
+    records["active_damping_effect_ns_per_m"] = level
     records["delay_us"] = -1  # no clock tells it
     return records, x[-1], rest_s
 
 
 @pytest.mark.parametrize("mass_kg", [0.004, 0.008, 0.2])
-@pytest.mark.parametrize("damping", [0.3, 2.0, 8.0])
+@pytest.mark.parametrize("active_damping", [0.3, 2.0, 8.0])
 def test_momentum_balances_whatever_the_mass(mass_kg, damping):
     """J = c D + Fc T: the closed form of every mass, and what is made of its counts."""
     records, way, rest_s = recorded(mass_kg, damping, 0.03, 0.3, 0.03, damping)
@@ -80,7 +80,7 @@ def test_momentum_balances_whatever_the_mass(mass_kg, damping):
     assert damping * way + 0.03 * rest_s == pytest.approx(0.3 * 0.03, rel=1e-6)
 
 
-@pytest.mark.parametrize("damping", [0.3, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("active_damping", [0.3, 1.0, 2.0, 4.0])
 def test_the_time_of_motion_is_known_to_a_tenth_of_a_period_whatever_damps(damping):
     away_s = []
     for friction_n in np.linspace(0.03, 0.036, 9):
@@ -264,7 +264,7 @@ def test_authority_that_is_lost_ends_the_step():
         pressed = []
 
         def stopped(**fields):
-            if fields.get("damping") and not pressed:
+            if fields.get("active_damping") and not pressed:
                 pressed.append(True)
                 hand.axis.press_stop(True)
             return type(hand.bench).set(hand.bench, **fields)
@@ -282,7 +282,7 @@ def test_damping_waits_for_the_signs():
 
 
 def test_a_device_that_may_not_be_damped_is_not_measured():
-    with Hand({"damping_limit_ns_per_m": 0.0}) as hand:
+    with Hand({"active_damping_limit_ns_per_m": 0.0}) as hand:
         result = measure(hand.bench, nothing)
     assert result.findings[0].verdict == "not done"
     assert not result.changes

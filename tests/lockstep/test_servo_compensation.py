@@ -64,7 +64,7 @@ def test_delivered_damping_and_force_stay_within_two_percent_while_the_winding_h
     assert deviation_pct(moments) <= 2.0
     gain = 1.0 / (1.0 + DAMPING_NS_PER_M * 0.03 / 1.65**2)  # the tolerance stays at any temperature
     for one in moments:
-        assert one.damping_ns_per_m == pytest.approx(DAMPING_NS_PER_M * gain, rel=0.01)
+        assert one.active_damping_ns_per_m == pytest.approx(DAMPING_NS_PER_M * gain, rel=0.01)
         assert one.torque_gain == pytest.approx(gain, rel=0.01)
 
 
@@ -319,7 +319,7 @@ def test_slots_lost_at_a_look_let_the_damping_step_no_further():
     flight = Flight(params())
     flight.fly(3000, host=ABLE, celsius=25.0)
     flight.tick = flight.plan.winding.due_tick + 80
-    asked = {Value.ADDED_DAMPING: 5.0, Value.ADDED_DAMPING_ON: 1.0}
+    asked = {Value.ACTIVE_DAMPING: 5.0, Value.ACTIVE_DAMPING_ON: 1.0}
     flight.do(Command.DAMPING, asked, host=ABLE, celsius=25.0)
     assert flight.plan.added <= 20.0 * 1e-3 * 1.001
 

@@ -80,15 +80,15 @@ def test_shorted_motor_has_no_ceiling() -> None:
 
 def test_undamped_scene_is_compared_with_damping_on() -> None:
     plan = plan_scene(scene(seconds=10.0))
-    assert [case.damping for case in plan.cases] == [((0.0, 0.0),), ((0.0, 1.74),)]
+    assert [case.active_damping for case in plan.cases] == [((0.0, 0.0),), ((0.0, 1.74),)]
     assert [case.own for case in plan.cases] == [True, False]
     assert plan.impedance
 
 
 def test_switched_scene_keeps_its_steps() -> None:
     steps = (DampingStep(0.0, 0.0), DampingStep(2.0, 3.0), DampingStep(4.0, 0.0))
-    plan = plan_scene(replace(scene(seconds=10.0), damping=steps), seconds=1.0)
-    assert plan.cases[1].damping == ((0.0, 0.0), (2.0, 3.0), (4.0, 0.0))
+    plan = plan_scene(replace(scene(seconds=10.0), active_damping=steps), seconds=1.0)
+    assert plan.cases[1].active_damping == ((0.0, 0.0), (2.0, 3.0), (4.0, 0.0))
     assert plan.cases[1].name == "active damping 3 N s/m, switched"
     assert (plan.cases[1].own, plan.seconds, plan.impedance) == (True, 1.0, False)
 

@@ -118,7 +118,7 @@ def flown(
     """
     stiffness, damping, level = point
     scene = folder / "circuit.toml"
-    scene.write_text(SCENE.format(stiffness=stiffness, damping=damping, level=level))
+    scene.write_text(SCENE.format(stiffness=stiffness, active_damping=damping, level=level))
     servo, board = scene_params(scene)
     servo = replace(servo, safety=replace(servo.safety, enable_ramp_s=ENABLE_S))
     with plants(in_ngspice) as make:
@@ -128,7 +128,9 @@ def flown(
             stack.run(5)
             stack.do(Command.ENABLE)
             if level:
-                stack.do(Command.DAMPING, {Value.ADDED_DAMPING: level, Value.ADDED_DAMPING_ON: 1.0})
+                stack.do(
+                    Command.DAMPING, {Value.ACTIVE_DAMPING: level, Value.ACTIVE_DAMPING_ON: 1.0}
+                )
             stack.run(62 + ticks)
             records = np.frombuffer(b"".join(stack.blocks), dtype=RECORD)
     return records["position_m"][-ticks:]

@@ -31,8 +31,8 @@ def test_set_asks_for_everything_at_once(
     client: ClientDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = (
-        "set K=100 B=-1 M=0.010 wall.side=-1 filters.velocity_hz=80 damping=1.74 --ramp-s 0.1"
-        " --at-tick 9 --if-rev 3"
+        "set K=100 B=-1 M=0.010 wall.side=-1 filters.velocity_hz=80 active_damping=1.74"
+        " --ramp-s 0.1 --at-tick 9 --if-rev 3"
     )
     assert main(words.split()) == 0
     asked = {
@@ -41,7 +41,7 @@ def test_set_asks_for_everything_at_once(
         "M": 0.01,
         "wall": {"side": -1},
         "filters": {"velocity_hz": 80},
-        "damping": 1.74,
+        "active_damping": 1.74,
     }
     assert client.asked == [
         ("set", {**asked, "ramp_s": 0.1, "at_tick": 9, "if_rev": 3}),
@@ -138,7 +138,7 @@ def test_get_shows_units(client: ClientDouble, capsys: pytest.CaptureFixture[str
         "M = 0.01 kg",
         "wall.side = 0",
         "damping = 1.74 N s/m",
-        "damping_level = 1.74 N s/m",
+        "active_damping_level = 1.74 N s/m",
     ]
 
 
@@ -330,8 +330,8 @@ def test_status_says_what_is_delivered_of_the_active_damping(
     delivered = {**known, "commanded": 1.74, "basis": "current and encoder", "seconds": 4.0}
     unknown = {**dict.fromkeys(known), "commanded": 1.74, "basis": "unknown: the handle rests"}
     client.states = [
-        RUNNING | {"delivered_damping": delivered},
-        RUNNING | {"delivered_damping": unknown},
+        RUNNING | {"delivered_active_damping": delivered},
+        RUNNING | {"delivered_active_damping": unknown},
     ]
     assert main(["status"]) == 0
     expected = "delivered 0.87 (0.8 to 0.94) of 1.74 N s/m commanded (50 %), by current and encoder"
@@ -506,13 +506,13 @@ def test_config_check_tells_all_that_is_wrong_at_once(
     """Each with value, limit and remedy, whoever looks for it."""
     file = tmp_path / "bad.toml"
     file.write_text(
-        "device = 'example-board'\nadded_damping_ns_per_m = 1740\n[usb]\ntimeout_ms = 6\n"
+        "device = 'example-board'\nactive_damping_ns_per_m = 1740\n[usb]\ntimeout_ms = 6\n"
         "[gateway]\ntcp_host = '0.0.0.0'\n[[simulation.injections]]\nkind = 'estop'\n"
     )
     assert main(["config", "check", str(file)]) == 78
     said = capsys.readouterr().err
     for one in (
-        f"{file}:2: added_damping_ns_per_m = 1740",
+        f"{file}:2: active_damping_ns_per_m = 1740",
         f"{file}:4: usb.timeout_ms = 6 ms: must be at most 5 ms",
         f"{file}:6: gateway.tcp_host = '0.0.0.0': beyond this machine telemetry needs keys; set",
         f"{file}:8: simulation.injections[0].kind = 'estop': is unknown; use one of",

@@ -112,7 +112,10 @@ def test_shipped_files_name_their_schema() -> None:
 def test_schema_says_the_units() -> None:
     definitions = scene.schema("config")["$defs"]
     assert definitions["Environment"]["properties"]["stiffness_n_per_m"]["unit"] == "N/m"
-    assert definitions["Safety"]["properties"]["damping_slew_ns_per_m_s"]["unit"] == "N s/m per s"
+    assert (
+        definitions["Safety"]["properties"]["active_damping_slew_ns_per_m_s"]["unit"]
+        == "N s/m per s"
+    )
     assert (
         scene.schema("device")["$defs"]["Position"]["properties"]["m_per_count"]["unit"]
         == "m/count"
@@ -205,7 +208,7 @@ def test_models_are_frozen_and_finite() -> None:
     with pytest.raises(ValueError, match="frozen"):
         Config().device = "other"  # type: ignore[misc]
     with pytest.raises(ValueError, match="finite"):
-        Config.model_validate({"added_damping_ns_per_m": float("inf")})
+        Config.model_validate({"active_damping_ns_per_m": float("inf")})
 
 
 def test_lines_survive_every_toml_form(tmp_path: Path) -> None:
@@ -306,16 +309,16 @@ CASES = (
         "2: safety.force_limit_n = 9.0 N: must be at most 8.0 N, the limit of the device",
     ),
     (
-        "[safety]\nsafe_damping_ns_per_m = 11",
+        "[safety]\nsafe_active_damping_ns_per_m = 11",
         (
-            "2: safety.safe_damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m, the limit of"
-            " the device"
+            "2: safety.safe_active_damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m, the"
+            " limit of the device"
         ),
     ),
     (
-        "added_damping_ns_per_m = 11",
+        "active_damping_ns_per_m = 11",
         (
-            "1: added_damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m, the limit of the"
+            "1: active_damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m, the limit of the"
             " device"
         ),
     ),
@@ -409,9 +412,9 @@ DEVICE_CASES = {
         "force_n = 9.0",
     ): "limits.force_n = 9.0 N: must be at most 8.0 N, the full scale of its converter",
     (
-        "damping_ns_per_m = 10.0 ",
-        "damping_ns_per_m = 11.0 ",
-    ): "limits.damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m",
+        "active_damping_ns_per_m = 10.0 ",
+        "active_damping_ns_per_m = 11.0 ",
+    ): "limits.active_damping_ns_per_m = 11.0 N s/m: must be at most 10.0 N s/m",
     (
         "[probe_velocity]",
         "[probe_velocity]\nskew_us = 40.0",

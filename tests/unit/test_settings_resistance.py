@@ -86,12 +86,14 @@ def test_loop_gain_below_minus_0_3_is_refused(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "numbers", [{"tolerance_ohm": 0.15, "base_ohm": 1.4}, {"damping_ns_per_m": 2.0}]
+    "numbers", [{"tolerance_ohm": 0.15, "base_ohm": 1.4}, {"active_damping_ns_per_m": 2.0}]
 )
 def test_each_remedy_of_the_refusal_helps(tmp_path: Path, numbers):
     device = read(tmp_path, WARMING, model_error=0.2, **numbers)
     params = device.resistance.params()
-    gain = loop_gain(params, least_residual_ohm(params, 120.0), device.limits.damping_ns_per_m)
+    gain = loop_gain(
+        params, least_residual_ohm(params, 120.0), device.limits.active_damping_ns_per_m
+    )
     assert -0.3 <= gain < 0.0
 
 
@@ -115,14 +117,14 @@ def test_simulated_device_without_a_winding_that_warms_up_has_nothing_to_compens
 WEIR = (shipped("config") / "devices" / "weir2008.toml").read_text()
 
 
-@pytest.mark.parametrize("damping_ns_per_m", [10.0, 3.3])
+@pytest.mark.parametrize("active_damping_ns_per_m", [10.0, 3.3])
 def test_a_simulated_winding_that_could_latch_up_is_refused_with_the_level_it_bears(
-    tmp_path: Path, damping_ns_per_m
+    tmp_path: Path, active_damping_ns_per_m
 ):
     """A compensation for 60 degC on a winding of 20: 0.3 K^2 / dR is 3.24 N s/m."""
     numbers = {"temperature_c": 20.0, "compensated_c": 60.0}
     text = WEIR.replace("temperature_c = 120.0", "temperature_c= 120.0")  # limits keep theirs
     with pytest.raises(ConfigError, match=r"leaves a loop gain .* to 3\.24"):
-        read(tmp_path, text, **numbers, damping_ns_per_m=damping_ns_per_m)
-    device = read(tmp_path, text, **numbers, damping_ns_per_m=3.2)
-    assert device.limits.damping_ns_per_m == 3.2
+        read(tmp_path, text, **numbers, active_damping_ns_per_m=active_damping_ns_per_m)
+    device = read(tmp_path, text, **numbers, active_damping_ns_per_m=3.2)
+    assert device.limits.active_damping_ns_per_m == 3.2
