@@ -11,6 +11,7 @@
 #   make hands [ARGS="--hands 100"]  random passive hands against environments at the edge of what the guard calls safe; counts those that one shakes
 #   make soak [HOURS=2]     the daemon in real time with faults, re-plugs, commands and subscribers at random; then as long in virtual time; build/soak*.json
 #   make firmware [FIRMWARE=FOLDER] check the reference firmware, or sources of your own, against the simulated board; minutes
+#   make circuit            the analog circuit in ngspice: its tests, figures, schematic and device file in build/circuit; minutes
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
@@ -29,7 +30,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run lab practice test check usb-kernel test-usb mutate attack hands soak firmware bench reproduce reproduction-docs pictures docs site deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
+.PHONY: run lab practice test check usb-kernel test-usb mutate attack hands soak firmware circuit bench reproduce reproduction-docs pictures docs site deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -80,6 +81,10 @@ mutate: deps-check $(VENV)/check.stamp
 
 firmware: deps-check $(VENV)/check.stamp
 	$(BIN)/python tests/million_frames.py $(FIRMWARE)
+
+circuit: deps-check $(VENV)/check.stamp
+	$(PYTEST) --all-must-run tests/acceptance/test_circuit_*.py $(ARGS)
+	$(BIN)/python -m firmware_iface.hardware build/circuit
 
 attack: deps-check $(VENV)/check.stamp
 	ONLY="$(ONLY)" FACTOR="$(FACTOR)" $(BIN)/python tests/attack.py

@@ -248,7 +248,7 @@ def compensation_lines(found: dict[str, Any]) -> list[str]:
     gain = f"loop gain {here}, {known['loop_gain_at_ceiling']:+.3g} at the highest damping"
     return [
         f"{compensated} of {known['winding_ohm']:.4g} at {known['winding_c']:.1f} degC: {left}",
-        f"{gain}; never below {known['least_loop_gain']:g}, the circuit oscillates at -1",
+        f"{gain}; never below {known['least_loop_gain']:g}, the circuit latches up at -1",
     ]
 
 

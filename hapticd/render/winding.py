@@ -21,7 +21,7 @@ what it must have at least. Both ends come from a winding that the motor's curre
 with everything that is not known (ambient, R_th, tau) at its hot end for the one and at its cold
 end for the other; in between the exact solution for a current that is held. Where nothing is known
 of the current it is taken to be 0: both ends cool down, and too little is compensated. Whatever the
-sensor says, the loop gain against the coldest possible winding stays above -0.9 at the highest
+sensor says, the loop gain against the coldest possible winding stays above -0.3 at the highest
 damping of the device.
 
 What would break it: a current that reads too high without a sensor, a winding below the coldest
@@ -33,7 +33,9 @@ from typing import Final, NamedTuple
 
 from hapticd.params import ResistanceParams
 
-LEAST_LOOP_GAIN: Final = -0.9  # g dR / K^2; the circuit oscillates at -1
+LEAST_LOOP_GAIN: Final = (
+    -0.3
+)  # g dR / K^2; the circuit latches up at -1, at -0.9 its gain is tenfold
 COLD: Final = -1.0
 HOT: Final = 1.0
 

@@ -19,6 +19,7 @@ import numpy as np
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import AtLevel, Explanation
+from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.report.style import (
     BELOW,
     BLACK,
@@ -362,7 +363,8 @@ def ceiling_words(found: Ceiling) -> list[str]:
         f"With the scene's environment: {loop}.",
         (
             f"The scene asks for {shown(found.scene)} N s/m: loop gain g dR / K^2 ="
-            f" {shown(found.loop_gain)}, unstable at -1."
+            f" {shown(found.loop_gain)}, unstable at -1; {LEAST_LOOP_GAIN:g} is allowed"
+            + ("." if isinf(found.bounded) else f", up to {shown(found.bounded)} N s/m.")
         ),
     ]
 
@@ -370,9 +372,10 @@ def ceiling_words(found: Ceiling) -> list[str]:
 def ceiling_table(found: Ceiling) -> Table:
     """The ceiling over the winding's temperature."""
     rows = [
-        [f"{kelvin:+g} K", "none" if isinf(top) else shown(top)] for kelvin, top in found.warmer
+        [f"{kelvin:+g} K", *("none" if isinf(level) else shown(level) for level in levels)]
+        for kelvin, *levels in found.warmer
     ]
-    return table(["winding against its compensation", "ceiling N s/m"], rows)
+    return table(["winding against its compensation", "ceiling N s/m", "allowed N s/m"], rows)
 
 
 # --- which effects a question needs ---------------------------------------------------------------

@@ -274,7 +274,7 @@ def _levels(rig: Rig, top: float, a_per_count: float) -> list[Finding]:
 def _too_near(known: Balance, level: float) -> Finding:
     loop = known.loop_per_ns_per_m
     what = f"the loop gain would come to {loop * level:.2g} at {level:.3g} N s/m"
-    remedy = f"too much is compensated: {REFUSE / loop:.3g} N s/m is the greatest stable damping"
+    remedy = f"too much is compensated: {REFUSE / loop:.3g} N s/m is the greatest damping allowed"
     return Finding(what, "warning", remedy)
 
 

@@ -6,7 +6,7 @@ one), what the levels scatter about the line, and FLOOR.
 
 The residual resistance is the loop gain per N s/m times the square of the force per ampere. Below 0
 the circuit compensates more than the winding has, and at a loop gain of -1 it oscillates, so the
-greatest level that is stable with a tenth to spare is named.
+greatest level that is allowed is named.
 
 The physical damping is what is proportional to speed without active damping; friction is not, and
 counts for nothing at large motions. The device file gets LEAST_SHARE of the least that it can be.
@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
+from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.rig.glide import Balance, Row, balance
 from hapticd.rig.result import (
     UPPER_END,
@@ -46,8 +47,8 @@ BY_FRICTION = 0.1  # of the residual back-EMF, where friction has to be told fro
 BIAS = 0.01  # of the physical damping: friction seems to end sooner than it does
 MOST_BESIDE = 0.1  # share of its impulse by which a push may lie beside the others
 BESIDE = 0.03  # share by which a level may lie beside the line
-WARN = -0.5  # loop gain
-REFUSE = -0.9
+REFUSE = LEAST_LOOP_GAIN
+WARN = 0.5 * REFUSE  # loop gain
 FACTOR = 2.0  # between file and measurement
 LEAST_SHARE = 2.0 / 3.0  # of the least physical damping, for the fault `energy`
 

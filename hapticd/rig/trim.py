@@ -12,8 +12,8 @@ no more is known than that it is LAG_S +- LAG_S.
 
 rho times a level of damping b is the loop gain there. Above 0 the winding is hotter than its
 compensation: force and damping are weaker by 1 / (1 + rho b), and nothing oscillates. Below 0 too
-much is compensated, and at -1 the circuit oscillates. So -0.5 is warned about and -0.9 refused, and
-the greatest damping that keeps -0.9 is named.
+much is compensated, and at -1 the circuit latches up. So -0.15 is warned about and -0.3 refused,
+and the greatest damping that keeps -0.3 is named.
 
 The interval holds the fit's and ALLOWED, for the lag of the amplifier.
 
@@ -68,7 +68,7 @@ class Residual(NamedTuple):
 
     def __str__(self) -> str:
         greatest = self.greatest_ns_per_m
-        stable = "any damping is stable" if greatest == inf else f"stable to {greatest:.3g} N s/m"
+        stable = "any damping is stable" if greatest == inf else f"allowed to {greatest:.3g} N s/m"
         return (
             f"residual back-EMF {1e3 * self.rho:+.3g} +- {1e3 * self.half:.2g} mm/s per N,"
             f" {self.rho * self.n_per_a**2:+.3g} ohm; loop gain {self.loop:+.2g} at"
@@ -84,7 +84,7 @@ def measure(
     told: Callable[[str], None] = lambda line: None,
 ) -> StepResult:
     """Watch for `seconds` while a hand moves the handle; `told` gets a line a second. It ends when
-    the loop gain at the limit is surely below -0.9. CommandError unless disabled; AnalysisError
+    the loop gain at the limit is surely below -0.3. CommandError unless disabled; AnalysisError
     where signs are not verified, or force ends meanwhile.
     """
     servo = ready_to_move(bench)
@@ -169,7 +169,7 @@ def _margin(last: Residual) -> Finding:
     if last.loop >= WARN:
         return Finding(what, "ok")
     remedy = (
-        f"too much is compensated: the greatest stable damping is {last.greatest_ns_per_m:.3g}"
+        f"too much is compensated: the greatest allowed damping is {last.greatest_ns_per_m:.3g}"
         " N s/m; lower resistance.base_ohm, or limits.active_damping_ns_per_m to that"
     )
     return Finding(what, "refused" if last.loop < REFUSE else "warning", remedy)

@@ -24,11 +24,17 @@ from hapticd.errors import ConfigError
 from hapticd.plant.effects import ALWAYS, BY_KEY
 from hapticd.render.winding import LEAST_LOOP_GAIN, least_residual_ohm, loop_gain, ohm
 from hapticd.settings.config import LONGEST_TIMEOUT_MS, Config
-from hapticd.settings.device import FROM_SCALES, TABLES, DeviceFile, ResistanceTable
+from hapticd.settings.device import (
+    FROM_SCALES,
+    TABLES,
+    DeviceFile,
+    DeviceModel,
+    ResistanceTable,
+)
 from hapticd.settings.parsed import Parsed, concerns, parsed
 from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
 from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
-from hapticd.units import unit_of
+from hapticd.units import COPPER_PER_K, unit_of
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
 FILE_NAME = "hapticd.toml"
@@ -421,7 +427,7 @@ def _compensation_rules(
         )
         reason += f" the sensor reads too high; the limit is {LEAST_LOOP_GAIN}, the circuit"
         reason += (
-            " oscillates at -1: raise it, lower model_error or limits.active_damping_ns_per_m, or"
+            " latches up at -1: raise it, lower model_error or limits.active_damping_ns_per_m, or"
         )
         reason += " narrow the ambient"
         yield Mistake(("resistance", "tolerance_ohm"), table.tolerance_ohm, reason)
@@ -436,6 +442,21 @@ def _order_rule(
         yield Mistake((*path, high), getattr(table, high), reason)
 
 
+def _winding_rule(device: DeviceFile, model: DeviceModel) -> Iterator[Mistake]:
+    """Where the compensation of a simulated winding could latch up at the highest damping."""
+    winding, motor = model.table("winding"), model.table("motor")
+    if winding is None or "winding" not in model.effects:
+        return
+    cold_ohm = motor.resistance_ohm * COPPER_PER_K * (winding.temperature_c - winding.compensated_c)
+    per_level = cold_ohm * (motor.lever_m / motor.torque_constant_nm_per_a) ** 2
+    highest = device.limits.active_damping_ns_per_m
+    if per_level * highest < LEAST_LOOP_GAIN:
+        reason = f"leaves a loop gain g dR / K^2 of {per_level * highest:.3g} at limits."
+        reason += f"active_damping_ns_per_m = {highest} N s/m; the limit is {LEAST_LOOP_GAIN}, the"
+        reason += f" circuit latches up at -1: lower it, or that limit to {LEAST_LOOP_GAIN / per_level:.3g}"
+        yield Mistake(("model", "winding", "compensated_c"), winding.compensated_c, reason)
+
+
 def model_rules(device: DeviceFile) -> Iterator[Mistake]:
     """What is wrong with the [model] of a device file."""
     model = device.model
@@ -444,6 +465,7 @@ def model_rules(device: DeviceFile) -> Iterator[Mistake]:
     if device.plant is not None:
         yield Mistake(("plant",), None, "stands beside [model]; keep one of them")
     yield from chosen_rules(device, ("model", "effects"), model.effects)
+    yield from _winding_rule(device, model)
     for key in TABLES:
         table = model.table(key)
         for name in () if table is None else table.sources:

@@ -51,6 +51,7 @@ from hapticd.plant.effects import WindingTemperature
 from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import damping_ceiling, edge, modes, stability
+from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.scenes import SUBSTEPS, filters, level, point
 from hapticd.zwidth.simulated import simulated
@@ -208,8 +209,10 @@ class Ceiling:
     highest: float  # N s/m
     scene: float  # N s/m, the scene's own level
     loop_gain: float  # g dR / K^2 at that level
-    # (winding minus what the compensation assumes [K], `device` then); empty without a winding
-    warmer: tuple[tuple[float, float], ...]
+    bounded: float  # N s/m that keeps the loop gain above LEAST_LOOP_GAIN, at most `device`
+    # (winding minus what the compensation assumes [K], `device` and `bounded` then); empty without
+    # a winding
+    warmer: tuple[tuple[float, float, float], ...]
 
 
 def ceiling(scene: Scene) -> Ceiling:
@@ -234,7 +237,8 @@ def ceiling(scene: Scene) -> Ceiling:
         highest=_finite(highest),
         scene=asked,
         loop_gain=stability(model, asked).loop_gain,
-        warmer=tuple((more, _warmer(scene, own, more)) for own in windings for more in WARMER_K),
+        bounded=_finite(_bounded(model, top)),
+        warmer=tuple((more, *_warmer(scene, own, more)) for own in windings for more in WARMER_K),
     )
 
 
@@ -242,12 +246,19 @@ def _finite(level_ns_per_m: float) -> float:
     return float(level_ns_per_m) if level_ns_per_m < HIGHEST_NS_PER_M else inf
 
 
-def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> float:
-    """The ceiling with the winding `kelvin` above what is compensated."""
+def _bounded(model: Model, top_ns_per_m: float) -> float:
+    """The level at which an over-compensated winding comes to LEAST_LOOP_GAIN, at most `top`."""
+    per_level = model.level_gain * model.residual_ohm / model.torque_constant_n_per_a**2
+    return min(top_ns_per_m, LEAST_LOOP_GAIN / per_level) if per_level < 0.0 else top_ns_per_m
+
+
+def _warmer(scene: Scene, own: WindingTemperature, kelvin: float) -> tuple[float, float]:
+    """The ceiling and its bound with the winding `kelvin` above what is compensated."""
     other = replace(own, temperature_c=own.compensated_c + kelvin)
     effects = tuple(other if effect is own else effect for effect in scene.effects)
     model = compose_device(scene.name, effects, scene.rate_hz)
-    return _finite(damping_ceiling(model, HIGHEST_NS_PER_M))
+    top = damping_ceiling(model, HIGHEST_NS_PER_M)
+    return _finite(top), _finite(_bounded(model, top))
 
 
 def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:

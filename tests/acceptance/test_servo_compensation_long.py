@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.servo_compensation import CEILING, Warm, copper, params
+from support.servo_compensation import Warm, copper, params
 
 from benchmarks.thermal import DAMPING_NS_PER_M, RECORD, deviation_pct, device, flown
 from hapticd.assembly.lockstep import LockStep
@@ -40,12 +40,13 @@ def test_sensor_that_breaks_in_flight_never_over_compensates_the_circuit(reads_c
     circuit's own ohm are looked at in the simulated board.
     """
     servo, board = device()
+    level = servo.device.active_damping_limit_ns_per_m
     hand = HandParams("push", 0.5, 6.0, 4.0)
     with LockStep(servo, replace(board, touch=TouchParams(hands=(hand,)))) as stack:
         axis = stack.backend._port._axis
         honest = stack.backend._port._celsius
         stack.do(Command.SET, {Value.STIFFNESS: 600.0, Value.RAMP_S: 0.0})
-        stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: CEILING, Value.ACTIVE_DAMPING_ON: 1.0})
+        stack.do(Command.DAMPING, {Value.ACTIVE_DAMPING: level, Value.ACTIVE_DAMPING_ON: 1.0})
         stack.do(Command.ENABLE)
         gains = []
         for step in range(200):
@@ -53,7 +54,7 @@ def test_sensor_that_breaks_in_flight_never_over_compensates_the_circuit(reads_c
                 stack.backend._port._celsius = lambda _state: reads_c
             stack.run(100)
             residual_ohm = copper(honest(axis.state)) - axis.believed_ohm
-            gains.append(CEILING * residual_ohm / 1.65**2)
+            gains.append(level * residual_ohm / 1.65**2)
         assert stack.loop.state[SETTLED].plan.fault == 0
     assert honest(axis.state) < 45.0
     assert min(gains[:30]) > 0.0

@@ -34,10 +34,8 @@ def test_daemon_has_the_bounds_of_its_model_everywhere_alike():
     assert (guard["lowest"], guard["highest"]) == (limits["lowest"], limits["highest"])
 
 
-@pytest.mark.parametrize("device", ["simulated", "warming"])
-def test_device_without_a_model_or_a_passive_range_has_the_stated_bounds(device):
-    """What warms up is active with the most damping, whatever it renders."""
-    limits = resolved(device)[files.SERVO_JSON]["device"]["environment_limits"]
+def test_device_without_a_passive_range_has_the_stated_bounds():
+    limits = resolved("simulated")[files.SERVO_JSON]["device"]["environment_limits"]
     assert limits["lowest"] == tuple(one.low for one in STATED.values())
     assert limits["highest"] == tuple(one.high for one in STATED.values())
 

@@ -49,12 +49,14 @@ def test_cold_winding_bounds_damping_by_what_is_over_compensated() -> None:
     found = ceiling(
         scene((*CIRCUIT, WindingTemperature(temperature_c=20.0, compensated_c=20.0)), 1.74)
     )
-    warmer = dict(found.warmer)
+    warmer = {kelvin: top for kelvin, top, _ in found.warmer}
+    bounded = {kelvin: level for kelvin, _, level in found.warmer}
     for kelvin in (-40.0, -20.0):
         excess_ohm = copper_ohm(1.6, 20.0, 20.0 + kelvin) - 1.6
         bound = -(1.65**2) / excess_ohm
         assert 0.85 * bound < warmer[kelvin] <= bound
-    assert warmer[0.0] == found.device
+        assert bounded[kelvin] == pytest.approx(0.3 * bound)
+    assert warmer[0.0] == bounded[0.0] == found.device == found.bounded
     assert warmer[40.0] == warmer[10.0] == inf
 
 

@@ -84,6 +84,7 @@ def test_shipped_file_names_every_key() -> None:
         "weir2008",
         "weir2008_probe_hp",
         "weir2008_literal",
+        "weir2008_circuit",
         "warming",
     ],
 )

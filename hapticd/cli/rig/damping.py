@@ -55,7 +55,7 @@ def trim(
     as_json: terminal.Json = False,
 ) -> None:
     """Live: what the resistance compensation leaves of the back-EMF, the loop gain that it makes at
-    the limit of the active damping, and the greatest damping that is stable.
+    the limit of the active damping, and the greatest damping that is allowed.
 
     Move the handle to and fro against a weak spring meanwhile; active damping is off. Below a loop
     gain of -0.5 it warns, below -0.9 it ends and refuses (exit 4).
