@@ -453,7 +453,8 @@ def _winding_rule(device: DeviceFile, model: DeviceModel) -> Iterator[Mistake]:
     if per_level * highest < LEAST_LOOP_GAIN:
         reason = f"leaves a loop gain g dR / K^2 of {per_level * highest:.3g} at limits."
         reason += f"active_damping_ns_per_m = {highest} N s/m; the limit is {LEAST_LOOP_GAIN}, the"
-        reason += f" circuit latches up at -1: lower it, or that limit to {LEAST_LOOP_GAIN / per_level:.3g}"
+        reason += " circuit latches up at -1: lower it, or that limit to"
+        reason += f" {LEAST_LOOP_GAIN / per_level:.3g}"
         yield Mistake(("model", "winding", "compensated_c"), winding.compensated_c, reason)
 
 
