@@ -135,7 +135,7 @@ def points_of(display: dict[str, Any], gain: float = 1.0) -> tuple[Point, Point 
         return free, None
     return free, free._replace(
         stiffness=free.stiffness + share * wall["stiffness_n_per_m"],
-        active_damping=free.damping + share * wall["virtual_damping_ns_per_m"],
+        damping=free.damping + share * wall["virtual_damping_ns_per_m"],
     )
 
 

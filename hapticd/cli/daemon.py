@@ -401,9 +401,7 @@ def damping(
     """
     word = value.lower()
     expected = "on, off, auto or a level in N s/m"
-    asked = (
-        word if word in ("on", "off", "auto") else number("active_damping", value, expected, " ")
-    )
+    asked = word if word in ("on", "off", "auto") else number("damping", value, expected, " ")
     change(instance, as_json, lambda client: client.damping(asked))  # type: ignore[arg-type]
 
 

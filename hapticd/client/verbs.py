@@ -43,7 +43,7 @@ class Verbs(Generic[R, D]):
     def hello(self) -> D:
         """Versions, limits, endpoints and topics of the daemon; each limit has its unit.
 
-        >>> device.hello()["limits"]["damping"]
+        >>> device.hello()["limits"]["active_damping"]
         {'low': 0.0, 'high': 10.0, 'unit': 'N s/m'}
         """
         return self._result("hello", name=self._name)
@@ -124,7 +124,7 @@ class Verbs(Generic[R, D]):
         """Switch the active damping, set its level [N s/m] and switch it on, or have the guard
         choose the least level that will do.
 
-        >>> device.damping(0.5).effective["damping"]
+        >>> device.damping(0.5).effective["active_damping"]
         0.500...
         """
         return self._change("damping", value=value)

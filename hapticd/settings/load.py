@@ -448,7 +448,8 @@ def _winding_rule(device: DeviceFile, model: DeviceModel) -> Iterator[Mistake]:
     if winding is None or "winding" not in model.effects:
         return
     cold_ohm = motor.resistance_ohm * COPPER_PER_K * (winding.temperature_c - winding.compensated_c)
-    per_level = cold_ohm * (motor.lever_m / motor.torque_constant_nm_per_a) ** 2
+    per_n = motor.lever_m / motor.torque_constant_nm_per_a
+    per_level = cold_ohm * per_n * per_n  # a product becomes infinite where a power is an error
     highest = device.limits.active_damping_ns_per_m
     if per_level * highest < LEAST_LOOP_GAIN:
         reason = f"leaves a loop gain g dR / K^2 of {per_level * highest:.3g} at limits."

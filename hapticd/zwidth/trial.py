@@ -300,7 +300,10 @@ def _possible(params: TrialParams) -> None:
     layout = params.multisine
     numbers = (
         *zip(
-            ("stiffness", "damping", "mass"), trial.environment, ("N/m", "N s/m", "kg"), strict=True
+            ("stiffness", "virtual damping", "mass"),
+            trial.environment,
+            ("N/m", "N s/m", "kg"),
+            strict=True,
         ),
         ("active damping", trial.active_damping_ns_per_m, "N s/m"),
         ("mass behind the port", params.behind_mass_kg, "kg"),

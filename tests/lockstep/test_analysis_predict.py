@@ -159,7 +159,7 @@ def test_passive_hand_does_not_make_a_passive_loop_unstable():
         )
         hand = PassiveHand(
             mass_kg=m,
-            virtual_damping_ns_per_m=b,
+            damping_ns_per_m=b,
             stiffness_n_per_m=k,
             grip_stiffness_n_per_m=grip_k,
             grip_damping_ns_per_m=grip_b,

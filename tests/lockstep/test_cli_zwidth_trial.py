@@ -59,7 +59,7 @@ def test_multisine_trial_says_what_its_interval_covers(tmp_path, capsys):
         (
             ["--active-damping", "500"],
             2,
-            r"damping = 500 N s/m: beyond the limit 0\.\.\d+ N s/m .*; ask for",
+            r"active_damping = 500 N s/m: beyond the limit 0\.\.\d+ N s/m .*; ask for",
         ),
         (
             ["-K", "10", "--psd", "0.01"],

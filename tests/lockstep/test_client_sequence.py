@@ -199,7 +199,7 @@ def test_force_that_waits_for_its_damping_comes_on_and_the_sequence_goes_on(
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (step("set", active_damping=9), r"step 2: damping = 9 N s/m: .*limit 0\.\.2 N s/m"),
+        (step("set", active_damping=9), r"step 2: active_damping = 9 N s/m: .*limit 0\.\.2 N s/m"),
         (step("set", k=9), "step 2: k: unknown field, did you mean 'K'"),
         (step("dance"), "step 2: 'dance' is no step of a sequence"),
         (step("perturb", action="load", samples_n=[0.0]), "step 2: .* `perturb_load`"),

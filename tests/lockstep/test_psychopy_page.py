@@ -57,7 +57,7 @@ def test_session_ends_with_a_threshold_and_a_row_for_each_presentation(
     found = rows(tmp_path)
     assert len(found) == 2 * names["trial"]
     assert {row["guard_safe"] for row in found} == {"True"}
-    assert all(float(row["damping"]) > 1.0 for row in found)
+    assert all(float(row["active_damping"]) > 1.0 for row in found)
     answered = found[1::2]
     assert {row["answer"] for row in answered} == {"1", "2"}
     assert {row["right"] for row in answered} == {"True", "False"}

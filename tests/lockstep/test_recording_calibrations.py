@@ -66,7 +66,9 @@ def test_damping_that_was_found_in_other_newtons_is_in_doubt(factor, doubted):
     plain["device"]["force"]["per_count"] *= factor
     said = [str(one) for one in doubts(plain, DAY)]
     assert len(said) == doubted
-    assert all(one.startswith("damping: it was found with a scale of force of") for one in said)
+    assert all(
+        one.startswith("active_damping: it was found with a scale of force of") for one in said
+    )
 
 
 @pytest.mark.parametrize(("days", "old"), [(365, False), (366, True)])

@@ -45,7 +45,7 @@ def test_no_injection_is_no_injector():
 def test_unknown_kind_is_refused_by_name():
     with pytest.raises(
         ConfigError,
-        match=r"injection kind 'gremlin' is unknown; use one of amplifier_fault, amplifier_gain, ",
+        match=r"injection kind 'gremlin' is unknown; use one of active_damping_gain, ampl",
     ):
         injected(InjectionParams("gremlin"))
 

@@ -83,11 +83,21 @@ def test_file_that_is_not_there_is_named(kind, tmp_path):
 def test_what_is_not_given_is_that_of_the_scene_that_was_named_else_0():
     scene = load_scene("fig4")
     for named in (False, True):
-        assert given((None, None, None), None, scene, named) == ((100.0, 1.0, 0.01), 0.0)
-    assert given((500.0, None, None), None, scene, False) == ((500.0, 0.0, 0.0), 0.0)
-    assert given((500.0, None, None), None, scene, True) == ((500.0, 1.0, 0.01), 0.0)
-    assert given((None, 0.0, None), 1.74, scene, False) == ((0.0, 0.0, 0.0), 1.74)
-    assert given((500.0, None, None), None, None, False) == ((500.0, 0.0, 0.0), 0.0)
+        assert given((None, None, None), None, scene, named) == Environment(
+            100.0, 1.0, 0.01, active_damping_ns_per_m=0.0
+        )
+    assert given((500.0, None, None), None, scene, False) == Environment(
+        500.0, 0.0, 0.0, active_damping_ns_per_m=0.0
+    )
+    assert given((500.0, None, None), None, scene, True) == Environment(
+        500.0, 1.0, 0.01, active_damping_ns_per_m=0.0
+    )
+    assert given((None, 0.0, None), 1.74, scene, False) == Environment(
+        0.0, 0.0, 0.0, active_damping_ns_per_m=1.74
+    )
+    assert given((500.0, None, None), None, None, False) == Environment(
+        500.0, 0.0, 0.0, active_damping_ns_per_m=0.0
+    )
 
 
 @pytest.mark.parametrize("source", ["engine", "lockstep"])
@@ -112,6 +122,6 @@ def test_environment_is_printed_before_the_trial_and_not_into_json(source, tmp_p
     )
     assert json.loads(told.out)["environment"] == {
         "stiffness_n_per_m": 50.0,
-        "active_damping_ns_per_m": 0.0,
+        "virtual_damping_ns_per_m": 0.0,
         "mass_kg": 0.0,
     }

@@ -11,7 +11,7 @@ effects = ["probe", "viscous"]
 seconds = 8.0
 [environment]
 stiffness_n_per_m = 100.0
-damping_ns_per_m = 0.5
+virtual_damping_ns_per_m = 0.5
 mass_kg = 0.0
 [excitation]
 kind = "noise"

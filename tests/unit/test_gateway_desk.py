@@ -405,7 +405,7 @@ def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
         "hello",
         "get",
         "set",
-        "active_damping",
+        "damping",
         "enable",
         "disable",
         "stop",

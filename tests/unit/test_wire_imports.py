@@ -35,6 +35,7 @@ def test_wire_loads_standard_library_only() -> None:
     assert {name for name in ours if not name.startswith("hapticd.wire")} <= {
         "hapticd",
         "hapticd.errors",
+        "hapticd.lazy",
     }
 
 

@@ -384,7 +384,7 @@ def _refuse_beyond(name: str, scene: "Scene", trial: "Trial") -> None:
     from hapticd.zwidth.scenes import display
 
     values = dict(zip("KBM", trial.environment, strict=True))
-    level = {"damping": trial.active_damping_ns_per_m}
+    level = {"active_damping": trial.active_damping_ns_per_m}
     common.require_within(name, display(scene), values | level)
     allowed_waveform(trial, common.device_of(name).limits.probe_n)
 
