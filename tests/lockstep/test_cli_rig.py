@@ -146,7 +146,7 @@ def test_a_table_that_outlived_its_newton_is_offered_again(config):
             Change("active_damping", "with_force_full_scale_n", full_scale_n),
         ]
         write(file, written, "rig damping", datetime.date.today())
-        said = guided.in_doubt("damping", load(config).device.model_copy(update=real))
+        said = guided.in_doubt("active_damping", load(config).device.model_copy(update=real))
         assert said.startswith("it was found with a scale of force of 7.4 N") == doubted
 
 

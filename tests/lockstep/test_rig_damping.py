@@ -66,7 +66,7 @@ def recorded(mass_kg, damping, friction_n, force_n, push_s, level=0.0):
 
 
 @pytest.mark.parametrize("mass_kg", [0.004, 0.008, 0.2])
-@pytest.mark.parametrize("active_damping", [0.3, 2.0, 8.0])
+@pytest.mark.parametrize("damping", [0.3, 2.0, 8.0])
 def test_momentum_balances_whatever_the_mass(mass_kg, damping):
     """J = c D + Fc T: the closed form of every mass, and what is made of its counts."""
     records, way, rest_s = recorded(mass_kg, damping, 0.03, 0.3, 0.03, damping)
@@ -79,7 +79,7 @@ def test_momentum_balances_whatever_the_mass(mass_kg, damping):
     assert damping * way + 0.03 * rest_s == pytest.approx(0.3 * 0.03, rel=1e-6)
 
 
-@pytest.mark.parametrize("active_damping", [0.3, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("damping", [0.3, 1.0, 2.0, 4.0])
 def test_the_time_of_motion_is_known_to_a_tenth_of_a_period_whatever_damps(damping):
     away_s = []
     for friction_n in np.linspace(0.03, 0.036, 9):

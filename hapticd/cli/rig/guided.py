@@ -92,7 +92,7 @@ LATER = (
     Step(
         "damping",
         "its polarity and N s/m per count, by pushes and glides",
-        "damping",
+        "active_damping",
         (),
         lambda at, _: damping.damping(**at._asdict()),
     ),
