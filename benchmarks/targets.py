@@ -115,8 +115,8 @@ TABLE: dict[str, dict[str, Target]] = {
         "guard_path_ratio": Target(
             "<= 6x",
             "a bare ZeroMQ echo between two processes, as long as request and answer are",
-            "two eigenvalue problems of 14 states and two of 16 for a straight way, and 2 x some 260"
-            " quadratic forms",
+            "two eigenvalue problems of 14 states and two of 16 for a straight way, and 2 x some"
+            " 260 quadratic forms",
         ),
         "guard_margin_ratio": Target(
             "<= 13x",
