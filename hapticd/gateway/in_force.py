@@ -4,8 +4,7 @@
 record holds (the wall's damping while it moves, its side once it was rounded to none) the value
 counts that may still act and is furthest from the target.
 
-Limitations: an environment with the revision of another is wrong (`known` says whether
-record and answers fit each other).
+Limitations: record and answers may belong to different revisions for a moment (see `known`).
 """
 
 from typing import Any
