@@ -72,7 +72,7 @@ REFUSED = {
     "no authority": ("motor", "authority"),
     "slipping lever": ("motor", "slip"),
     "mass typed ten times wrong": ("motor", "typed wrong"),
-    "damping polarity": ("active_damping", "polarity"),
+    "damping polarity": ("damping", "polarity"),
     "dead probe channel": ("probe", "dead probe channel"),
     "probe channels swapped": ("probe", "channels swapped"),
 }
