@@ -17,7 +17,7 @@ def told(capsys, *arguments):
 
 def scene_file(folder):
     path = folder / "circuit.toml"
-    path.write_text(SCENE.format(stiffness=500.0, active_damping=2.0, level=1.74))
+    path.write_text(SCENE.format(stiffness=500.0, virtual_damping=2.0, level=1.74))
     return str(path)
 
 

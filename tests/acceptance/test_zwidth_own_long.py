@@ -95,7 +95,7 @@ def test_import_of_it_gives_a_verdict_with_badge_and_environment(name, files, tm
     assert (told["simulated"], told["rate_hz"], told["device_name"]) == (True, 4000.0, "simulated")
     assert told["environment"] == {
         "stiffness_n_per_m": 50.0,
-        "active_damping_ns_per_m": 2.0,
+        "virtual_damping_ns_per_m": 2.0,
         "mass_kg": 0.0,
     }
     assert told["active_damping_ns_per_m"] == 1.74
