@@ -85,7 +85,7 @@ for stiffness in (50, 100, 200, 400):
     records, lost = device.record(seconds=1.0)
     assert (records["revision"] == receipt.revision).all()
     moved_mm = 1e3 * np.sqrt(2) * records["position_m"].std()
-    b = 1.0 + receipt.effective["damping"] + plant.viscous_ns_per_m
+    b = 1.0 + receipt.effective["active_damping"] + plant.viscous_ns_per_m
     dynamic = stiffness - plant.mass_kg * w**2 + 1j * w * b
     expected_mm = 1e3 * PUSH_N / abs(dynamic)
     print(f"K = {stiffness:3d} N/m: moved {moved_mm:.3f} mm, expected {expected_mm:.3f} mm")

@@ -23,7 +23,7 @@ SIZES = st.floats(0.0, 1.0)
 @given(
     mass_kg=st.floats(1e-3, 0.1),
     stiffness=SIZES,
-    active_damping=SIZES,
+    damping=SIZES,
     mass=SIZES,
     delay=st.sampled_from([0.0, 0.125, 1.0]),
     spare=st.floats(1.01, 3.0),
@@ -49,7 +49,7 @@ def test_passive_scene_never_creates_energy(
 @settings(max_examples=60, deadline=None)
 @given(
     stiffness=st.floats(-1e4, 1e5),
-    active_damping=st.floats(-50.0, 200.0),
+    damping=st.floats(-50.0, 200.0),
     mass=st.floats(-0.1, 0.5),
     level=st.sampled_from([0.0, 1.74]),
     strength=st.floats(0.0, 1e3),
