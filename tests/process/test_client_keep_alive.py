@@ -78,12 +78,8 @@ def test_lease_of_a_deadlocked_script_ends_without_it(daemon: Daemon, other: Cli
 
 def test_participant_may_think_for_six_seconds(daemon: Daemon, tmp_path: Path) -> None:
     """examples/jnd.py, of a daemon with a name: the lease of an answer lives for 5 s."""
-    text = (ROOT / "examples" / "jnd.py").read_text()
-    script = tmp_path / "jnd.py"
-    script.write_text(
-        text.replace('Client(name="jnd")', f"Client({daemon.instance!r}, name='jnd')")
-    )
-    command = [sys.executable, str(script), "--pause", "0.1"]
+    script = ROOT / "examples" / "jnd.py"
+    command = [sys.executable, str(script), "--instance", daemon.instance, "--pause", "0.1"]
     with subprocess.Popen(
         command, cwd=tmp_path, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as child:
