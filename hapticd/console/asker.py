@@ -32,7 +32,7 @@ from hapticd.plant.excitation import Stream, band_noise, generator
 from hapticd.plant.scene import Excitation
 
 EXCITE = "excite"  # ours: noise as in a trial, repeated, until it is asked to end
-CHANGES = frozenset(("set", "active_damping", "enable", "disable", "reset", "zero", "home", EXCITE))
+CHANGES = frozenset(("set", "damping", "enable", "disable", "reset", "zero", "home", EXCITE))
 ALLOWED = CHANGES | {"hello", "get", "guard", "lease", "status", "dump"}
 NOISE_SAMPLES = 1 << 14  # 4 s
 MOST_OPEN = 8  # questions of one browser without an answer

@@ -36,7 +36,7 @@ PROBE_S = 0.8  # between two stops
 SETTINGS = (
     'device = "simulated"\n[guard]\npolicy = "warn"\n'
     "[gateway]\ntelemetry_port = 0\nflight_s = 5.0\n"
-    "[environment]\nstiffness_n_per_m = 200.0\ndamping_ns_per_m = 1.0\n"
+    "[environment]\nstiffness_n_per_m = 200.0\nvirtual_damping_ns_per_m = 1.0\n"
     "[[simulation.touch.hands]]\nkind = 'hold'\nstiffness_n_per_m = 500.0\n"
     "damping_ns_per_m = 3.0\ntremor_m = 0.002\n"
 )
