@@ -126,8 +126,8 @@ def test_short_and_empty_packets_arrive_as_such(length: int, board: Board, link:
     assert answers(link)
 
 
-# in flight a packet may be later than its tick where board and host share a core: the count would be
-# a matter of time
+# in flight a packet may be later than its tick where board and host share a core: the count would
+# be a matter of time
 @pytest.mark.parametrize("in_flight", [False], ids=["in_turn"])
 def test_short_and_empty_packets_cost_one_sample(board: Board, device: Device) -> None:
     device.receive()
