@@ -1,14 +1,13 @@
 """The experiment of docs/experiment.md runs as it stands: each block is taken from the page."""
 
 import csv
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.beside_daemon import run_beside
 from support.tree import ROOT
 
 from hapticd.pytest_plugin import DaemonProcess
@@ -39,16 +38,7 @@ def rehearsed(hapticd_daemon: DaemonProcess, tmp_path: Path) -> Path:
 
 
 def python(daemon: DaemonProcess, folder: Path, *words: str) -> str:
-    done = subprocess.run(
-        [sys.executable, *words],
-        cwd=folder,
-        env={**daemon.environment, "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_S,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return run_beside(daemon, folder, sys.executable, *words, deadline_s=DEADLINE_S)
 
 
 def test_experiment_of_the_page_ends_in_a_data_frame(

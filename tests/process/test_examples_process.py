@@ -2,16 +2,14 @@
 fixtures that people's own tests have.
 """
 
-import os
 import shutil
-import subprocess
 import sys
 
 import pytest
+from support.beside_daemon import run_beside
 from support.tree import ROOT
 
 EXAMPLES = ROOT / "examples"
-DEADLINE_S = 100.0
 
 pytestmark = pytest.mark.process
 
@@ -24,21 +22,8 @@ def hapticd_config(tmp_path):
     return path
 
 
-def run(daemon, folder, *words):
-    done = subprocess.run(
-        list(map(str, words)),
-        cwd=folder,
-        env={**daemon.environment, "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_S,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 def python(daemon, folder, name, *words):
-    return run(daemon, folder, sys.executable, EXAMPLES / f"{name}.py", *words).splitlines()
+    return run_beside(daemon, folder, sys.executable, EXAMPLES / f"{name}.py", *words).splitlines()
 
 
 def state(daemon):
@@ -82,11 +67,15 @@ def test_cpp_example_acquires_in_another_process(hapticd_daemon, tmp_path):
     compiler = shutil.which("c++") or pytest.skip("no C++ compiler")
     source = EXAMPLES / "cpp" / "acquire.cpp"
     flags = ("-std=c++17", "-Wall", "-Wextra", "-Werror", "-DMSGPACK_NO_BOOST")
-    run(hapticd_daemon, tmp_path, compiler, *flags, "-o", tmp_path / "acquire", source, "-lzmq")
+    run_beside(
+        hapticd_daemon, tmp_path, compiler, *flags, "-o", tmp_path / "acquire", source, "-lzmq"
+    )
     with hapticd_daemon.client() as device:
         endpoints = device.status()["endpoints"]
     words = (endpoints["command"], endpoints["telemetry"][0])
-    assert run(hapticd_daemon, tmp_path, tmp_path / "acquire", *words).startswith("1000 ticks")
+    assert run_beside(hapticd_daemon, tmp_path, tmp_path / "acquire", *words).startswith(
+        "1000 ticks"
+    )
     assert state(hapticd_daemon) == "disabled"
 
 
@@ -94,7 +83,7 @@ def test_octave_example_sets_and_enables(hapticd_daemon, tmp_path):
     octave = shutil.which("octave-cli") or pytest.skip("no Octave")
     with hapticd_daemon.client() as device:
         endpoint = device.status()["endpoints"]["command"]
-    text = run(hapticd_daemon, tmp_path, octave, EXAMPLES / "octave" / "client.m", endpoint)
+    text = run_beside(hapticd_daemon, tmp_path, octave, EXAMPLES / "octave" / "client.m", endpoint)
     assert "K = 100 N/m" in text
     assert "state: enabled" in text
     assert state(hapticd_daemon) == "disabled"

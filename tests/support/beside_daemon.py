@@ -1,0 +1,24 @@
+"""Programs that tests run beside a daemon, as the readers of a page or an example do."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from hapticd.pytest_plugin import DaemonProcess
+
+
+def run_beside(
+    daemon: DaemonProcess, folder: Path, *words: str | Path, deadline_s: float = 100.0
+) -> str:
+    """Run `words` in `folder`, for which `daemon` is the default one; what was printed."""
+    done = subprocess.run(
+        list(map(str, words)),
+        cwd=folder,
+        env={**daemon.environment, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        timeout=deadline_s,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
