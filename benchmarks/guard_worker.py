@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.worker import serve
 from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.displays import told
+from hapticd.analysis.displays import from_message
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.ways import Leg, sampled
 from hapticd.mailbox.files import GUARD_JSON
@@ -30,8 +30,8 @@ def main() -> None:
     judgement = Judgement(judge.theorem, judge.theorem.model.delay_periods, 0.0)
 
     def answer(request: dict[str, Any]) -> dict[str, float]:
-        start = told(request["start"], judge.setup.environment)
-        end = told(request["end"], judge.setup.environment)
+        start = from_message(request["start"], judge.setup.environment)
+        end = from_message(request["end"], judge.setup.environment)
         path = sampled(Leg(start, start, end), POINTS)
         begin_ns = time.monotonic_ns()
         judgement.all_safe(path)

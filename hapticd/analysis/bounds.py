@@ -6,11 +6,13 @@ further by a few times, not by the factor of a mistaken unit.
 What would break it: a device that renders nothing of one axis alone and much of it beside another.
 """
 
+from dataclasses import replace
 from typing import Any
 
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.bases import Theorem, model_of
-from hapticd.environment import Environment, FilterParams
+from hapticd.analysis.displays import nothing_rendered
+from hapticd.environment import FilterParams
 from hapticd.mailbox.environment_limits import WIDEST
 from hapticd.params import GuardSetup
 from hapticd.plant.model import Model
@@ -27,7 +29,7 @@ def passive_ranges(
 
     `filters` are those of velocity and acceleration.
     """
-    free = _nothing(filters, level_ns_per_m)
+    free = replace(nothing_rendered(filters), active_damping_ns_per_m=level_ns_per_m)
     judgement = Judgement(Theorem(model), model.delay_periods, 0.0)
     return judgement.allowed(free, WIDEST.lowest, WIDEST.highest)
 
@@ -43,7 +45,7 @@ def timing_cost(
 
     A delay that varies is outside the theorem: that both ends are passive is a convention.
     """
-    free = _nothing(filters, level_ns_per_m)
+    free = replace(nothing_rendered(filters), active_damping_ns_per_m=level_ns_per_m)
 
     def stiffest(least: float, most: float) -> float:
         judgement = Judgement(theorem, most, 0.0, least)
@@ -67,13 +69,3 @@ def ranges_of(setup: GuardSetup) -> Ranges:
     rendered = setup.environment
     filters = rendered.velocity_filter, rendered.acceleration_filter
     return passive_ranges(model_of(setup.model), filters, setup.active_damping_limit_ns_per_m)
-
-
-def _nothing(filters: tuple[FilterParams, FilterParams], level_ns_per_m: float) -> Environment:
-    """Nothing rendered, at that level of active damping."""
-    velocity, acceleration = filters
-    return Environment(
-        velocity_filter=velocity,
-        acceleration_filter=acceleration,
-        active_damping_ns_per_m=level_ns_per_m,
-    )

@@ -10,23 +10,27 @@ from itertools import product
 from math import isfinite
 from typing import Any
 
-from hapticd.environment import Environment
+from hapticd.environment import Environment, FilterParams
 from hapticd.errors import AnalysisError
 
 AXES = ("K", "B", "M")
 
 
-def told(plain: Mapping[str, Any], rendered: Environment) -> Environment:
+def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment:
     """The environment in the fields of a message, its filters made discrete as those of `rendered`;
     what the message leaves out is 0. AnalysisError for a number that is not finite.
     """
-    first, second = rendered.filters
-    nothing = Environment(velocity_filter=first, acceleration_filter=second)
-    return asked_for(nothing, plain)
+    return with_change(nothing_rendered(rendered.filters), plain)
 
 
-def asked_for(environment: Environment, change: Mapping[str, Any]) -> Environment:
-    """It with the fields of a request. AnalysisError for a number that is not finite."""
+def nothing_rendered(filters: tuple[FilterParams, FilterParams]) -> Environment:
+    """No K, B, M, wall or active damping; `filters` are those of velocity and acceleration."""
+    velocity, acceleration = filters
+    return Environment(velocity_filter=velocity, acceleration_filter=acceleration)
+
+
+def with_change(environment: Environment, change: Mapping[str, Any]) -> Environment:
+    """`environment` with the fields of a request. AnalysisError for a number not finite."""
     _require_finite(change)
     return environment.changed(change)
 

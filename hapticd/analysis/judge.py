@@ -21,7 +21,7 @@ from hapticd.analysis.angles import unresolved_hz
 from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.analysis.bounds import IDEAL_PERIODS, timing_cost
 from hapticd.analysis.coupled import GROWS, coupled_radius, shaking_hand
-from hapticd.analysis.displays import told
+from hapticd.analysis.displays import from_message
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.plane import plane
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
@@ -96,7 +96,7 @@ class Judge:
 
     def _look(self, request: Mapping[str, Any]) -> dict[str, Any]:
         judgement, unknown = self._judgement(request)
-        target = told(request["target"], self.setup.environment)
+        target = from_message(request["target"], self.setup.environment)
         timing = {"timing": self._timing(self._delay(request.get("delay_periods")))}
         if judgement is None:
             nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
@@ -146,7 +146,7 @@ class Judge:
         judgement, unknown = self._judgement(request)
         if judgement is None:
             return {"plane": None, "text": unknown.plain(Outcome.UNKNOWN)["text"]}
-        display = told(request["target"], self.setup.environment)
+        display = from_message(request["target"], self.setup.environment)
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         most_k, most_b, _ = self.setup.highest
         return {"plane": plane(judgement, display, on, most_k, most_b)}
@@ -154,7 +154,7 @@ class Judge:
     def _hand(self, request: Mapping[str, Any]) -> dict[str, Any]:
         if self.theorem is None:
             return {"hand": None}
-        display = told(request["environment"], self.setup.environment)
+        display = from_message(request["environment"], self.setup.environment)
         delay = self._delay(request.get("delay_periods"))
         found = [
             self._shakers(self.theorem, delay, point, display, in_wall=place == 1)

@@ -28,7 +28,7 @@ from typing import Any, get_args
 import numpy as np
 
 from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.displays import asked_for, between, environment_of, told
+from hapticd.analysis.displays import between, environment_of, from_message, with_change
 from hapticd.analysis.ways import POINTS, Leg, Plan, Request, Stage, Ways, groups, sampled
 from hapticd.analysis.words import Verdicts, explained
 from hapticd.environment import Environment
@@ -71,14 +71,14 @@ class _Asked:
         self.policy: str = request["policy"]
         # while an enable still comes up only a part of the display acts
         gain = float(request.get("gain", 1.0)) if request["state"] == "enabled" else 1.0
-        reported = told(request["now"], self.setup.environment)
+        reported = from_message(request["now"], self.setup.environment)
         self.now = reported.scaled(gain)
-        self.target = told(request["target"], self.setup.environment)
+        self.target = from_message(request["target"], self.setup.environment)
         self.passed = [reported]
         for one in request["before"]:
             self.passed.append(self.target)
             self.now = self.target
-            self.target = asked_for(self.target, one)
+            self.target = with_change(self.target, one)
         self.now = replace(self.now, active_damping_ns_per_m=self._in_effect())
         self.asked: dict[str, Any] = dict(request["change"])
         self.request = request
@@ -100,7 +100,7 @@ class _Asked:
             Request(
                 now=self.now,
                 target=self.target,
-                wanted=asked_for(self.target, change),
+                wanted=with_change(self.target, change),
                 change=change,
                 passed=self.passed,
                 after=[dict(one) for one in self.request["after"]],
@@ -221,7 +221,7 @@ class _Judged(_Asked):
 
     def _with_auto(self) -> dict[str, Any]:
         """The change with the level of mode `auto`, whatever level it names."""
-        level = self._least(asked_for(self.target, self.asked))
+        level = self._least(with_change(self.target, self.asked))
         rest = {name: value for name, value in self.asked.items() if name != "active_damping"}
         return (
             rest

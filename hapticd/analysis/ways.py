@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.displays import AXES, asked_for, between, kept_level, mixed
+from hapticd.analysis.displays import AXES, between, kept_level, mixed, with_change
 from hapticd.environment import Environment
 
 POINTS = 20  # of a whole way
@@ -100,7 +100,7 @@ class Ways:
                 now = replace(now, active_damping_ns_per_m=target.active_damping_ns_per_m)
             if stage.after_ramps:
                 now = replace(target, active_damping_ns_per_m=now.active_damping_ns_per_m)
-            end = asked_for(target, stage.change)
+            end = with_change(target, stage.change)
             legs.append(Leg(now, target, end))
             target = end
         return Plan(stages, legs, target)
@@ -156,7 +156,7 @@ class Ways:
     def _later(self, start: Environment) -> list[Leg]:
         legs = []
         for change in self.request.after:
-            end = asked_for(start, change)
+            end = with_change(start, change)
             legs.append(Leg(start, start, end))
             start = end
         return legs
