@@ -321,6 +321,21 @@ class RotorForce:
 
 
 @dataclass(frozen=True, slots=True)
+class DriveLimits:
+    """Limits of current and voltage on the motor force, see `plant.drive`. `motor_force` and
+    `velocity` are states.
+    """
+
+    motor_force: int
+    velocity: int  # of the rotor
+    limit_n: float  # force of the largest current
+    stall_n: float  # force that the supply's voltage holds on a rotor that stands
+    shorted_ns_per_m: float  # damping of the winding shorted through the amplifier
+    electrical_rad_s: float  # R / L
+    amplifier_rad_s: float  # bandwidth of the current
+
+
+@dataclass(frozen=True, slots=True)
 class Noise:
     """White noise: `velocity_m_per_s` rms added to each 4 kHz value of the recorded velocity;
     `estimate_psd` one-sided density [(m/s)^2/Hz] of the velocity estimate (a value held for h
@@ -369,7 +384,8 @@ class PlantParams:
     """
 
     states: tuple[str, ...]
-    # command, torque, then estimate, rotor_force and one per contact, as far as there are any
+    # command, torque, then estimate, rotor_force, amplifier and one per contact, as far as there
+    # are any
     columns: tuple[str, ...]
     floating: bool  # nothing holds the device in place: only differences of positions matter
     levels_ns_per_m: tuple[float, ...]  # rising, from 0
@@ -383,6 +399,7 @@ class PlantParams:
     contacts: tuple[Contact, ...] = ()
     ends: Ends | None = None
     rotor_forces: tuple[RotorForce, ...] = ()
+    drive: DriveLimits | None = None
     noise: Noise | None = None
     estimate_offset_m_per_s: float = 0.0
     heating: HeatingParams | None = None

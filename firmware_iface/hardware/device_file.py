@@ -39,6 +39,9 @@ HZ = np.geomspace(10.0, 1e5, 81)
 AT_HZ = 200.0  # where dR and dL are read: above the mechanics, below the lags
 ROOT = Path(__file__).parents[2]
 BASE = ROOT / "config" / "devices" / "weir2008.toml"
+SERIES = ("r_sense", "r_wire", "r_on", "r_drop")  # ohm beside the winding
+SWITCH_OHM = 0.01  # of the enabled output in power_amplifier.sub
+INDUCTIVE = ("l_motor", "l_eddy", "l_wire", "l_sense")  # H that the current meets at low frequency
 Measured = dict[str, float]
 ABOUT = """\
 # The mechanics of weir2008.toml with the circuit of firmware_iface/hardware. Written by
@@ -130,10 +133,15 @@ def _model(
     model["effects"].append("inductance")
     cold = VALUES["r_motor"].value
     compensated_c = 20.0 + (R_HAT_OHM / cold - 1.0) / VALUES["tc_cu"].value
+    value = {name: one.value for name, one in VALUES.items()}
     numbers = (
         ("amplifier", "bandwidth_hz", nominal["amplifier_hz"], "Hz, -3 dB"),
         ("damping_circuit", "bandwidth_hz", nominal["bandwidth_hz"], "Hz, -3 dB"),
         ("inductance", "error_h", nominal["error_h"], "H that the circuit leaves uncancelled"),
+        ("amplifier_limits", "max_current_a", value["i_limit"], "A"),
+        ("amplifier_limits", "max_voltage_v", value["v_supply"] - value["v_drop"], "V"),
+        ("amplifier_limits", "series_ohm", _total(value, SERIES) + SWITCH_OHM, "ohm"),
+        ("amplifier_limits", "inductance_h", _total(value, INDUCTIVE), "H"),
         ("winding", "temperature_c", 20.0, "degC"),
         ("winding", "compensated_c", compensated_c, "degC: the coldest winding less tolerances"),
         ("multiplier", "gain_error", 0.0, "full scale is stated in [active_damping]"),
@@ -148,10 +156,15 @@ def _model(
         ("winding", "residual_ohm", "ohm left"),
         ("multiplier", "velocity_offset_m_per_s", "m/s of velocity offset"),
     )
+    model["amplifier_limits"]["note"] = "netlist: values.inc"
     for table, name, unit in notes:
         model[table]["source"] = "inferred"
         model[table]["note"] = _text("netlist", spread[name], unit, circuits)
         model[table].pop("sources", None)
+
+
+def _total(value: dict[str, float], names: Iterable[str]) -> float:
+    return sum(value[name] for name in names)
 
 
 def _text(what: str, ends: tuple[float, float], unit: str, circuits: int) -> str:

@@ -42,6 +42,7 @@ from hapticd.engine.job import (
 )
 from hapticd.engine.numbers import Filters
 from hapticd.engine.records import Records, Sums, force_spectrum, spectral
+from hapticd.engine.shape import Shape
 from hapticd.environment import Environment
 from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose
@@ -68,6 +69,8 @@ class BatchResult:
     samples: npt.NDArray[np.int64]  # (n,) that count
     rate_hz: float  # of the records
     seconds: float  # length of a trial that does not diverge
+    # (n,) share of its ticks in which the amplifier was at a limit, where it has limits
+    limited: Values | None = None
     winding_c: Values | None = None  # (n,) temperature at the end, where the winding heats up
     # (F,) or (n, F) [N^2], with keep="spectra", at k 4000/4096 Hz; as `analysis.spectra.spa`
     force_spectrum: Floats | None = None
@@ -210,8 +213,8 @@ def simulate(
     excitation   of the probe, or forces [N] at 4 kHz that repeat: (samples,), with own_torque (n,
                  samples)
     start        position [m] and velocity [m/s] of all bodies
-    substeps     per 4 kHz sample; only friction, ends and cogging need them, without those there is
-                 one
+    substeps     per 4 kHz sample; only friction, ends, cogging and limits of the amplifier need
+                 them, without those there is one
     dtype        "f64" | "f32"
     keep         "summary" | "spectra" as `analysis.spectra` | "records" at 4 kHz |
                  "ticks": also position and force of every tick
@@ -386,6 +389,11 @@ def _run_group(job: Job, made: Prepared, params: Array, numbers: Sequence[int]) 
     return _result(job, params, group, heating, records, inputs)
 
 
+def _share(ticks: Array, samples: npt.NDArray[np.int64], shape: Shape) -> Array | None:
+    """`ticks` (n,) of those that `samples` (n,) make, where the amplifier has limits."""
+    return None if shape.drive is None else ticks * shape.samples / np.maximum(samples, 1)
+
+
 def _result(
     job: Job,
     params: Array,
@@ -406,6 +414,7 @@ def _result(
         samples=samples,
         rate_hz=float(PROBE_RATE_HZ),
         seconds=job.ticks / job.model.rate_hz,
+        limited=_share(sums.limited[:n], samples, group.made.shape),
         winding_c=None if heating is None else heating.temperature_c[:n],
         **records.finished(samples, inputs),
     )

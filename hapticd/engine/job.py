@@ -182,6 +182,7 @@ class Tallies:
     work: Array  # of the perturbation, N m/s
     lowest: Array  # value of `work` so far, N m/s
     samples: Array  # that count
+    limited: Array  # ticks in which the amplifier was at a limit
 
 
 class Group:
@@ -197,7 +198,7 @@ class Group:
             name: self.state[place * lanes : (place + 1) * lanes]
             for place, name in enumerate(names)
         }
-        self._tallies = Tallies(*np.zeros((4, lanes)))
+        self._tallies = Tallies(*np.zeros((5, lanes)))
         self._untallied = 0  # ticks
         self.coefficients = np.zeros(max(1, len(made.kernel.COEFFICIENTS)), made.scalar)
         self.set(law_numbers(job.environment, job.filters, job.model.rate_hz))
@@ -238,7 +239,11 @@ class Group:
         sums.squares[:] += rows["SPEED2"]
         sums.work[:] += rows["WORK"]
         sums.samples[:] += rows["TICKS"] * self.made.shape.samples
-        for name in ("SPEED2", "WORK", "LOWEST", "TICKS"):
+        counted = ["SPEED2", "WORK", "LOWEST", "TICKS"]
+        if self.made.shape.drive is not None:
+            sums.limited[:] += rows["LIMITED"]
+            counted.append("LIMITED")
+        for name in counted:
             rows[name][:] = 0.0
         self._untallied = 0
         return sums

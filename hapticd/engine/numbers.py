@@ -13,7 +13,8 @@ from hapticd.engine.shape import Shape, sample_point
 from hapticd.engine.source import ENDS, FILTERS, ROTOR_LAWS, WALL
 from hapticd.environment import Environment, FilterParams
 from hapticd.plant.discrete import discretise
-from hapticd.plant.model import Array, Map, Model
+from hapticd.plant.drive import reach, well_posed
+from hapticd.plant.model import Array, DriveLimits, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
 from hapticd.units import PROBE_RATE_HZ
 
@@ -32,6 +33,8 @@ def plant_numbers(model: Model, shape: Shape, level_ns_per_m: float) -> dict[str
     numbers |= _rounding(model)
     if model.rotor_forces:
         numbers |= _rotor_rows(model, duration_s)
+    if model.drive is not None:
+        numbers |= _drive_rows(model.drive, model.inputs.amplifier, whole)
     if model.ends is not None:
         numbers |= {"STOP_UP": model.ends.upper_m, "STOP_DOWN": model.ends.lower_m}
     return numbers
@@ -126,6 +129,9 @@ def _output_rows(model: Model, shape: Shape, whole: Map) -> dict[str, float]:
         "RE": place.estimate,
         "RZ": place.rotor_force,
     }
+    if model.drive is not None:
+        own = float(whole.b[model.drive.motor_force, place.amplifier])
+        rows["RY"] = float(through[place.amplifier]) / own
     rows |= {name: float(through[column]) for name, column in columns.items() if column is not None}
     for c, (contact, own) in enumerate(
         zip(model.contacts, _own_responses(model, whole), strict=True)
@@ -155,6 +161,21 @@ def _rotor_rows(model: Model, duration_s: float) -> dict[str, float]:
     for place, force in enumerate(model.rotor_forces):
         rows |= _named(f"PULL{place}_", np.array(ROTOR_LAWS[force.law].numbers(*force.numbers)))
     return rows
+
+
+def _drive_rows(limits: DriveLimits, column: int | None, whole: Map) -> dict[str, float]:
+    """The range of the motor force, and Y: what a newton taken from it does to states."""
+    own = float(whole.b[limits.motor_force, column])
+    level = whole.active_damping_ns_per_m
+    well_posed(limits, own, whole.duration_s, level)
+    can = reach(limits, whole.duration_s)
+    return {
+        "MOST": limits.limit_n,
+        "KEEP": can.keep,
+        "DRAG": can.drag_ns_per_m,
+        "WIDTH": can.width_n,
+        **_named("Y", whole.b[:, column] / own),
+    }
 
 
 def _named(letter: str, row: Array) -> dict[str, float]:

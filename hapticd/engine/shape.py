@@ -67,6 +67,14 @@ class RotorStates(NamedTuple):
     column: tuple[bool, ...]
 
 
+class DriveStates(NamedTuple):
+    """The states that limits of the amplifier look at, and which states these reach."""
+
+    motor_force: int
+    velocity: int
+    column: tuple[bool, ...]
+
+
 class StopStates(NamedTuple):
     """The states that the ends of the workspace hold."""
 
@@ -106,6 +114,7 @@ class Shape:
     ends: bool = False  # the law's soft ends
     # where windings heat up: the motor force, and whether the command is in it
     heat: tuple[tuple[Term, ...], bool] | None = None
+    drive: DriveStates | None = None  # where the amplifier has limits
     noise: tuple[bool, ...] | None = None  # the column of the velocity estimate's noise
     renders: bool = True  # the law is needed
     own_torque: bool = False  # a record for every trial
@@ -230,6 +239,8 @@ def _needed(model: Model, damped: bool) -> Mask:
     parts: list[Contact | Ends | RotorForce] = [*model.contacts, *model.rotor_forces]
     for part in parts if model.ends is None else [*parts, model.ends]:
         asked[[part.position, part.velocity]] = True
+    if model.drive is not None:
+        asked[[model.drive.motor_force, model.drive.velocity]] = True
     return np.asarray(asked @ reach)
 
 
@@ -263,10 +274,11 @@ def _chosen(model: Model, kept: list[int]) -> Model:
     smaller = _rebuilt(model, lambda a: a[np.ix_(kept, kept)], lambda b: b[kept], lambda c: c[kept])
     place = {old: new for new, old in enumerate(kept)}
 
-    def moved(part: Any) -> Any:
+    def moved(part: Any, first: str = "position") -> Any:
         if part is None:
             return None
-        return replace(part, position=place[part.position], velocity=place[part.velocity])
+        here = {name: place[getattr(part, name)] for name in (first, "velocity")}
+        return replace(part, **here)
 
     return replace(
         smaller,
@@ -274,6 +286,7 @@ def _chosen(model: Model, kept: list[int]) -> Model:
         contacts=tuple(moved(contact) for contact in model.contacts),
         ends=moved(model.ends),
         rotor_forces=tuple(moved(force) for force in model.rotor_forces),
+        drive=moved(model.drive, "motor_force"),
     )
 
 
@@ -313,7 +326,7 @@ def shape_of(
         raise ConfigError(
             f"{substeps} sub-steps per 4 kHz sample: must be 1..{SUBSTEPS_MAX}; 4 suits 90 s trials"
         )
-    if not (model.contacts or model.ends or model.rotor_forces):
+    if not (model.contacts or model.ends or model.rotor_forces or model.drive):
         substeps = 1  # nothing is decided within a sample, and the map over it is exact
     states, inputs = structure(model, damped)
     step, part, waits = sample_point(model.delay_periods, samples * substeps)
@@ -383,6 +396,9 @@ def _with_rare_effects(shape: Shape, model: Model, inputs: Mask) -> Shape:
     for force in model.rotor_forces:
         rotor = RotorStates(force.position, force.velocity, _column(inputs, place.rotor_force))
         shape = replace(shape, rotor_laws=(*shape.rotor_laws, force.law), rotor=rotor)
+    if (limits := model.drive) is not None:
+        column = _column(inputs, place.amplifier)
+        shape = replace(shape, drive=DriveStates(limits.motor_force, limits.velocity, column))
     noisy = _column(
         inputs, place.estimate if model.noise is not None and model.noise.estimate_psd else None
     )

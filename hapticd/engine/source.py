@@ -23,13 +23,14 @@ One control period of one lane (`tick`). Rows and coefficients are upper case; `
 law stands after the last sub-step: nothing in the tick waits for it.
 
     x  state   b  what the inputs add   t  perturbation   e  noise of the estimate
-    u  held command   y  encoder sample   c  new command
+    u  held command   y  encoder sample   c  new command   r  whether the amplifier was at a limit
     w, v  recorded travel and velocity   p  recorded torque
 
 One sub-step of one lane (`substep`): the exact map, then what is not linear.
 
     x  state   n  next state   d  what a state that keeps itself gains   b  what inputs add
     q  a body's velocity without its own friction   f  what friction takes from it [m/s]
+    o  what limits of the amplifier add to the motor force [N]
 
 Friction is solved once, as in `plant.friction`, but without branches and in velocities, f = W times
 the force: for one contact f = clamp(v, W Fc), and v - f is left, which is 0 exactly where it
@@ -58,7 +59,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.engine.shape import Shape, Term
+from hapticd.engine.shape import DriveStates, Shape, Term
 from hapticd.units import PROBE_RATE_HZ
 
 SCALARS: dict[str, type[np.floating[Any]]] = {"f32": np.float32, "f64": np.float64}
@@ -287,6 +288,8 @@ def tick(shape: Shape, row: Rows) -> Iterator[str]:
     yield f"u = {row('U')}"
     if shape.own_torque:
         yield from (f"t{j} = {row(f'TT{j}')}" for j in range(shape.samples))
+    if shape.drive is not None:
+        yield "r = ZERO"
     for j in range(shape.samples):
         yield from _sample(shape, row, j)
     if shape.renders and shape.sample_step == shape.steps:
@@ -324,6 +327,8 @@ def _substep(shape: Shape, row: Rows, j: int, k: int) -> Iterator[str]:
     yield f"{', '.join(step_results(shape))} = step({', '.join(step_arguments(shape))})"
     if sampled and shape.sample_inside:
         yield f"y = y + {_inside(shape, row, j)}"
+    if shape.drive is not None:
+        yield "r = r if o == ZERO else T(1)"
     if shape.gaining is not None:
         yield "w = w + d"
 
@@ -336,6 +341,7 @@ def _inside(shape: Shape, row: Rows, j: int) -> str:
         *term(any(shape.drift), "RD", "", row),
         *term(shape.noise is not None, "RE", f" * e{j}", row),
         *term(shape.rotor is not None, "RZ", " * g", row),
+        *term(shape.drive is not None, "RY", " * o", row),
         *(f"{row.c(f'RH{c}')} * f{c}" for c in range(len(shape.contacts))),
     ]
     return " + ".join(terms)
@@ -397,6 +403,8 @@ def _tally(shape: Shape, row: Rows) -> Iterator[str]:
     yield f"work = {row('WORK')} + e"
     yield f"low = {row('LOWEST')}"
     yield f"most = {row('FORCE')}"
+    if shape.drive is not None:
+        yield f"{row('LIMITED')} = {row('LIMITED')} + (r if a > ZERO else ZERO)"
     yield f"{row('ALIVE')} = a"
     yield f"{row('TICKS')} = {row('TICKS')} + a"
     yield f"{row('SPEED2')} = {row('SPEED2')} + s2"
@@ -416,8 +424,11 @@ def step_arguments(shape: Shape) -> list[str]:
 
 
 def step_results(shape: Shape) -> list[str]:
-    """Of `step`: states, the recorded gain, what friction takes, the sum of the rotor forces."""
+    """Of `step`: states, the recorded gain, what friction takes, the sum of the rotor forces, what
+    limits of the amplifier add to the motor force.
+    """
     forces = [f"f{c}" for c in range(len(shape.contacts))] + ["g"] * (shape.rotor is not None)
+    forces += ["o"] * (shape.drive is not None)
     return [
         *(f"x{i}" for i in range(shape.states)),
         *(["d"] * (shape.gaining is not None)),
@@ -435,6 +446,8 @@ def substep(shape: Shape, row: Rows) -> Iterator[str]:
         yield from total(_target(shape, i), terms or ["ZERO"])
     if shape.rotor is not None:
         yield from _pulled(shape, row)
+    if shape.drive is not None:
+        yield from _limited(shape, shape.drive, row)
     yield from _friction(shape, row)
     yield from (f"n{i} = x{i} + d{i}" for i in states if shape.keeps[i])
     if shape.stops is not None:
@@ -511,6 +524,19 @@ def _pulled(shape: Shape, row: Rows) -> Iterator[str]:
         for i, here in enumerate(column)
         if here
     )
+
+
+def _limited(shape: Shape, drive: DriveStates, row: Rows) -> Iterator[str]:
+    """The motor force held inside what current and voltage reach (`plant.drive`)."""
+    force = f"n{drive.motor_force}"
+    yield from clamped("o", force, row.c("MOST"))
+    yield f"z = {row.c('KEEP')} * x{drive.motor_force} - {row.c('DRAG')} * x{drive.velocity}"
+    yield f"o = o if o < z + {row.c('WIDTH')} else z + {row.c('WIDTH')}"
+    yield f"o = o if o > z - {row.c('WIDTH')} else z - {row.c('WIDTH')}"
+    yield f"o = o - {force}"
+    for i, reached in enumerate(drive.column):
+        if reached:
+            yield f"{_target(shape, i)} = {_target(shape, i)} + {row.c(f'Y{i}')} * o"
 
 
 def _numbers(place: int, row: Rows) -> Number:

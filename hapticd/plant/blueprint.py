@@ -105,6 +105,7 @@ class InputColumns:
     width: int  # number of columns, those of the contacts included
     estimate: int | None = None  # error of the velocity estimate, m/s
     rotor_force: int | None = None  # force on the rotor that is not linear, N
+    amplifier: int | None = None  # what limits of the amplifier add to the motor force's rate, N/s
 
 
 class Parameter(NamedTuple):
@@ -143,6 +144,15 @@ class Warming(NamedTuple):
     thermal_resistance_k_per_w: float
     time_constant_s: float
     ambient_c: float
+
+
+class AmplifierRange(NamedTuple):
+    """What the amplifier can give, and the circuit that it drives."""
+
+    current_a: float  # largest
+    voltage_v: float  # largest, at its output
+    series_ohm: float  # in the circuit of the current, beside the winding
+    inductance_h: float  # of that circuit
 
 
 class Corners(NamedTuple):
@@ -188,6 +198,7 @@ class Blueprint:
 
     delay_periods: float = 0.0  # of the servo, from encoder sample to force
     amplifier_rad_s: float | None = None  # None for an amplifier without lag
+    amplifier_range: AmplifierRange | None = None  # None for one without limits
     circuit_rad_s: float | None = None  # bandwidth of the velocity estimate; None for no lag
     shaping: Corners = UNSHAPED
     level_gain: float = 1.0  # of the multiplier, on the commanded damping level

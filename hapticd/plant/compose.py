@@ -11,6 +11,8 @@ Nothing else is built: a rigid device without extras has two states. The loop of
     `effects.shaped`, where the scene has it, stands between v_hat and g(b)
     g(b)   = (1 + gain error) b + scale offset;  e = offset and noise of the estimate
 
+Where the scene has limits of the amplifier, `drive` adds to F_a'.
+
 b is the commanded damping in Ns/m, K = K_m / r the force per ampere at the endpoint, dR and dL what
 the circuit leaves of resistance and inductance uncancelled. At DC F_a = alpha (F_r - g v) with
 alpha = 1 / (1 + g dR / K^2): a hot winding makes damping AND force weaker; over-compensation makes
@@ -35,6 +37,7 @@ from hapticd.plant.effects import Amplifier, DampingCircuit, Effect, ShapedDampi
 from hapticd.plant.model import (
     Array,
     Contact,
+    DriveLimits,
     Ends,
     InputColumns,
     Model,
@@ -60,6 +63,7 @@ def drive(plan: Blueprint) -> None:
         _short(plan)
         return
     _refuse_algebraic(plan)
+    limited = plan.input("amplifier") if plan.amplifier_range else Form()
     # states in this order: the motor force first, then the estimate
     motor = plan.state("motor_force", "N", Amplifier.key) if plan.amplifier_rad_s else None
     estimate = _estimate(plan, motor)
@@ -67,7 +71,7 @@ def drive(plan: Blueprint) -> None:
     if motor is None or not plan.amplifier_rad_s:
         motor = asked  # an amplifier without lag
     else:
-        plan.rates["motor_force"] = plan.amplifier_rad_s * (asked - motor)
+        plan.rates["motor_force"] = plan.amplifier_rad_s * (asked - motor) + limited
     if plan.circuit_rad_s:
         plan.rates["velocity_estimate"] = plan.circuit_rad_s * (_seen(plan, motor) - estimate)
     plan.motor = motor
@@ -114,13 +118,16 @@ def _refuse_algebraic(plan: Blueprint) -> None:
             f"an inductance error of {plan.inductance_error_h:g} H differentiates the current; "
             "add the effects 'amplifier' and 'damping_circuit'"
         )
+    if plan.amplifier_range and plan.amplifier_rad_s is None:
+        raise ConfigError("limits of an amplifier need its bandwidth; add the effect 'amplifier'")
 
 
 def _short(plan: Blueprint) -> None:
-    if plan.amplifier_rad_s or plan.circuit_rad_s or plan.inductance_error_h or any(plan.shaping):
+    driven = plan.amplifier_rad_s or plan.circuit_rad_s or plan.amplifier_range
+    if driven or plan.inductance_error_h or any(plan.shaping):
         raise ConfigError(
-            "a crowbar shorts the motor: leave out 'amplifier', 'damping_circuit',"
-            f" {ShapedDamping.key!r} and 'inductance'"
+            "a crowbar shorts the motor: leave out 'amplifier', 'amplifier_limits',"
+            f" 'damping_circuit', {ShapedDamping.key!r} and 'inductance'"
         )
     damping = plan.torque_constant_n_per_a**2 / plan.resistance_ohm
     plan.motor = -damping * plan.rotor.velocity
@@ -209,6 +216,7 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         **plan.numbers,
         ends=_ends(plan, states),
         rotor_forces=_rotor_forces(plan, states),
+        drive=_drive(plan, states),
         noise=_noise(plan),
         winding=_winding(plan, parts, n),
         estimate_offset_m_per_s=plan.estimate_offset_m_per_s,
@@ -255,6 +263,7 @@ def _inputs(plan: Blueprint, contacts: int) -> InputColumns:
         len(place) + contacts,
         place.get("estimate"),
         place.get("rotor_force"),
+        place.get("amplifier"),
     )
 
 
@@ -309,6 +318,24 @@ def _rotor_forces(plan: Blueprint, states: list[str]) -> tuple[RotorForce, ...]:
     position = states.index("rotor_position")
     velocity = states.index("rotor_velocity")
     return tuple(RotorForce(law, numbers, position, velocity) for law, numbers in plan.rotor_forces)
+
+
+def _drive(plan: Blueprint, states: list[str]) -> DriveLimits | None:
+    """In newtons at the endpoint; the winding's resistance is that at the start."""
+    given = plan.amplifier_range
+    if given is None or plan.amplifier_rad_s is None:
+        return None
+    n_per_a = plan.torque_constant_n_per_a
+    around_ohm = plan.resistance_ohm + given.series_ohm
+    return DriveLimits(
+        motor_force=states.index("motor_force"),
+        velocity=states.index("rotor_velocity"),
+        limit_n=n_per_a * given.current_a,
+        stall_n=n_per_a * given.voltage_v / around_ohm,
+        shorted_ns_per_m=n_per_a**2 / around_ohm,
+        electrical_rad_s=around_ohm / given.inductance_h,
+        amplifier_rad_s=plan.amplifier_rad_s,
+    )
 
 
 def _noise(plan: Blueprint) -> Noise | None:

@@ -35,6 +35,7 @@ from hapticd.errors import ConfigError
 from hapticd.params import (
     BoardParams,
     Contact,
+    DriveLimits,
     Ends,
     HeatingParams,
     Noise,
@@ -42,6 +43,7 @@ from hapticd.params import (
     PlantParams,
     RotorForce,
 )
+from hapticd.plant.drive import reach
 from hapticd.plant.friction import stick_two
 from hapticd.units import COPPER_PER_K
 
@@ -60,7 +62,13 @@ TOLERANCE_OHM = 1e-4  # drift of the winding before its maps are loaded anew: 0.
 LEAPS = {4: "d", 2: "b"}  # sub-steps of a leap, and its block of coefficients
 ON_ROTOR = ("torque", "rotor_force", "friction_rotor")  # inputs with equal columns
 # name of an input in the generated text; those on the rotor are added up in `push` beforehand
-SIGNALS = {"command": "force_n", "torque": "push", "estimate": "error", "friction_slider": "rub"}
+SIGNALS = {
+    "command": "force_n",
+    "torque": "push",
+    "estimate": "error",
+    "amplifier": "over",
+    "friction_slider": "rub",
+}
 
 _serial = itertools.count(1)  # of generated sources, so that tracebacks find their own
 
@@ -90,9 +98,9 @@ def blocks(params: PlantParams, one: Rows) -> Blocks:
     """The rows of a node: a over one sub-step, b and d over two and four where that is exact.
 
     It is exact where nothing has to be decided in between: no friction, no force on the rotor that
-    is not linear, no heating.
+    is not linear, no limit of the amplifier, no heating.
     """
-    if params.contacts or params.rotor_forces or params.heating:
+    if params.contacts or params.rotor_forces or params.drive or params.heating:
         return {"a": one}
     two = followed(one, one)
     return {"a": one, "b": two, "d": followed(two, two)}
@@ -375,6 +383,8 @@ def _substep(terms: RowTerms, substep_s: float) -> list[str]:
     lines = [_stretch(terms)] if len(terms.positions) == 2 else []
     lines += _pulled(params.rotor_forces, substep_s)
     push = "pull" if params.rotor_forces else "torque_n"
+    if params.drive is not None:
+        lines += _limited(terms, params.drive, push, substep_s)
     if not params.contacts:
         rows = [terms.row("a", i, push=push) for i in range(terms.n)]
     elif len(params.contacts) == 1:
@@ -385,6 +395,19 @@ def _substep(terms: RowTerms, substep_s: float) -> list[str]:
         lines += more
     lines += _assigned(terms, rows)
     return lines + ([] if params.ends is None else _stopped(params.ends))
+
+
+def _limited(terms: RowTerms, limits: DriveLimits, push: str, substep_s: float) -> list[str]:
+    """The motor force held inside what current and voltage reach (`drive`), before friction."""
+    force = limits.motor_force
+    can = reach(limits, substep_s)
+    return [
+        f"free = {terms.row('a', force, push=push, rub='', over='')}",
+        f"held = min(max(free, -{limits.limit_n!r}), {limits.limit_n!r})",
+        f"kept = {can.keep!r} * x{force} - {can.drag_ns_per_m!r} * x{limits.velocity}",
+        f"held = min(max(held, kept - {can.width_n!r}), kept + {can.width_n!r})",
+        f"over = (held - free) / {terms.cell('a', force, 'amplifier')}",
+    ]
 
 
 def _one_contact(terms: RowTerms, contact: Contact, push: str) -> tuple[list[str], list[str]]:

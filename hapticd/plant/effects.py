@@ -64,7 +64,16 @@ from dataclasses import MISSING, dataclass, field, fields
 from math import floor, sqrt, tau
 from typing import Any, ClassVar, NamedTuple
 
-from hapticd.plant.blueprint import Blueprint, Copper, Corners, Form, Note, Parameter, Warming
+from hapticd.plant.blueprint import (
+    AmplifierRange,
+    Blueprint,
+    Copper,
+    Corners,
+    Form,
+    Note,
+    Parameter,
+    Warming,
+)
 from hapticd.units import COPPER_PER_K, unit_of
 
 PROVENANCE = ("source", "sources", "note")  # fields of every effect that are not parameters
@@ -369,6 +378,29 @@ class Amplifier(Effect):
     def time_constants_s(self) -> tuple[float, ...]:
         """The lag of the current."""
         return (1.0 / (tau * self.bandwidth_hz),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AmplifierLimits(Effect):
+    """Limits of current and voltage on command and active damping together (`plant.drive`)."""
+
+    key: ClassVar[str] = "amplifier_limits"
+    why: ClassVar[str] = (
+        "command and active damping share one amplifier: in an impact at full force nothing is left"
+        " for the damping"
+    )
+    nonlinearity: ClassVar[str] = "motor force held inside what current and voltage reach"
+    max_current_a: float = number(gt=0, le=1e4)  # of the amplifier, through the winding
+    max_voltage_v: float = number(gt=0, le=1e4)  # at its output: the supply less its own drop
+    # amplifier, cable, contacts and shunt: what is in series with the winding
+    series_ohm: float = number(0.0, ge=0, le=1e4)
+    inductance_h: float = number(gt=0, le=10)  # of winding and cable
+
+    def build(self, plan: Blueprint) -> None:
+        """State the limits; `compose` applies them where it closes the loop."""
+        plan.amplifier_range = AmplifierRange(
+            self.max_current_a, self.max_voltage_v, self.series_ohm, self.inductance_h
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

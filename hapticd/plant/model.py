@@ -17,6 +17,7 @@ Columns of u, by name in `InputColumns` (absent ones are None):
     estimate     error of the velocity estimate [m/s]: offset of the multiplier (constant,
                  `estimate_offset_m_per_s`) and noise
     rotor_force  what acts on the rotor and is not linear in its position and velocity [N]
+    amplifier    what the limits of the amplifier add to the rate of the motor force [N/s]
     each Contact brings its own column
 
 Everything that is not linear stands beside it, present or None: for None no instruction is spent.
@@ -30,12 +31,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.params import Contact, Ends, Noise, RotorForce
+from hapticd.params import Contact, DriveLimits, Ends, Noise, RotorForce
 from hapticd.plant.blueprint import InputColumns, Note, StateVariable
 
 __all__ = [
-    "Array", "Contact", "Ends", "InputColumns", "Map", "Model", "Noise", "Note", "Output",
-    "Outputs", "RotorForce", "StateVariable", "Winding", "frozen",
+    "Array", "Contact", "DriveLimits", "Ends", "InputColumns", "Map", "Model", "Noise", "Note",
+    "Output", "Outputs", "RotorForce", "StateVariable", "Winding", "frozen",
 ]  # fmt: skip
 
 Array = npt.NDArray[np.float64]
@@ -137,6 +138,7 @@ class Model:
     ends: Ends | None = None  # mechanical ends of travel
     # that are not linear; at most columns of Inputs.rotor_force
     rotor_forces: tuple[RotorForce, ...] = ()
+    drive: DriveLimits | None = None  # limits of the amplifier; columns of Inputs.amplifier
     noise: Noise | None = None  # of velocity channel and velocity estimate
     winding: Winding | None = None  # None: the winding keeps its temperature
     estimate_offset_m_per_s: float = 0.0  # constant on Inputs.estimate

@@ -19,6 +19,7 @@ import numpy as np
 
 from hapticd.params import HeatingParams, OutputParams, PlantParams
 from hapticd.plant.discrete import discretise
+from hapticd.plant.drive import well_posed
 from hapticd.plant.effects import copper_ohm
 from hapticd.plant.model import Model, Output
 from hapticd.plant.step import SUBSTEPS_PER_TICK
@@ -52,6 +53,10 @@ def plant_params(
     maps = [
         discretise(variant, duration_s, level) for variant in variants for level in sorted(levels)
     ]
+    if model.drive is not None:
+        for one in maps:
+            own = float(one.b[model.drive.motor_force, model.inputs.amplifier])
+            well_posed(model.drive, own, duration_s, one.active_damping_ns_per_m)
     out = model.outputs
     return PlantParams(
         states=tuple(state.name for state in model.states),
@@ -68,6 +73,7 @@ def plant_params(
         contacts=model.contacts,
         ends=model.ends,
         rotor_forces=model.rotor_forces,
+        drive=model.drive,
         noise=model.noise,
         estimate_offset_m_per_s=model.estimate_offset_m_per_s,
         heating=_heating(model),
@@ -107,6 +113,8 @@ def _columns(model: Model) -> tuple[str, ...]:
         names[model.inputs.estimate] = "estimate"
     if model.inputs.rotor_force is not None:
         names[model.inputs.rotor_force] = "rotor_force"
+    if model.inputs.amplifier is not None:
+        names[model.inputs.amplifier] = "amplifier"
     names |= {contact.column: f"friction_{contact.body}" for contact in model.contacts}
     return tuple(names[column] for column in range(model.inputs.width))
 

@@ -9,13 +9,14 @@ from support.devices import (
     DRY,
     LIMIT,
     STAR,
+    WEAK,
     device,
 )
 from support.engine_exact import TRIALS, largest_error
 from support.straight import Straight
 
 from hapticd.engine import simulate
-from hapticd.plant.effects import Coulomb, ForceDac, Multiplier
+from hapticd.plant.effects import Coulomb, Delay, ForceDac, Multiplier
 from hapticd.plant.excitation import Stream, held_noise
 from hapticd.plant.model import Noise
 
@@ -27,10 +28,12 @@ from hapticd.plant.model import Noise
         ((Coulomb(rotor_n=0.02, slider_n=0.015),), 1),
         ((Coulomb(rotor_n=0.05, slider_n=0.05),), 4),
         ((ForceDac(quantum_n=0.01), COUNTS), 1),
+        ((WEAK, Delay(periods=0.3)), 1),
+        ((WEAK, DRY, COUNTS, LIMIT, Delay(periods=0.3)), 4),
     ],
-    ids=["rotor", "both bodies", "both stick", "rounding"],
+    ids=["rotor", "both bodies", "both stick", "rounding", "limits", "limits and friction"],
 )
-def test_friction_and_rounding_are_solved_as_defined(extra, substeps):
+def test_friction_rounding_and_limits_are_solved_as_defined(extra, substeps):
     assert largest_error(device(*STAR, *extra), level=1.74, substeps=substeps) < 1e-11
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import (
     Amplifier,
+    AmplifierLimits,
     Coulomb,
     Coupling,
     DampingCircuit,
@@ -46,6 +47,8 @@ STAR = (
 COUNTS = Encoder(quantum_m=0.5e-6)
 DRY = Coulomb(rotor_n=0.0293)
 LIMIT = Saturation(limit_n=8.0)
+# so low that the perturbation of a trial meets both of its limits
+WEAK = AmplifierLimits(max_current_a=0.03, max_voltage_v=0.08, series_ohm=0.4, inductance_h=1e-4)
 COGS = MagnetCogging(amplitude_n=0.05, pitch_m=0.004, phase_rad=0.3)
 ENDS = WorkspaceEnds(lower_m=-0.002, upper_m=0.003)
 HAND = PassiveHand(

@@ -4,6 +4,7 @@ nothing that it does not have.
 
 from hapticd.plant.discrete import discretise
 from hapticd.plant.effects import (
+    AmplifierLimits,
     AntiAlias,
     Coulomb,
     DampingDac,
@@ -15,6 +16,7 @@ from hapticd.plant.friction import stick_one, stick_two
 from hapticd.plant.tables import plant_params
 from support.boards import board_params
 from support.plant_devices import FULL, weir_device
+from support.straight import held_force
 
 H = 1e-3 / 16
 LEVELS = (0.0, 1.74)
@@ -28,6 +30,8 @@ HAND = PassiveHand(
     grip_damping_ns_per_m=2.5,
 )
 
+WEAK = AmplifierLimits(max_current_a=0.03, max_voltage_v=0.08, series_ohm=0.4, inductance_h=1e-4)
+
 MODELS = {
     "whole": weir_device(*FULL, dac=DampingDac(quantum_ns_per_m=QUANTUM)),
     "linear": weir_device("probe", "viscous", "coupling", "amplifier"),
@@ -39,6 +43,9 @@ MODELS = {
     "offset": weir_device(
         "probe", "coulomb", "amplifier", multiplier=Multiplier(velocity_offset_m_per_s=0.02)
     ),
+    # so low that pushes of 0.1 N meet both of its limits
+    "limits": weir_device(*FULL, limits=WEAK),
+    "limits on a rigid one": weir_device("probe", "viscous", "amplifier", limits=WEAK),
     "filters": weir_device(
         "probe",
         "viscous",
@@ -56,6 +63,11 @@ def forces(model, level, x, u):
     """Friction of one sub-step by the functions of `friction`."""
     step = discretise(model, H, level)
     free = step.a @ x + step.b @ u
+    if model.drive is not None:
+        place = model.drive.motor_force
+        column = step.b[:, model.inputs.amplifier]
+        held = float(held_force(model.drive, free, x, H))
+        free = free + column * ((held - free[place]) / column[place])
     after = free
     if len(model.contacts) == 1:
         c = model.contacts[0]

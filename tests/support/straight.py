@@ -47,6 +47,18 @@ def quantised(value, quantum):
     )
 
 
+def held_force(drive, free, x, duration_s):
+    """The motor force after a step: that of `free`, inside what current and voltage reach."""
+    kept = np.exp(-EXACT(drive.electrical_rad_s) * duration_s)
+    stalled = EXACT(drive.stall_n)
+    back = drive.shorted_ns_per_m * x[drive.velocity]
+    force = np.clip(free[drive.motor_force], -EXACT(drive.limit_n), EXACT(drive.limit_n))
+    low, high = (
+        kept * x[drive.motor_force] + (1 - kept) * (side * stalled - back) for side in (-1, 1)
+    )
+    return np.clip(force, low, high)
+
+
 class Straight:
     """One trial of `model`; `play` returns (velocity, force, position) as the engine keeps them."""
 
@@ -118,6 +130,12 @@ class Straight:
                 float(2 * pi * middle / pitch_m + phase_rad)
             )
         free = self.phi @ self.x + self.gamma @ u
+        if model.drive is not None:
+            force = held_force(model.drive, free, self.x, self.h)
+            column = self.gamma[:, model.inputs.amplifier]
+            excess = (force - free[model.drive.motor_force]) / column[model.drive.motor_force]
+            u[model.inputs.amplifier] = excess
+            free = free + column * excess
         contacts = model.contacts
         w = [[self.gamma[a.velocity, b.column] for b in contacts] for a in contacts]
         v = [free[c.velocity] for c in contacts]

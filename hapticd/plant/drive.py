@@ -1,0 +1,66 @@
+"""Limits of current and voltage of the amplifier that drives the motor: where the sum of torque
+command and active damping stops, and with it the damping.
+
+The motor force F = K i, K = K_m / r, follows what is asked by a lag of 1 / w_a while it may:
+
+    F' = w_a (asked - F) + e        e = 0 while nothing limits
+    |F| <= K i_max                                                limit of current
+    L i' + R i + K v = u,  |u| <= u_max                           limit of voltage
+
+R and L are those of the whole circuit of the current, v is the rotor's velocity and K v the
+back-EMF. What the supply reaches within a step h, v held, is a range of width 2 S (1 - d):
+
+    F(h) = d F + (1 - d) (+-S - D v),   d = exp(-h R / L),   S = K u_max / R,   D = K^2 / R
+
+S is the force at stall and D the damping of the shorted winding: an amplifier that is at its limit
+of voltage still damps by D, whatever is asked. e is held over a step and is the one value that ends
+the step at the nearest end of both ranges, as a friction force ends it at rest (`friction`): F at
+the end of a step is never beyond its limit, however long the step. Beyond (u_max + R i_max) / K the
+back-EMF drives more than i_max through the amplifier; then the range of the supply counts, because
+no amplifier keeps that current out.
+
+The controller of a real amplifier winds up while it is at a limit; here nothing does.
+
+What would break it: a step so long that F at its end hardly depends on e any more (`well_posed`), a
+rotor so light that D h / m is not small, or an amplifier without a lag (refused by `compose`).
+Standard library alone: the simulated board runs by it.
+"""
+
+from math import exp
+from typing import NamedTuple
+
+from hapticd.errors import ConfigError
+from hapticd.params import DriveLimits
+
+__all__ = ["Reach", "reach", "well_posed"]
+
+LEAST_SHARE = 0.25  # of what e does to an amplifier alone, by which it must move F in a step
+
+
+class Reach(NamedTuple):
+    """What the supply makes of the motor force in a step: keep F - drag v, give or take `width`."""
+
+    keep: float  # d, 1
+    drag_ns_per_m: float  # (1 - d) D
+    width_n: float  # (1 - d) S
+
+
+def reach(limits: DriveLimits, duration_s: float) -> Reach:
+    """The range of the supply over a step of `duration_s`."""
+    keep = exp(-limits.electrical_rad_s * duration_s)
+    return Reach(keep, (1.0 - keep) * limits.shorted_ns_per_m, (1.0 - keep) * limits.stall_n)
+
+
+def well_posed(
+    limits: DriveLimits, response_s: float, duration_s: float, level_ns_per_m: float
+) -> None:
+    """ConfigError unless `response_s`, by how much e moves F in a step of `duration_s` [N per N/s],
+    is enough to end the step where F may be.
+    """
+    alone_s = (1.0 - exp(-limits.amplifier_rad_s * duration_s)) / limits.amplifier_rad_s
+    if response_s < LEAST_SHARE * alone_s:
+        raise ConfigError(
+            f"active damping of {level_ns_per_m:g} N s/m moves the motor force within a step of"
+            f" {1e6 * duration_s:g} us more than the amplifier does, so 'amplifier_limits' cannot"
+            " hold it; use more sub-steps, or a lower level"
+        )
