@@ -19,6 +19,9 @@ the end of a step is never beyond its limit, however long the step. Beyond (u_ma
 back-EMF drives more than i_max through the amplifier; then the range of the supply counts, because
 no amplifier keeps that current out.
 
+Within a step F is not that straight: it is right to the first order of h, as friction is. Of an
+impact at 50 m/s, where the back-EMF is five times the supply, one step of 250 us is 5 % off.
+
 The controller of a real amplifier winds up while it is at a limit; here nothing does.
 
 What would break it: a step so long that F at its end hardly depends on e any more (`well_posed`), a

@@ -60,6 +60,7 @@ from hapticd.plant.scene import Excitation, Scene
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint
+from hapticd.zwidth.watch import SATURATED_SHARE
 
 TOGETHER = LANES["f32"]  # trials that the engine does at once
 GROUPS = 4  # of so many in a task: the trials that need their records are simulated together
@@ -262,7 +263,9 @@ def _outcome(
             band_hz=conditions.band_hz,
         )
     spectra, verdict = pair
-    doubtful = most >= SATURATED * limit_n or k < 0.0  # a K < 0 is active below every band
+    limited = found.limited is not None and found.limited[trial] > SATURATED_SHARE
+    # a K < 0 is active below every band
+    doubtful = most >= SATURATED * limit_n or limited or k < 0.0
     z = _kept_impedance(spectra, conditions.band_hz)
     return Outcome(
         environment=(k, b, m),

@@ -58,10 +58,14 @@ def simulated(scene: Scene, found: BatchResult) -> TrialRecord:
     """The first trial of a batch that kept its records."""
     force, velocity = (np.asarray(channel, np.float64) for channel in found.record(0))
     escape = TrialEnd(EndReason.ESCAPE, f"diverged after {found.diverged_at_s[0]:.3g} s")
+    ticks = round(found.samples[0] * scene.rate_hz / found.rate_hz)
+    counts = {} if found.limited is None else {
+        "limited_ticks": round(found.limited[0] * ticks), "ticks": ticks,
+    }  # fmt: skip
     return TrialRecord(
         force, velocity, found.rate_hz, f"engine, scene {scene.name}", True,
         escape if found.diverged[0] else None,
-        float(found.max_force_n[0]), compose(scene).force_limit_n,
+        float(found.max_force_n[0]), compose(scene).force_limit_n, more=counts,
     )  # fmt: skip
 
 

@@ -81,7 +81,7 @@ from hapticd.zwidth.store import (
     too_short,
     write_run,
 )
-from hapticd.zwidth.watch import AT_LIMIT, COUNTS, loss_findings, summed
+from hapticd.zwidth.watch import AT_LIMIT, COUNTS, limit_findings, loss_findings, summed
 
 PERIOD = 2 * DEFAULT_LAG  # samples
 SPARE_S = 0.01  # periods need not be whole ticks
@@ -433,7 +433,8 @@ def _findings(recorded: TrialRecord, trial: Trial) -> tuple[Finding, ...]:
     if (stiffness := trial.environment[0]) < 0.0:
         message = f"K = {stiffness:g} N/m: below every band a negative stiffness is active"
         found.append(Finding("negative_stiffness", message, voids=True))
-    return (*found, *loss_findings(recorded.more), *_uncalibrated(recorded.more))
+    counted = (*loss_findings(recorded.more), *limit_findings(recorded.more))
+    return (*found, *counted, *_uncalibrated(recorded.more))
 
 
 def _end_finding(ended: TrialEnd | None) -> Finding | None:

@@ -63,7 +63,8 @@ from hapticd.zwidth.store import LOSSES_BY, TrialRecord
 
 BRIDGED = 40  # samples at most: 10 ms
 MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
-COUNTS = ("lost_samples", "samples", "lost_slots", "slots")  # as the run's summary names them
+# as the run's summary names them
+COUNTS = ("lost_samples", "samples", "lost_slots", "slots", "limited_ticks", "ticks")
 REMEDY_OF_FILES = {
     "counter": "rows are missing by the counter in the file, record again without gaps",
     "times": "rows are missing by the times in the file, record again without gaps",
@@ -149,6 +150,20 @@ def loss_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
         for name, what, so, remedy in known
         if counts.get(f"lost_{name}")
     )
+
+
+def limit_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """Ticks of a simulated trial in which the amplifier was at a limit, by `counts` (`COUNTS`)."""
+    if not counts.get("limited_ticks"):
+        return ()
+    share = counts["limited_ticks"] / counts["ticks"]
+    void = share > SATURATED_SHARE
+    more = f"; above {percent(SATURATED_SHARE)} nothing is decided" if void else ""
+    message = (
+        f"amplifier at its limit of current or voltage in {percent(share)} of the ticks, which no"
+        f" prediction covers{more}; lower the perturbation, the stiffness or the active damping"
+    )
+    return (Finding("amplifier_limited", message, voids=void),)
 
 
 def _lost(code: str, what: str, lost: int, total: int, so: str, remedy: str) -> Finding:

@@ -25,20 +25,20 @@ def impact(
     model = compose_device("display", (*STAR, LIMIT, LIMITS), rate_hz)
     return simulate(
         model, [[0.0, 0.0, 0.0]], 0.5, excitation=still, environment=wall,
-        active_damping=FULL_NS_PER_M, start=(-0.0005, speed_m_per_s), substeps=substeps, dtype=dtype,
-        keep="ticks",
+        active_damping=FULL_NS_PER_M, start=(-0.0005, speed_m_per_s), substeps=substeps,
+        dtype=dtype, keep="ticks",
     )  # fmt: skip
 
 
 def stays_bounded(found: BatchResult, speed_m_per_s: float) -> None:
-    """No lane diverges, and what moves is never faster than it came but for what 10 N give to it
-    (8 g in 0.5 ms: 0.6 m/s).
+    """No lane diverges, and it is never faster than it came, but for two amounts: 0.6 m/s that 10 N
+    give to 8 g in 0.5 ms, and 5 %, the error of one step of 250 us at 50 m/s.
     """
     velocity = found.velocity_m_per_s
     assert velocity is not None
     assert found.limited is not None
     assert not found.diverged[0]
     assert np.isfinite(velocity).all()
-    assert abs(velocity).max() < speed_m_per_s + 1.0
+    assert abs(velocity).max() < 1.05 * speed_m_per_s + 1.0
     assert found.limited[0] > 0.0
     assert abs(velocity[0, -400:]).max() < 5.0

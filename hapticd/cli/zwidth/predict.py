@@ -51,14 +51,18 @@ def command(
         scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "active_damping": level}
     )
     found = outlook(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
+    drive = shown.model.drive
     if as_json:
         about = {"ok": True, "simulated": True, "device": shown.scene.device}
+        about |= {"amplifier_limit_n": drive.limit_n} if drive else {}
         terminal.data_json({**about, **_outlook_json(found, (k, b, m), level)})
         return
     environment = f"K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g"
     terminal.data(f"SIMULATED {shown.scene.device}: {environment}, active damping {level:g} N s/m")
     for name, words in _lines(found, shown.perturbation):
         terminal.data(f"{name:11} {words}")
+    if drive:
+        terminal.data(f"not covered an amplifier at its limit, {drive.limit_n:.3g} N in all")
 
 
 def _require_finite(values: dict[str, float]) -> None:
