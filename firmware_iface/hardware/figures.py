@@ -1,4 +1,6 @@
-"""The figure of what a laboratory has to know: nine panels, all out of ngspice."""
+"""The figure of what a laboratory has to know: nine panels out of ngspice, and one of the model
+that the netlist wrote.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from firmware_iface.hardware.impact import LEVELS, delivered
 from firmware_iface.hardware.netlist import VALUES, draw
 from firmware_iface.hardware.studies import (
     DEEPEST,
@@ -46,14 +49,14 @@ def drawn(path: Path) -> None:
     rcParams.update({"svg.hashsalt": "circuit", "svg.fonttype": "none"})
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     panels: tuple[Callable[[Any], None], ...] = (
-        _delivered, _wrong, _temperature, _ceiling, _saturation, _stop, _offset, _noise, _switches,
+        _delivered, _wrong, _temperature, _ceiling, _saturation, _impact, _stop, _offset, _noise,
+        _switches,
     )  # fmt: skip
-    for axis, panel in zip(figure.subplots(5, 2).flat, panels, strict=False):
+    for axis, panel in zip(figure.subplots(5, 2).flat, panels, strict=True):
         panel(axis)
         axis.tick_params(labelsize=8)
         axis.grid(alpha=0.3)
         axis.title.set_fontsize(9)
-    figure.axes[-1].remove()
     figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None)
 
 
@@ -120,6 +123,17 @@ def _saturation(axis: Any) -> None:
     axis.axhline(K_F * VALUES["i_limit"].value, color="black", linestyle=":")
     axis.legend(fontsize=7)
     _labelled(axis, "8 N against a motion (dotted: 6 A)", "m/s", "N")
+
+
+def _impact(axis: Any) -> None:
+    speeds = np.linspace(0.2, 3.0, 15)
+    for level in LEVELS:
+        for current_a, style in ((None, "k:"), (6.0, "-"), (4.9, "--")):
+            found = [delivered(float(v), level, current_a) for v in speeds]
+            limit = "no limit" if current_a is None else f"{current_a:g} A"
+            axis.plot(speeds, found, style, label=f"{level} N s/m, {limit}")
+    axis.legend(fontsize=6)
+    _labelled(axis, "Delivered in an impact: K = 500 N/m, B = 2 N s/m", "m/s", "N s/m")
 
 
 def _stop(axis: Any) -> None:

@@ -21,12 +21,12 @@ def test_schematic_shows_the_values_of_the_parts(tmp_path):
     assert schematic.shown("r_r") == "6.65k"
 
 
-def test_figure_of_the_studies_has_nine_panels(tmp_path):
+def test_figure_of_the_studies_has_ten_panels(tmp_path):
     program("ngspice")
     figures.drawn(tmp_path / "studies.svg")
     text = (tmp_path / "studies.svg").read_text()
 
-    assert len(re.findall(r'id="axes_\d+"', text)) == 9
+    assert len(re.findall(r'id="axes_\d+"', text)) == 10
     assert "Wrong resistance" in text
 
 
