@@ -221,8 +221,8 @@ def test_level_may_be_switched_while_the_shape_keeps_its_state():
 
 def test_crowbar_and_shape_exclude_each_other():
     message = (
-        r"a crowbar shorts the motor: leave out 'amplifier', 'damping_circuit', 'shaped_damping'"
-        r" and 'inductance'"
+        r"a crowbar shorts the motor: leave out 'amplifier', 'amplifier_limits',"
+        r" 'damping_circuit', 'shaped_damping' and 'inductance'"
     )
     with pytest.raises(ConfigError, match=message):
         weir_device(crowbar=Crowbar(), shaped_damping=ShapedDamping(highpass_hz=10.0))
