@@ -14,6 +14,7 @@ For scripts:
     stability    stability, modes, damping_ceiling, explain
     excitation   torque_record: perturbation torque at 4 kHz
     friction     stick_one, stick_two: Coulomb friction solved exactly over a sub-step
+    drive        reach: what the limits of the amplifier leave of the motor force
     step         make_plant(board parameters): the plant of a simulated board
     tables       board_fields(model): a model as the numbers of board.json
     blueprint    Blueprint and Form: what an effect writes into

@@ -18,6 +18,7 @@ import pytest
 from support.circuit_plant import CircuitPlant
 from support.programs import program
 
+from firmware_iface.hardware.impact import delivered
 from firmware_iface.hardware.netlist import VALUES
 from firmware_iface.hardware.studies import K_F, driven
 from hapticd.assembly.lockstep import scene_params
@@ -126,3 +127,15 @@ def test_without_the_effect_the_model_brakes_more_than_the_circuit(tmp_path):
     volt = 1.25 * (1.0 - 8.0 / (free.force_n_per_count * 32767))
 
     assert abs(lasting(free, 1.5, -8.0, 5.0) - driven(volt, 1.5, 5.0)) > 2.5
+
+
+@pytest.mark.parametrize(
+    ("speed", "level", "current_a", "left"),
+    [
+        (2.0, 1.74, 6.0, 1.62), (3.0, 1.74, 4.9, 1.07),
+        (3.0, 5.0, None, 4.22), (1.0, 5.0, 6.0, 4.22), (3.0, 5.0, 6.0, 2.63), (3.0, 5.0, 4.9, 1.60),
+    ],
+)  # fmt: skip
+def test_damping_left_in_an_impact_is_that_of_the_page(speed, level, current_a, left):
+    """docs/hardware.md: a wall of K = 500 N/m and B = 2 N s/m, a hand of 0.1 kg."""
+    assert delivered(speed, level, current_a) == pytest.approx(left, abs=0.006)
