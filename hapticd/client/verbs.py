@@ -89,6 +89,7 @@ class Verbs(Generic[R, D]):
         until_tick: int | None = None,
         if_rev: int | None = None,
         limit_cycle_faults: bool | None = None,
+        **further: float,
     ) -> R:
         """Change what is rendered; what is not given stays.
 
@@ -97,7 +98,8 @@ class Verbs(Generic[R, D]):
         the length of the ramp [s], `at_tick` the servo tick from which it acts. From `until_tick`
         on the same fields are as they were before. With `if_rev` it acts only if the revision is
         still that one. `limit_cycle_faults`: whether force_at_limit and energy end a limit cycle;
-        on again as soon as force is off.
+        on again as soon as force is off. `further`: parameters that were added to the environment
+        (`hapticd.environment`), by their keys.
 
         >>> receipt = device.set(K=100, B=1, ramp_s=0.2)
         >>> receipt.effective["K"], receipt.ramp_end_tick - receipt.first_tick
@@ -118,6 +120,7 @@ class Verbs(Generic[R, D]):
             until_tick=until_tick,
             if_rev=if_rev,
             limit_cycle_faults=limit_cycle_faults,
+            **further,
         )
 
     def damping(self, value: Literal["on", "off", "auto"] | float) -> R:

@@ -6,6 +6,7 @@ What would break it: an import that is large; `hapticd --help` loads this.
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
+from hapticd.environment import FIELDS
 from hapticd.explanation import Explanation
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.mailbox.layout import VALUE_LIMITS, Value
@@ -121,7 +122,8 @@ def receipt_text(receipt: "Receipt") -> str:
 def _shown(table: dict[str, Any]) -> str:
     """K, B, M and active damping of parameters in the shape of a `set`."""
     values = dict(parameters(table))
-    names = {"K": "K", "B": "B", "M": "M", "active_damping": "active damping"}
+    names = {one.key: one.symbol for one in FIELDS if one.symbol}
+    names["active_damping"] = "active damping"
     return ", ".join(f"{names[name]} {values[name]}" for name in names if name in values)
 
 

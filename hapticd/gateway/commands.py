@@ -21,7 +21,7 @@ from dataclasses import replace
 from math import nan
 from typing import Any, NamedTuple
 
-from hapticd.environment import Environment
+from hapticd.environment import JUDGED, Environment
 from hapticd.errors import CommandError
 from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.journal import Actors
@@ -354,7 +354,7 @@ def changed_parts(request: Request | None) -> tuple[str, ...]:
     Disable, stop and reset are nobody's: they are taken from anyone.
     """
     if isinstance(request, Set):
-        rest = request.given.keys() & {"K", "B", "M", "filters", "wall", "limit_cycle_faults"}
+        rest = request.given.keys() & {*JUDGED, "limit_cycle_faults"} - {"active_damping"}
         parts = (ENVIRONMENT,) if rest else ()
         return (*parts, DAMPING) if "active_damping" in request.given else parts
     if isinstance(request, Damping):
