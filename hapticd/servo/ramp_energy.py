@@ -31,6 +31,7 @@ What would break it: a parameter that stores energy and says no `power`, a state
 acts and parameters move past `eased`.
 """
 
+from math import prod
 from typing import Final, NamedTuple
 
 from hapticd.environment import FURTHER
@@ -67,7 +68,7 @@ def spring_energy(stiffness: float, deflection: float, limit: float, power: int 
     size = abs(stiffness)
     bent = abs(deflection)
     if size * bent**power <= limit:
-        return float(stiffness * bent ** (power + 1) / (power + 1))
+        return prod([bent] * (power + 1), start=stiffness / (power + 1))
     reached = float((limit / size) ** (1.0 / power))
     clamped = limit * (bent - reached * power / (power + 1))
     return clamped if stiffness > 0.0 else -clamped
