@@ -12,7 +12,7 @@ from the table.
 Limitations: `workspace` is configured once and has no row in the table, for nothing changes it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, NamedTuple
 
@@ -222,38 +222,17 @@ class Environment:
 
     def message(self) -> dict[str, Any]:
         """Its fields by their keys, nested as a request `set` has them."""
-        found: dict[str, Any] = {}
-        for one in FIELDS:
-            table, _, leaf = one.key.rpartition(".")
-            inside = found.setdefault(table, {}) if table else found
-            inside[leaf] = _value(self, one.path)
-        return found
+        return _nested((one.key, _value(self, one.path)) for one in FIELDS)
 
     def changed(self, change: Mapping[str, Any]) -> "Environment":
         """The same with the fields of a request. ConfigError for a name that is no field."""
-        named = {
-            f"{name}.{leaf}" if leaf else name: value
-            for name, given in change.items()
-            for leaf, value in (given.items() if isinstance(given, Mapping) else [("", given)])
-        }
-        if unknown := named.keys() - _PATHS.keys():
-            raise ConfigError(
-                f"{min(unknown)}: no field of an environment; there are {', '.join(_PATHS)}"
-            )
-        return self.with_values({_PATHS[key]: value for key, value in named.items()})
+        return self.with_values({_path(key): value for key, value in _flat(change)})
 
     def fields(self, change: Mapping[str, Any]) -> dict[str, Any]:
-        """The fields that `change` names, with the values of this environment."""
-        whole = self.message()
-        return {
-            name: (
-                {leaf: whole[name][leaf] for leaf in value}
-                if isinstance(value, Mapping)
-                else whole[name]
-            )
-            for name, value in change.items()
-            if name in whole
-        }
+        """The fields that `change` names, with the values of this environment. ConfigError for a
+        name that is no field.
+        """
+        return _nested((key, _value(self, _path(key))) for key, _ in _flat(change))
 
     # --- as a row of doubles ----------------------------------------------------------------------
 
@@ -275,13 +254,38 @@ def _value(environment: Environment, path: str) -> Any:
     return getattr(getattr(environment, table) if table else environment, leaf)
 
 
+def _flat(change: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """(key, value) of every field of a message."""
+    for name, given in change.items():
+        inside = given.items() if isinstance(given, Mapping) else [("", given)]
+        yield from ((f"{name}.{leaf}" if leaf else name, value) for leaf, value in inside)
+
+
+def _nested(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """The message with `values` by their keys."""
+    found: dict[str, Any] = {}
+    for key, value in values:
+        table, _, leaf = key.rpartition(".")
+        inside = found.setdefault(table, {}) if table else found
+        inside[leaf] = value
+    return found
+
+
+def _path(key: str) -> str:
+    """The attribute behind a key. ConfigError: there is none."""
+    if key not in _PATHS:
+        known = ", ".join(_PATHS)
+        raise ConfigError(f"{key}: no field of an environment; there are {known}")
+    return _PATHS[key]
+
+
 FIELDS: Final = tuple(
     row._replace(path=f"{one.name}.{leaf}" if leaf else one.name)
     for one in fields(Environment)
     for leaf, row in one.metadata.items()
 )
 SLOTS: Final = {one.key: one.slot for one in FIELDS}
-_PATHS: Final = {one.key: one.path for one in FIELDS}
+_PATHS: Final[dict[str, str]] = {one.key: one.path for one in FIELDS}
 # the fields of a message that the guard is asked about; a table (wall, filters) counts as one
 JUDGED: Final = tuple(dict.fromkeys(one.key.partition(".")[0] for one in FIELDS))
 STRENGTHS: Final = tuple(one for one in FIELDS if one.strength)

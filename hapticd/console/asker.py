@@ -77,6 +77,9 @@ class Asker:
             return _refused(number, "stopped", f"{cmd}: not done, for STOP was pressed after it")
         try:
             if cmd == EXCITE:
+                if strange := fields.keys() - {"on"}:
+                    text = f"{EXCITE}: {min(strange)!r} is no field of it; there is 'on'"
+                    return _refused(number, "invalid", text)
                 return self._excited(number, bool(fields.get("on")))
             return _accepted(number, cmd, self._client.call(cmd, **fields))
         except CommandError as error:

@@ -54,6 +54,8 @@ ALLOWED: dict[
     "withhold": (State.DISABLED,),
     "perturb": (State.ENABLED,),
 }
+# fields of a change that are no parameters; the last two have places of their own
+NO_VALUES = {*Change.model_fields, "cmd", "limit_cycle_faults", "until_tick"}
 MOVING = ("enable", "home", "zero", "withhold")
 ACCEPTED = frozenset({Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED})
 
@@ -78,8 +80,13 @@ def posting(request: Request, samples: int) -> Posting:
 
 
 def values_given(given: dict[str, Any]) -> dict[Value, float]:
-    """The doubles of a change whose fields, nested as in `set`, are `given`."""
-    values = {PLACES[name]: float(value) for name, value in flat(given) if name in PLACES}
+    """The doubles of a change whose fields, nested as in `set`, are `given`. CommandError for a
+    field that a command has no place for.
+    """
+    asked = {name: value for name, value in given.items() if name not in NO_VALUES}
+    if unknown := [name for name, _ in flat(asked) if name not in PLACES]:
+        raise CommandError("invalid", f"{unknown[0]}: no value of a command")
+    values = {PLACES[name]: float(value) for name, value in flat(asked)}
     if "limit_cycle_faults" in given:
         values[Value.LIMIT_CYCLE_FAULTS] = float(given["limit_cycle_faults"])
     if "until_tick" in given:

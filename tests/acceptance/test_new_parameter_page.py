@@ -25,9 +25,8 @@ from hapticd.environment import Environment
 from hapticd.render.law import at_rest, design_coefficients, render
 
 cubic = Environment(cubic_stiffness_n_per_m3=1e9)
-result = simulate(
-    device(*TWO_MASSES, DRY, COUNTS), [[100, 1, 0]], 2.0, environment=cubic, dtype="f64", keep="ticks"
-)
+model = device(*TWO_MASSES, DRY, COUNTS)
+result = simulate(model, [[100, 1, 0]], 2.0, environment=cubic, dtype="f64", keep="ticks")
 whole = replace(cubic, stiffness_n_per_m=100.0, virtual_damping_ns_per_m=1.0)
 numbers = environment_tuple(whole, float("inf"))
 coefficients = design_coefficients(*cubic.filters, 1000.0)
