@@ -66,7 +66,7 @@ def guard_line(found: dict[str, Any]) -> str:
     worker = "" if found["worker"] == "up" else f"; {found['trouble']}"
     delay = found["delay_periods"]
     known = "the delay is not known yet" if delay is None else f"delay {delay:g} periods"
-    return f"{policy}, by {found['basis']}{wanted}; damping {found['mode']}; {known}{worker}"
+    return f"{policy}, by {found['basis']}{wanted}; active damping {found['mode']}; {known}{worker}"
 
 
 def timing_words(found: dict[str, Any]) -> str:

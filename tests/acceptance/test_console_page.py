@@ -631,7 +631,7 @@ def test_verdict_margin_and_level_are_read_in_full(
     page = opened(chromium, served.url, viewport={"width": size[0], "height": size[1]})
     client.set(K=500.0, B=2.0, active_damping=0.7143)
     client.damping("off")
-    wait_text(page, "#verdict", "K = 500 N/m, B = 2 N s/m, M = 0 kg with 0 N s/m of damping")
+    wait_text(page, "#verdict", "K = 500 N/m, B = 2 N s/m, M = 0 kg with 0 N s/m of active damping")
     assert read_in_full(page, "#guard")
     page.evaluate("document.querySelector('#margin').textContent = 'spare 0.678 N\u202fs/m'")
     assert read_in_full(page, "#guard")

@@ -172,7 +172,7 @@ def test_guard_changes_and_shows(double: GuardDouble, capsys: pytest.CaptureFixt
     assert double.asked[0] == ("guard", (("clamp",), asked))
     first, *rest = capsys.readouterr().out.splitlines()
     assert first == (
-        "clamp, by theorem, at least 0.1 N s/m to spare; damping auto; delay 0.1875 periods"
+        "clamp, by theorem, at least 0.1 N s/m to spare; active damping auto; delay 0.1875 periods"
     )
     assert rest == [VERDICT["text"], *SAYS[:2]]
 

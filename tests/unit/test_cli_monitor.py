@@ -334,7 +334,7 @@ def test_screen_shows_policy_and_verdict() -> None:
     assert "guard: unknown" in drawn(history, True, 0.0)
     history.guard = GUARD
     text = drawn(history, True, 0.0)
-    assert "guard: warn, by theorem; damping level; delay 0.125 periods" in text
+    assert "guard: warn, by theorem; active damping level; delay 0.125 periods" in text
     assert "0.9 N s/m short at 112 Hz" in text
 
 
