@@ -25,6 +25,7 @@ from pydantic_core import ErrorDetails
 
 from hapticd.environment import FIELDS, JUDGED
 from hapticd.errors import CommandError
+from hapticd.gateway import answers
 from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
 from hapticd.gateway.limits import CommandLimits, quantity
 from hapticd.mailbox.layout import LONGEST_SILENCE_S
@@ -374,6 +375,16 @@ MODELS: dict[str, type[CommandMessage]] = {
     )
 }
 
+# to hello, status, guard, lease and to changes, in the JSON schema as `HelloAnswer` and so on
+ANSWERS = (
+    answers.Hello,
+    answers.Status,
+    answers.GuardStatus,
+    answers.LeaseHeld,
+    answers.LeaseReleased,
+    answers.Receipt,
+    answers.GuardVerdict,
+)
 LIMITED = {*JUDGED, "ramp_s", "value", "samples_n"}  # fields whose ranges depend on the device
 WITHOUT_LIMIT = {name for model in MODELS.values() for name in model.model_fields} - LIMITED
 
@@ -471,6 +482,9 @@ def _fields(command: str, names: list[str]) -> tuple[str, ...]:
 def json_schema(limits: CommandLimits) -> dict[str, Any]:
     """The protocol as JSON schema, with unit, minimum and maximum on this device."""
     schema: dict[str, Any] = ADAPTER.json_schema()
+    for one in ANSWERS:
+        answer = TypeAdapter(one).json_schema()
+        schema["$defs"] |= answer.pop("$defs", {}) | {f"{one.__name__}Answer": answer}
     for title, model in schema["$defs"].items():
         part = {"Filters": "filters.", "Wall": "wall."}.get(title, "")
         for name, field in model.get("properties", {}).items():

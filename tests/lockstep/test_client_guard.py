@@ -111,7 +111,7 @@ def test_mode_of_the_guard_that_leaves_too_little_damping_warns_as_well(
 ) -> None:
     rendering(flight, "warn")
     with pytest.warns(GuardWarning, match="with 0 N s/m of active damping"):
-        assert client().guard(mode="off")["mode"] == "off"
+        assert client().guard(mode="off").mode == "off"
 
 
 def test_client_of_asyncio_warns_at_the_line_that_awaits(flight: Flight, client: Clients) -> None:
@@ -210,7 +210,7 @@ def test_nothing_unsafe_acts_that_a_strict_client_asks_for_under(
         device.damping("off")
     assert (caught.value.code, caught.value.guard.policy) == ("guard", "refuse")
     assert still_damped(flight)
-    assert device.guard()["policy"] == policy
+    assert device.guard().policy == policy
 
 
 def test_strict_client_has_no_command_that_goes_past_the_guard(
