@@ -28,8 +28,8 @@ def measure() -> Iterator[Figure]:
         _until_up(client)
         client.set(K=500, B=2, active_damping=1.74)
         client.enable()
-        gateway = int(client.status()["gateway"]["pid"])
-        worker = int(client.guard()["pid"])
+        gateway = int(client.status().gateway["pid"])
+        worker = int(client.guard().pid or 0)
         quiet = told = working = 0.0
         messages = 0
         for _ in range(ROUNDS):
@@ -64,7 +64,7 @@ def _spent(pid: int, seconds: float) -> float:
 
 def _until_up(client: Client) -> None:
     deadline = time.monotonic() + daemon.START_S
-    while client.guard()["worker"] != "up":
+    while client.guard().worker != "up":
         if time.monotonic() > deadline:
-            raise BenchError(f"no guard's worker: {client.guard()['trouble']}")
+            raise BenchError(f"no guard's worker: {client.guard().trouble}")
         time.sleep(0.1)

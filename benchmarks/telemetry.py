@@ -32,7 +32,7 @@ def measure() -> Iterator[Figure]:
     with daemon.running("telemetry") as instance, ExitStack() as stack:
         with Client(instance) as client:
             client.enable()
-            gateway = int(client.status()["gateway"]["pid"])
+            gateway = int(client.status().gateway["pid"])
         endpoint = f"ipc://{stack.enter_context(tempfile.TemporaryDirectory(prefix='hapticd-bench-'))}/bare"
         forwarder = _started(stack, "forward_worker", ["forward", instance, endpoint])
         listeners = [

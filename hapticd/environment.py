@@ -5,20 +5,26 @@ mass M on filtered derivatives, and a unilateral wall (Weir, Colgate and Peshkin
 The board adds active damping electrically (section 4). An `Environment` is all of that at one time.
 
 It has two other forms: a row of doubles, by the slots of a command in the mailbox, and columns of a
-telemetry record. FIELDS holds, for each number, its names in all three forms and in messages, its
-unit and range, and whether it moves on a ramp and is judged. Every translation is derived from it.
+telemetry record. Each number is declared with its row of the table FIELDS: its names in all three
+forms and in messages, its unit and range, and how a change of it acts. Every translation is derived
+from the table.
 
 Limitations: `workspace` is configured once and has no row in the table, for nothing changes it.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, NamedTuple
+
+from hapticd.errors import ConfigError
 
 __all__ = [
     "FIELDS",
+    "FIRST_FURTHER_SLOT",
+    "FURTHER",
     "JUDGED",
     "SLOTS",
+    "STRENGTHS",
     "Environment",
     "EnvironmentField",
     "FilterParams",
@@ -65,7 +71,6 @@ class WorkspaceParams:
 class EnvironmentField(NamedTuple):
     """A number of an Environment, in each of its forms."""
 
-    path: str  # of the attribute, parts joined by dots
     key: str  # in messages and at the shell: in the table before the dot, if there is one
     symbol: str  # in formulas; empty: none
     unit: str
@@ -73,72 +78,85 @@ class EnvironmentField(NamedTuple):
     high: float
     slot: int  # place among the doubles of a command
     column: str = ""  # of a telemetry record; empty: no record holds it
+    meaning: str = ""  # in a few words, for schemas
     ramped: bool = True  # whether a change of it goes on a ramp
-    judged: bool = True  # whether the guard judges a change of it
+    strength: bool = True  # whether a force is in proportion to it
+    power: int = 0  # n where it is a spring with a force of value * x^n; 0: it is none
     # least and most until the signs of the device are verified: with the wrong one every spring
     # and damper drives
     unverified: tuple[float, float] | None = None
+    path: str = ""  # of the attribute, parts joined by dots; FIELDS has it
 
 
-FIELDS: Final = (
-    EnvironmentField(
-        "stiffness_n_per_m", "K", "K", "N/m", -1e4, 1e5, 2, "stiffness_n_per_m",
-        unverified=(0.0, 100.0),
+def _number(*row: Any, **more: Any) -> Any:
+    """An attribute that is a number, 0 unless given, with its row."""
+    return field(default=0.0, metadata={"": EnvironmentField(*row, **more)})
+
+
+def _filter(name: str, slot: int) -> dict[str, EnvironmentField]:
+    """The rows of a filter, whose corner is in `slot` and its damping ratio behind it."""
+    fixed: dict[str, Any] = {"ramped": False, "strength": False}
+    corner = f"corner of the {name} filter"
+    ratio = f"damping ratio of the {name} filter"
+    key = f"filters.{name}"
+    return {
+        "frequency_hz": EnvironmentField(
+            f"{key}_hz", "", "Hz", 0.1, 1e5, slot, meaning=corner, **fixed
+        ),
+        "damping_ratio": EnvironmentField(
+            f"{key}_zeta", "", "1", 0.05, 10.0, slot + 1, meaning=ratio, **fixed
+        ),
+    }
+
+
+_WALL = {
+    "stiffness_n_per_m": EnvironmentField(
+        "wall.stiffness_n_per_m", "", "N/m", 0.0, 1e5, 9, "wall_stiffness_n_per_m",
+        "stiffness of the wall", unverified=(0.0, 100.0),
     ),
-    EnvironmentField(
-        "virtual_damping_ns_per_m", "B", "B", "N s/m", -1e2, 1e3, 3, "virtual_damping_ns_per_m",
-        unverified=(0.0, 2.0),
+    "virtual_damping_ns_per_m": EnvironmentField(
+        "wall.virtual_damping_ns_per_m", "", "N s/m", 0.0, 1e3, 10,
+        meaning="virtual damping of the wall", unverified=(0.0, 2.0),
     ),
-    EnvironmentField("mass_kg", "M", "M", "kg", -1.0, 10.0, 4, "mass_kg", unverified=(0.0, 0.0)),
-    EnvironmentField(
-        "velocity_filter.frequency_hz", "filters.velocity_hz", "", "Hz", 0.1, 1e5, 5, ramped=False
+    "position_m": EnvironmentField(
+        "wall.position_m", "", "m", -10.0, 10.0, 11, "wall_position_m", "where it stands",
+        strength=False,
     ),
-    EnvironmentField(
-        "velocity_filter.damping_ratio", "filters.velocity_zeta", "", "1", 0.05, 10.0, 6,
-        ramped=False,
+    "side": EnvironmentField(
+        "wall.side", "", "side", -1.0, 1.0, 12, "wall_side",
+        "+1: solid beyond the position, -1: before it, 0: no wall", strength=False,
     ),
-    EnvironmentField(
-        "acceleration_filter.frequency_hz", "filters.acceleration_hz", "", "Hz", 0.1, 1e5, 7,
-        ramped=False,
-    ),
-    EnvironmentField(
-        "acceleration_filter.damping_ratio", "filters.acceleration_zeta", "", "1", 0.05, 10.0, 8,
-        ramped=False,
-    ),
-    EnvironmentField(
-        "wall.stiffness_n_per_m", "wall.stiffness_n_per_m", "", "N/m", 0.0, 1e5, 9,
-        "wall_stiffness_n_per_m", unverified=(0.0, 100.0),
-    ),
-    EnvironmentField(
-        "wall.virtual_damping_ns_per_m", "wall.virtual_damping_ns_per_m", "", "N s/m", 0.0, 1e3,
-        10, unverified=(0.0, 2.0),
-    ),
-    EnvironmentField(
-        "wall.position_m", "wall.position_m", "", "m", -10.0, 10.0, 11, "wall_position_m"
-    ),
-    EnvironmentField("wall.side", "wall.side", "", "side", -1.0, 1.0, 12, "wall_side"),
-    EnvironmentField(
-        "active_damping_ns_per_m", "active_damping", "", "N s/m", 0.0, 1e3, 13,
-        "active_damping_ns_per_m", ramped=False,  # its rate is limited instead
-    ),
-)  # fmt: skip
-SLOTS: Final = {one.key: one.slot for one in FIELDS}
-# the fields of a message that a verdict is about; a table (wall, filters) counts as one
-JUDGED: Final = tuple(dict.fromkeys(one.key.partition(".")[0] for one in FIELDS if one.judged))
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Environment:
     """What is rendered and damped at one time."""
 
-    stiffness_n_per_m: float = 0.0
-    virtual_damping_ns_per_m: float = 0.0
-    mass_kg: float = 0.0
-    velocity_filter: FilterParams = FilterParams(100.0)
-    acceleration_filter: FilterParams = FilterParams(72.0)
-    wall: WallParams = WallParams()
+    stiffness_n_per_m: float = _number(
+        "K", "K", "N/m", -1e4, 1e5, 2, "stiffness_n_per_m", "virtual stiffness", power=1,
+        unverified=(0.0, 100.0),
+    )  # fmt: skip
+    virtual_damping_ns_per_m: float = _number(
+        "B", "B", "N s/m", -1e2, 1e3, 3, "virtual_damping_ns_per_m", "virtual damping",
+        unverified=(0.0, 2.0),
+    )  # fmt: skip
+    mass_kg: float = _number(
+        "M", "M", "kg", -1.0, 10.0, 4, "mass_kg", "virtual mass", unverified=(0.0, 0.0)
+    )
+    velocity_filter: FilterParams = field(
+        default=FilterParams(100.0), metadata=_filter("velocity", 5)
+    )
+    acceleration_filter: FilterParams = field(
+        default=FilterParams(72.0), metadata=_filter("acceleration", 7)
+    )
+    wall: WallParams = field(default=WallParams(), metadata=_WALL)
     workspace: WorkspaceParams = WorkspaceParams()
-    active_damping_ns_per_m: float = 0.0
+    active_damping_ns_per_m: float = _number(
+        "active_damping", "", "N s/m", 0.0, 1e3, 13, "active_damping_ns_per_m",
+        "active damping; 0 switches it off and keeps the level",
+        ramped=False, strength=False,  # its rate is limited instead
+    )  # fmt: skip
 
     @property
     def free(self) -> Point:
@@ -163,9 +181,13 @@ class Environment:
 
     @property
     def empty(self) -> bool:
-        """Whether it makes no force: K, B, M and the wall are 0."""
-        wall = self.wall.stiffness_n_per_m, self.wall.virtual_damping_ns_per_m
-        return not any((*self.free, *wall))
+        """Whether it makes no force: everything that force is in proportion to is 0."""
+        return not any(_value(self, one.path) for one in STRENGTHS)
+
+    @property
+    def further(self) -> tuple[float, ...]:
+        """The further numbers of the law."""
+        return tuple(_value(self, one.path) for one in FURTHER)
 
     def points(self) -> list[Point]:
         """All (K, B, M) that it is."""
@@ -173,12 +195,7 @@ class Environment:
 
     def scaled(self, share: float) -> "Environment":
         """The same with all its forces times `share`, as the gain of an enable has it."""
-        weaker = replace(
-            self.wall,
-            stiffness_n_per_m=share * self.wall.stiffness_n_per_m,
-            virtual_damping_ns_per_m=share * self.wall.virtual_damping_ns_per_m,
-        )
-        return replace(self.with_free([share * value for value in self.free]), wall=weaker)
+        return self.with_values({one.path: share * _value(self, one.path) for one in STRENGTHS})
 
     def with_free(self, free: Sequence[float]) -> "Environment":
         """The same with another K, B, M."""
@@ -205,35 +222,17 @@ class Environment:
 
     def message(self) -> dict[str, Any]:
         """Its fields by their keys, nested as a request `set` has them."""
-        found: dict[str, Any] = {}
-        for one in FIELDS:
-            table, _, leaf = one.key.rpartition(".")
-            inside = found.setdefault(table, {}) if table else found
-            inside[leaf] = _value(self, one.path)
-        return found
+        return _nested((one.key, _value(self, one.path)) for one in FIELDS)
 
     def changed(self, change: Mapping[str, Any]) -> "Environment":
-        """The same with the fields of a request; other keys of `change` are ignored."""
-        given = {
-            one.path: inside[leaf]
-            for one in FIELDS
-            for table, _, leaf in (one.key.rpartition("."),)
-            if leaf in (inside := change.get(table) or {} if table else change)
-        }
-        return self.with_values(given)
+        """The same with the fields of a request. ConfigError for a name that is no field."""
+        return self.with_values({_path(key): value for key, value in _flat(change)})
 
     def fields(self, change: Mapping[str, Any]) -> dict[str, Any]:
-        """The fields that `change` names, with the values of this environment."""
-        whole = self.message()
-        return {
-            name: (
-                {leaf: whole[name][leaf] for leaf in value}
-                if isinstance(value, Mapping)
-                else whole[name]
-            )
-            for name, value in change.items()
-            if name in whole
-        }
+        """The fields that `change` names, with the values of this environment. ConfigError for a
+        name that is no field.
+        """
+        return _nested((key, _value(self, _path(key))) for key, _ in _flat(change))
 
     # --- as a row of doubles ----------------------------------------------------------------------
 
@@ -243,9 +242,54 @@ class Environment:
 
     def from_row(self, row: Sequence[float]) -> "Environment":
         """The same with the numbers of a whole `row`, as a command has it."""
-        return self.with_values({one.path: row[one.slot] for one in FIELDS})
+        return self.with_slots(dict(enumerate(row)))
+
+    def with_slots(self, given: Mapping[int, float]) -> "Environment":
+        """The same with the numbers of `given`, by slot; of its other slots none is a field."""
+        return self.with_values({one.path: given[one.slot] for one in FIELDS if one.slot in given})
 
 
 def _value(environment: Environment, path: str) -> Any:
     table, _, leaf = path.rpartition(".")
     return getattr(getattr(environment, table) if table else environment, leaf)
+
+
+def _flat(change: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """(key, value) of every field of a message."""
+    for name, given in change.items():
+        inside = given.items() if isinstance(given, Mapping) else [("", given)]
+        yield from ((f"{name}.{leaf}" if leaf else name, value) for leaf, value in inside)
+
+
+def _nested(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """The message with `values` by their keys."""
+    found: dict[str, Any] = {}
+    for key, value in values:
+        table, _, leaf = key.rpartition(".")
+        inside = found.setdefault(table, {}) if table else found
+        inside[leaf] = value
+    return found
+
+
+def _path(key: str) -> str:
+    """The attribute behind a key. ConfigError: there is none."""
+    if key not in _PATHS:
+        known = ", ".join(_PATHS)
+        raise ConfigError(f"{key}: no field of an environment; there are {known}")
+    return _PATHS[key]
+
+
+FIELDS: Final = tuple(
+    row._replace(path=f"{one.name}.{leaf}" if leaf else one.name)
+    for one in fields(Environment)
+    for leaf, row in one.metadata.items()
+)
+SLOTS: Final = {one.key: one.slot for one in FIELDS}
+_PATHS: Final[dict[str, str]] = {one.key: one.path for one in FIELDS}
+# the fields of a message that the guard is asked about; a table (wall, filters) counts as one
+JUDGED: Final = tuple(dict.fromkeys(one.key.partition(".")[0] for one in FIELDS))
+STRENGTHS: Final = tuple(one for one in FIELDS if one.strength)
+# The slots before are taken. What has a later one is a further parameter: the law takes it behind
+# its own numbers, and as long as it is not 0 the guard, whose model is linear, knows nothing.
+FIRST_FURTHER_SLOT: Final = 26
+FURTHER: Final = tuple(one for one in FIELDS if one.slot >= FIRST_FURTHER_SLOT)

@@ -32,6 +32,7 @@ UNITS = {
     "_n2_per_hz": "N^2/Hz",
     "_k_per_w": "K/W",
     "_ns_per_m": "N s/m",
+    "_n_per_m3": "N/m^3",
     "_n_per_m": "N/m",
     "_n_per_a": "N/A",
     "_per_k": "1/K",

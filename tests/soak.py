@@ -303,7 +303,7 @@ def soak(seconds: float, seed: int, realtime: bool = True, factor: float = 1.0) 
             if thread is not None:
                 thread.close()
         time.sleep(1.0)  # connections that have ended are forgotten
-        counters = daemon.client.status()["counters"]
+        counters = daemon.client.status().counters
         after = _held(daemon, pids)
         restarted = sorted(
             name for name, pid in daemon.processes().items() if pids.get(name) != pid

@@ -4,6 +4,7 @@ The names are those of the record. A test compares both, so that a field that is
 renamed has to be described here.
 """
 
+from hapticd.environment import FURTHER
 from hapticd.mailbox.layout import COMMISSIONING, TELEMETRY, Flag, State, Watched
 from hapticd.servo import plan
 from hapticd.units import unit_of
@@ -32,6 +33,7 @@ FIELDS = {
     "active_damping_ns_per_m": "active damping sent to the board, after ramps and quantisation",
     "wall_stiffness_n_per_m": "stiffness of the virtual wall in force",
     "wall_position_m": "position of the virtual wall",
+    **{one.column: one.meaning for one in FURTHER},
     "wall_side": "+1: solid beyond the position, -1: solid before it, 0: no wall",
     "watches": "bits: limit-cycle faults that are on, see below",
     "environment_revision": "number of changes of the environment and of the active damping",

@@ -24,7 +24,7 @@ from hapticd.settings.load import load
 from hapticd.zwidth.virtual import virtual_board
 
 device = virtual_board()  # live: device = Client()
-print(device.status()["state"])
+print(device.status().state)
 
 # %%
 # A change and its receipt
@@ -101,9 +101,9 @@ for stiffness in (50, 100, 200, 400):
 
 device.stop()
 device.run(1100)  # For a second nobody else may undo a stop.
-print(device.status()["state"])
+print(device.status().state)
 device.reset()
-print(device.status()["state"])
+print(device.status().state)
 device.close()
 
 # %%

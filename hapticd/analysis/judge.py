@@ -21,17 +21,25 @@ from hapticd.analysis.angles import unresolved_hz
 from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.analysis.bounds import IDEAL_PERIODS, timing_cost
 from hapticd.analysis.coupled import GROWS, coupled_radius, shaking_hand
-from hapticd.analysis.displays import from_message
+from hapticd.analysis.displays import from_message, with_change
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.plane import plane
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
 from hapticd.analysis.words import Verdicts, doubling, explained, in_words
-from hapticd.environment import Environment, Point
+from hapticd.environment import FURTHER, Environment, Point
 from hapticd.errors import AnalysisError
 from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
 from hapticd.params import GuardSetup
 
 _DELAYS = 8  # whose cost is kept
+_TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}
+_CHANGE = {"state", "gain", "enable", "change", "before", "after", "policy", "mode", "level"}
+_FIELDS = {  # of what is asked
+    "change": {*_TERMS, *_CHANGE, "now", "target", "ramp_s"},
+    "look": {*_TERMS, "now", "target", "level_on"},
+    "hand": {"ask", "n", "environment", "delay_periods"},
+    "plane": {*_TERMS, "target", "level_on"},
+}
 
 
 class Judge:
@@ -84,6 +92,8 @@ class Judge:
         ask = request.get("ask")
         if ask not in asks:
             raise AnalysisError(f"the guard is asked {ask!r}; it knows {', '.join(asks)}")
+        if strange := request.keys() - _FIELDS[ask]:
+            raise AnalysisError(f"{ask}: the guard knows no field {min(strange)!r}")
         return {"n": request.get("n"), **asks[ask](request)}
 
     # --- what is asked ----------------------------------------------------------------------------
@@ -152,9 +162,9 @@ class Judge:
         return {"plane": plane(judgement, display, on, most_k, most_b)}
 
     def _hand(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        if self.theorem is None:
-            return {"hand": None}
         display = from_message(request["environment"], self.setup.environment)
+        if self.theorem is None or _beyond_the_model([display]):
+            return {"hand": None}
         delay = self._delay(request.get("delay_periods"))
         found = [
             self._shakers(self.theorem, delay, point, display, in_wall=place == 1)
@@ -197,6 +207,8 @@ class Judge:
 
     def _judgement(self, request: Mapping[str, Any]) -> tuple[Judgement | None, Explanation]:
         """How to judge it, or None and why not."""
+        if beyond := _beyond_the_model(self._concerned(request)):
+            return None, beyond
         found = self._basis(request["basis"])
         if isinstance(found, Explanation):
             return None, found
@@ -206,6 +218,20 @@ class Judge:
             self._cold = list(self.verdicts.levels)
         spare = float(request["margin_ns_per_m"])
         return Judgement(found, delay, spare, min(delay, self._delay(None))), _KNOWN
+
+    def _concerned(self, request: Mapping[str, Any]) -> list[Environment]:
+        """What `request` leads to with all that is scheduled; with force also what acts before."""
+        target = from_message(request["target"], self.setup.environment)
+        on_the_way = [target]
+        for one in (*request.get("before", ()), request.get("change", {})):
+            on_the_way.append(with_change(on_the_way[-1], one))
+        ends = [on_the_way[-1]]
+        for one in request.get("after", ()):
+            ends.append(with_change(ends[-1], one))
+        if not request.get("enable") and request.get("state") != "enabled":
+            return ends
+        now = from_message(request.get("now", {}), self.setup.environment)
+        return [now, *on_the_way, *ends]
 
     def _narrow_modes(self) -> Explanation | None:
         """Why the model says nothing: modes that are too narrow; None for none."""
@@ -255,3 +281,14 @@ def _unknown(text: str, remedy: str = "") -> Explanation:
 def _require_known(what: str, asked: object, known: Sequence[str]) -> None:
     if asked not in known:
         raise AnalysisError(f"{what} {asked!r}; there are {', '.join(known)}")
+
+
+def _beyond_the_model(environments: Sequence[Environment]) -> Explanation | None:
+    """Why nothing is known of `environments`: parameters of which the model knows nothing."""
+    values = zip(*(one.further for one in environments), strict=True)
+    beyond = [one.key for one, found in zip(FURTHER, values, strict=False) if any(found)]
+    if not beyond:
+        return None
+    names = " and ".join(beyond)
+    text = f"the guard's model is linear and knows nothing of {names}"
+    return _unknown(text, f"set {names} to 0 while force is off")

@@ -146,7 +146,8 @@ def named(display: Environment) -> str:
     """A display by its numbers."""
     return (
         f"K = {display.stiffness_n_per_m:g} N/m, B = {display.virtual_damping_ns_per_m:g} N s/m,"
-        f" M = {display.mass_kg:g} kg with {display.active_damping_ns_per_m:.4g} N s/m of damping"
+        f" M = {display.mass_kg:g} kg with {display.active_damping_ns_per_m:.4g} N s/m of active"
+        " damping"
     )
 
 

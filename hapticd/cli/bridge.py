@@ -54,7 +54,7 @@ def lsl(
             " use pylsl of PyPI"
         )
     with connect(instance) as client:
-        known = client.hello()["servo"]
+        known = client.hello().servo
         rate_hz = float(known["realtime"]["rate_hz"])
         source = f"hapticd-{known['device']['serial']}-{instance}"
         info = pylsl.StreamInfo(

@@ -83,13 +83,13 @@ def _settled(client: "Client", receipt: "Receipt") -> "Receipt":
     """
     if receipt.result != "staged":
         return receipt
-    actor = client.hello()["actor"]
+    actor = client.hello().actor
     deadline = time.monotonic() + STAGED_S
     while time.monotonic() < deadline:
         status = client.status()
-        for event in status["events"]:
+        for event in status.events:
             if event["kind"] == "answer" and event["actor"] == actor:
-                return _ended(event, receipt, status["state"])
+                return _ended(event, receipt, status.state)
         time.sleep(POLL_S)
     raise CommandError("timeout", f"no end of the stages within {STAGED_S:g} s; see `status`")
 

@@ -20,6 +20,7 @@ from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.words import board_words, parameters, receipt_text, timing_words
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
+from hapticd.gateway.answers import Compensation, Delivered, StageTimes, Status, answer_of
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 if TYPE_CHECKING:
@@ -168,7 +169,7 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
 
     try:
         with connect(instance) as client:
-            found = client.status()
+            found = client.call("status")["result"]
     except DaemonDown as error:
         # without a gateway, as before the board is found
         servo = living_report(daemon_folder(instance))
@@ -178,53 +179,49 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
     if as_json:
         terminal.data_json(found)
     else:
-        for line in _status_lines(found):
+        for line in _status_lines(answer_of(Status, found), found):
             terminal.data(line)
     if found["state"] in NOT_READY:
         raise typer.Exit(DaemonDown.exit_code)
 
 
-def _status_lines(found: dict[str, Any]) -> list[str]:
+def _status_lines(found: Status, more: dict[str, Any]) -> list[str]:
     from hapticd.cli.guard import guard_lines
     from hapticd.cli.lease import lease_lines
 
-    state = terminal.coloured(found["state"], STATE_COLOURS.get(found["state"], terminal.RED))
-    waits = board_words(found.get("servo", {}))
-    if found["state"] in NOT_READY:
-        silent = found.get("reason", "the gateway runs, the servo does not answer (yet)")
+    state = terminal.coloured(found.state, STATE_COLOURS.get(found.state, terminal.RED))
+    waits = board_words(found.servo)
+    if found.state in NOT_READY:
+        silent = more.get("reason", "the gateway runs, the servo does not answer (yet)")
         return [f"{state}: {waits or silent}"]
-    simulated = f"  {terminal.coloured('SIMULATED', terminal.YELLOW)}" if found["simulated"] else ""
-    lines = [f"{state}{simulated}  instance {found['instance']}, revision {found['revision']}"]
-    if found["fault"] != "none":
-        lines.append(
-            f"  {found['fault']}: {found['cause']}. {found['action']}. To leave: {found['remedy']}"
-        )
+    simulated = f"  {terminal.coloured('SIMULATED', terminal.YELLOW)}" if found.simulated else ""
+    lines = [f"{state}{simulated}  instance {found.instance}, revision {found.revision}"]
+    if found.fault != "none":
+        lines.append(f"  {found.fault}: {found.cause}. {found.action}. To leave: {found.remedy}")
     lines += [
         f"  renders   {_rendered(found)}",
         f"  now       {_moving(found)}",
         f"  timing    {_timing(found)}",
         f"  delay     newest tick: {delay_words(found)}",
-        f"  damping   {delivered_words(found)}",
+        f"  damping   {delivered_words(found.delivered_active_damping)}",
     ]
-    if costs := timing_words(found.get("guard", {})):
+    if costs := timing_words(found.guard.timing if found.guard else None):
         lines.append(f"  costs     {costs}")
-    lines += _under("winding", compensation_lines(found))
+    lines += _under("winding", compensation_lines(found.compensation))
     lines += [f"  board     {terminal.coloured(waits, terminal.RED)}"] if waits else []
-    if limits := found.get("commissioning"):
+    if limits := found.commissioning:
         text = f"at most {limits['force_limit_n']:g} N: {limits['remedy']}"
         lines.append(f"  signs     {terminal.coloured(text, terminal.YELLOW)}")
-    off = [f"{name} {on}" for name, on in found.get("limit_cycle_faults", {}).items() if on != "on"]
+    off = [f"{name} {on}" for name, on in found.limit_cycle_faults.items() if on != "on"]
     lines += [f"  fault     {one}" for one in off]
-    if guard := found.get("guard"):
-        lines += _under("guard", guard_lines(guard))
-    lines += [f"  lease     {line}" for line in lease_lines(found.get("leases", {}))]
-    lines += _board_lines(found.get("servo", {}))
-    if endpoints := found.get("endpoints"):
+    if found.guard:
+        lines += _under("guard", guard_lines(found.guard))
+    lines += [f"  lease     {line}" for line in lease_lines(found.leases)]
+    lines += _board_lines(found.servo)
+    if endpoints := found.endpoints:
         lines.append(f"  telemetry {endpoints.get('elsewhere') or endpoints['telemetry'][1]}")
-    lines += [f"  page      {page['url']}"] if (page := found.get("console")) else []
-    return lines + [
-        f"  {stage:9} {_percentiles(row)}" for stage, row in found.get("stages", {}).items()
-    ]
+    lines += [f"  page      {page['url']}"] if (page := more.get("console")) else []
+    return lines + [f"  {stage:9} {_percentiles(row)}" for stage, row in found.stages.items()]
 
 
 def _under(name: str, lines: list[str]) -> list[str]:
@@ -233,22 +230,21 @@ def _under(name: str, lines: list[str]) -> list[str]:
     return [f"  {head:9} {line}" for head, line in zip(heads, lines, strict=False)]
 
 
-def compensation_lines(found: dict[str, Any]) -> list[str]:
+def compensation_lines(known: Compensation | None) -> list[str]:
     """What is compensated of the winding's resistance, as people read it."""
-    known = found.get("compensation")
-    if not known:
+    if known is None:
         return []
-    compensated = f"{known['compensated_ohm']:.4g} ohm compensated"
-    left_ohm = known["residual_ohm"]
+    compensated = f"{known.compensated_ohm:.4g} ohm compensated"
+    left_ohm = known.residual_ohm
     if left_ohm is None:
         return [f"{compensated}; without a sensor what is left is not known"]
     side = "too little" if left_ohm >= 0.0 else "TOO MUCH"
-    left = f"{abs(left_ohm):.3g} ohm {side} (tolerance {known['tolerance_ohm']:g} ohm)"
-    here = "unknown" if known["loop_gain"] is None else f"{known['loop_gain']:+.3g}"
-    gain = f"loop gain {here}, {known['loop_gain_at_ceiling']:+.3g} at the highest damping"
+    left = f"{abs(left_ohm):.3g} ohm {side} (tolerance {known.tolerance_ohm:g} ohm)"
+    here = "unknown" if known.loop_gain is None else f"{known.loop_gain:+.3g}"
+    gain = f"loop gain {here}, {known.loop_gain_at_ceiling:+.3g} at the highest active damping"
     return [
-        f"{compensated} of {known['winding_ohm']:.4g} at {known['winding_c']:.1f} degC: {left}",
-        f"{gain}; never below {known['least_loop_gain']:g}, the circuit latches up at -1",
+        f"{compensated} of {known.winding_ohm:.4g} at {known.winding_c:.1f} degC: {left}",
+        f"{gain}; never below {known.least_loop_gain:g}, the circuit latches up at -1",
     ]
 
 
@@ -270,55 +266,49 @@ def _board_lines(report: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _moving(found: dict[str, Any]) -> str:
-    position = f"x {1e3 * found.get('position_m', 0):.4f} mm"
-    return f"{position}, force {found.get('force_n', 0):.4f} N, tick {found.get('tick')}"
+def _moving(found: Status) -> str:
+    position = f"x {1e3 * found.position_m:.4f} mm"
+    return f"{position}, force {found.force_n:.4f} N, tick {found.tick}"
 
 
-def _timing(found: dict[str, Any]) -> str:
-    counters = found.get("counters", {})
+def _timing(found: Status) -> str:
+    counters = found.counters
     late = f"{counters.get('late_events', 0)} late, {counters.get('lost_slots', 0)} slots lost"
-    return f"{found['rate_hz']:g} Hz, {late}, {counters.get('missing_in', 0)} frames missing"
+    return f"{found.rate_hz:g} Hz, {late}, {counters.get('missing_in', 0)} frames missing"
 
 
-def delay_words(found: dict[str, Any]) -> str:
+def delay_words(found: Status) -> str:
     """The measured delay from a sample to its force, as people read it."""
-    delay_us = found.get("delay_us", -1)
+    delay_us = found.delay_us
     if delay_us < 0:
         return "sample to force unknown: no frame has come"
-    periods = delay_us * found["rate_hz"] / US_PER_S
-    spread = f"spread {found['delay_spread_us']} us"
-    age = f"frames {found['frame_age_us']} us old when read"
+    periods = delay_us * found.rate_hz / US_PER_S
+    spread = f"spread {found.delay_spread_us} us"
+    age = f"frames {found.frame_age_us} us old when read"
     return f"sample to force {delay_us} us ({periods:.3g} periods), {spread}; {age}"
 
 
-def delivered_words(found: dict[str, Any]) -> str:
+def delivered_words(found: Delivered | None) -> str:
     """How much active damping the board delivers, as people read it."""
-    delivered = found.get("delivered_active_damping", {"basis": "unknown", "commanded": 0.0})
-    commanded = f"of {delivered['commanded']:.4g} N s/m commanded"
-    if delivered.get("estimate_ns_per_m") is None:
-        return f"delivered {commanded}: {delivered['basis']}"
-    between = f"{delivered['low']:.3g} to {delivered['high']:.3g}"
-    share = "" if delivered["ratio"] is None else f" ({100 * delivered['ratio']:.0f} %)"
+    known = found or Delivered()
+    commanded = f"of {known.commanded:.4g} N s/m commanded"
+    if known.estimate_ns_per_m is None:
+        return f"delivered {commanded}: {known.basis}"
+    between = f"{known.low:.3g} to {known.high:.3g}"
+    share = "" if known.ratio is None else f" ({100 * known.ratio:.0f} %)"
     return (
-        f"delivered {delivered['estimate_ns_per_m']:.3g} ({between}) {commanded}{share}, by"
-        f" {delivered['basis']}"
+        f"delivered {known.estimate_ns_per_m:.3g} ({between}) {commanded}{share}, by {known.basis}"
     )
 
 
-def _rendered(found: dict[str, Any]) -> str:
-    stiffness, damping, mass = (
-        found.get(name, 0) for name in ("stiffness_n_per_m", "virtual_damping_ns_per_m", "mass_kg")
-    )
-    active = f"active damping {found.get('active_damping_ns_per_m', 0):.4g} N s/m"
-    gain = f"gain {found.get('gain', 0):.3g}"
-    return f"K {stiffness:g} N/m, B {damping:g} N s/m, M {mass:g} kg, {active}, {gain}"
+def _rendered(found: Status) -> str:
+    free = f"K {found.stiffness_n_per_m:g} N/m, B {found.virtual_damping_ns_per_m:g} N s/m"
+    active = f"active damping {found.active_damping_ns_per_m:.4g} N s/m"
+    return f"{free}, M {found.mass_kg:g} kg, {active}, gain {found.gain:.3g}"
 
 
-def _percentiles(row: dict[str, float]) -> str:
-    return (
-        f"p50 {row['p50_us']:8.1f} us   p99 {row['p99_us']:8.1f} us   max {row['max_us']:8.1f} us"
-    )
+def _percentiles(row: StageTimes) -> str:
+    return f"p50 {row.p50_us:8.1f} us   p99 {row.p99_us:8.1f} us   max {row.max_us:8.1f} us"
 
 
 def get_parameters(
@@ -445,14 +435,14 @@ def home(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
         receipt = client.home()
         if not as_json:
             terminal.talk(receipt_text(receipt))
-        while (found := client.status())["state"] == "homing":
+        while (found := client.status()).state == "homing":
             time.sleep(HOMING_POLL_S)
-    if found["state"] != "disabled":
-        raise CommandError("stopped", f"home: {found['cause']}; {found['remedy']}")
+    if found.state != "disabled":
+        raise CommandError("stopped", f"home: {found.cause}; {found.remedy}")
     if as_json:
-        terminal.data_json({"ok": True, "state": found["state"], "homed": bool(found.get("homed"))})
+        terminal.data_json({"ok": True, "state": found.state, "homed": bool(found.homed)})
     else:
-        known = "the origin is known" if found.get("homed") else "this device needs no homing"
+        known = "the origin is known" if found.homed else "this device needs no homing"
         terminal.data(f"disabled: {known}")
 
 

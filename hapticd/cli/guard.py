@@ -1,18 +1,18 @@
 """The verb of the guard: show and change what is done with environments that are not passive."""
 
 import time
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hapticd import params
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.client.verdict import verdict_of
 from hapticd.client.words import guard_line, margin_words, verdict_lines
 
 if TYPE_CHECKING:
     from hapticd.client import Client
+    from hapticd.gateway.answers import GuardStatus
 
 Policy = Annotated[
     params.Policy | None,
@@ -60,37 +60,37 @@ def guard(
     with connect(instance) as client:
         found = client.guard(policy, basis=basis, margin_ns_per_m=margin, mode=mode)
         found = _judged(client, found)
-    if as_json:
-        terminal.data_json({"ok": True, **found})
-        return
-    for line in (*guard_lines(found), *verdict_lines(verdict_of(found["verdict"]))):
+        if as_json:
+            terminal.data_json({"ok": True, **client.call("guard")["result"]})
+            return
+    for line in (*guard_lines(found), *verdict_lines(found.verdict)):
         terminal.data(line)
 
 
-def _judged(client: "Client", found: dict[str, Any]) -> dict[str, Any]:
+def _judged(client: "Client", found: "GuardStatus") -> "GuardStatus":
     """`found` with the verdict on what is in force, if a worker gives it in time."""
     deadline = time.monotonic() + PATIENCE_S
-    while not found["verdict"] and found["worker"] in COMING and time.monotonic() < deadline:
+    while not found.verdict and found.worker in COMING and time.monotonic() < deadline:
         time.sleep(LOOK_S)
         found = client.guard()
     return found
 
 
-def guard_lines(found: dict[str, Any]) -> list[str]:
+def guard_lines(found: "GuardStatus") -> list[str]:
     """What the guard goes by and what it says of what is in force, as `status` shows it too."""
     return [guard_line(found), *delay_lines(found), margin_words(found)]
 
 
-def delay_lines(found: dict[str, Any]) -> list[str]:
+def delay_lines(found: "GuardStatus") -> list[str]:
     """The delays that there are by their names, and which of them the guard counts on."""
-    delays = found.get("delays")
-    if not delays or delays["counted_periods"] is None:
+    delays = found.delays
+    if not delays or delays.counted_periods is None:
         return []
-    measured = delays["measured_p99_periods"]
+    measured = delays.measured_p99_periods
     known = "not known yet" if measured is None else f"{measured:g}"
-    model = delays["model_periods"]
+    model = delays.model_periods
     assumed = "" if model is None else f", the model assumes {model:g}"
     return [
-        f"delay counted on: {delays['counted_periods']:g} periods, {delays['counted']}"
+        f"delay counted on: {delays.counted_periods:g} periods, {delays.counted}"
         f" (p99 of the last minute: {known}{assumed})"
     ]

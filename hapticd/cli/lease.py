@@ -1,12 +1,14 @@
 """Who may change what: show leases, hold one, end another's."""
 
-from typing import Annotated, Any
+from dataclasses import asdict
+from typing import Annotated
 
 import typer
 
 from hapticd import params
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.gateway.answers import LeaseHeld
 
 lease_app = typer.Typer(
     no_args_is_help=True,
@@ -33,9 +35,10 @@ SLICE_S = 1.0
 def show(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
     """Who holds what, and for how long."""
     with connect(instance) as client:
-        leases = client.status()["leases"]
+        leases = client.status().leases
     if as_json:
-        terminal.data_json({"ok": True, "leases": leases})
+        held = {what: asdict(one) for what, one in leases.items()}
+        terminal.data_json({"ok": True, "leases": held})
         return
     for line in lease_lines(leases) or ["nobody holds a lease: anyone may change everything"]:
         terminal.data(line)
@@ -59,11 +62,11 @@ def take(
         lease = client.lease(what, ttl_s=ttl_s, at_end=at_end, take_over=take_over)
         held = lease.take()
         if as_json:
-            terminal.data_json({"ok": True, **held})
+            terminal.data_json({"ok": True, "what": what, **asdict(held)})
         else:
             terminal.data(f"{_line(what, held)}; Ctrl-C releases it")
         while not ending:
-            lease.sleep(min(SLICE_S, held["ttl_s"] / 2))
+            lease.sleep(min(SLICE_S, held.ttl_s / 2))
         lease.release()
 
 
@@ -75,27 +78,25 @@ def release(
 ) -> None:
     """End a lease, whoever holds it: it is taken over, and left to anyone. Nothing moves."""
     with connect(instance) as client:
-        before = client.status()["leases"]
+        before = client.status().leases
         lease = client.lease(what, take_over=True)
         lease.take()
         lease.release()
     if as_json:
-        terminal.data_json({"ok": True, "what": what, "before": before})
+        held = {name: asdict(one) for name, one in before.items()}
+        terminal.data_json({"ok": True, "what": what, "before": held})
         return
     for line in lease_lines(before) or ["nobody held a lease"]:
         terminal.data(f"before: {line}")
     terminal.data(f"{what} is anyone's to change")
 
 
-def lease_lines(leases: dict[str, dict[str, Any]]) -> list[str]:
+def lease_lines(leases: dict[str, LeaseHeld]) -> list[str]:
     """One line for each lease, as people read it."""
     return [_line(what, held) for what, held in leases.items()]
 
 
-def _line(what: str, held: dict[str, Any]) -> str:
+def _line(what: str, held: LeaseHeld) -> str:
     off = "; guard and energy faults are off" if what == "measuring" else ""
-    whose = f"{held['name']} (actor {held['actor']})"
-    return (
-        f"{what}: {whose}, {held['left_s']:.1f} of {held['ttl_s']:g} s left, at its end"
-        f" {held['at_end']}{off}"
-    )
+    left = f"{held.left_s:.1f} of {held.ttl_s:g} s left"
+    return f"{what}: {held.name} (actor {held.actor}), {left}, at its end {held.at_end}{off}"

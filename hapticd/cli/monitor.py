@@ -129,7 +129,7 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
         closing(client.messages((TICKS, STATE, EVENT), LOOK_S)) as messages,
     ):
         # nobody there at the start is an error; one who goes away later is NO DATA
-        history.force_limit_n = float(client.hello()["servo"]["safety"]["force_limit_n"])
+        history.force_limit_n = float(client.hello().servo["safety"]["force_limit_n"])
         for message in messages:
             now_ns = clock.now_ns()
             if message is not None and message[0] == STATE:
@@ -240,7 +240,7 @@ def events(
     clock = MonotonicClock()
     begin_ns = clock.now_ns()
     with connect(instance) as client, closing(client.messages((EVENT,), LOOK_S)) as messages:
-        rights = (client.status().get("servo") or {}).get("realtime") or {}
+        rights = client.status().servo.get("realtime") or {}
         refused = [f"{name}: {one['text']}" for name, one in rights.items() if not one["granted"]]
         if not as_json:
             for line in refused:

@@ -23,6 +23,7 @@ from rich.text import Text
 
 from hapticd.client.words import guard_line, margin_words
 from hapticd.faults import BY_NUMBER
+from hapticd.gateway.answers import Delivered, GuardStatus, answer_of
 from hapticd.mailbox.layout import COMMISSIONING, Flag, State, Watched
 from hapticd.units import NS_PER_S, percent
 
@@ -152,7 +153,7 @@ def screen(
         silent = "waiting for the daemon" if simulated is None else f"NO DATA for {silent_s:.1f} s"
         return Group(*parts, Text(f"\n {silent} \n", TRIPPED))
     parts += [_environment(history.newest), _loop(history), _guard(history.guard)]
-    parts += [Text(margin_words(history.guard)) if history.guard else Text(), _news(history)]
+    parts += [_margin(history.guard), _news(history)]
     parts.append(_states(history, width - 1))
     shown = max(1, min(len(CHARTS), (lines - HEAD_LINES) // 2))
     height = min(MOST_HEIGHT, max(1, (lines - HEAD_LINES) // shown - 1))
@@ -254,19 +255,22 @@ def _guard(found: dict[str, Any]) -> Text:
     """What the guard knows of the environment in force, in red where it is not passive."""
     if not found:
         return Text("guard: unknown")
-    verdict = found["verdict"] or {}
-    safe = verdict.get("safe")
+    guard = answer_of(GuardStatus, found)
+    safe = guard.verdict.safe if guard.verdict else None
     colour = "yellow" if safe is None else "green" if safe else "bold red"
-    return Text(f"guard: {guard_line(found)}", colour)
+    return Text(f"guard: {guard_line(guard)}", colour)
+
+
+def _margin(found: dict[str, Any]) -> Text:
+    return Text(margin_words(answer_of(GuardStatus, found))) if found else Text()
 
 
 def _delivered(found: dict[str, Any]) -> str:
     """What is delivered of the active damping, beside what is commanded."""
-    if found.get("estimate_ns_per_m") is None:
+    known = answer_of(Delivered, found)
+    if known.estimate_ns_per_m is None:
         return "   delivered: unknown" if found else ""
-    return (
-        f"   delivered {found['estimate_ns_per_m']:.3g} ({found['low']:.3g} .. {found['high']:.3g})"
-    )
+    return f"   delivered {known.estimate_ns_per_m:.3g} ({known.low:.3g} .. {known.high:.3g})"
 
 
 def _title(title: str, unit: str, values: np.ndarray, more: str) -> Text:

@@ -254,7 +254,8 @@ def _latest_status(instance: str) -> dict[str, Any] | None:
     """What the daemon says, if one runs."""
     try:
         with connect(instance) as client:
-            return client.status()
+            found: dict[str, Any] = client.call("status")["result"]
+            return found
     except HapticdError:
         return None
 
@@ -268,16 +269,18 @@ def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
     from hapticd.cli.daemon import delay_words
     from hapticd.client.words import timing_words
     from hapticd.doctor import checks
+    from hapticd.gateway.answers import Status, answer_of
 
     if status is None:
         return []
-    words = delay_words(status)
+    known = answer_of(Status, status)
+    words = delay_words(known)
     delay = checks.ok("force delay", words)
-    if status.get("delay_us", -1) > US_PER_S / status["rate_hz"]:
+    if known.delay_us > US_PER_S / known.rate_hz:
         why = "a force that comes more than a period late makes stiff walls and damping active"
         fix = "look what else is on the board's bus, or at its sample phase"
         delay = checks.warn("force delay", words, why, fix)
-    costs = timing_words(_guard(status))
+    costs = timing_words(known.guard.timing if known.guard else None)
     return [delay, checks.ok("stiffness", costs)] if costs else [delay]
 
 

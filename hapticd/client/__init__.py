@@ -31,12 +31,11 @@ if TYPE_CHECKING:
     from hapticd.client.aio import AsyncClient
     from hapticd.client.blocks import Block
     from hapticd.client.client import Client
-    from hapticd.client.conversation import Receipt
     from hapticd.client.lease import ClientLease
     from hapticd.client.listener import Listener
     from hapticd.client.sequence import Step, StepReceipt, step
-    from hapticd.client.verdict import GuardVerdict
     from hapticd.errors import CommandError, DaemonDown, GuardWarning, SequenceError
+    from hapticd.gateway.answers import GuardVerdict, Receipt
 
 __all__ = [
     "AsyncClient",
@@ -63,10 +62,10 @@ __getattr__, __dir__ = lazily(
         "ClientLease": "hapticd.client.lease",
         "CommandError": "hapticd.errors",
         "DaemonDown": "hapticd.errors",
-        "GuardVerdict": "hapticd.client.verdict",
+        "GuardVerdict": "hapticd.gateway.answers",
         "GuardWarning": "hapticd.errors",
         "Listener": "hapticd.client.listener",
-        "Receipt": "hapticd.client.conversation",
+        "Receipt": "hapticd.gateway.answers",
         "SequenceError": "hapticd.errors",
         "Step": "hapticd.client.sequence",
         "StepReceipt": "hapticd.client.sequence",

@@ -29,7 +29,6 @@ from hapticd.client.blocks import Block, Excerpt, Records, chunks, concatenated
 from hapticd.client.conversation import (
     STOP_TIMEOUT_S,
     Conversation,
-    Receipt,
     TimedOut,
     accepted,
     check_topic,
@@ -53,8 +52,9 @@ from hapticd.client.sequence import (
     course,
 )
 from hapticd.client.verbs import POLL_S, Verbs, hand_of
-from hapticd.client.verdict import GuardVerdict, GuardWarnings
+from hapticd.client.verdict import GuardWarnings
 from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.gateway.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
 from hapticd.params import AtEnd, Leased
@@ -171,7 +171,15 @@ async def _until(deadline: float, done: Awaitable[Any]) -> None:
         await asyncio.wait_for(done, max(0.0, deadline - time.monotonic()))
 
 
-class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
+class AsyncClient(
+    Verbs[
+        Awaitable[Receipt],
+        Awaitable[Hello],
+        Awaitable[Status],
+        Awaitable[GuardStatus],
+        Awaitable[Answer],
+    ]
+):
     """One connection to the daemon `instance`, used as an asynchronous context manager.
 
     Arguments and errors as those of `Client`. In the examples `device` is
@@ -223,6 +231,9 @@ class AsyncClient(Verbs[Awaitable[Receipt], Awaitable[Answer]]):
             self._warnings.tell(receipt_of(reply))
         found: Answer = reply["result"]
         return found
+
+    async def _answer(self, kind: type[Any], cmd: str, **fields: Any) -> Any:
+        return answer_of(kind, await self._result(cmd, **fields))
 
     async def _change(self, cmd: str, **fields: Any) -> Receipt:
         receipt = receipt_of(await self.call(cmd, **fields))

@@ -27,7 +27,6 @@ import zmq
 from hapticd.client.conversation import (
     STOP_TIMEOUT_S,
     Conversation,
-    Receipt,
     TimedOut,
     accepted,
     not_reached,
@@ -39,9 +38,10 @@ from hapticd.client.conversation import (
 )
 from hapticd.client.lease import ClientLease
 from hapticd.client.verbs import POLL_S, Verbs, hand_of
-from hapticd.client.verdict import GuardVerdict, GuardWarnings
+from hapticd.client.verdict import GuardWarnings
 from hapticd.client.watching import Line, Watching
 from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.gateway.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
 from hapticd.units import NS_PER_S
@@ -134,7 +134,7 @@ class GatewayLine(Line):
         return quiet(topic, self._folder, timeout_s)
 
 
-class Client(Watching, Verbs[Receipt, dict[str, Any]]):
+class Client(Watching, Verbs[Receipt, Hello, Status, GuardStatus, dict[str, Any]]):
     """One connection to the daemon `instance`, best used as a context manager.
 
     `timeout_s` bounds every call; `name` is shown beside what this client changes; `folder` is the
@@ -182,6 +182,9 @@ class Client(Watching, Verbs[Receipt, dict[str, Any]]):
             self._warnings.tell(receipt_of(reply))
         result: dict[str, Any] = reply["result"]
         return result
+
+    def _answer(self, kind: type[Any], cmd: str, **fields: Any) -> Any:
+        return answer_of(kind, self._result(cmd, **fields))
 
     def _change(self, cmd: str, **fields: Any) -> Receipt:
         receipt = receipt_of(self.call(cmd, **fields))

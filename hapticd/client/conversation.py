@@ -7,14 +7,13 @@ is recognised and dropped, and never taken for the answer to a later request. Th
 What would break it: two conversations that share a socket, since both begin to count at 1.
 """
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgpack
 
-from hapticd.client.verdict import GuardVerdict, verdict_of
 from hapticd.errors import CommandError, ConfigError, DaemonDown, MailboxError
+from hapticd.gateway.answers import Receipt, answer_of, verdict_of
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.mailbox.daemons import down, instance_of
 from hapticd.mailbox.stop_word import press_stop
@@ -22,25 +21,6 @@ from hapticd.units import NS_PER_S
 
 PROTOCOL_VERSION = 1
 STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off may not wait for a gateway
-
-
-@dataclass(frozen=True, slots=True)
-class Receipt:
-    """What became of an accepted change, as the servo answered.
-
-    Ticks count from the servo's start.
-    """
-
-    #: "applied": in force from `first_tick` on; "scheduled": will be, and `effective` holds until
-    #: then; "staged": it has begun, and an event tells the end; "pressed": a stop by way of the
-    #: stop word, which gives no receipt
-    result: str
-    state: str = ""  #: of the servo: disabled, enabled, homing, stopped, fault
-    revision: int = 0  #: number of accepted changes in this life of the servo
-    first_tick: int = 0  #: from which the change acts
-    ramp_end_tick: int = 0  #: at which the last ramp ends
-    effective: dict[str, Any] = field(default_factory=dict)  #: parameters in the shape of a `set`
-    guard: GuardVerdict | None = None  #: on it, where one was asked for
 
 
 class TimedOut(NamedTuple):
@@ -155,8 +135,8 @@ def accepted(reply: dict[str, Any]) -> dict[str, Any]:
 
 def receipt_of(reply: dict[str, Any]) -> Receipt:
     """The receipt in an accepted reply."""
-    verdict = verdict_of(reply.get("guard"))
-    return Receipt(**reply["receipt"], state=reply["state"], guard=verdict)
+    told = {"state": reply["state"], "guard": reply.get("guard") or None}
+    return answer_of(Receipt, {**reply["receipt"], **told})
 
 
 def silence(outcome: TimedOut, folder: Path) -> DaemonDown:

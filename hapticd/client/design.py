@@ -31,8 +31,8 @@ from typing import Any, NamedTuple, Self, TextIO
 import numpy as np
 
 from hapticd.client.blocks import Records
-from hapticd.client.conversation import Receipt
 from hapticd.errors import ConfigError
+from hapticd.gateway.answers import Receipt
 
 IN_FORCE = ("K", "B", "M", "active_damping")
 TICKS = ("revision", "first_tick", "ramp_end_tick")

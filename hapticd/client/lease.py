@@ -22,6 +22,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from hapticd.errors import CommandError, HapticdError
+from hapticd.gateway.answers import LeaseHeld, LeaseReleased, answer_of
 
 RENEWALS = 3  # in the time after which it would end
 KEPT_ALIVE = ("environment", "active_damping")
@@ -91,10 +92,11 @@ class ClientLease:
         if lost and kind is None:
             raise lost_error(lost)
 
-    def take(self) -> dict[str, Any]:
-        """Take it: {what, name, actor, left_s, ttl_s, at_end}. CommandError: another holds it."""
-        held: dict[str, Any] = self._call("lease", what=self._what, **self._asked)["result"]
-        self._ttl_s = held["ttl_s"]
+    def take(self) -> LeaseHeld:
+        """Take it. CommandError: another holds it."""
+        reply = self._call("lease", what=self._what, **self._asked)
+        held = answer_of(LeaseHeld, reply["result"])
+        self._ttl_s = held.ttl_s
         self._released = False
         return held
 
@@ -112,6 +114,7 @@ class ClientLease:
 
     def release(self) -> str:
         """Give it up; how it was lost before, "" if it was not. CommandError: nobody knows it."""
-        result = self._call("lease", what=self._what, action="release")["result"]
+        reply = self._call("lease", what=self._what, action="release")
+        ended = answer_of(LeaseReleased, reply["result"])
         self._released = True
-        return "" if result["released"] else str(result["text"])
+        return "" if ended.released else ended.text

@@ -36,10 +36,17 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Literal, NamedTuple
 
-from hapticd.client.conversation import Receipt, receipt_of
+from hapticd.client.conversation import receipt_of
 from hapticd.client.verbs import POLL_S
-from hapticd.client.verdict import GuardVerdict, verdict_of
 from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.gateway.answers import (
+    GuardVerdict,
+    Hello,
+    Receipt,
+    Status,
+    answer_of,
+    verdict_of,
+)
 
 AtRefusal = Literal["disable", "stop", "hold"]
 
@@ -142,9 +149,9 @@ def course(
     if not 0.0 < lead_s <= LONGEST_LEAD_S:  # neither is nan
         limit = f"outside 0..{LONGEST_LEAD_S:g} s; leave it out for {LEAD_S:g} s"
         raise CommandError("invalid", f"lead_s = {lead_s}: {limit}")
-    hello = _reply((yield Ask("hello", {"name": name})))["result"]
-    status = _reply((yield Ask("status", {})))["result"]
-    if not status["servo_alive"]:
+    hello = answer_of(Hello, _reply((yield Ask("hello", {"name": name})))["result"])
+    status = answer_of(Status, _reply((yield Ask("status", {})))["result"])
+    if not status.servo_alive:
         raise DaemonDown("no servo answers; start it with `hapticd run`, see `hapticd status`")
     _check(steps, hello, status)
     return (yield from _Run(steps, at_refusal, name, status, lead_s).whole())
@@ -167,7 +174,7 @@ class _Run:
         steps: Sequence[Step],
         at_refusal: AtRefusal,
         name: str,
-        status: dict[str, Any],
+        status: Status,
         lead_s: float,
     ) -> None:
         self._steps = steps
@@ -175,8 +182,8 @@ class _Run:
         self._name = name
         self._lead_s = lead_s
         self._status = status
-        self._rate_hz = float(status["rate_hz"])
-        self._state = str(status["state"])  # in which the steps so far have left the servo
+        self._rate_hz = status.rate_hz
+        self._state = status.state  # in which the steps so far have left the servo
         self._receipts = [StepReceipt(one) for one in steps]
         self._open: dict[int, int] = {}  # steps that were scheduled, by number of their request
         self._left = ""  # what was done to the display at the end, in words
@@ -184,7 +191,7 @@ class _Run:
     def whole(self) -> Course:
         """All steps; SequenceError as soon as one cannot be done."""
         try:
-            last_slot = int(self._status["slot"])
+            last_slot = self._status.slot
             for number, one in enumerate(self._steps):
                 last_slot = yield from self._step(number, one, last_slot)
             yield from self._told(len(self._steps) - 1)
@@ -211,7 +218,7 @@ class _Run:
             yield from self._told(number)
         if number in self._open.values():
             return due
-        return (self._receipts[number].tick or int(self._status["tick"])) + self._lost
+        return (self._receipts[number].tick or self._status.tick) + self._lost
 
     def _take(self, number: int, answer: Any) -> None:
         """The reply to step `number`, or how asking for it ended."""
@@ -238,7 +245,7 @@ class _Run:
     @property
     def _lost(self) -> int:
         """Slots that the servo lost so far: slot - tick."""
-        return int(self._status["slot"]) - int(self._status["tick"])
+        return self._status.slot - self._status.tick
 
     def _until(self, slot: int, number: int) -> Part:
         """Until the servo is at `slot` and takes another scheduled change."""
@@ -246,18 +253,18 @@ class _Run:
             yield from self._look(number)
             full = len(self._open) >= MOST_AHEAD
             free = min(self._receipts[one].tick for one in self._open.values()) if full else 0
-            left = max(slot, free + self._lost) - int(self._status["slot"])
+            left = max(slot, free + self._lost) - self._status.slot
             if left <= 0 and not full:
                 return
             yield Pause(min(LOOK_S, max(POLL_S, left / self._rate_hz)))
 
     def _told(self, number: int) -> Part:
         """Until what became of every step so far is known."""
-        began = int(self._status["tick"])
+        began = self._status.tick
         while self._open:
             yield from self._look(number)
             last = max([began, *(self._receipts[one].tick for one in self._open.values())])
-            left_s = (last - int(self._status["tick"])) / self._rate_hz
+            left_s = (last - self._status.tick) / self._rate_hz
             if self._open and left_s < -OVERDUE_S:
                 raise _EndedError(CommandError("timeout", UNTOLD), min(self._open.values()))
             if self._open:
@@ -269,14 +276,14 @@ class _Run:
         if isinstance(answer, HapticdError):
             raise _EndedError(answer, number)
         before = self._status
-        self._status = answer["result"]
+        self._status = answer_of(Status, answer["result"])
         led_to = {_after(self._steps[one], self._state) for one in self._open.values()}
         self._hear()
-        found = str(self._status["state"])
-        if not self._status["servo_alive"] or self._status["epoch"] != before["epoch"]:
+        found = self._status.state
+        if not self._status.servo_alive or self._status.epoch != before.epoch:
             raise _EndedError(DaemonDown("the servo ended, or was started anew"), number)
         if found not in {self._state, *led_to}:
-            why = self._status.get("cause") or "see `hapticd status`"
+            why = self._status.cause or "see `hapticd status`"
             reason = f"the servo is {found!r} and not {self._state!r}: {why}"
             raise _EndedError(CommandError("stopped", reason), number)
         self._state = found
@@ -290,9 +297,9 @@ class _Run:
 
     def _hear(self) -> None:
         """Later answers to steps that are open, from the events that the gateway keeps."""
-        for event in self._status["events"]:
+        for event in self._status.events:
             mine = event["kind"] == "answer" and event["name"] == self._name
-            number = self._open.get(event.get("id")) if mine else None
+            number = self._open.get(event["id"]) if mine else None
             if number is None or event["cmd"] != self._steps[number].cmd:
                 continue
             result = str(event["result"])
@@ -319,8 +326,8 @@ class _Run:
             if isinstance(answer, HapticdError):
                 self._state = "unknown"
                 return
-            self._status = answer["result"]
-            self._state = str(self._status["state"])
+            self._status = answer_of(Status, answer["result"])
+            self._state = self._status.state
             self._hear()
             if not self._open:
                 return
@@ -357,14 +364,14 @@ def _reply(answer: Any) -> Any:
     return answer
 
 
-def _check(steps: Sequence[Step], hello: dict[str, Any], status: dict[str, Any]) -> None:
+def _check(steps: Sequence[Step], hello: Hello, status: Status) -> None:
     """CommandError `invalid` with a line for each step that cannot be done; nothing was sent."""
     from hapticd.gateway.limits import CommandLimits
 
-    limits = CommandLimits.announced(hello["servo"])
-    state = str(status["state"])
-    tick = int(status["tick"])
-    rate_hz = float(status["rate_hz"])
+    limits = CommandLimits.announced(hello.servo)
+    state = status.state
+    tick = status.tick
+    rate_hz = status.rate_hz
     detail = []
     for number, one in enumerate(steps, start=1):
         faults = [_unlike(one, limits), _mistimed(one, tick), _barred(one, state)]

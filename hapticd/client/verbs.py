@@ -1,26 +1,31 @@
 """The verbs that are one request and one reply, for the client that waits and for that of asyncio.
 
-Each is written once; what it gives, a value or something to await, is the client's: `Verbs[Receipt,
-dict]` or `Verbs[Awaitable[Receipt], Awaitable[dict]]`.
+Each is written once; what it gives, a value or something to await, is the client's:
+`Verbs[Receipt, Hello, ...]` or `Verbs[Awaitable[Receipt], Awaitable[Hello], ...]`.
 
 What would break it: a verb that needs two replies; it belongs into the clients.
 """
 
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
+from hapticd.gateway.answers import GuardStatus, GuardVerdict, Hello, Status
+
 if TYPE_CHECKING:
-    from hapticd.client.verdict import GuardVerdict
     from hapticd.params import BasisName, DampingMode, Policy
 
 
-R = TypeVar("R")  # what a change gives: a Receipt, now or later
-D = TypeVar("D")  # what a question gives: a map, now or later
+# what is given, now or later
+R = TypeVar("R")  # by a change: a Receipt
+H = TypeVar("H")  # a Hello
+S = TypeVar("S")  # a Status
+G = TypeVar("G")  # a GuardStatus
+D = TypeVar("D")  # by other questions: a map
 
 POLL_S = 0.02  # between two looks at the state
 JUDGED = frozenset({"set", "damping", "enable", "guard"})  # commands that the guard may refuse
 
 
-class Verbs(Generic[R, D]):
+class Verbs(Generic[R, H, S, G, D]):
     """Questions and changes. CommandError where the daemon refuses, DaemonDown where none answers
     in time.
     """
@@ -35,18 +40,23 @@ class Verbs(Generic[R, D]):
     def _result(self, cmd: str, **fields: Any) -> D:
         raise NotImplementedError
 
+    def _answer(self, kind: type[Any], cmd: str, **fields: Any) -> Any:
+        """The answer to a question, as a dataclass `kind` of `gateway.answers`."""
+        raise NotImplementedError
+
     def _change(self, cmd: str, **fields: Any) -> R:
         raise NotImplementedError
 
     # --- asking -----------------------------------------------------------------------------------
 
-    def hello(self) -> D:
+    def hello(self) -> H:
         """Versions, limits, endpoints and topics of the daemon; each limit has its unit.
 
-        >>> device.hello()["limits"]["active_damping"]
-        {'low': 0.0, 'high': 10.0, 'unit': 'N s/m'}
+        >>> device.hello().limits["active_damping"]
+        Limit(low=0.0, high=10.0, unit='N s/m')
         """
-        return self._result("hello", name=self._name)
+        hello: H = self._answer(Hello, "hello", name=self._name)
+        return hello
 
     def get(self) -> D:
         """{parameters: what was asked, ramps at their ends; in_force: what acts at this tick}.
@@ -56,14 +66,15 @@ class Verbs(Generic[R, D]):
         """
         return self._result("get")
 
-    def status(self) -> D:
+    def status(self) -> S:
         """State, fault, counters, stage times, what the servo was granted, the last events.
 
         >>> status = device.status()
-        >>> status["state"], status["rate_hz"], status["fault"]
+        >>> status.state, status.rate_hz, status.fault
         ('disabled', 1000.0, 'none')
         """
-        return self._result("status")
+        status: S = self._answer(Status, "status")
+        return status
 
     def schema(self) -> D:
         """The protocol as JSON schema, with units and the limits of this device.
@@ -89,6 +100,7 @@ class Verbs(Generic[R, D]):
         until_tick: int | None = None,
         if_rev: int | None = None,
         limit_cycle_faults: bool | None = None,
+        **further: float,
     ) -> R:
         """Change what is rendered; what is not given stays.
 
@@ -97,7 +109,8 @@ class Verbs(Generic[R, D]):
         the length of the ramp [s], `at_tick` the servo tick from which it acts. From `until_tick`
         on the same fields are as they were before. With `if_rev` it acts only if the revision is
         still that one. `limit_cycle_faults`: whether force_at_limit and energy end a limit cycle;
-        on again as soon as force is off.
+        on again as soon as force is off. `further`: parameters that were added to the environment
+        (`hapticd.environment`), by their keys.
 
         >>> receipt = device.set(K=100, B=1, ramp_s=0.2)
         >>> receipt.effective["K"], receipt.ramp_end_tick - receipt.first_tick
@@ -118,6 +131,7 @@ class Verbs(Generic[R, D]):
             until_tick=until_tick,
             if_rev=if_rev,
             limit_cycle_faults=limit_cycle_faults,
+            **further,
         )
 
     def damping(self, value: Literal["on", "off", "auto"] | float) -> R:
@@ -136,18 +150,18 @@ class Verbs(Generic[R, D]):
         basis: "BasisName | None" = None,
         margin_ns_per_m: float | None = None,
         mode: "DampingMode | None" = None,
-    ) -> D:
+    ) -> G:
         """Change what is done with environments that are not known to be passive, or only ask.
 
         `margin_ns_per_m` is the damping that has to be left [N s/m], `mode` that of the active
-        damping. {policy, basis, margin_ns_per_m, mode, worker, delay_periods, verdict, ..}.
+        damping.
 
-        >>> device.guard("refuse", margin_ns_per_m=0.1)["policy"]
+        >>> device.guard("refuse", margin_ns_per_m=0.1).policy
         'refuse'
         """
-        return self._result(
-            "guard", policy=policy, basis=basis, margin_ns_per_m=margin_ns_per_m, mode=mode
-        )
+        fields = {"policy": policy, "basis": basis, "margin_ns_per_m": margin_ns_per_m}
+        guard: G = self._answer(GuardStatus, "guard", **fields, mode=mode)
+        return guard
 
     def enable(self) -> R:
         """Force on, with a gain ramp (`enable_ramp_s` of the configuration).
@@ -245,11 +259,11 @@ class Verbs(Generic[R, D]):
         return self._result("mark", text=text)
 
 
-def hand_of(status: dict[str, Any], verdict: "GuardVerdict") -> dict[str, Any] | None:
+def hand_of(status: Status, verdict: GuardVerdict) -> dict[str, Any] | None:
     """The event `guard` of `status` that names the hand which would shake what `verdict` is about;
     None as long as there is none.
     """
-    for event in reversed(status["events"]):
+    for event in reversed(status.events):
         if event["kind"] == "guard" and event["number"] == verdict.number:
             return dict(event)
     return None

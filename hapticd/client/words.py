@@ -6,17 +6,18 @@ What would break it: an import that is large; `hapticd --help` loads this.
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
+from hapticd.environment import FIELDS
 from hapticd.explanation import Explanation
+from hapticd.gateway.answers import GuardStatus, GuardVerdict, Receipt, Timing, TimingCost
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.mailbox.layout import VALUE_LIMITS, Value
 
 if TYPE_CHECKING:
-    from hapticd.client.conversation import Receipt
-    from hapticd.client.verdict import GuardVerdict
     from hapticd.errors import CommandError
+    from hapticd.gateway.answers import GuardVerdict, Receipt
 
 
-def verdict_lines(verdict: "GuardVerdict | None") -> list[str]:
+def verdict_lines(verdict: GuardVerdict | None) -> list[str]:
     """What a verdict allows, as people read it; nothing where nothing is known."""
     if verdict is None:
         return []
@@ -40,7 +41,7 @@ def verdict_lines(verdict: "GuardVerdict | None") -> list[str]:
     return lines
 
 
-def objection_lines(verdict: "GuardVerdict", more: Iterable[str] = ()) -> list[str]:
+def objection_lines(verdict: GuardVerdict, more: Iterable[str] = ()) -> list[str]:
     """Why a change is not safe, one thought a line: what is wrong, what is allowed and `more`, then
     the rest and the remedies.
     """
@@ -57,44 +58,41 @@ def refusal_lines(error: "CommandError", more: Iterable[str] = ()) -> list[str]:
     return [f"{verdict.cmd}: {first}" if verdict.cmd else first, *rest]
 
 
-def guard_line(found: dict[str, Any]) -> str:
+def guard_line(found: GuardStatus) -> str:
     """Policy, basis, mode and worker in one line, as `status` shows them too."""
-    margin = found["margin_ns_per_m"]
+    margin = found.margin_ns_per_m
     wanted = f", at least {margin:g} N s/m to spare" if margin else ""
-    policy = "off: somebody measures" if found["measuring"] else found["policy"]
-    worker = "" if found["worker"] == "up" else f"; {found['trouble']}"
-    delay = found["delay_periods"]
+    policy = "off: somebody measures" if found.measuring else found.policy
+    worker = "" if found.worker == "up" else f"; {found.trouble}"
+    delay = found.delay_periods
     known = "the delay is not known yet" if delay is None else f"delay {delay:g} periods"
-    return f"{policy}, by {found['basis']}{wanted}; damping {found['mode']}; {known}{worker}"
+    return f"{policy}, by {found.basis}{wanted}; active damping {found.mode}; {known}{worker}"
 
 
-def timing_words(found: dict[str, Any]) -> str:
+def timing_words(timing: Timing | None) -> str:
     """What the delay costs of K by the theorem, in one line; empty where nothing is known."""
-    timing = found.get("timing")
-    if not timing:
+    if timing is None:
         return ""
-    without = timing["without_active_damping"]
-    damped = timing["with_active_damping"]
-    known = "measured" if timing["measured"] else "assumed by the model"
-    delay = f"delay {timing['delay_periods']:g} periods, {known}"
-    if without["lost_share"] is None:
+    without = timing.without_active_damping
+    damped = timing.with_active_damping
+    known = "measured" if timing.measured else "assumed by the model"
+    delay = f"delay {timing.delay_periods:g} periods, {known}"
+    if without.lost_share is None:
         return f"{delay}: no K is passive, with or without it (theorem)"
-    lost = (
-        f"K up to {_instead(without)} N/m without it ({100.0 * without['lost_share']:.0f} % less)"
-    )
-    if damped["level_ns_per_m"]:
-        lost += f"; with {damped['level_ns_per_m']:g} N s/m of active damping {_instead(damped)}"
+    lost = f"K up to {_instead(without)} N/m without it ({100.0 * without.lost_share:.0f} % less)"
+    if damped.level_ns_per_m:
+        lost += f"; with {damped.level_ns_per_m:g} N s/m of active damping {_instead(damped)}"
     return f"{delay}: {lost} (theorem)"
 
 
-def _instead(cost: dict[str, Any]) -> str:
-    return f"{cost['stiffness_n_per_m']:.4g} instead of {cost['ideal_stiffness_n_per_m']:.4g}"
+def _instead(cost: TimingCost) -> str:
+    return f"{cost.stiffness_n_per_m:.4g} instead of {cost.ideal_stiffness_n_per_m:.4g}"
 
 
-def margin_words(found: dict[str, Any]) -> str:
+def margin_words(found: GuardStatus) -> str:
     """The verdict on what is in force, in one line."""
-    verdict = found.get("verdict") or {}
-    return str(verdict.get("text") or found.get("unjudged") or "not judged yet")
+    known = found.verdict.text if found.verdict else ""
+    return known or found.unjudged or "not judged yet"
 
 
 def board_words(report: dict[str, Any]) -> str:
@@ -103,7 +101,7 @@ def board_words(report: dict[str, Any]) -> str:
     return f"the servo waits for the board: {reason}" if reason else ""
 
 
-def receipt_text(receipt: "Receipt") -> str:
+def receipt_text(receipt: Receipt) -> str:
     """What became of it, and what will then be in force."""
     if receipt.result == "pressed":
         return "stop pressed; nobody confirmed it, see `hapticd status`"
@@ -121,11 +119,12 @@ def receipt_text(receipt: "Receipt") -> str:
 def _shown(table: dict[str, Any]) -> str:
     """K, B, M and active damping of parameters in the shape of a `set`."""
     values = dict(parameters(table))
-    names = {"K": "K", "B": "B", "M": "M", "active_damping": "active damping"}
+    names = {one.key: one.symbol for one in FIELDS if one.symbol}
+    names["active_damping"] = "active damping"
     return ", ".join(f"{names[name]} {values[name]}" for name in names if name in values)
 
 
-def _margin(verdict: "GuardVerdict | None") -> str:
+def _margin(verdict: GuardVerdict | None) -> str:
     """What is to spare, of a display that is known to be safe."""
     if not verdict or not verdict.safe:
         return ""

@@ -19,7 +19,6 @@ from typing import Any
 
 from hapticd.client.client import Client
 from hapticd.client.conversation import receipt_of
-from hapticd.client.verdict import GuardVerdict
 from hapticd.client.words import (
     guard_line,
     margin_words,
@@ -28,6 +27,7 @@ from hapticd.client.words import (
     refusal_lines,
 )
 from hapticd.errors import CommandError, HapticdError
+from hapticd.gateway.answers import GuardStatus, GuardVerdict, answer_of
 from hapticd.plant.excitation import Stream, band_noise, generator
 from hapticd.plant.scene import Excitation
 
@@ -77,6 +77,9 @@ class Asker:
             return _refused(number, "stopped", f"{cmd}: not done, for STOP was pressed after it")
         try:
             if cmd == EXCITE:
+                if strange := fields.keys() - {"on"}:
+                    text = f"{EXCITE}: {min(strange)!r} is no field of it; there is 'on'"
+                    return _refused(number, "invalid", text)
                 return self._excited(number, bool(fields.get("on")))
             return _accepted(number, cmd, self._client.call(cmd, **fields))
         except CommandError as error:
@@ -98,7 +101,8 @@ class Asker:
 def _accepted(number: Any, cmd: str, found: dict[str, Any]) -> str:
     told = {"kind": "reply", "ask": number, "ok": True, "result": found.get("result")}
     if cmd == "guard":
-        told["text"] = f"guard: {guard_line(told['result'])}\n{margin_words(told['result'])}"
+        guard = answer_of(GuardStatus, told["result"])
+        told["text"] = f"guard: {guard_line(guard)}\n{margin_words(guard)}"
     if "receipt" in found:
         receipt = receipt_of(found)
         told["text"] = receipt_text(receipt)

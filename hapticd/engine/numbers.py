@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hapticd.engine.shape import Shape, sample_point
-from hapticd.engine.source import ENDS, FILTERS, ROTOR_LAWS, WALL
+from hapticd.engine.source import ENDS, FILTERS, FURTHER_NAMES, ROTOR_LAWS, WALL
 from hapticd.environment import Environment, FilterParams
 from hapticd.plant.discrete import discretise
 from hapticd.plant.drive import reach, well_posed
@@ -56,6 +56,7 @@ def law_numbers(environment: Environment, filters: Filters, rate_hz: float) -> d
     return {
         **dict(zip(FILTERS, coefficients, strict=True)),
         **dict(zip(WALL, solid, strict=True)),
+        **dict(zip(FURTHER_NAMES, environment.further, strict=True)),
         **dict(zip(ENDS, (ends.lower_m, ends.upper_m, ends.stiffness_n_per_m), strict=True)),
     }
 

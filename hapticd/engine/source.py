@@ -60,6 +60,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapticd.engine.shape import DriveStates, Shape, Term
+from hapticd.environment import FURTHER
 from hapticd.units import PROBE_RATE_HZ
 
 SCALARS: dict[str, type[np.floating[Any]]] = {"f32": np.float32, "f64": np.float64}
@@ -279,6 +280,7 @@ LAW_STATE = tuple(f"L{i}" for i in range(6))
 FILTERS = tuple(f"FILTER{i}" for i in range(10))
 WALL = ("WALL_K", "WALL_B", "WALL_X", "WALL_SIDE")
 ENDS = ("LOWER", "UPPER", "END_K")
+FURTHER_NAMES = tuple(one.path.upper() for one in FURTHER)
 
 
 def tick(shape: Shape, row: Rows) -> Iterator[str]:
@@ -370,7 +372,8 @@ def _command(shape: Shape, row: Rows) -> Iterator[str]:
     # literals for what a scene does not have: LLVM folds them away with their branches
     wall = [row.c(name) if shape.wall else "ZERO" for name in WALL]
     ends = [row.c(name) for name in ENDS] if shape.ends else ["-INF", "INF", "ZERO"]
-    environment = ", ".join([row("K"), row("B"), row("M"), "ZERO", limit, *wall, *ends])
+    named = [row("K"), row("B"), row("M"), "ZERO", limit, *wall, *ends]
+    environment = ", ".join([*named, *map(row.c, FURTHER_NAMES)])
     state = ", ".join(row(name) for name in LAW_STATE)
     filters = ", ".join(row.c(name) for name in FILTERS)
     yield f"c, _, _, _, _, _, _, _, state = law(y, ({state}), ({environment}), ({filters}))"

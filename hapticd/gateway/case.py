@@ -95,7 +95,7 @@ def ends_force(request: Request, target: Environment) -> bool:
     """
     if not isinstance(request, Set) or request.at_tick or "active_damping" in request.given:
         return False
-    return target.changed(request.given).empty
+    return target.changed(change_of(request, 0.0)).empty
 
 
 def concerns(request: Request) -> bool:

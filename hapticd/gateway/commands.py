@@ -21,7 +21,7 @@ from dataclasses import replace
 from math import nan
 from typing import Any, NamedTuple
 
-from hapticd.environment import Environment
+from hapticd.environment import JUDGED, Environment
 from hapticd.errors import CommandError
 from hapticd.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.journal import Actors
@@ -54,6 +54,8 @@ ALLOWED: dict[
     "withhold": (State.DISABLED,),
     "perturb": (State.ENABLED,),
 }
+# fields of a change that are no parameters; the last two have places of their own
+NO_VALUES = {*Change.model_fields, "cmd", "limit_cycle_faults", "until_tick"}
 MOVING = ("enable", "home", "zero", "withhold")
 ACCEPTED = frozenset({Result.APPLIED, Result.SCHEDULED, Result.SUPERSEDED})
 
@@ -78,8 +80,13 @@ def posting(request: Request, samples: int) -> Posting:
 
 
 def values_given(given: dict[str, Any]) -> dict[Value, float]:
-    """The doubles of a change whose fields, nested as in `set`, are `given`."""
-    values = {PLACES[name]: float(value) for name, value in flat(given) if name in PLACES}
+    """The doubles of a change whose fields, nested as in `set`, are `given`. CommandError for a
+    field that a command has no place for.
+    """
+    asked = {name: value for name, value in given.items() if name not in NO_VALUES}
+    if unknown := [name for name, _ in flat(asked) if name not in PLACES]:
+        raise CommandError("invalid", f"{unknown[0]}: no value of a command")
+    values = {PLACES[name]: float(value) for name, value in flat(asked)}
     if "limit_cycle_faults" in given:
         values[Value.LIMIT_CYCLE_FAULTS] = float(given["limit_cycle_faults"])
     if "until_tick" in given:
@@ -354,7 +361,7 @@ def changed_parts(request: Request | None) -> tuple[str, ...]:
     Disable, stop and reset are nobody's: they are taken from anyone.
     """
     if isinstance(request, Set):
-        rest = request.given.keys() & {"K", "B", "M", "filters", "wall", "limit_cycle_faults"}
+        rest = request.given.keys() & {*JUDGED, "limit_cycle_faults"} - {"active_damping"}
         parts = (ENVIRONMENT,) if rest else ()
         return (*parts, DAMPING) if "active_damping" in request.given else parts
     if isinstance(request, Damping):

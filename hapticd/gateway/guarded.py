@@ -489,7 +489,7 @@ class Guarded:
         if self._must(case) and not ends_force(case.request, guard.in_force.target()):
             raise self._unknown_refused(case)
         if auto_of(case.request):
-            text = "the guard chooses no level of damping while it judges nothing"
+            text = "the guard chooses no level of active damping while it judges nothing"
             raise _refused(case, because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
         case.revision = None
         case.stages = ()

@@ -22,6 +22,7 @@ What would break it: `tend` not called in every pass, or an answer of the servo 
 
 from typing import Any
 
+from hapticd.environment import STRENGTHS
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.gateway.leases import (
     DAMPING,
@@ -47,13 +48,7 @@ from hapticd.units import NS_PER_S
 FORMER = "a client of the gateway before this one"
 UNANSWERED_NS = NS_PER_S  # after which the servo is told again
 DAMPING_PLACES = (Value.ACTIVE_DAMPING, Value.ACTIVE_DAMPING_ON)
-NOTHING = (
-    Value.STIFFNESS,
-    Value.VIRTUAL_DAMPING,
-    Value.MASS,
-    Value.WALL_STIFFNESS,
-    Value.WALL_VIRTUAL_DAMPING,
-)  # 0 of these is no environment
+NOTHING = tuple(Value(one.slot) for one in STRENGTHS)  # 0 of these is no environment
 SCHEDULABLE = {
     ENVIRONMENT: {*PLACES.values(), Value.LIMIT_CYCLE_FAULTS} - {*DAMPING_PLACES, Value.RAMP_S},
     DAMPING: {*DAMPING_PLACES},

@@ -9,6 +9,7 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hapticd.environment import SLOTS
+from hapticd.errors import ConfigError
 from hapticd.mailbox.environment_limits import AXES
 from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, value_limits
 
@@ -115,13 +116,12 @@ class CommandLimits:
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, Any]]:
         """One {loc, msg, value, unit, low, high} for each number in `given`, nested as the request,
-        beyond its limit.
+        beyond its limit. ConfigError for a name without a limit.
         """
-        numbers = (
-            (name, value)
-            for name, value in flat(given)
-            if isinstance(value, (int, float)) and name in self.of
-        )
+        numbers = [(name, value) for name, value in flat(given) if isinstance(value, (int, float))]
+        if unknown := [name for name, _ in numbers if name not in self.of]:
+            known = ", ".join(self.of)
+            raise ConfigError(f"{unknown[0]}: no limit is known of it; there are {known}")
         return [
             {"loc": name, "msg": self.complaint(name, value), **self.numbers(name, value)}
             for name, value in numbers

@@ -8,7 +8,7 @@ short. `json_schema` is the same for machines.
 """
 
 from difflib import get_close_matches
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
@@ -18,11 +18,14 @@ from pydantic import (
     TypeAdapter,
     ValidationError,
     WithJsonSchema,
+    create_model,
     model_validator,
 )
 from pydantic_core import ErrorDetails
 
+from hapticd.environment import FIELDS, JUDGED
 from hapticd.errors import CommandError
+from hapticd.gateway import answers
 from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
 from hapticd.gateway.limits import CommandLimits, quantity
 from hapticd.mailbox.layout import LONGEST_SILENCE_S
@@ -98,22 +101,23 @@ class Get(CommandMessage):
     cmd: Literal["get"]
 
 
-class Filters(MessagePart):
-    """Low-pass filters of the derivatives."""
+def _rendered(name: str, table: str, base: type[MessagePart], description: str) -> Any:
+    """`base` with the fields that the environment has in `table`."""
+    numbers: dict[str, Any] = {}
+    for one in FIELDS:
+        inside, _, leaf = one.key.rpartition(".")
+        if inside == table:
+            numbers[leaf] = Side if one.unit == "side" else float, _absent(one.meaning)
+    return create_model(name, __base__=base, __doc__=description, **numbers)
 
-    velocity_hz: float = _absent("corner of the velocity filter")
-    velocity_zeta: float = _absent("its damping ratio")
-    acceleration_hz: float = _absent("corner of the acceleration filter")
-    acceleration_zeta: float = _absent("its damping ratio")
 
-
-class Wall(MessagePart):
-    """Unilateral wall."""
-
-    stiffness_n_per_m: float = _absent("stiffness")
-    virtual_damping_ns_per_m: float = _absent("damping while pressed")
-    position_m: float = _absent("where it stands")
-    side: Side = _absent("+1: solid beyond the position, -1: before it, 0: no wall")
+if TYPE_CHECKING:  # a model that is made of the table is no base or type for a checker
+    Filters = MessagePart
+    Wall = MessagePart
+else:
+    text = "Low-pass filters of the derivatives."
+    Filters = _rendered("Filters", "filters", MessagePart, text)
+    Wall = _rendered("Wall", "wall", MessagePart, "Unilateral wall.")
 
 
 class Judged(CommandMessage):
@@ -132,16 +136,18 @@ class Change(Judged):
     if_rev: int = _absent("only if the revision is still this one", ge=0, lt=ID_LIMIT)
 
 
-class Set(Change):
+if TYPE_CHECKING:
+    Rendered = Change
+else:
+    Rendered = _rendered("Rendered", "", Change, "Common to what changes the environment.")
+
+
+class Set(Rendered):
     """Change any of the parameters; each goes on a ramp from where it is."""
 
     cmd: Literal["set"]
-    K: float = _absent("virtual stiffness")
-    B: float = _absent("virtual damping")
-    M: float = _absent("virtual mass")
     filters: Filters = _absent("derivative filters")
     wall: Wall = _absent("unilateral wall")
-    active_damping: float = _absent("active damping; 0 switches it off and keeps the level")
     limit_cycle_faults: bool = _absent(
         "whether force_at_limit and energy end a limit cycle; on again when force is off"
     )
@@ -162,16 +168,10 @@ class Set(Change):
 
     @model_validator(mode="after")
     def _asks_for_something(self) -> "Set":
-        if not self.model_fields_set & {
-            "K",
-            "B",
-            "M",
-            "active_damping",
-            "limit_cycle_faults",
-        } and not any(part.given for part in self.parts()):
-            raise ValueError(
-                "nothing to set; give one of K, B, M, filters, wall, damping, limit_cycle_faults"
-            )
+        names = (*JUDGED, "limit_cycle_faults")
+        asked = self.model_fields_set.intersection(names) - {"filters", "wall"}
+        if not asked and not any(part.given for part in self.parts()):
+            raise ValueError(f"nothing to set; give one of {', '.join(names)}")
         return self
 
     def parts(self) -> list[MessagePart]:
@@ -375,6 +375,18 @@ MODELS: dict[str, type[CommandMessage]] = {
     )
 }
 
+# to hello, status, guard, lease and to changes, in the JSON schema as `HelloAnswer` and so on
+ANSWERS = (
+    answers.Hello,
+    answers.Status,
+    answers.GuardStatus,
+    answers.LeaseHeld,
+    answers.LeaseReleased,
+    answers.Receipt,
+    answers.GuardVerdict,
+)
+LIMITED = {*JUDGED, "ramp_s", "value", "samples_n"}  # fields whose ranges depend on the device
+WITHOUT_LIMIT = {name for model in MODELS.values() for name in model.model_fields} - LIMITED
 
 MOST_DETAILS = 8
 _BRANCHES = frozenset(
@@ -402,7 +414,8 @@ def parse(plain: dict[str, Any], limits: CommandLimits) -> Request:
         raise invalid(
             list({item["loc"]: item for item in reversed(found)}.values())[::-1]
         ) from error
-    if broken := limits.broken_by(request.given):
+    limited = {name: value for name, value in request.given.items() if name not in WITHOUT_LIMIT}
+    if broken := limits.broken_by(limited):
         raise invalid(broken)
     return request
 
@@ -469,6 +482,9 @@ def _fields(command: str, names: list[str]) -> tuple[str, ...]:
 def json_schema(limits: CommandLimits) -> dict[str, Any]:
     """The protocol as JSON schema, with unit, minimum and maximum on this device."""
     schema: dict[str, Any] = ADAPTER.json_schema()
+    for one in ANSWERS:
+        answer = TypeAdapter(one).json_schema()
+        schema["$defs"] |= answer.pop("$defs", {}) | {f"{one.__name__}Answer": answer}
     for title, model in schema["$defs"].items():
         part = {"Filters": "filters.", "Wall": "wall."}.get(title, "")
         for name, field in model.get("properties", {}).items():

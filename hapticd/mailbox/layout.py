@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from hapticd.environment import FIELDS, SLOTS
+from hapticd.environment import FIELDS, FIRST_FURTHER_SLOT, FURTHER, SLOTS
 
 MAGIC = b"HAPTICD\0"
 
@@ -40,6 +40,11 @@ COUNTER_WORD = 128  # COUNTERS, u64 each
 LOST_SLOTS = 1 << 32  # where the count of lost slots begins anew
 PAGE = 4096
 
+
+def _whole_pages(length: int) -> int:
+    return -(-length // PAGE) * PAGE
+
+
 COUNTERS = (
     "ticks",
     "late_events",
@@ -66,7 +71,7 @@ STAGES = ("wake", "read", "step", "write", "publish")
 # --- command ring: gateway -> servo ---------------------------------------------------------------
 RING_SLOTS = 64
 # seq, kind, actor, apply_tick (0: now), values, crc32 of all before, pad
-COMMAND_VALUES = 26
+COMMAND_VALUES = FIRST_FURTHER_SLOT + len(FURTHER)
 COMMAND = struct.Struct(f"<QIIQ{COMMAND_VALUES}dII")
 COMMAND_OFFSET = 2 * PAGE
 COMMAND_CRC_OFFSET = COMMAND.size - 8
@@ -74,21 +79,20 @@ COMMAND_CRC_OFFSET = COMMAND.size - 8
 # --- answer ring: servo -> gateway ----------------------------------------------------------------
 # seq, result, fault number, revision, first_tick, ramp_end_tick, effective, crc32, pad
 ANSWER = struct.Struct(f"<QIIQQQ{COMMAND_VALUES}dII")
-ANSWER_OFFSET = COMMAND_OFFSET + 4 * PAGE
+ANSWER_OFFSET = COMMAND_OFFSET + _whole_pages(RING_SLOTS * COMMAND.size)
 
 # --- journal: what the servo obeyed, at which tick; with the records and a checkpoint it is all
 # that a replay needs
 JOURNAL_SLOTS = 256
 # number, tick, seq, kind, actor, apply_tick, values, number again
 JOURNAL = struct.Struct(f"<QQQIIQ{COMMAND_VALUES}dQ")
-JOURNAL_OFFSET = ANSWER_OFFSET + 5 * PAGE
+JOURNAL_OFFSET = ANSWER_OFFSET + _whole_pages(RING_SLOTS * ANSWER.size)
 
 # --- checkpoints: the servo's whole state before a tick, when it is asked for, two slots in turn --
 # number, tick, length and crc32 of the marshalled state behind it
 CHECKPOINT = struct.Struct("<QQII")
 CHECKPOINT_SLOT = 2 * PAGE
-# from a whole page on
-CHECKPOINT_OFFSET = JOURNAL_OFFSET + -(-JOURNAL_SLOTS * JOURNAL.size // PAGE) * PAGE
+CHECKPOINT_OFFSET = JOURNAL_OFFSET + _whole_pages(JOURNAL_SLOTS * JOURNAL.size)
 MAILBOX_BYTES = CHECKPOINT_OFFSET + 2 * CHECKPOINT_SLOT
 assert CHECKPOINT_OFFSET % PAGE == 0
 
@@ -158,6 +162,7 @@ class Value(IntEnum):
     # number of the terms by which a change was judged; ANY_TERMS: the end of what is bounded
     TERMS = 24
     UNTIL_TICK = 25  # from which everything that the change names is as it was before
+    locals().update({one.path.upper(): one.slot for one in FURTHER})
 
 
 def values_of(given: Mapping[Value, float]) -> tuple[float, ...]:
@@ -196,7 +201,7 @@ VALUE_LIMITS: dict[Value, ValueLimit] = {
     Value.UNTIL_TICK: ValueLimit(1.0, float(1 << 53), "tick"),  # whole in a double
 }
 COMMISSIONING_LIMITS: dict[Value, ValueLimit] = {
-    Value(one.slot): ValueLimit(*one.unverified, one.unit)
+    Value(one.slot): ValueLimit(one.unverified[0], one.unverified[1], one.unit)
     for one in FIELDS
     if one.unverified is not None
 }
@@ -282,6 +287,7 @@ TELEMETRY = (
     ("active_damping_ns_per_m", "<f8"),
     ("wall_stiffness_n_per_m", "<f8"),
     ("wall_position_m", "<f8"),
+    *((one.column, "<f8") for one in FURTHER),
     ("wall_side", "<i4"),
     ("watches", "<u4"),  # Watched
     ("environment_revision", "<u4"),  # counts changes of what is rendered and damped

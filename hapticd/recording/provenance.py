@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import hapticd
+from hapticd.gateway.answers import Hello, Status
 from hapticd.recording.calibrations import doubts
 from hapticd.recording.certificate import certificate_of
 from hapticd.units import NS_PER_S
@@ -54,19 +55,17 @@ def versions(libraries: tuple[str, ...]) -> dict[str, str]:
     return found
 
 
-def of_recording(
-    hello: dict[str, Any], status: dict[str, Any], header: dict[str, Any], note: str
-) -> dict[str, Any]:
+def of_recording(hello: Hello, status: Status, header: dict[str, Any], note: str) -> dict[str, Any]:
     """Attributes of a recording: from the daemon's hello and status, and from the header of the
     first block of records.
 
     mono_ns and utc_ns are one instant on the clock of `time_ns` and in Unix time. Calibrations that
     could not be relied on that day are named, and the certificate of the rig.
     """
-    servo = hello["servo"]
+    servo = hello.servo
     now_ns = time.time_ns()
     device = servo["device"]
-    report = status.get("servo", {})
+    report = status.servo
     return {
         "schema": SCHEMA,
         "uuid": str(uuid.uuid4()),
@@ -75,8 +74,8 @@ def of_recording(
         "utc_ns": now_ns,
         "simulated": int(header["simulated"]),
         "notice": SIMULATED_NOTICE if header["simulated"] else "",
-        "instance": hello["instance"],
-        "rate_hz": hello["rate_hz"],
+        "instance": hello.instance,
+        "rate_hz": hello.rate_hz,
         "layout": header["layout"],
         "device_name": device["name"],
         "device_serial": device["serial"],
@@ -90,22 +89,19 @@ def of_recording(
         ),
         "calibration_doubts": _json(list(map(str, doubts(servo, _day(now_ns))))),
         "certificate": _json(certificate_of(servo)),
-        "config_hash": status.get("config_hash", servo["config_hash"]),
+        "config_hash": status.config_hash or servo["config_hash"],
         "configuration": json.dumps(servo),
         "realtime": json.dumps(report.get("realtime", {})),
         "board": json.dumps(report.get("board", {})),
         # held when it began; the others are events of kind lease
         "leases": json.dumps(
-            {
-                what: f"{held['name']} (actor {held['actor']})"
-                for what, held in status.get("leases", {}).items()
-            }
+            {what: f"{held.name} (actor {held.actor})" for what, held in status.leases.items()}
         ),
         # null where the board does not measure it
-        "winding_c": nan if (heat := status.get("winding_c")) is None else float(heat),
+        "winding_c": nan if status.winding_c is None else float(status.winding_c),
         "hapticd_version": hapticd.__version__,
         "hapticd_commit": commit(),
-        "server_version": hello["version"],
+        "server_version": hello.version,
         "python": platform.python_version(),
         "libraries": json.dumps(versions(RECORDING_LIBRARIES)),
         "kernel": f"{platform.system()} {platform.release()} {platform.version()}",

@@ -25,6 +25,7 @@ from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client
 from hapticd.clock import Clock, MonotonicClock
 from hapticd.errors import ConfigError, DaemonDown, HapticdError
+from hapticd.gateway.answers import Hello, Status
 from hapticd.recording import live, pack
 from hapticd.recording.live import TOPICS, Writer
 from hapticd.recording.provenance import of_recording
@@ -36,7 +37,7 @@ RESERVE_BYTES = 64 << 20  # the disk is taken for full when so little is left
 SILENCE_NS = 10 * NS_PER_S  # a daemon that publishes nothing for so long has ended
 
 Message = tuple[str, bytes]  # topic and payload
-Answers = tuple[dict[str, Any], dict[str, Any]]  # the daemon's hello and status
+Answers = tuple[Hello, Status]  # the daemon's hello and status
 
 
 @dataclass(frozen=True)

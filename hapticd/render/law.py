@@ -23,9 +23,7 @@ from hapticd.environment import FilterParams
 from hapticd.render.filters import Biquad, design, scaled
 
 LawState = tuple[float, float, float, float, float, float]
-LawInputs = tuple[
-    float, float, float, float, float, float, float, float, float, float, float, float
-]
+LawInputs = tuple[float, ...]  # as `render` names them, then environment.FURTHER
 # places in the inputs
 MASS: Final = 2
 LIMIT: Final = 4

@@ -76,7 +76,7 @@ class Rig:
     """The device while it is pushed, and what came of it."""
 
     def __init__(self, bench: Client) -> None:
-        servo = bench.hello()["servo"]
+        servo = bench.hello().servo
         self.bench = bench
         self.rate_hz = servo_rate_hz(bench)
         self.most_n = allowed_n(servo)
@@ -151,7 +151,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     not verified, the handle does not come to rest, or force ends meanwhile.
     """
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     device = servo["device"]
     require_verified(servo, "damping is measured")
     top = float(device["active_damping_limit_ns_per_m"])

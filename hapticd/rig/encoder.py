@@ -57,7 +57,7 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
     CommandError unless disabled; AnalysisError for a distance beyond the travel.
     """
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     device = servo["device"]
     position = device["position"]
     _refuse(distance, servo["environment"]["workspace"])
@@ -88,7 +88,7 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
     here = counts("origin", "hold the handle where x = 0 shall be", HOLD_S)
     bench.zero()
     arrays = {"rest": rest, "moving": moving, "steps": np.array(steps)}
-    if Capability.INDEX & int((bench.status().get("servo") or {}).get("capabilities", 0)):
+    if Capability.INDEX & int(bench.status().servo.get("capabilities", 0)):
         arrays["marks"] = np.array(marks) - float(np.median(here))
     found = concluded(arrays, distance, float(position["per_count"]), str(device["home"]["method"]))
     return _doubting(found, int(position["sign"]))

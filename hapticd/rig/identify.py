@@ -59,7 +59,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     signs are not verified, where the handle leaves its travel, or where records are lost.
     """
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     require_verified(servo, "the model is measured")
     facts = facts_of(servo)
     ask(Request("let go", "let go of the handle in the middle of its travel; it will be shaken"))

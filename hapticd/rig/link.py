@@ -30,6 +30,7 @@ from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.errors import AnalysisError, CommandError
+from hapticd.gateway.answers import Status
 from hapticd.rig import watchdog
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
@@ -74,12 +75,12 @@ def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
     disabled.
     """
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     before = bench.status()
     stretch = collect(bench, seconds)
     after = bench.status()
     period_us = US_PER_S / float(servo["realtime"]["rate_hz"])
-    report = after.get("servo") or {}
+    report = after.servo
     watched = watchdog.measure(bench, report.get("board", {}))
     values = (*_values(stretch.records, after), *watched.values)
     counted = _counted(before, after)
@@ -103,26 +104,25 @@ def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
 
 def require_disabled(bench: Client) -> None:
     """CommandError unless the servo is disabled."""
-    state = bench.status()["state"]
+    state = bench.status().state
     if state != "disabled":
         raise CommandError(
             "refused", f"the servo is {state}, a step begins from disabled; `hapticd disable`"
         )
 
 
-def require_force(status: Mapping[str, Any]) -> None:
+def require_force(status: Status) -> None:
     """AnalysisError with the cause if the servo of `status` is not enabled any more."""
-    if status["state"] != "enabled":
+    if status.state != "enabled":
         raise force_ended(status)
 
 
-def force_ended(status: Mapping[str, Any]) -> AnalysisError:
+def force_ended(status: Status) -> AnalysisError:
     """The error for a step whose force has ended, with the cause that `status` names."""
-    cause = f": {status['cause']}" if status.get("cause") else ""
-    remedy = f"; {status['remedy']}" if status.get("remedy") else ""
+    cause = f": {status.cause}" if status.cause else ""
+    remedy = f"; {status.remedy}" if status.remedy else ""
     return AnalysisError(
-        f"force ended meanwhile (the servo is {status['state']}{cause}){remedy}; then repeat the"
-        " step"
+        f"force ended meanwhile (the servo is {status.state}{cause}){remedy}; then repeat the step"
     )
 
 
@@ -137,7 +137,7 @@ def require_verified(servo: Mapping[str, Any], what: str) -> None:
         )
 
 
-def _values(records: Records, status: Mapping[str, Any]) -> Iterator[Value]:
+def _values(records: Records, status: Status) -> Iterator[Value]:
     delays = records["delay_us"][records["delay_us"] >= 0].astype(np.float64)
     ages = records["frame_age_us"][records["frame_age_us"] >= 0].astype(np.float64)
     for name, found in (("delay", delays), ("frame age", ages)):
@@ -148,7 +148,7 @@ def _values(records: Records, status: Mapping[str, Any]) -> Iterator[Value]:
         yield Value("delay spread", spread_us, "us", spread_us, spread_us)
     if len(records) >= BLOCKS * LEAST_TICKS:
         yield drift_of(records["time_ns"], records["board_us"])
-    transport = status.get("servo", {}).get("transport") if status.get("servo") else None
+    transport = status.servo.get("transport")
     if transport:
         pair_us = float(transport["pair_us"])
         yield Value("round trip", pair_us, "us", pair_us, pair_us)
@@ -183,9 +183,9 @@ def slope_of(x: Floats, y: Floats) -> float:
     return float(away @ y / (away @ away))
 
 
-def _counted(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, int]:
-    old = before.get("counters", {})
-    return {name: count - old.get(name, 0) for name, count in after.get("counters", {}).items()}
+def _counted(before: Status, after: Status) -> dict[str, int]:
+    old = before.counters
+    return {name: count - old.get(name, 0) for name, count in after.counters.items()}
 
 
 def _timing(values: tuple[Value, ...], period_us: float) -> Iterator[Finding]:

@@ -103,7 +103,7 @@ def most_of(device: dict[str, Any]) -> Most:
 def measure_sign(bench: Client, ask: Ask) -> StepResult:
     """Push to both sides and see which way the handle goes. CommandError unless disabled."""
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     _require_encoder(servo)
     where = "somewhere in the middle of its travel"
     ask(Request("let go", f"let go of the handle, {where}; it will be pushed gently"))
@@ -167,12 +167,12 @@ def moving_push(bench: Client, most_n: float) -> Pushed:
     share = FIRST_SHARE
     while True:
         await_rest(bench)
-        if bench.status()["state"] in ("fault", "stopped"):
+        if bench.status().state in ("fault", "stopped"):
             bench.reset()
         with ready(bench):
             found = push(bench, share * most_n, PUSH_S)
-        if bench.status()["state"] == "fault" and not abs(found.moved_m) >= MOVED_M:
-            raise AnalysisError(f"the push ended: {bench.status()['cause']}; repeat the step")
+        if bench.status().state == "fault" and not abs(found.moved_m) >= MOVED_M:
+            raise AnalysisError(f"the push ended: {bench.status().cause}; repeat the step")
         if abs(found.moved_m) >= MOVED_M or share >= 1.0:
             _leave_fault(bench)
             return found
@@ -181,7 +181,7 @@ def moving_push(bench: Client, most_n: float) -> Pushed:
 
 def _leave_fault(bench: Client) -> None:
     """A push that the servo ended has been seen; the next one may come."""
-    if bench.status()["state"] == "fault":
+    if bench.status().state == "fault":
         bench.reset()
 
 
@@ -219,7 +219,7 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
     signs are not verified, masses are too few or too heavy.
     """
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     _refuse(servo, masses)
     weights = masses.weights_n
     stiffness = min(STIFFEST_N_PER_M, float(weights.max()) / SAG_M)

@@ -83,7 +83,7 @@ def ready_to_move(bench: Client) -> dict[str, Any]:
     AnalysisError where signs are not verified.
     """
     require_disabled(bench)
-    servo: dict[str, Any] = bench.hello()["servo"]
+    servo: dict[str, Any] = bench.hello().servo
     # before, a hand that moves against a spring looks like a wrong sign
     require_verified(servo, "a hand moves against a spring")
     return servo

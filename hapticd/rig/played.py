@@ -71,7 +71,7 @@ def play(bench: Client, waveform_n: Floats, environment: Environment) -> Played:
             moving = _received(bench, lease, waveform_n.size / PROBE_RATE_HZ)
         finally:
             bench.perturb_stop()
-    return _beside(still, moving, bench.hello()["servo"]["device"])
+    return _beside(still, moving, bench.hello().servo["device"])
 
 
 def _received(bench: Client, lease: ClientLease, seconds: float) -> Streams:
@@ -87,7 +87,7 @@ def _received(bench: Client, lease: ClientLease, seconds: float) -> Streams:
 
 
 def _travel(bench: Client) -> Travel:
-    ends = bench.hello()["servo"]["environment"]["workspace"]
+    ends = bench.hello().servo["environment"]["workspace"]
     return Travel(float(ends["lower_m"]), float(ends["upper_m"]))
 
 

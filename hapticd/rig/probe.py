@@ -113,10 +113,10 @@ def measure(
     """
     require_disabled(bench)
     # without the weak spring the smallest slope takes the handle along while it is shaken
-    require_verified(bench.hello()["servo"], "the probe is measured")
+    require_verified(bench.hello().servo, "the probe is measured")
     if not attached.kilograms > 0.0:
         raise AnalysisError(f"mass {attached.kilograms:g} kg: name the one that is fixed, in kg")
-    device = bench.hello()["servo"]["device"]
+    device = bench.hello().servo["device"]
     if attached.kilograms * GRAVITY_M_PER_S2 > HEAVIEST * float(device["force_limit_n"]):
         raise AnalysisError(
             f"{attached.kilograms:g} kg weigh more than {HEAVIEST:g} times the force of the device,"

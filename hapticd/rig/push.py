@@ -45,10 +45,10 @@ def ready(bench: Client) -> Iterator[None]:
     bench.enable()
     try:
         bench.wait_for("enabled")
-        collect(bench, float(bench.hello()["servo"]["safety"]["enable_ramp_s"]) + GAIN_S)
+        collect(bench, float(bench.hello().servo["safety"]["enable_ramp_s"]) + GAIN_S)
         yield
     finally:
-        if bench.status()["state"] == "enabled":
+        if bench.status().state == "enabled":
             bench.disable()
         bench.set(K=0.0, B=0.0, M=0.0, wall=FREE, ramp_s=0.0)
 

@@ -53,7 +53,7 @@ class Kept(NamedTuple):
 
 def servo_rate_hz(bench: Client) -> float:
     """The rate at which the servo of `bench` ticks."""
-    return float(bench.hello()["servo"]["realtime"]["rate_hz"])
+    return float(bench.hello().servo["realtime"]["rate_hz"])
 
 
 def collect(bench: Client, seconds: float, begin: Callable[[], object] | None = None) -> Stretch:
@@ -88,7 +88,7 @@ def collect(bench: Client, seconds: float, begin: Callable[[], object] | None = 
 
 def identity_of(bench: Client, records: Records) -> BoardIdentity:
     """The board of `bench`, which sent the frames of `records`."""
-    said = bench.status().get("servo", {}).get("board", {})
+    said = bench.status().servo.get("board", {})
     came = records["in_frame"][records["arrival"] >= 0]
     life = codec.decode_in(bytes(came[-1])).life if len(came) else None
     return BoardIdentity(str(said.get("serial", "")), str(said.get("firmware", "")), life)

@@ -153,7 +153,7 @@ def shaking(bench: Client) -> Iterator[Watch]:
 
 def shaken(bench: Client) -> Recording:
     """Shake the handle as strongly as it takes, and record it. AnalysisError as of `record`."""
-    most_n = float(bench.hello()["servo"]["device"]["probe_limit_n"])
+    most_n = float(bench.hello().servo["device"]["probe_limit_n"])
     with shaking(bench) as watch:
         share = FIRST_SHARE
         while True:

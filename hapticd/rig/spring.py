@@ -76,7 +76,7 @@ def measure(bench: Client, ask: Ask, spring: Spring) -> StepResult:
     where signs are not verified.
     """
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     require_verified(servo, "the gain is measured")
     most_n = min(SHARE * limit_n(servo), MOST_M * spring.n_per_m) / OVERSHOOT
     ask(
@@ -153,7 +153,7 @@ def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> St
     either side. CommandError unless disabled; AnalysisError where signs are not verified.
     """
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     require_verified(servo, "the offset is measured")
     ask(Request("let go", "let go of the handle, with nothing hanging from it"))
     drawn_n = DRAWN_SHARE * limit_n(servo)

@@ -64,7 +64,7 @@ def measure(bench: Client, ask: Ask, stated: Stated, with_shake: bool = True) ->
     """
     require_disabled(bench)
     _refuse(stated)
-    device = bench.hello()["servo"]["device"]
+    device = bench.hello().servo["device"]
     text = f"let go; the winding has to be as warm as the room, {_named(stated, 0)}"
     ask(Request("let go", text))
     readings = [_read(bench, device)]

@@ -109,7 +109,7 @@ def measure(
 
 def _missing(bench: Client, device: dict[str, Any]) -> Finding | None:
     """Why the board cannot be looked at so."""
-    report = bench.status().get("servo") or {}
+    report = bench.status().servo
     capabilities = int(report.get("board", {}).get("capabilities", 0))
     if not capabilities & Capability.RESISTANCE:
         remedy = "`hapticd rig damping` measures the residual resistance without it"

@@ -82,7 +82,7 @@ def measure(bench: Client, ask: Ask, known: KnownParts = USUAL) -> StepResult:
     AnalysisError where the signs are not verified, or as `play`.
     """
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     require_verified(servo, "a display is verified")
     before = counted(bench)
     free = Request("let go", "let go of the handle in the middle of its travel; it will be shaken")
@@ -103,7 +103,7 @@ def measure(bench: Client, ask: Ask, known: KnownParts = USUAL) -> StepResult:
 
 def counted(bench: Client) -> dict[str, int]:
     """Late ticks and lost slots of the servo of `bench` so far, as far as it tells."""
-    counters = bench.status().get("counters", {})
+    counters = bench.status().counters
     return {name: int(counters[name]) for name in ("late_events", "lost_slots") if name in counters}
 
 

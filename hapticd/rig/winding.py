@@ -55,7 +55,7 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
     signs are not verified or the handle slips.
     """
     require_disabled(bench)
-    servo = bench.hello()["servo"]
+    servo = bench.hello().servo
     require_verified(servo, "the winding is measured")
     ask(Request("hold", "hold the handle firmly where it is; it will be pushed gently", 0.0))
     most_n = allowed_n(servo)

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from math import inf
 from typing import NamedTuple
 
+from hapticd.environment import Environment
 from hapticd.errors import ConfigError
 from hapticd.faults import BY_CODE, FROM_GATEWAY
 from hapticd.mailbox.layout import (
@@ -87,22 +88,26 @@ def answer(
 def _effective(plan: Plan, params: ServoParams) -> tuple[float, ...]:
     """What `plan` leads to, by layout.Value."""
     effective = [0.0] * COMMAND_VALUES
-    for place, ramp in plan.values.items():
-        effective[place] = ramp.end
-    first, second = plan.filters
-    effective[Value.VELOCITY_FILTER_HZ] = first.frequency_hz
-    effective[Value.VELOCITY_FILTER_ZETA] = first.damping_ratio
-    effective[Value.ACCELERATION_FILTER_HZ] = second.frequency_hz
-    effective[Value.ACCELERATION_FILTER_ZETA] = second.damping_ratio
-    effective[Value.ACTIVE_DAMPING] = params.device.active_damping.to_value(
-        damping_count(plan.active_damping_asked, params)
-    )
+    for place, value in target(plan, params).row().items():
+        effective[place] = value
     effective[Value.ACTIVE_DAMPING_ON] = float(plan.active_damping_on)
     effective[Value.LIMIT_CYCLE_FAULTS] = float(plan.limit_cycle_faults)
     effective[Value.LEASE_CONTROL], effective[Value.LEASE_ACTIVE_DAMPING] = plan.leases
     effective[Value.STOP_OWNER] = plan.stop_owner
     effective[Value.ENVIRONMENT_REVISION] = plan.environment_revision
     return tuple(effective)
+
+
+def target(plan: Plan, params: ServoParams) -> Environment:
+    """Where the ramps of `plan` end, with its level of active damping as quantised."""
+    velocity, acceleration = plan.filters
+    count = damping_count(plan.active_damping_asked, params)
+    found = Environment(
+        velocity_filter=velocity,
+        acceleration_filter=acceleration,
+        active_damping_ns_per_m=params.device.active_damping.to_value(count),
+    )
+    return found.with_slots({place: ramp.end for place, ramp in plan.values.items()})
 
 
 def force_acts(plan: Plan, tick: int) -> bool:

@@ -34,6 +34,7 @@ credit above the device's true damping.
 from math import ceil, exp, inf, tau
 from typing import Final, NamedTuple
 
+from hapticd.environment import STRENGTHS
 from hapticd.mailbox.layout import Value, following
 from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp
@@ -44,13 +45,7 @@ from hapticd.servo.safety import State
 SHARE: Final = 0.06  # of the fault's bound: there it begins
 STEP: Final = 0.025  # of it: what may leak before the next halving
 SHOWS_TICKS: Final = 3  # from a step to what the board makes of it, at a delay of two periods
-HALVED: Final = (
-    Value.STIFFNESS,
-    Value.VIRTUAL_DAMPING,
-    Value.MASS,
-    Value.WALL_STIFFNESS,
-    Value.WALL_VIRTUAL_DAMPING,
-)
+HALVED: Final = tuple(Value(one.slot) for one in STRENGTHS)
 
 
 class Lag(NamedTuple):

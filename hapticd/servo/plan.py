@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from hapticd.environment import FIELDS, FilterParams, WorkspaceParams
+from hapticd.environment import FIELDS, FURTHER, FilterParams, WorkspaceParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import (
     ANY_TERMS,
@@ -446,6 +446,7 @@ def flat_plan(
         added,
         at[Value.WALL_STIFFNESS],
         at[Value.WALL_POSITION],
+        *(at[one.slot] for one in FURTHER),
         round(at[Value.WALL_SIDE]),
         watches(params, plan.limit_cycle_faults) | COMMISSIONING * params.device.commissioning,
         plan.environment_revision,
@@ -507,6 +508,7 @@ def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: f
         workspace.lower_m,
         workspace.upper_m,
         gain * workspace.stiffness_n_per_m,
+        *(gain * at[one.slot].value(tick) for one in FURTHER),
     )
 
 

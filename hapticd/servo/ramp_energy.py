@@ -11,6 +11,8 @@ element by element, is booked:
 
     spring K, wall, ends        k d^2 / 2 at the deflection d; beyond the force limit F that the
                                 law clamps to, F d - F^2 / (2 k)
+    further springs k x^n       k x^(n + 1) / (n + 1); beyond the limit F d - F D n / (n + 1), with
+                                D the deflection at which the force reaches it
     virtual mass M              M v^2 / 2 at the velocity of the law
 
 Each with the gain and at the wall's new place; so an enable, a stiffer wall and a wall that moves
@@ -25,12 +27,14 @@ takes force away as a whole. So in any second a hand is given no more than the b
 single tick brings, which `limits.force_step_n` bounds. The window is kept in SHARES of a second, so
 it is 1.05 s at most.
 
-What would break it: a parameter that stores energy and is not named here, a state in which force
+What would break it: a parameter that stores energy and says no `power`, a state in which force
 acts and parameters move past `eased`.
 """
 
+from math import prod
 from typing import Final, NamedTuple
 
+from hapticd.environment import FURTHER
 from hapticd.mailbox.layout import Value
 from hapticd.render.law import LawInputs
 from hapticd.render.ramp import Ramp
@@ -49,23 +53,30 @@ class Stored(NamedTuple):
     wall: float
     ends: float
     mass: float
+    further: tuple[float, ...]  # of springs
+
+    @property
+    def parts(self) -> tuple[float, ...]:
+        """Of each element."""
+        return (self.spring, self.wall, self.ends, self.mass, *self.further)
 
 
-def spring_energy(stiffness: float, deflection: float, limit: float) -> float:
-    """Energy [J] of a spring [N/m] at `deflection` [m] whose force is clamped to `limit` [N];
+def spring_energy(stiffness: float, deflection: float, limit: float, power: int = 1) -> float:
+    """Energy [J] of a spring [N/m^power] at `deflection` [m] whose force is clamped to `limit` [N];
     negative for a negative one.
     """
     size = abs(stiffness)
     bent = abs(deflection)
-    if size * bent <= limit:
-        return 0.5 * stiffness * deflection * deflection
-    clamped = limit * (bent - 0.5 * limit / size)
+    if size * bent**power <= limit:
+        return prod([bent] * (power + 1), start=stiffness / (power + 1))
+    reached = float((limit / size) ** (1.0 / power))
+    clamped = limit * (bent - reached * power / (power + 1))
     return clamped if stiffness > 0.0 else -clamped
 
 
 def stored(environment: LawInputs, x: float, v: float) -> Stored:
     """What the elements of `environment` store at `x` [m] and `v` [m/s]."""
-    stiffness, _, mass, _, limit, wall_k, _, wall_x, side, lower, upper, end_k = environment
+    stiffness, _, mass, _, limit, wall_k, _, wall_x, side, lower, upper, end_k, *more = environment
     depth = max(0.0, (x - wall_x) * side)
     beyond = max(0.0, x - upper, lower - x)
     return Stored(
@@ -73,12 +84,18 @@ def stored(environment: LawInputs, x: float, v: float) -> Stored:
         wall=spring_energy(wall_k, depth, limit),
         ends=spring_energy(end_k, beyond, limit),
         mass=0.5 * mass * v * v,
+        further=tuple(
+            spring_energy(value, x, limit, one.power)
+            for one, value in zip(FURTHER, more, strict=True)
+            if one.power
+        ),
     )
 
 
 def added(before: Stored, after: Stored) -> float:
     """Energy [J] that the elements gained from one to the other, without what others lost."""
-    return sum([new - old for old, new in zip(before, after, strict=True) if new > old])
+    pairs = zip(before.parts, after.parts, strict=True)
+    return sum([new - old for old, new in pairs if new > old])
 
 
 def share_of(tick: int, rate_hz: float) -> int:

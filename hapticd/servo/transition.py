@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+from hapticd.environment import FURTHER
 from hapticd.faults import BY_CODE
 from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result
@@ -454,7 +455,8 @@ def bar(host: int) -> Result | None:
 
 def pushing(force_n: float, limit_n: float) -> LawInputs:
     """The law's numbers for a force alone."""
-    return 0.0, 0.0, 0.0, force_n, limit_n, 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0
+    numbers = 0.0, 0.0, 0.0, force_n, limit_n, 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0
+    return (*numbers, *(0.0 for _ in FURTHER))
 
 
 def out_flags(plan: Plan, tick: int) -> int:

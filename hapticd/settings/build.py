@@ -41,7 +41,7 @@ from hapticd.plant.effects import (
     WorkspaceEnds,
     sample_timing,
 )
-from hapticd.settings.config import EnvironmentTable, SimulatedBoard, Touch
+from hapticd.settings.config import RENDERED, EnvironmentTable, SimulatedBoard, Touch
 from hapticd.settings.device import DeviceFile, Travel, effects_of, signs_hash
 from hapticd.settings.load import Settings
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
@@ -359,9 +359,7 @@ def environment_params(asked: EnvironmentTable, travel: Travel) -> Environment:
     """What is rendered, with the soft ends inside the device's travel."""
     ends = asked.workspace
     return Environment(
-        stiffness_n_per_m=asked.stiffness_n_per_m,
-        virtual_damping_ns_per_m=asked.virtual_damping_ns_per_m,
-        mass_kg=asked.mass_kg,
+        **{path: getattr(asked, path) for path in RENDERED},
         velocity_filter=FilterParams(**asked.velocity_filter.model_dump()),
         acceleration_filter=FilterParams(**asked.acceleration_filter.model_dump()),
         wall=WallParams(**asked.wall.model_dump()),

@@ -4,11 +4,18 @@ Defaults come from hapticd.params; limits are those of good sense. What a device
 checked in `load`.
 """
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, create_model
 
-from hapticd.environment import FIELDS, Environment, FilterParams, WallParams, WorkspaceParams
+from hapticd.environment import (
+    FIELDS,
+    STRENGTHS,
+    Environment,
+    FilterParams,
+    WallParams,
+    WorkspaceParams,
+)
 from hapticd.params import (
     LONGEST_LEASE_S,
     SHORTEST_LEASE_S,
@@ -50,6 +57,8 @@ Duration = Annotated[float, Field(ge=0, le=60)]
 
 
 _RANGES: dict[str, Any] = {one.path: {"ge": one.low, "le": one.high} for one in FIELDS}
+# numbers of the environment itself; the active damping stands in a table of its own
+RENDERED = tuple(one.path for one in STRENGTHS if "." not in one.path)
 FrequencyHz = Annotated[float, Field(**_RANGES["velocity_filter.frequency_hz"])]
 DampingRatio = Annotated[float, Field(**_RANGES["velocity_filter.damping_ratio"])]
 
@@ -84,14 +93,23 @@ class Workspace(TomlTable):
     """How far before each end of travel they begin."""
 
 
-class EnvironmentTable(TomlTable):
+if TYPE_CHECKING:  # a model that is made of the table is no base for a checker
+    Rendered = TomlTable
+else:
+    Rendered = create_model(
+        "Rendered",
+        __base__=TomlTable,
+        **{
+            path: (float, Field(getattr(_environment, path), **limits))
+            for path, limits in _RANGES.items()
+            if path in RENDERED
+        },
+    )
+
+
+class EnvironmentTable(Rendered):
     """What is rendered at start; `hapticd set` changes it live."""
 
-    stiffness_n_per_m: float = Field(_environment.stiffness_n_per_m, **_RANGES["stiffness_n_per_m"])
-    virtual_damping_ns_per_m: float = Field(
-        _environment.virtual_damping_ns_per_m, **_RANGES["virtual_damping_ns_per_m"]
-    )
-    mass_kg: float = Field(_environment.mass_kg, **_RANGES["mass_kg"])
     velocity_filter: Filter = _filter(_environment.velocity_filter)
     acceleration_filter: Filter = _filter(_environment.acceleration_filter)
     wall: WallTable = WallTable()

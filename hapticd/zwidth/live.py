@@ -33,6 +33,7 @@ from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
 from hapticd.errors import AnalysisError, CommandError, DaemonDown
+from hapticd.gateway.answers import Status
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.plant.excitation import marked, torque_record
 from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
@@ -78,11 +79,11 @@ def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = Fa
     """
 
     def record(trial: Trial, tell: Progress = silent) -> TrialRecord:
-        servo = bench.hello()["servo"]
+        servo = bench.hello().servo
         doubtful = doubts(servo, datetime.date.today(), probed=True)
         if not uncalibrated:
             refuse_doubts(doubtful)
-        state = bench.status()["state"]
+        state = bench.status().state
         if state != "disabled":
             raise AnalysisError(
                 f"the servo is {state}, a trial begins from disabled; end the session with `hapticd"
@@ -151,7 +152,7 @@ def _leave(bench: Client, lease: ClientLease) -> None:
     try:
         bench.perturb_stop()
     finally:
-        if bench.status()["state"] == "enabled":
+        if bench.status().state == "enabled":
             bench.disable()
         lease.release()
 
@@ -256,7 +257,7 @@ class LiveRecording:
             :, settle:wanted
         ]
         return TrialRecord(
-            force, velocity, PROBE_RATE_HZ, origin, bool(status.get("simulated", True)),
+            force, velocity, PROBE_RATE_HZ, origin, status.simulated is not False,
             ended or _gone(status) or (CHANGED if self._changed else None),
             self._command_n, self._limit_n, self._more(settle, wanted, status),
         )  # fmt: skip
@@ -268,7 +269,7 @@ class LiveRecording:
             with suppress(CommandError):
                 self._lease.renew()
 
-    def _more(self, settle: int, wanted: int, status: Mapping[str, Any]) -> dict[str, Any]:
+    def _more(self, settle: int, wanted: int, status: Status) -> dict[str, Any]:
         came = np.concatenate([known for _, known in self._parts])[settle:wanted]
         lost = slots = 0
         if self._began is not None:
@@ -285,8 +286,8 @@ class LiveRecording:
             "limit_cycle_faults": bool(self._newest["watches"] & Watched.FORCE_AT_LIMIT)
             if self._newest is not None
             else None,
-            "guard_policy": "off" if "measuring" in status["leases"] else None,
-            "config_hash": status.get("config_hash", ""),
+            "guard_policy": "off" if "measuring" in status.leases else None,
+            "config_hash": status.config_hash,
             "calibration_doubts": [str(one) for one in self._doubtful],
             "certificate": self._certificate,
         }
@@ -345,14 +346,14 @@ class LiveRecording:
         self._taken += self._parts[-1][1].size
 
 
-def _gone(status: Mapping[str, Any]) -> TrialEnd | None:
+def _gone(status: Status) -> TrialEnd | None:
     """Why the servo is no longer enabled; None if it is."""
-    state = status["state"]
+    state = status.state
     if state == "enabled":
         return None
     reason = ENDS.get(state, EndReason.DISABLED)
-    cause = status.get("cause") if reason is not EndReason.DISABLED else ""
-    fault = status["fault"] if reason is EndReason.FAULT else ""
+    cause = status.cause if reason is not EndReason.DISABLED else ""
+    fault = status.fault if reason is EndReason.FAULT else ""
     return TrialEnd(reason, cause or "somebody ended it", fault)
 
 

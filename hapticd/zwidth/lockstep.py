@@ -26,9 +26,9 @@ from hapticd.analysis.arrays import Floats
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client
-from hapticd.client.conversation import Receipt
 from hapticd.errors import AnalysisError, CommandError, ConfigError, LinkError
 from hapticd.faults import BY_NUMBER
+from hapticd.gateway.answers import Receipt
 from hapticd.gateway.commands import ACCEPTED, Posting, posting, receipt
 from hapticd.gateway.leases import MEASURING
 from hapticd.gateway.schemas import ADAPTER, LeaseRequest

@@ -27,9 +27,10 @@ import msgpack
 from hapticd.analysis.judge import Judge
 from hapticd.assembly.resolve import resolve
 from hapticd.client.client import Client
-from hapticd.client.conversation import Receipt, accepted
+from hapticd.client.conversation import accepted
 from hapticd.client.lease import ClientLease
 from hapticd.errors import CommandError, ConfigError
+from hapticd.gateway.answers import Receipt
 from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
 from hapticd.gateway.guard import MOST_RECORDS, Guard

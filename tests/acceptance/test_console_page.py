@@ -170,7 +170,7 @@ def test_a_key_stops_whatever_has_the_focus(
 
 
 def test_space_on_enable_stops_and_never_enables(page: Page, client: Client) -> None:
-    before = client.status()["tick"]
+    before = client.status().tick
     page.focus("#enable")
     page.keyboard.press("Space")
     wait_text(page, "#lamp", "stopped")
@@ -210,7 +210,7 @@ def test_each_page_stops_in_its_own_name(
 
 def states_since(client: Client, tick: int) -> list[str]:
     """States that the servo came into after `tick`, in their order."""
-    events = [one for one in client.status()["events"] if one["kind"] == "state"]
+    events = [one for one in client.status().events if one["kind"] == "state"]
     return [one["state"] for one in events if one["tick"] > tick]
 
 
@@ -549,8 +549,8 @@ def test_margin_and_allowed_range_come_from_the_guard(page: Page, client: Client
 
 def allowed(client: Client) -> str:
     """The range of K that the guard names now, as the page writes numbers; the delay may change."""
-    verdict = client.guard()["verdict"]
-    return "{:.3g} to {:.3g}".format(*verdict["allowed"]["K"]) if verdict else "unknown"
+    verdict = client.guard().verdict
+    return "{:.3g} to {:.3g}".format(*verdict.allowed["K"]) if verdict else "unknown"
 
 
 def test_stale_data_are_no_data(page: Page, daemon: Daemon, tmp_path: Path) -> None:
@@ -631,7 +631,7 @@ def test_verdict_margin_and_level_are_read_in_full(
     page = opened(chromium, served.url, viewport={"width": size[0], "height": size[1]})
     client.set(K=500.0, B=2.0, active_damping=0.7143)
     client.damping("off")
-    wait_text(page, "#verdict", "K = 500 N/m, B = 2 N s/m, M = 0 kg with 0 N s/m of damping")
+    wait_text(page, "#verdict", "K = 500 N/m, B = 2 N s/m, M = 0 kg with 0 N s/m of active damping")
     assert read_in_full(page, "#guard")
     page.evaluate("document.querySelector('#margin').textContent = 'spare 0.678 N\u202fs/m'")
     assert read_in_full(page, "#guard")
@@ -673,18 +673,16 @@ def test_a_lease_of_the_page_is_kept_while_it_is_open_and_ends_with_it(
     page.select_option("#lease-what", "active_damping")
     page.click("#lease-take")
     wait_text(page, "#lease-holder", "damping: this page")
-    taken = client.status()["leases"]["active_damping"]
+    taken = client.status().leases["active_damping"]
+    until(lambda: client.status().leases["active_damping"].left_s < taken.ttl_s - 0.5, "time")
     until(
-        lambda: client.status()["leases"]["active_damping"]["left_s"] < taken["ttl_s"] - 0.5, "time"
-    )
-    until(
-        lambda: client.status()["leases"]["active_damping"]["left_s"] > taken["ttl_s"] - 0.4,
+        lambda: client.status().leases["active_damping"].left_s > taken.ttl_s - 0.4,
         "renewed",
     )
     with pytest.raises(CommandError):
         client.damping("on")
     page.context.close()
-    until(lambda: not client.status()["leases"], "its end")
+    until(lambda: not client.status().leases, "its end")
 
 
 def test_plane_shows_the_point_and_follows_damping(page: Page, tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_gain_and_physical_damping_lie_in_their_intervals():
     with Hand(touch=FRICTION, **FREE) as hand:
         hand.axis.active_damping_gain = 1.17
         result = measure(hand.bench, nothing)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
         hand.settle()
         assert hand.bench.newest["active_damping_ns_per_m"] == 0.0
     found = values_of(result)
@@ -127,7 +127,7 @@ def test_wrong_polarity_is_refused_before_it_can_grow():
     with Hand(touch=FRICTION, **FREE) as hand:
         hand.axis.active_damping_gain = -1.0
         result = measure(hand.bench, nothing)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
         assert hand.bench.newest["active_damping_ns_per_m"] == 0.0
     assert not result.settled
     assert not result.changes
@@ -159,6 +159,6 @@ def test_ctrl_c_ends_force_and_damping():
         with pytest.raises(KeyboardInterrupt):
             measure(hand.bench, nothing)
         records = as_records(hand.bench.run(200))
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
         assert not records["force_n"].any()
         assert not records["active_damping_ns_per_m"][-1]

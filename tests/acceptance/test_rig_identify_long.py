@@ -39,7 +39,7 @@ def found():
     """One board whose delay is 1.25 periods."""
     with bench(calibrated(), sample_phase=0.75, lag_periods=1) as rig:
         result = measure(rig, nothing)
-        assert rig.status()["state"] == "disabled"
+        assert rig.status().state == "disabled"
         assert not rig._leases
     return result
 

@@ -43,4 +43,4 @@ def test_gain_and_offset_lie_in_their_intervals():
     offset = values["force.offset_count"]
     assert offset.low <= -0.01 / 1.2 / COUNT_N <= offset.high
     assert result.settled
-    assert hand.bench.status()["state"] == "disabled"
+    assert hand.bench.status().state == "disabled"

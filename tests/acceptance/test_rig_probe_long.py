@@ -49,7 +49,7 @@ def test_the_probe_of_another_truth_is_found_and_nothing_is_left_on():
     }
     with Hand(file, touch=FRICTION, **board, **FREE) as hand:
         result = measure(hand.bench, hand.ask, MASS, with_one_signal=False)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
         assert not hand.bench.newest["perturbing"]
     values = told(result)
     assert holds(values["probe_torque.full_scale_n"], 2.16)
@@ -68,11 +68,11 @@ def test_what_shakes_is_kept_by_a_lease():
 
         def noted(cmd, **fields):
             if fields.get("action") == "start":
-                leased.append(dict(hand.bench.status()["leases"]))
+                leased.append(dict(hand.bench.status().leases))
             return type(hand.bench).call(hand.bench, cmd, **fields)
 
         hand.bench.call = noted
         shaken(hand.bench)
-        assert not hand.bench.status()["leases"]
+        assert not hand.bench.status().leases
     assert leased
     assert all("measuring" in one for one in leased)

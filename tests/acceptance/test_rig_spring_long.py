@@ -33,7 +33,7 @@ def test_gain_lies_in_its_interval_whatever_the_friction_and_the_offset():
             hand.settle()
 
         result = measure(hand.bench, ask, SPRING)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
     (gain, _) = result.values
     assert gain.low <= 1.2 * 32767 * COUNT_N <= gain.high
     assert gain.high - gain.low < 0.02 * gain.value

@@ -25,7 +25,7 @@ def told(result):
 def test_a_display_as_it_should_be_is_verified_and_left_disabled():
     with Hand(**FREE) as hand:
         result = measure(hand.bench, nothing, SHORT)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
     assert result.settled
     assert [one.name for one in result.values] == [
         "rendered spring",

@@ -41,7 +41,7 @@ def test_a_blind_rigs_motor_lies_in_its_intervals(found):
         assert values[name].low <= value <= values[name].high, name
         assert values[name].high - values[name].low < 0.05 * value, name
     assert result.settled
-    assert rig.bench.status()["state"] == "disabled"
+    assert rig.bench.status().state == "disabled"
 
 
 @pytest.mark.slow

@@ -70,7 +70,7 @@ def test_ctrl_c_leaves_the_device_file_and_ends_the_force(config, hand, monkeypa
     monkeypatch.setattr(steps, "asking", lambda yes: interrupted)
     assert main(["rig", "motor", "--yes", "--config", str(config)]) != 0
     assert load(config).device_file.read_bytes() == before
-    assert hand.bench.status()["state"] == "disabled"
+    assert hand.bench.status().state == "disabled"
 
 
 def test_whoever_says_no_writes_nothing(config, hand, monkeypatch):

@@ -176,8 +176,8 @@ def test_every_verb_has_its_method(client: Client) -> None:
     assert client.damping("off").effective["active_damping"] == 0.0
     assert [client.stop().state, client.reset().state] == ["stopped", "disabled"]
     assert client.get()["parameters"]["active_damping_level"] == 0.5
-    assert client.hello()["server"] == "hapticd"
-    assert client.status()["state"] == "disabled"
+    assert client.hello().server == "hapticd"
+    assert client.status().state == "disabled"
     assert "$defs" in client.schema()
     assert client.home().state == "homing"
 
@@ -203,8 +203,8 @@ def test_call_sends_anything(client: Client) -> None:
 def test_client_is_introduced_by_name(client: Client, rig: GatewayRig) -> None:
     client.set(K=1)
     status = client.status()
-    assert status["actor_name"] == "test"
-    assert status["actors"][str(status["actor"])] == "test"
+    assert status.actor_name == "test"
+    assert status.actors[str(status.actor)] == "test"
 
 
 def test_long_waveform_is_sent_in_chunks(client: Client, rig: GatewayRig) -> None:
@@ -363,7 +363,7 @@ def test_old_request_does_not_reach_a_later_gateway(folder: Path) -> None:
 def test_client_is_introduced_however_late_it_is_connected(folder: Path) -> None:
     with late_gateway(folder, lambda client: client.get()) as (_, client):
         client.set(K=1)
-        assert client.status()["actor_name"] == "experiment"
+        assert client.status().actor_name == "experiment"
 
 
 def test_client_is_introduced_to_the_next_gateway_before_it_asks(
@@ -372,7 +372,7 @@ def test_client_is_introduced_to_the_next_gateway_before_it_asks(
     client.set(K=1)
     rig.restart_gateway()
     client.mark("first")
-    events = client.status()["events"]
+    events = client.status().events
     assert [one["name"] for one in events if one["kind"] == "mark"] == ["test"]
 
 
@@ -458,9 +458,9 @@ def test_lease_is_held_inside_its_context_alone(client: Client, folder: Path) ->
             with pytest.raises(CommandError, match=r"test \(actor \d+\) holds the lease"):
                 other.set(K=5)
             client.set(K=7)
-            assert client.status()["leases"]["environment"]["name"] == "test"
+            assert client.status().leases["environment"].name == "test"
         assert other.set(K=5).effective["K"] == 5.0
-        assert other.status()["leases"] == {}
+        assert other.status().leases == {}
 
 
 def test_lease_that_was_lost_is_told_at_its_next_use_and_at_its_end(client: Client) -> None:
@@ -480,11 +480,11 @@ def test_lease_that_was_lost_is_told_at_its_next_use_and_at_its_end(client: Clie
 def test_lease_may_be_released_before_its_context_ends(client: Client) -> None:
     with client.lease("active_damping", ttl_s=20.0) as lease:
         assert lease.release() == ""
-        assert client.status()["leases"] == {}
+        assert client.status().leases == {}
     with client.lease("active_damping", ttl_s=20.0) as lease:
         lease.release()
         lease.take()
-    assert client.status()["leases"] == {}
+    assert client.status().leases == {}
 
 
 def test_error_inside_a_lease_is_the_one_that_is_told(client: Client) -> None:

@@ -57,7 +57,7 @@ def test_every_verb_is_awaited() -> None:
             assert (await device.damping(0.5)).effective["active_damping"] == 0.5
             assert (await device.stop()).state == "stopped"
             assert (await device.reset()).state == "disabled"
-            assert (await device.status())["actor_name"] == "test"
+            assert (await device.status()).actor_name == "test"
             await device.wait_for("disabled")
             with pytest.raises(CommandError, match=r"beyond the limit 0\.\.2 N s/m"):
                 await device.set(active_damping=9)
@@ -155,7 +155,7 @@ def test_client_is_introduced_to_the_next_gateway_before_it_asks(rig: GatewayRig
             await device.set(K=1)
             rig.restart_gateway()
             await device.mark("first")
-            events = (await device.status())["events"]
+            events = (await device.status()).events
             assert [one["name"] for one in events if one["kind"] == "mark"] == ["test"]
 
     asyncio.run(ask())
@@ -170,7 +170,7 @@ def test_client_is_introduced_however_late_it_is_connected(folder: Path) -> None
             with GatewayRig(folder) as rig, running(rig):
                 device._timeout_s = 10.0
                 await device.set(K=1)
-                assert (await device.status())["actor_name"] == "experiment"
+                assert (await device.status()).actor_name == "experiment"
 
     folder.mkdir(mode=0o700)
     (folder / "command").touch()

@@ -55,7 +55,7 @@ def board(shared: VirtualBoard) -> Iterator[VirtualBoard]:
     shared.sleep(0.5)
     yield shared
     shared.perturb_stop()
-    if shared.status()["state"] == "stopped":
+    if shared.status().state == "stopped":
         shared.sleep(1.1)
         shared.reset()
     shared.disable()

@@ -67,7 +67,7 @@ def test_change_that_acts_and_is_not_safe_warns_with_value_margin_and_remedy(
     assert warning.margin_ns_per_m == receipt.guard.margin_ns_per_m
     assert -2.0 < receipt.guard.margin_ns_per_m < 0.0
     text = str(warning)
-    assert "K = 500 N/m, B = 2 N s/m, M = 0 kg with 0 N s/m of damping" in text
+    assert "K = 500 N/m, B = 2 N s/m, M = 0 kg with 0 N s/m of active damping" in text
     assert f"margin {warning.margin_ns_per_m:.3g} N s/m" in text
     assert f"{receipt.guard.least_active_damping_ns_per_m:.4g} N s/m" in warning.remedy
     assert warning.remedy in text
@@ -110,8 +110,8 @@ def test_mode_of_the_guard_that_leaves_too_little_damping_warns_as_well(
     flight: Flight, client: Clients
 ) -> None:
     rendering(flight, "warn")
-    with pytest.warns(GuardWarning, match="with 0 N s/m of damping"):
-        assert client().guard(mode="off")["mode"] == "off"
+    with pytest.warns(GuardWarning, match="with 0 N s/m of active damping"):
+        assert client().guard(mode="off").mode == "off"
 
 
 def test_client_of_asyncio_warns_at_the_line_that_awaits(flight: Flight, client: Clients) -> None:
@@ -133,7 +133,7 @@ def test_mode_that_leaves_too_little_damping_warns_by_asyncio_as_well(
             await device.guard(mode="off")
 
     rendering(flight, "warn")
-    with pytest.warns(GuardWarning, match="with 0 N s/m of damping"):
+    with pytest.warns(GuardWarning, match="with 0 N s/m of active damping"):
         asyncio.run(ask())
 
 
@@ -210,7 +210,7 @@ def test_nothing_unsafe_acts_that_a_strict_client_asks_for_under(
         device.damping("off")
     assert (caught.value.code, caught.value.guard.policy) == ("guard", "refuse")
     assert still_damped(flight)
-    assert device.guard()["policy"] == policy
+    assert device.guard().policy == policy
 
 
 def test_strict_client_has_no_command_that_goes_past_the_guard(

@@ -19,7 +19,7 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.cli.change import changes
 from hapticd.environment import FIELDS, Environment, EnvironmentField, WorkspaceParams
 from hapticd.gateway.limits import CommandLimits
-from hapticd.mailbox.layout import Command
+from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.recording.file import open_recording
 from hapticd.render.ramp import constant
 from hapticd.servo.plan import environment_of
@@ -93,7 +93,7 @@ def law_numbers(stack: LockStep) -> list[float]:
 def test_whole_environment_comes_back_from_its_row_and_its_message() -> None:
     rows = {one.path: asked_value(one) for one in FIELDS}
     whole = Environment().with_values(rows)
-    row = [whole.row().get(place, 0.0) for place in range(26)]
+    row = [whole.row().get(place, 0.0) for place in range(COMMAND_VALUES)]
     assert Environment().from_row(row) == whole
     assert Environment().changed(whole.message()) == whole
     assert whole.fields({"wall": {"side": 0}, "K": 0}) == {

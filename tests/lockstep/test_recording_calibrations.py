@@ -136,7 +136,7 @@ def test_live_trial_refuses_what_cannot_be_relied_on_before_it_moves():
     with LockStepBench(dated(**OLD), board_params()) as bench:
         with pytest.raises(AnalysisError, match=r"position: it is \d+ days old"):
             daemon_source(bench)(TRIAL)
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
 
 
 def test_trial_that_accepts_it_says_so_in_its_verdict_and_wherever_it_is_read(tmp_path):

@@ -82,7 +82,7 @@ def test_audit_finds_what_a_warm_winding_takes_of_damping_and_force(residual_ohm
     alpha = 1.0 / (1.0 + 5.0 * residual_ohm / N_PER_A**2)
     with Moving(FILE, **board(residual_ohm)) as hand:
         result = audit.measure(hand.bench, hand.ask, 5.0)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
         hand.settle()
         assert hand.bench.newest["active_damping_ns_per_m"] == 0.0
     found = values_of(result)
@@ -114,7 +114,7 @@ def test_trim_finds_the_residual_and_judges_its_loop_gain(residual_ohm, verdict)
     rho = residual_ohm / N_PER_A**2
     with Moving(FILE, **board(residual_ohm, trim_full_scale_ohm=0.8)) as hand:
         result = trim.measure(hand.bench, hand.ask, 6.0, told.append)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
     found = values_of(result)
     assert holds(found["residual resistance"], residual_ohm)
     assert holds(found["residual back-EMF"], rho)
@@ -152,7 +152,7 @@ def test_ctrl_c_ends_force_and_damping(step):
     with Moving(FILE, **board(0.0, trim_full_scale_ohm=0.8)) as hand:
         with pytest.raises(KeyboardInterrupt):
             step(hand.bench, interrupted)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
         records = as_records(hand.bench.run(500))
         assert not records["force_n"].any()
         assert not records["active_damping_ns_per_m"][-1]

@@ -220,7 +220,7 @@ def test_a_handle_that_is_held_is_refused():
     with Hand(touch=FRICTION, **FREE) as hand:
         hand.held_m = 0.0
         result = measure(hand.bench, nothing)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
     assert not result.settled
     assert "let the handle go" in result.findings[0].remedy
 
@@ -238,7 +238,7 @@ def test_a_hand_that_does_not_let_go_ends_the_step():
         hand.bench.set = counted
         with pytest.raises(AnalysisError, match="take your hand off"):
             measure(hand.bench, nothing)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
 
 
 def test_a_host_that_takes_its_time_gets_more_of_it():

@@ -58,7 +58,7 @@ def test_sign_and_scale_are_found_though_the_file_is_wrong(sign):
         assert result.settled
         assert changes["sign"] == 1
         assert scale.low <= COUNT_M <= scale.high
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
 
 
 def arrays(**changes):

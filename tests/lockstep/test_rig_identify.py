@@ -21,7 +21,7 @@ def test_a_servo_that_is_enabled_is_left_alone():
         rig.enable()
         with pytest.raises(CommandError, match="enabled"):
             measure(rig, nothing)
-        assert rig.status()["state"] == "enabled"
+        assert rig.status().state == "enabled"
 
 
 @pytest.mark.parametrize("way", ["fault", "interrupt"])
@@ -40,7 +40,7 @@ def test_whatever_ends_it_leaves_no_force(way):
         rig.perturb_start = start
         with pytest.raises((AnalysisError, KeyboardInterrupt)):
             measure(rig, nothing)
-        assert rig.status()["state"] != "enabled"
+        assert rig.status().state != "enabled"
         rig.run(100)
         assert float(rig.newest["force_n"]) == 0.0
         assert not rig.newest["perturbing"]

@@ -47,9 +47,9 @@ def watched(ms=50.0, change=lambda axis: None):
     """What `rig link` finds of a board that states a watchdog of `ms`, with `change` made to it."""
     with LockStepBench(servo_params(), board_params(watchdog_ms=ms)) as bench:
         change(bench.stack.backend._port._axis)
-        before = bench.status()["counters"]
+        before = bench.status().counters
         result = measure(bench, SECONDS)
-        after = bench.status()["counters"]
+        after = bench.status().counters
         bench.run(10)  # the level that was switched on for it is on its way out
         status = bench.newest
     lost = after["lost_slots"] + after["late_events"] - before["lost_slots"] - before["late_events"]
@@ -131,7 +131,7 @@ def test_a_device_that_is_enabled_is_left_alone():
         bench.enable()
         with pytest.raises(CommandError, match="disabled"):
             measure(bench, SECONDS)
-        assert bench.status()["state"] == "enabled"
+        assert bench.status().state == "enabled"
 
 
 def test_drift_lies_in_its_interval_nineteen_times_in_twenty():

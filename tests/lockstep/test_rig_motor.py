@@ -47,7 +47,7 @@ def test_the_sign_is_found_and_the_force_stays_below_a_tenth(sign):
         }
         worst_n = max(np.abs(result.arrays[f"force_n_{one}"]).max() for one in (0, 1))
         assert 0.0 < worst_n <= LIMIT_N + COUNT_N
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
 
 
 def test_the_sign_waits_for_the_encoder():
@@ -72,21 +72,21 @@ def test_a_handle_that_is_moved_is_not_pushed():
         hand.pull_n = 0.001
         with pytest.raises(AnalysisError, match="take your hand off"):
             measure_sign(hand.bench, nothing)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
 
 
 def test_ctrl_c_ends_the_force():
     with Hand({"commissioning": True}, touch=FRICTION) as hand:
 
         def interrupted(topics, look_s=0.05):
-            if hand.bench.status()["state"] == "enabled":
+            if hand.bench.status().state == "enabled":
                 raise KeyboardInterrupt
             return type(hand.bench).messages(hand.bench, topics, look_s)
 
         hand.bench.messages = interrupted
         with pytest.raises(KeyboardInterrupt):
             measure_sign(hand.bench, nothing)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
 
 
 def test_a_device_that_is_enabled_is_left_alone():
@@ -195,7 +195,7 @@ def test_a_cable_that_is_pulled_ends_the_step_and_can_be_plugged_again():
             measure_sign(hand.bench, nothing)
         records = as_records(hand.bench.run(50))
         assert not records["force_n"].any()
-        assert hand.bench.status()["state"] in ("fault", "disabled")
+        assert hand.bench.status().state in ("fault", "disabled")
         del hand.bench.call
         board.plug()
         hand.bench.run(3000)

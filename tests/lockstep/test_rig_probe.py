@@ -183,7 +183,7 @@ def test_the_probe_waits_for_verified_signs():
     with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
         with pytest.raises(AnalysisError, match="the probe is measured once the signs"):
             measure(hand.bench, hand.ask, MASS)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
 
 
 def test_a_board_without_a_probe_is_told_so():
@@ -203,7 +203,7 @@ def test_ctrl_c_ends_perturbation_and_force():
         with pytest.raises(KeyboardInterrupt):
             measure(hand.bench, hand.ask, MASS)
         hand.bench.run(5)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
         assert not hand.bench.newest["perturbing"]
 
 
@@ -219,7 +219,7 @@ def test_authority_that_is_lost_ends_the_step():
         hand.bench.call = pressed
         with pytest.raises(AnalysisError, match="force ended meanwhile"):
             shaken(hand.bench)
-        assert hand.bench.status()["state"] == "fault"
+        assert hand.bench.status().state == "fault"
         assert not hand.bench.newest["perturbing"]
 
 
@@ -233,7 +233,7 @@ def test_a_handle_that_wanders_off_is_let_go():
         hand.bench.call = pulled
         with pytest.raises(AnalysisError, match="beyond"):
             shaken(hand.bench)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
 
 
 def test_a_device_that_is_enabled_is_left_alone():

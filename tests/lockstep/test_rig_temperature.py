@@ -152,7 +152,7 @@ def test_a_back_emf_that_tells_nothing_is_refused_by_name(ticks, name):
 def test_the_sensor_of_the_simulated_board_agrees_with_its_room():
     with Hand() as hand:
         result = measure(hand.bench, hand.ask, Stated((22.0,)), with_shake=False)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
     assert result.settled
     assert holds(told(result)["temperature.offset_count"], 0.0)
 

@@ -60,7 +60,7 @@ def flown(rigid, act):
     with Meddled(*scene_params(rigid)) as bench:
         bench.act = lambda: act(bench)
         found = run_trial(plan, daemon_source(bench))
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
         assert not bench.newest["perturbing"]
     return found
 
@@ -117,7 +117,7 @@ def test_trial_whose_force_comes_too_slowly_is_no_trial(rigid):
         assert bench.newest["position_m"] > 0.015
         with pytest.raises(AnalysisError, match="slow start: the gain was still rising"):
             run_trial(plan, daemon_source(bench))
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
 
 
 def test_trial_that_someone_ends_says_so(rigid):
@@ -134,7 +134,7 @@ def test_servo_is_disabled_though_the_perturbation_refuses_to_stop(rigid):
     with Stubborn(*scene_params(rigid)) as bench:
         with pytest.raises(CommandError, match="not now"):
             daemon_source(bench)(Trial(seconds=1.0), lambda *_: None)
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
 
 
 def test_stepped_sine_does_not_enable_what_someone_disabled(rigid):
@@ -221,7 +221,7 @@ def test_trial_leaves_a_device_that_was_taken_over(rigid):
     with Lost(*scene_params(rigid)) as bench:
         found = daemon_source(bench)(Trial(seconds=4.0), lambda *_: None)
         assert found.ended.reason is EndReason.CHANGED
-        assert bench.status()["state"] == "enabled"
+        assert bench.status().state == "enabled"
 
 
 def test_noise_that_is_too_strong_for_the_probe_names_one_that_is_not(rigid):
@@ -232,7 +232,7 @@ def test_noise_that_is_too_strong_for_the_probe_names_one_that_is_not(rigid):
     with LockStepBench(servo, board) as bench:
         with pytest.raises(AnalysisError, match=r"limits\.probe_n.*: --psd") as caught:
             daemon_source(bench)(trial)
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
         less = float(str(caught.value).split("--psd ")[1].split()[0])
         noise = replace(trial.excitation, psd_n2_per_hz=less)
         assert daemon_source(bench)(replace(trial, excitation=noise)).ended is None

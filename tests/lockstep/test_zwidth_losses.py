@@ -15,6 +15,7 @@ from hapticd.assembly.lockstep import scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.errors import AnalysisError
 from hapticd.faults import BY_CODE
+from hapticd.gateway.answers import Status
 from hapticd.plant.scene import Excitation
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
@@ -209,7 +210,7 @@ def test_free_device_that_drifts_to_its_stop_ends_its_trial():
     settings = load(shipped("config") / "hapticd.toml")
     with LockStepBench(servo_params(settings, "x"), board_params(settings)) as bench:
         found = daemon_source(bench)(Trial(seconds=60.0), lambda *_: None)
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
     assert found.ended.reason is EndReason.TRAVEL
     assert str(found.ended).startswith("travel: the device stands at ")
     assert found.ended.text.endswith(
@@ -255,7 +256,7 @@ def test_device_at_its_stop_leaves_nothing_decided():
 
 def told(code):
     """What a daemon's status says of a fault, as far as a trial looks."""
-    return {"state": "fault", "fault": code, "cause": BY_CODE[code].cause}
+    return Status("fault", fault=code, cause=BY_CODE[code].cause)
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def test_multisine_trial_by_the_whole_stack_lands_within_its_interval_of_the_eng
     by_engine = run_trial(shaken(layout, scene=scene), engine_source(scene))
     with LockStepBench(*scene_params(rigid)) as bench:
         live = run_trial(shaken(layout, scene=scene), daemon_source(bench))
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
     assert live.verdict.answer == by_engine.verdict.answer == "passive"
     assert live.recorded.more["lost_samples"] == 0
     inside = (live.measured.frequency_hz >= 2.0) & (live.measured.frequency_hz <= 500.0)

@@ -164,7 +164,7 @@ def test_lockstep_trial_lands_within_its_interval_of_the_engine(active_damping_n
     by_engine = run_trial(plan, engine_source(scene))
     with LockStepBench(*scene_params("fig7")) as bench:
         live = run_trial(plan, daemon_source(bench))
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
     assert live.recorded.seconds == 25.0
     assert live.recorded.more["lost_samples"] == 0
     assert live.recorded.simulated
@@ -193,14 +193,14 @@ def test_lockstep_trial_refuses_a_session_that_runs(rigid):
             AnalysisError, match="the servo is enabled, a trial begins from disabled"
         ):
             daemon_source(bench)(Trial(seconds=5.0), lambda *_: None)
-        assert bench.status()["state"] == "enabled"
+        assert bench.status().state == "enabled"
 
 
 def test_lockstep_trial_of_a_runaway_loop_ends_early_and_disabled(rigid):
     """B T / m far beyond 2: the loop runs away, the trial ends at once, force off."""
     with LockStepBench(*scene_params(rigid)) as bench:
         found = daemon_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
-        assert bench.status()["state"] != "enabled"
+        assert bench.status().state != "enabled"
     assert found.ended.reason in (EndReason.ESCAPE, EndReason.SATURATION, EndReason.FAULT)
     assert found.seconds < 5.0
 
@@ -221,7 +221,7 @@ def test_lockstep_trial_whose_command_saturates_is_ended_and_named(weak):
     """
     trial = Trial((100.0, 1.0, 0.002), seconds=60.0)
     found = daemon_source(weak)(trial, lambda *_: None)
-    assert weak.status()["state"] == "disabled"
+    assert weak.status().state == "disabled"
     assert str(found.ended) == "saturation: the command reached its limit of 0.16 N"
     assert 5.0 < found.seconds < 60.0
     assert found.max_command_n == found.command_limit_n == 0.16
@@ -251,7 +251,7 @@ def test_daemon_that_falls_silent_is_not_waited_for_for_ever(rigid):
             DaemonDown, match=r"nothing from the probe for 2 s; see `hapticd status`"
         ):
             daemon_source(bench)(Trial(seconds=5.0), lambda *_: None)
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
 
 
 def test_board_without_probe_is_told_apart(rigid):

@@ -110,4 +110,4 @@ def test_stop_latches_until_it_is_reset(board: VirtualBoard) -> None:
     assert caught.value.code == "stopped"
     board.sleep(1.1)
     board.reset()
-    assert board.status()["state"] == "disabled"
+    assert board.status().state == "disabled"

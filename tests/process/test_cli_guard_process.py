@@ -59,14 +59,14 @@ def insisting(ask: Callable[[], Receipt]) -> Receipt:
 def other(client: Client, worker: int) -> int | None:
     """The worker that serves, once it is another one than `worker`."""
     found = client.guard()
-    return found["pid"] if found["worker"] == "up" and found["pid"] != worker else None
+    return found.pid if found.worker == "up" and found.pid != worker else None
 
 
 @pytest.mark.process
 def test_refused_change_names_its_hand_and_a_killed_worker_comes_back(daemon: Daemon) -> None:
     with Client(daemon.instance, folder=daemon.folder) as client:
-        until(lambda: client.guard()["worker"] == "up", "the worker")
-        assert client.guard("refuse")["policy"] == "refuse"
+        until(lambda: client.guard().worker == "up", "the worker")
+        assert client.guard("refuse").policy == "refuse"
         # enough damping for a delay of several periods, which a busy machine has
         insisting(lambda: client.damping(10.0))
         receipt = insisting(lambda: client.set(K=500, B=2))
@@ -80,14 +80,14 @@ def test_refused_change_names_its_hand_and_a_killed_worker_comes_back(daemon: Da
         assert found is not None
         # with the delay of a busy machine it may shake by itself, without any hand
         assert verdict.radius >= 1.0 or found["hand"]["radius"] > 1.0
-        worker = client.guard()["pid"]
+        worker = client.guard().pid
         os.kill(worker, signal.SIGKILL)
         assert refused(client).safe is not True  # by nobody, or by the next one already
         assert client.get()["parameters"]["active_damping"] > 0.0
         last = until(lambda: other(client, worker), "the next worker")
         judged(client)
         client.stop()  # by the stop word, where the gateway has no processor for 40 ms
-        until(lambda: client.status()["state"] == "stopped", "the stop")
+        until(lambda: client.status().state == "stopped", "the stop")
     os.kill(daemon.children()["gateway"], signal.SIGKILL)
     until(lambda: not Path(f"/proc/{last}").exists(), "the worker's end with its gateway")
 
@@ -95,9 +95,9 @@ def test_refused_change_names_its_hand_and_a_killed_worker_comes_back(daemon: Da
 @pytest.mark.process
 def test_worker_that_hangs_holds_up_no_stop_and_is_replaced(daemon: Daemon) -> None:
     with Client(daemon.instance, folder=daemon.folder) as client:
-        until(lambda: client.guard()["worker"] == "up", "the worker")
+        until(lambda: client.guard().worker == "up", "the worker")
         client.guard("refuse")
-        worker = client.guard()["pid"]
+        worker = client.guard().pid
         os.kill(worker, signal.SIGSTOP)
         with pytest.raises(CommandError) as caught:
             client.set(K=10)

@@ -46,7 +46,7 @@ def other(daemon: Daemon) -> Iterator[Client]:
 
 
 def leases(other: Client) -> dict[str, Any]:
-    return dict(other.status()["leases"])
+    return dict(other.status().leases)
 
 
 def holder(daemon: Daemon, keep_alive: str) -> "subprocess.Popen[str]":
@@ -66,14 +66,14 @@ def test_lease_that_is_kept_alive_outlives_a_deadlock_and_ends_with_its_process(
         assert "environment" in leases(other)
         child.send_signal(signal.SIGKILL)
         until(lambda: not leases(other), "the end of the lease")
-    until(lambda: other.status()["state"] == "disabled", "disabled")
+    until(lambda: other.status().state == "disabled", "disabled")
 
 
 def test_lease_of_a_deadlocked_script_ends_without_it(daemon: Daemon, other: Client) -> None:
     with holder(daemon, "no") as child:
         until(lambda: not leases(other), "the end of the lease")
         child.send_signal(signal.SIGKILL)
-    until(lambda: other.status()["state"] == "disabled", "disabled")
+    until(lambda: other.status().state == "disabled", "disabled")
 
 
 def test_participant_may_think_for_six_seconds(daemon: Daemon, tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def rehearsed(hapticd_daemon: DaemonProcess, tmp_path: Path) -> Path:
     (tmp_path / "analyse.py").write_text(ANALYSIS)
     python(hapticd_daemon, tmp_path, "experiment.py", "rehearsal")
     with hapticd_daemon.client() as device:
-        assert device.status()["state"] == "disabled"
+        assert device.status().state == "disabled"
     return tmp_path
 
 

@@ -28,7 +28,7 @@ def python(daemon, folder, name, *words):
 
 def state(daemon):
     with daemon.client() as device:
-        return device.status()["state"]
+        return device.status().state
 
 
 def test_sweep_example(hapticd_daemon, tmp_path):
@@ -71,7 +71,7 @@ def test_cpp_example_acquires_in_another_process(hapticd_daemon, tmp_path):
         hapticd_daemon, tmp_path, compiler, *flags, "-o", tmp_path / "acquire", source, "-lzmq"
     )
     with hapticd_daemon.client() as device:
-        endpoints = device.status()["endpoints"]
+        endpoints = device.status().endpoints
     words = (endpoints["command"], endpoints["telemetry"][0])
     assert run_beside(hapticd_daemon, tmp_path, tmp_path / "acquire", *words).startswith(
         "1000 ticks"
@@ -82,7 +82,7 @@ def test_cpp_example_acquires_in_another_process(hapticd_daemon, tmp_path):
 def test_octave_example_sets_and_enables(hapticd_daemon, tmp_path):
     octave = shutil.which("octave-cli") or pytest.skip("no Octave")
     with hapticd_daemon.client() as device:
-        endpoint = device.status()["endpoints"]["command"]
+        endpoint = device.status().endpoints["command"]
     text = run_beside(hapticd_daemon, tmp_path, octave, EXAMPLES / "octave" / "client.m", endpoint)
     assert "K = 100 N/m" in text
     assert "state: enabled" in text

@@ -82,7 +82,7 @@ def reported_damping(device: Client) -> float:
 def test_daemon_starts_disabled_on_the_simulated_board(daemon: Daemon) -> None:
     with Client(daemon.instance, name="test", timeout_s=DEADLINE_S) as device:
         status = device.status()
-    assert (status["state"], status["simulated"], status["fault"]) == ("disabled", True, "none")
+    assert (status.state, status.simulated, status.fault) == ("disabled", True, "none")
 
 
 def test_page_answers_at_the_address_that_status_names(
@@ -140,7 +140,7 @@ def test_stop_latches_until_reset_which_does_not_enable(
     assert ask("status")["state"] == "stopped"
     assert ask("enable", code=5)["error"]["code"] == "stopped"
     until(lambda: daemon.cli("reset") == 0, "a reset, 1 s after another client's stop")
-    assert device.status()["state"] == "disabled"
+    assert device.status().state == "disabled"
 
 
 def test_recording_replays_to_the_bit(
@@ -160,7 +160,7 @@ def test_script_that_ends_inside_its_lease_leaves_the_device_disabled(
     records, stiffness = program(tmp_path, "experiment.py", daemon.instance).split()
     assert int(records) > 0
     assert float(stiffness) == 100.0
-    assert until(lambda: device.status()["state"] == "disabled", "the end of the lease")
+    assert until(lambda: device.status().state == "disabled", "the end of the lease")
 
 
 def test_simulated_trial_gives_a_verdict(tmp_path: Path) -> None:
@@ -185,7 +185,7 @@ def test_killed_servo_comes_back_disabled(daemon: Daemon, device: Client) -> Non
     os.kill(daemon.children()["servo"], signal.SIGKILL)
     until(lambda: daemon.told().count("ready") == 2, "a new servo")
     with Client(daemon.instance, name="test", timeout_s=DEADLINE_S) as again:
-        assert until(lambda: again.status()["state"] == "disabled", "disabled")
+        assert until(lambda: again.status().state == "disabled", "disabled")
 
 
 def test_interrupt_ends_everything(daemon: Daemon) -> None:

@@ -4,6 +4,7 @@ from typing import Any, Self
 
 from hapticd.client import Receipt
 from hapticd.errors import HapticdError
+from hapticd.gateway.answers import Status, answer_of
 
 EFFECTIVE = {
     "K": 100.0,
@@ -58,6 +59,9 @@ class ClientDouble:
         self._ask("get")
         return {"parameters": EFFECTIVE, "in_force": {"tick": 5}}
 
-    def status(self) -> dict[str, Any]:
-        self._ask("status")
-        return self.states.pop(0) if len(self.states) > 1 else self.states[0]
+    def status(self) -> Status:
+        return answer_of(Status, self.call("status")["result"])
+
+    def call(self, cmd: str) -> dict[str, Any]:
+        self._ask(cmd)
+        return {"result": self.states.pop(0) if len(self.states) > 1 else self.states[0]}

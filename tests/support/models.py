@@ -70,4 +70,13 @@ def environment_tuple(params: Environment, limit_n: float) -> LawInputs:
         wall.position_m,
         float(wall.side),
     )
-    return (*kbm, 0.0, limit_n, *solid, ends.lower_m, ends.upper_m, ends.stiffness_n_per_m)
+    return (
+        *kbm,
+        0.0,
+        limit_n,
+        *solid,
+        ends.lower_m,
+        ends.upper_m,
+        ends.stiffness_n_per_m,
+        *params.further,
+    )

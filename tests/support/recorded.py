@@ -12,6 +12,7 @@ import numpy as np
 from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
 from hapticd.clock import VirtualClock
+from hapticd.gateway.answers import Hello, Status
 from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.publisher import Publisher
@@ -143,23 +144,16 @@ class Source:
         self._clock = clock
         self._look_ms = look_ms
 
-    def hello(self) -> dict[str, Any]:
-        return {
-            "instance": "test",
-            "rate_hz": 1000.0,
-            "version": "0.1.0",
-            "servo": to_plain(self.params),
-        }
+    def hello(self) -> Hello:
+        servo = to_plain(self.params)
+        return Hello(1000.0, True, servo, instance="test", version="0.1.0")
 
-    def status(self) -> dict[str, Any]:
-        return {
-            "config_hash": "c" * 64,
-            "winding_c": 25.0,
-            "servo": {
-                "realtime": {"fifo": {"granted": True, "text": ""}},
-                "board": {"serial": "SIM0001"},
-            },
+    def status(self) -> Status:
+        report = {
+            "realtime": {"fifo": {"granted": True, "text": ""}},
+            "board": {"serial": "SIM0001"},
         }
+        return Status("enabled", config_hash="c" * 64, winding_c=25.0, servo=report)
 
     def messages(
         self, topics: Sequence[str], look_s: float = 0.05

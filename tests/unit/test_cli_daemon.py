@@ -16,6 +16,7 @@ from hapticd.cli import change, daemon, lease, system, terminal
 from hapticd.cli.app import main
 from hapticd.client import fast_stop
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, RealtimeError
+from hapticd.gateway.answers import LeaseHeld, answer_of
 from hapticd.settings.toml import shipped
 
 
@@ -314,7 +315,7 @@ def test_status_says_what_is_compensated_of_the_winding(
     told = capsys.readouterr().out
     assert "winding   1.83 ohm compensated of 1.859 at 61.2 degC: 0.029 ohm too little" in told
     assert "(tolerance 0.03 ohm)" in told
-    assert "loop gain +0.0185, +0.0426 at the highest damping; never below -0.3" in told
+    assert "loop gain +0.0185, +0.0426 at the highest active damping; never below -0.3" in told
     assert main(["status"]) == 0
     assert "without a sensor what is left is not known" in capsys.readouterr().out
     assert main(["status"]) == 0
@@ -361,7 +362,8 @@ def test_status_and_doctor_say_what_the_delay_costs(
     monkeypatch.setattr(system, "connect", lambda instance: client)
     cost = {"level_ns_per_m": 0.0, "stiffness_n_per_m": 292.3, "ideal_stiffness_n_per_m": 719.6}
     cost["lost_share"] = 0.594
-    timing = {"delay_periods": 0.6875, "measured": True, "without_active_damping": cost}
+    timing = {"delay_periods": 0.6875, "measured": True}
+    timing["without_active_damping"] = cost
     timing["with_active_damping"] = cost
     guard = dict.fromkeys(("basis", "margin_ns_per_m", "mode", "measuring", "trouble", "policy"))
     guard |= {"delay_periods": 0.6875, "worker": "up", "timing": timing}
@@ -670,9 +672,9 @@ class LeaseDouble:
     def __init__(self, done: list[str]) -> None:
         self.done = done
 
-    def take(self) -> dict[str, Any]:
+    def take(self) -> LeaseHeld:
         self.done.append("take")
-        return {"what": "measuring", **HELD["measuring"]}
+        return answer_of(LeaseHeld, HELD["measuring"])
 
     def sleep(self, seconds: float) -> None:
         self.done.append("sleep")

@@ -16,9 +16,9 @@ from support.guard_device import change, shipped_judge
 from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
 from hapticd.client import GuardVerdict, Receipt
-from hapticd.client.verdict import verdict_of
 from hapticd.client.words import guard_line, objection_lines, receipt_text, timing_words
 from hapticd.errors import CommandError, GuardWarning
+from hapticd.gateway.answers import GuardStatus, Timing, answer_of, verdict_of
 
 VERDICT = {
     "safe": False,
@@ -72,9 +72,12 @@ class GuardDouble(ClientDouble):
     def hand(self, verdict: GuardVerdict) -> dict[str, Any] | None:
         return {**EVENT, "number": verdict.number}
 
-    def guard(self, *what: Any, **more: Any) -> dict[str, Any]:
+    def guard(self, *what: Any, **more: Any) -> GuardStatus:
         self._ask("guard", (what, more))
-        return GUARD
+        return answer_of(GuardStatus, GUARD)
+
+    def call(self, cmd: str) -> dict[str, Any]:
+        return {"result": GUARD} if cmd == "guard" else super().call(cmd)
 
 
 @pytest.fixture
@@ -172,7 +175,7 @@ def test_guard_changes_and_shows(double: GuardDouble, capsys: pytest.CaptureFixt
     assert double.asked[0] == ("guard", (("clamp",), asked))
     first, *rest = capsys.readouterr().out.splitlines()
     assert first == (
-        "clamp, by theorem, at least 0.1 N s/m to spare; damping auto; delay 0.1875 periods"
+        "clamp, by theorem, at least 0.1 N s/m to spare; active damping auto; delay 0.1875 periods"
     )
     assert rest == [VERDICT["text"], *SAYS[:2]]
 
@@ -181,10 +184,11 @@ def test_guard_waits_for_the_verdict_on_what_is_in_force(
     double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     answers = [GUARD | {"verdict": None}, GUARD | {"verdict": None}, GUARD]
-    monkeypatch.setattr(double, "guard", lambda *what, **more: answers.pop(0))
+    told = (answer_of(GuardStatus, one) for one in answers)
+    monkeypatch.setattr(double, "guard", lambda *what, **more: next(told))
     monkeypatch.setattr("hapticd.cli.guard.time.sleep", lambda seconds: None)
     assert main(["guard"]) == 0
-    assert answers == []
+    assert list(told) == []
     assert VERDICT["text"] in capsys.readouterr().out
 
 
@@ -192,7 +196,7 @@ def test_guard_without_a_worker_says_why_there_is_no_verdict(
     double: GuardDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = GUARD | {"verdict": None, "worker": "down", "trouble": "it died", "unjudged": "nothing"}
-    monkeypatch.setattr(double, "guard", lambda *what, **more: found)
+    monkeypatch.setattr(double, "guard", lambda *what, **more: answer_of(GuardStatus, found))
     assert main(["guard"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "nothing"
 
@@ -222,7 +226,7 @@ def test_delays_are_named_and_which_one_is_counted_on(
         "measured_p99_periods": measured,
         "model_periods": 0.125,
     }
-    lines = guard_verb.guard_lines(GUARD | {"delays": delays})
+    lines = guard_verb.guard_lines(answer_of(GuardStatus, GUARD | {"delays": delays}))
     assert f"delay counted on: {says}" in lines
 
 
@@ -268,18 +272,18 @@ NOTHING = WITHOUT | {"stiffness_n_per_m": 0.0, "ideal_stiffness_n_per_m": 0.0, "
 def test_cost_of_the_delay_is_one_line(
     without: dict[str, Any], damped: dict[str, Any], measured: bool, says: str
 ) -> None:
-    timing = {"delay_periods": 0.6875, "measured": measured}
+    timing = {"delay_periods": 0.6875, "ideal_delay_periods": 0.0, "measured": measured}
     timing |= {"without_active_damping": without, "with_active_damping": damped}
-    assert timing_words({"timing": timing}) == says
+    assert timing_words(answer_of(Timing, timing)) == says
 
 
-@pytest.mark.parametrize("found", [{}, {"timing": None}])
-def test_unknown_cost_of_the_delay_is_no_line(found: dict[str, Any]) -> None:
-    assert timing_words(found) == ""
+def test_unknown_cost_of_the_delay_is_no_line() -> None:
+    assert timing_words(None) == ""
 
 
 def test_measuring_is_shown() -> None:
-    line = guard_line({**GUARD, "measuring": True, "worker": "down", "trouble": "gone"})
+    measuring = {**GUARD, "measuring": True, "worker": "down", "trouble": "gone"}
+    line = guard_line(answer_of(GuardStatus, measuring))
     assert line.startswith("off: somebody measures")
     assert line.endswith("; gone")
 

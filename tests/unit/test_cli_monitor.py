@@ -16,6 +16,7 @@ from hapticd.cli.screen import History, envelope, screen, strip
 from hapticd.client import fast_stop
 from hapticd.clock import VirtualClock
 from hapticd.faults import BY_CODE
+from hapticd.gateway.answers import Hello, Status
 from hapticd.gateway.telemetry import Origin, RingBlock, raw_message
 from hapticd.mailbox.layout import TELEMETRY, Flag, State
 from hapticd.units import NS_PER_MS, NS_PER_S
@@ -217,13 +218,13 @@ class StreamDouble:
     def __exit__(self, *_: object) -> None:
         return None
 
-    def hello(self) -> dict[str, Any]:
-        return {"servo": {"safety": {"force_limit_n": 8.0}}}
+    def hello(self) -> Hello:
+        return Hello(1000.0, True, {"safety": {"force_limit_n": 8.0}})
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> Status:
         refused = {"granted": False, "text": "refused: no; LimitRTPRIO=80"}
         granted = {"granted": True, "text": "granted"}
-        return {"servo": {"realtime": {"core": granted, "fifo": refused}}}
+        return Status("disabled", servo={"realtime": {"core": granted, "fifo": refused}})
 
     def damping(self, value: str) -> None:
         self._asked.append(value)
@@ -334,7 +335,7 @@ def test_screen_shows_policy_and_verdict() -> None:
     assert "guard: unknown" in drawn(history, True, 0.0)
     history.guard = GUARD
     text = drawn(history, True, 0.0)
-    assert "guard: warn, by theorem; damping level; delay 0.125 periods" in text
+    assert "guard: warn, by theorem; active damping level; delay 0.125 periods" in text
     assert "0.9 N s/m short at 112 Hz" in text
 
 

@@ -8,6 +8,7 @@ from support.client_double import ClientDouble
 
 from hapticd.cli import change, daemon, guard
 from hapticd.cli.app import main
+from hapticd.gateway.answers import GuardStatus
 
 
 @pytest.fixture
@@ -43,9 +44,9 @@ def test_damping_takes_any_case_and_a_sign(client: ClientDouble, words: str, val
 def test_guard_takes_any_case(client: ClientDouble, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
 
-    def answer(policy: str | None = None, **more: Any) -> dict[str, Any]:
+    def answer(policy: str | None = None, **more: Any) -> GuardStatus:
         asked.append((policy, more["basis"], more["mode"]))
-        return {"verdict": None, "worker": "down"}
+        return GuardStatus(worker="down")
 
     monkeypatch.setattr(client, "guard", answer, raising=False)
     assert main(["guard", "Refuse", "--basis", "THEOREM", "--mode", "Auto", "--json"]) == 0

@@ -116,12 +116,14 @@ WRONG: list[tuple[dict[str, Any], str, str]] = [
     (
         {"cmd": "set"},
         "set",
-        "set: nothing to set; give one of K, B, M, filters, wall, damping, limit_cycle_faults",
+        "set: nothing to set; give one of K, B, M, filters, wall, active_damping,"
+        " limit_cycle_faults",
     ),
     (
         {"cmd": "set", "wall": {}, "ramp_s": 1},
         "set",
-        "set: nothing to set; give one of K, B, M, filters, wall, damping, limit_cycle_faults",
+        "set: nothing to set; give one of K, B, M, filters, wall, active_damping,"
+        " limit_cycle_faults",
     ),
     (
         {"cmd": "set", "K": 1, "at_tick": 0},

@@ -13,11 +13,11 @@ from support.tree import ROOT
 
 from hapticd.analysis import findings
 from hapticd.client.sequence import StepReceipt
-from hapticd.client.verdict import GuardVerdict
 from hapticd.doctor.checks import CheckResult
 from hapticd.errors import MailboxError
 from hapticd.explanation import Entry
 from hapticd.faults import Fault
+from hapticd.gateway.answers import GuardVerdict
 from hapticd.params import ScaleParams
 from hapticd.plant.effects import Effect
 from hapticd.recording.calibrations import CalibrationDoubt

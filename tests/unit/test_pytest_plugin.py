@@ -11,7 +11,7 @@ def test_board_fixture_is_a_client_on_virtual_time(hapticd_board):
     hapticd_board.enable()
     hapticd_board.run(1000)
     assert hapticd_board.newest["stiffness_n_per_m"] == 100
-    assert hapticd_board.status()["state"] == "enabled"
+    assert hapticd_board.status().state == "enabled"
 
 
 def test_board_on_virtual_time_is_recorded_as_a_daemon_is(hapticd_board):
@@ -39,7 +39,7 @@ class TestConfigOfYourOwn:
         return path
 
     def test_rate_is_that_of_the_file(self, hapticd_board):
-        assert hapticd_board.hello()["servo"]["realtime"]["rate_hz"] == 2000.0
+        assert hapticd_board.hello().servo["realtime"]["rate_hz"] == 2000.0
 
 
 class TestRealBoard:

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from hapticd.gateway.answers import Hello, LeaseHeld, Status
 from hapticd.recording import provenance
 from hapticd.recording.file import open_recording
 
@@ -38,12 +39,13 @@ def test_provenance_is_complete(recording_file: Path) -> None:
 
 
 def test_holders_of_leases_are_named() -> None:
-    held = {"name": "trial", "actor": 17, "left_s": 3.0, "ttl_s": 5.0, "at_end": "hold"}
+    held = LeaseHeld("trial", 17, left_s=3.0, ttl_s=5.0, at_end="hold")
     device = {"name": "d", "serial": "s"}
-    hello = {"servo": {"device": device, "config_hash": "c", "simulated": True}}
-    hello |= {"instance": "i", "rate_hz": 1000.0, "version": "v"}
+    servo = {"device": device, "config_hash": "c", "simulated": True}
+    hello = Hello(1000.0, True, servo, instance="i", version="v")
+    status = Status("enabled", leases={"perturbation": held})
     header = {"mono_unix_offset_ns": 0, "simulated": True, "layout": "l"}
-    found = provenance.of_recording(hello, {"leases": {"perturbation": held}}, header, "")
+    found = provenance.of_recording(hello, status, header, "")
     assert json.loads(found["leases"]) == {"perturbation": "trial (actor 17)"}
 
 

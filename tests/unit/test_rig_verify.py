@@ -95,12 +95,12 @@ def test_ctrl_c_ends_the_force():
     with Hand(**FREE) as hand:
         with pytest.raises(KeyboardInterrupt):
             measure(hand.bench, interrupted, asked)
-        assert hand.bench.status()["state"] == "disabled"
+        assert hand.bench.status().state == "disabled"
 
 
 def test_old_calibrations_are_findings_with_their_step():
     with Hand(**FREE) as hand:
-        servo = hand.bench.hello()["servo"] | {"simulated": False}
+        servo = hand.bench.hello().servo | {"simulated": False}
         found = list(verify._calibrations(servo, datetime.date(2026, 1, 1)))
     assert {one.verdict for one in found} == {"refused"}
     assert found[0].remedy == "`hapticd rig encoder`"

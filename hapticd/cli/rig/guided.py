@@ -221,7 +221,7 @@ def _stale(where: Where) -> str:
 
     try:
         with connect(where.instance) as client:
-            servo = client.hello()["servo"]
+            servo = client.hello().servo
     except DaemonDown:
         return "no daemon runs"
     settings = load(where.config)
@@ -233,7 +233,7 @@ def _stale(where: Where) -> str:
 
 def _commissioning(where: Where) -> bool:
     with connect(where.instance) as client:
-        return bool(client.hello()["servo"]["device"]["commissioning"])
+        return bool(client.hello().servo["device"]["commissioning"])
 
 
 def number(question: str) -> float:

@@ -119,7 +119,7 @@ def perform(
     with ExitStack() as stack:
         stack.enter_context(signals_end_with_force_off())
         client = stack.enter_context(connect(instance))
-        _refuse_another(client.hello()["servo"]["device"], settings)
+        _refuse_another(client.hello().servo["device"], settings)
         try:
             result = step(client)
         except KeyboardInterrupt:

@@ -64,10 +64,10 @@ def verify(
     subjects: list[Subject] = []
 
     def step(client: "Client") -> "StepResult":
-        servo = client.hello()["servo"]
+        servo = client.hello().servo
         refuse_another_file(servo["device_file_sha256"], settings)
         board = identity_of(client, collect(client, LOOK_S).records)
-        rights = client.status().get("servo", {}).get("realtime", {})
+        rights = client.status().servo.get("realtime", {})
         file = settings.device_file
         subjects.append(Subject(servo, file, settings.device_file_sha256, board, rights))
         return measure(client, asking(yes), known)

@@ -49,7 +49,7 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
 
     stack.enter_context(signals_end_with_force_off())
     client = stack.enter_context(change.connect(instance))
-    servo = client.hello()["servo"]
+    servo = client.hello().servo
     name = servo["device"]["name"]
     model = scene_of_device(name)
     if model is not None:

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
     from hapticd.zwidth.search import SearchResult
 
 Budget = Annotated[
-    int, typer.Option("--budget", metavar="N", min=5, help="Trials at most, at each damping level.")
+    int,
+    typer.Option(
+        "--budget", metavar="N", min=5, help="Trials at most, at each level of active damping."
+    ),
 ]
 Doubt = Annotated[
     float,

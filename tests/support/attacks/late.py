@@ -46,7 +46,7 @@ def attack(times: int, seed: int) -> Outcome:
         return replace(judged(*_blocks(shared[0], times, seed)), tried=times, lost=0)
     with Stage() as stage:
         outcome = judged(*_blocks(stage, times, seed))
-        granted = stage.daemon.client.status()["servo"]["realtime"]["fifo"]["granted"]
+        granted = stage.daemon.client.status().servo["realtime"]["fifo"]["granted"]
         outcome.figures["fifo"] = float(granted)
         return replace(outcome, tried=times)
 

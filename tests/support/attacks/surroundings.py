@@ -142,7 +142,7 @@ def _no_room_for_flight(folder: Path) -> None:
         daemon.client.call("dump")
 
         def told() -> bool:
-            events = daemon.client.status()["events"]
+            events = daemon.client.status().events
             return any("could not be written" in one.get("text", "") for one in events)
 
         until(told, "it is told that the flight could not be written")
@@ -304,7 +304,7 @@ def _modes(folder: Path) -> None:
 
 
 def _as_nobody(daemon: LiveDaemon) -> None:
-    host, _, port = daemon.client.hello()["endpoints"]["telemetry"][1][6:].rpartition(":")
+    host, _, port = daemon.client.hello().endpoints["telemetry"][1][6:].rpartition(":")
     names = [*daemon.folder.iterdir(), daemon.folder]
     child = os.fork()
     if child == 0:

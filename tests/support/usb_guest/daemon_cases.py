@@ -69,7 +69,7 @@ class Daemon:
     def answers(self) -> bool:
         """The servo ticks: it does not while it looks at a board that came back."""
         try:
-            return "state" in self.client.status()
+            return bool(self.client.status().state)
         except DaemonDown:
             return False
 
@@ -90,7 +90,7 @@ class Daemon:
         def done() -> bool:
             with suppress(CommandError):
                 self.client.reset()
-            return bool(self.client.status()["state"] == "disabled")
+            return bool(self.client.status().state == "disabled")
 
         until(done, "a reset")
 
@@ -187,21 +187,21 @@ def test_board_that_was_plugged_in_late_is_rendered(
     before = board("count")["out"]
     until(lambda: board("count")["out"] > before + 250, "a second of frames")
     found = daemon.client.status()
-    assert found["state"] == "enabled"
-    bus = found["servo"]["transport"]
-    counters = found["counters"]
+    assert found.state == "enabled"
+    bus = found.servo["transport"]
+    counters = found.counters
     record_property(
         "daemon",
         f"a pair of transfers takes {bus['pair_us']:.0f} us: {bus['rate_hz']:g} Hz of 250 Hz held,"
         f" latch at {bus['sample_phase']:g}; {counters['lost_slots']} slots lost and"
-        f" {counters['missing_in']} frames missing until tick {found['tick']}",
+        f" {counters['missing_in']} frames missing until tick {found.tick}",
     )
 
 
 def test_plug_pulled_under_force_is_a_latched_fault(daemon: Daemon, board: Board) -> None:
     board.unplug()
     daemon.client.wait_for("fault", timeout_s=20.0)
-    assert daemon.client.status()["fault"] == "usb_lost"
+    assert daemon.client.status().fault == "usb_lost"
     daemon.waits_for("no board 1209:0001 with serial SIM0001 at the bus")
 
 
@@ -211,7 +211,7 @@ def test_reconnect_that_is_refused_says_why(daemon: Daemon, board: Board) -> Non
     daemon.waits_for("the board is slow to answer, or hangs; it is asked again")
     board("hello hash")
     daemon.waits_for("the board speaks protocol")
-    assert "the board speaks protocol" in daemon.client.status()["servo"]["waiting_for"]
+    assert "the board speaks protocol" in daemon.client.status().servo["waiting_for"]
     with Looker() as thief:
         until(lambda: thief.look() == "SIM0001", "the thief has the board")
         daemon.waits_for("another program has claimed the board")
@@ -237,7 +237,7 @@ def test_board_that_came_back_is_disabled_and_asks_for_home(daemon: Daemon, boar
     board("heal")
     board.plug()
     daemon.has_board()
-    assert daemon.client.status()["state"] in ("fault", "disabled")
+    assert daemon.client.status().state in ("fault", "disabled")
     daemon.reset()
     with pytest.raises(CommandError, match="home"):
         daemon.enable(board)
@@ -256,7 +256,7 @@ def test_reference_firmware_answers_in_the_place_of_the_board(daemon: Daemon, bo
         daemon.render(firmware)
         before = firmware("count")["in"]
         until(lambda: firmware("count")["in"] > before + 100, "frames of the firmware")
-        assert daemon.client.status()["state"] == "enabled"
+        assert daemon.client.status().state == "enabled"
         daemon.client.stop()
     finally:
         firmware.end()

@@ -1,0 +1,354 @@
+"""What the daemon answers, as frozen dataclasses: the one schema of its replies.
+
+`schemas.json_schema` derives the JSON schema of replies from these classes, and the clients read
+replies with `answer_of`. It leaves out fields that this release does not know, so a client works
+with a newer daemon; a field that an older daemon does not send has its default. Units are in the
+names of numbers. `None` stands for what is not known.
+
+What would break it: a field that the gateway sends and that is not here; a test compares both.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import partial
+from typing import Any, TypeVar
+
+from hapticd.explanation import Entry
+
+__all__ = [
+    "Compensation",
+    "Delays",
+    "Delivered",
+    "GuardReading",
+    "GuardStatus",
+    "GuardVerdict",
+    "Hello",
+    "LeaseHeld",
+    "LeaseReleased",
+    "Limit",
+    "Receipt",
+    "StageTimes",
+    "Status",
+    "Timing",
+    "TimingCost",
+    "answer_of",
+    "verdict_of",
+]
+
+A = TypeVar("A")
+
+
+def answer_of(kind: type[A], plain: Mapping[str, Any]) -> A:
+    """The answer in the map `plain` of a reply, without fields that `kind` does not have."""
+    known: dict[str, Any] = {}
+    for one in fields(kind):  # type: ignore[arg-type]  # every `kind` is a dataclass
+        if one.name in plain:
+            value = plain[one.name]
+            made = one.metadata.get("made")
+            known[one.name] = value if made is None or value is None else made(value)
+    return kind(**known)
+
+
+Made = dict[str, Callable[[Any], Any]]  # how the value of a field is made
+
+
+def _one(kind: type[Any]) -> Made:
+    """A field that is another answer."""
+    return {"made": partial(answer_of, kind)}
+
+
+def _many(kind: type[Any]) -> Made:
+    """A field with other answers by their names."""
+
+    def made(plain: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+        return {name: answer_of(kind, one) for name, one in plain.items()}
+
+    return {"made": made}
+
+
+def _tuple(made: Callable[[Any], Any]) -> Made:
+    """A field that is a list in a message."""
+    return {"made": lambda plain: tuple(map(made, plain))}
+
+
+@dataclass(frozen=True, slots=True)
+class GuardReading:
+    """How far a display is from the edge; None where the basis does not say."""
+
+    margin_ns_per_m: float | None = None  #: damping to spare, N s/m; negative: so much is lacking
+    worst_hz: float | None = None  #: the frequency at which it is least
+    radius: float | None = None  #: spectral radius of a tick; 1 or more: unstable by itself
+
+
+@dataclass(frozen=True, slots=True)
+class GuardVerdict:
+    """What the guard says of a change."""
+
+    safe: bool | None = None  #: of what was asked, every hand and the whole way; None: unknown
+    policy: str = ""  #: by which it was judged: off, warn, clamp, refuse, follow
+    basis: str = "unknown"  #: theorem, predicted, or the measurement
+    margin_ns_per_m: float | None = None  #: as in GuardReading, in free space
+    worst_hz: float | None = None
+    radius: float | None = None
+    #: the same in the wall; None without a wall
+    contact: GuardReading | None = field(default=None, metadata=_one(GuardReading))
+    delay_periods: float | None = None  #: of the loop, on which it counts
+    #: ends of each of K [N/m], B [N s/m] and M [kg], with the others as asked; None: nothing would
+    #: do
+    allowed: dict[str, list[float] | None] = field(default_factory=dict)
+    least_active_damping_ns_per_m: float | None = None  #: of active damping that would do
+    clamped: bool = False  #: `given` is less than what was asked
+    given: dict[str, Any] = field(default_factory=dict)  #: where it leads, in the shape of a `set`
+    path_points: int = 0  #: that were judged on the way
+    not_covered: tuple[str, ...] = field(
+        default=(), metadata=_tuple(str)
+    )  #: what no verdict promises
+    outcome: str = ""  #: an `explanation.Outcome`
+    reasons: tuple[Entry, ...] = field(
+        default=(), metadata=_tuple(partial(answer_of, Entry))
+    )  #: what is wrong, or known
+    remedies: tuple[Entry, ...] = field(
+        default=(), metadata=_tuple(partial(answer_of, Entry))
+    )  #: of which one would do
+    text: str = ""  #: one sentence made of these
+    cmd: str = ""  #: what was asked: set, damping, enable ...
+    number: int = 0  #: by which the event with the hand refers to it
+    stages: int = 0  #: in which it is done
+    hand: dict[str, Any] | None = None  #: that would shake it, where it was waited for
+
+    @property
+    def worse(self) -> GuardReading:
+        """The reading with less to spare: that in free space, or that in the wall."""
+        free = GuardReading(self.margin_ns_per_m, self.worst_hz, self.radius)
+        wall = self.contact
+        if wall is None or wall.margin_ns_per_m is None or free.margin_ns_per_m is None:
+            return free
+        return wall if wall.margin_ns_per_m < free.margin_ns_per_m else free
+
+
+def verdict_of(plain: Mapping[str, Any] | None) -> GuardVerdict | None:
+    """The verdict in the map `plain` of a reply or an event; None where there is none."""
+    return answer_of(GuardVerdict, plain) if plain else None
+
+
+@dataclass(frozen=True, slots=True)
+class Receipt:
+    """What became of an accepted change, as the servo answered.
+
+    Ticks count from the servo's start.
+    """
+
+    #: "applied": in force from `first_tick` on; "scheduled": will be, and `effective` holds until
+    #: then; "staged": it has begun, and an event tells the end; "pressed": a stop by way of the
+    #: stop word, which gives no receipt
+    result: str = ""
+    state: str = ""  #: of the servo: disabled, enabled, homing, stopped, fault
+    revision: int = 0  #: number of accepted changes in this life of the servo
+    first_tick: int = 0  #: from which the change acts
+    ramp_end_tick: int = 0  #: at which the last ramp ends
+    effective: dict[str, Any] = field(default_factory=dict)  #: parameters in the shape of a `set`
+    guard: GuardVerdict | None = field(
+        default=None, metadata=_one(GuardVerdict)
+    )  #: on it, if one was asked for
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What may be asked for a field, both ends included."""
+
+    low: float = 0.0  #: in `unit`
+    high: float = 0.0  #: in `unit`
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """Who answers: versions, limits, endpoints."""
+
+    rate_hz: float = 0.0  #: of the servo
+    simulated: bool = False
+    #: the configuration of the servo process, as `hapticd.params.ServoParams` in plain form
+    servo: dict[str, Any] = field(default_factory=dict)
+    actor: int = 0  #: number of this client
+    limits: dict[str, Limit] = field(
+        default_factory=dict, metadata=_many(Limit)
+    )  #: by dotted field name
+    server: str = "hapticd"
+    version: str = ""
+    protocol: int = 0
+    schema_hash: str = ""
+    layout: str = ""  #: hash of the mailbox's tables
+    instance: str = ""
+    endpoints: dict[str, Any] = field(default_factory=dict)
+    topics: tuple[dict[str, Any], ...] = field(
+        default=(), metadata=_tuple(dict)
+    )  #: name, rate and content of each
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseHeld:
+    """A lease that is held."""
+
+    name: str = ""  #: of its holder
+    actor: int = 0
+    left_s: float = 0.0  #: until it ends, if its holder asks for nothing
+    ttl_s: float = 0.0
+    at_end: str = ""  #: zero, disable or hold
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseReleased:
+    """A lease that was given up."""
+
+    what: str = ""
+    released: bool = False  #: whether it was held until then
+    text: str = ""  #: how it ended
+
+
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """From a sample to the force that it makes, in periods of the servo."""
+
+    counted_periods: float | None = None  #: on which the guard counts
+    counted: str = ""  #: measured, or assumed by the model
+    measured_p99_periods: float | None = None
+    model_periods: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TimingCost:
+    """What the delay costs of K at a level of active damping, by the theorem."""
+
+    level_ns_per_m: float = 0.0  #: of active damping
+    stiffness_n_per_m: float = 0.0  #: the largest that is passive
+    ideal_stiffness_n_per_m: float = 0.0  #: the same without the delay
+    lost_share: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """What the delay costs."""
+
+    delay_periods: float = 0.0
+    ideal_delay_periods: float = 0.0
+    without_active_damping: TimingCost = field(default=TimingCost(), metadata=_one(TimingCost))
+    with_active_damping: TimingCost = field(default=TimingCost(), metadata=_one(TimingCost))
+    measured: bool = False  #: whether the delay is; else the model's
+
+
+@dataclass(frozen=True, slots=True)
+class GuardStatus:
+    """What the guard goes by, and its verdict on what is in force."""
+
+    policy: str = ""  #: off, warn, clamp, refuse, follow
+    basis: str = ""  #: theorem, predicted, measured
+    margin_ns_per_m: float = 0.0  #: that has to be left
+    mode: str = ""  #: of the active damping: off, level, auto
+    worker: str = ""  #: "up", or why not
+    delay_periods: float | None = None
+    measuring: bool = False  #: whether somebody measures, so that nothing is judged
+    trouble: str = ""  #: of the worker
+    pid: int | None = None  #: of the worker
+    model: bool | None = None  #: whether the device has one
+    model_hash: str | None = None
+    delays: Delays | None = field(default=None, metadata=_one(Delays))
+    timing: Timing | None = field(default=None, metadata=_one(Timing))
+    verdict: GuardVerdict | None = field(default=None, metadata=_one(GuardVerdict))
+    unjudged: str = ""  #: why there is no verdict
+    waiting: int = 0  #: requests that are not judged yet
+    under_way: dict[str, Any] | None = None  #: the change of which stages are still to come
+
+
+@dataclass(frozen=True, slots=True)
+class Compensation:
+    """What is compensated of the winding's resistance; None: not known without a sensor."""
+
+    compensated_ohm: float = 0.0
+    tolerance_ohm: float = 0.0
+    least_loop_gain: float = 0.0
+    winding_c: float | None = None
+    winding_ohm: float | None = None
+    residual_ohm: float | None = None  #: above 0 too little is compensated, below 0 too much
+    loop_gain: float | None = None  #: at the level in effect; the circuit oscillates at -1
+    loop_gain_at_ceiling: float | None = None  #: at the highest level of the device
+
+
+@dataclass(frozen=True, slots=True)
+class Delivered:
+    """How much active damping the board delivers."""
+
+    basis: str = "unknown"  #: what the estimate rests on, or why there is none
+    commanded: float = 0.0  #: N s/m
+    estimate_ns_per_m: float | None = None
+    low: float | None = None  #: ends of the 95 % interval, N s/m
+    high: float | None = None
+    ratio: float | None = None  #: of the estimate to what is commanded
+    seconds: float = 0.0  #: of the records that it rests on
+
+
+@dataclass(frozen=True, slots=True)
+class StageTimes:
+    """How long a part of the tick takes."""
+
+    count: int = 0
+    p50_us: float = 0.0
+    p99_us: float = 0.0
+    p999_us: float = 0.0
+    max_us: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """Everything about servo and gateway. What a record tells is 0, or -1 for a tick and a delay,
+    while no servo is alive.
+    """
+
+    state: str = ""  #: disabled, enabled, homing, stopped, fault, starting, down
+    timestamp: float = 0.0  #: Unix time, s
+    servo_alive: bool = False
+    simulated: bool | None = None
+    rate_hz: float = 0.0
+    revision: int = 0
+    fault: str = "none"
+    cause: str = ""  #: of the fault
+    action: str = ""  #: that was taken
+    remedy: str = ""
+    waiting_for: str = ""  #: why the servo has no board
+    instance: str = ""
+    epoch: int = 0  #: monotonic time at which the servo started, ns
+    config_hash: str = ""
+    tick: int = -1
+    slot: int = -1
+    homed: int = 0
+    perturbing: int = 0
+    gain: float = 0.0
+    stiffness_n_per_m: float = 0.0
+    virtual_damping_ns_per_m: float = 0.0
+    mass_kg: float = 0.0
+    active_damping_asked_ns_per_m: float = 0.0
+    active_damping_ns_per_m: float = 0.0
+    position_m: float = 0.0
+    force_n: float = 0.0
+    delay_us: int = -1
+    delay_spread_us: int = -1
+    frame_age_us: int = -1
+    winding_c: float | None = None
+    actor: int = 0  #: that changed something last
+    actor_name: str = ""
+    actors: dict[Any, str] = field(default_factory=dict)  #: names by number
+    limit_cycle_faults: dict[str, str] = field(default_factory=dict)  #: on, or why off
+    commissioning: dict[str, Any] | None = None  #: what holds until the signs are verified
+    compensation: Compensation | None = field(default=None, metadata=_one(Compensation))
+    leases: dict[str, LeaseHeld] = field(default_factory=dict, metadata=_many(LeaseHeld))
+    counters: dict[str, int] = field(default_factory=dict)
+    delivered_active_damping: Delivered | None = field(default=None, metadata=_one(Delivered))
+    stages: dict[str, StageTimes] = field(default_factory=dict, metadata=_many(StageTimes))
+    endpoints: dict[str, Any] = field(default_factory=dict)
+    #: of the servo process: the rights that it was granted, its board and bus
+    servo: dict[str, Any] = field(default_factory=dict)
+    gateway: dict[str, Any] = field(default_factory=dict)  #: its process and its relay
+    guard: GuardStatus | None = field(default=None, metadata=_one(GuardStatus))
+    events: tuple[dict[str, Any], ...] = field(
+        default=(), metadata=_tuple(dict)
+    )  #: the last ones of the topic `event`
+    requests: dict[str, int] = field(default_factory=dict)  #: counts of them
