@@ -180,7 +180,7 @@ def _exchange(
     out_seal = memoryview(out_buffer).cast("H")
     seal_place = len(out_body) // frames.CRC.size
     whole = frames.IN_BYTES
-    most = frames.PROBE_MAX
+    most = frames.PAIR_MAX
     # whole, as board time is
     shortest = ceil(0.5 * period_us)
     longest = floor(1.5 * period_us)

@@ -45,6 +45,7 @@ from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.params import ServoParams
 from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
+from hapticd.servo.events import LOST_MASK, NO_CODE, NO_TIME_US, event_in
 from hapticd.servo.inbox import Inbox, Streamer
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
@@ -62,13 +63,14 @@ from hapticd.servo.step import initial_state, make_step
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S, round_half_up
 from hapticd.wire.codec import (
     HEAD_ENCODER,
+    HEAD_EVENT_SEQ,
     HEAD_STATUS,
     HEAD_TEMPERATURE,
     I16_HIGHEST,
     I16_LOWEST,
     NO_SAMPLES,
 )
-from hapticd.wire.frames import OutFlag
+from hapticd.wire.frames import Capability, OutFlag
 
 Wait = Callable[[int, Callable[[], object]], int]
 MISSED = -1  # arrival of a tick without a sample, before it is known for how long
@@ -181,6 +183,8 @@ class ServoLoop:
         self._delay_spread_us = 0
         self._least_us = _NOTHING_US  # delays of the running 256 ticks
         self._most_us = 0
+        self._event_seq = 0  # of the newest event that was seen at the board's pins
+        self._events_lost = 0
         self._stepped_ns = clock.now_ns()  # when the last OUT was ready
         self._board_search = Search(device, self._told)
         self._tell = tell
@@ -228,6 +232,7 @@ class ServoLoop:
         stepped = self._stepped_ns
         least_us = self._least_us
         most_us = self._most_us
+        event_seen = self._event_seq
         head: Head = NO_HEAD
         pausing = self._pausing
         alive_until_ns = 0
@@ -241,6 +246,7 @@ class ServoLoop:
             if self.stopping or tick == last:
                 self._least_us = least_us
                 self._most_us = most_us
+                self._event_seq = event_seen
                 self._stepped_ns = stepped
                 self._pausing = pausing
                 break
@@ -250,6 +256,8 @@ class ServoLoop:
             place = first_place + tick % places * size
             delay_us = UNKNOWN_US
             frame_age_us = UNKNOWN_US
+            event_us = NO_TIME_US
+            event_code = NO_CODE
             commands: tuple[Request, ...] = ()
             count = 0
             samples = NO_SAMPLES
@@ -273,6 +281,7 @@ class ServoLoop:
                     arrival, pausing = self._overdue(tick, slot, got - start)
                 elif arrival == SEED:
                     linked = self._seeded()
+                    event_seen = head[HEAD_EVENT_SEQ]
             (
                 _,
                 echo,
@@ -289,11 +298,17 @@ class ServoLoop:
                 _,
                 index,
                 _,
+                _,
+                _,
                 torque_age_us,
                 damping_effect,
                 torque_seq,
+                event_seq,
                 _,
             ) = head
+            if event_seq != event_seen:
+                event_us, event_code = self._event(head, event_seen, board_us)
+                event_seen = event_seq
 
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
             if pressed or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
@@ -414,6 +429,9 @@ class ServoLoop:
                 self._delay_spread_us,
                 frame_age_us,
                 damping_slope * damping_effect + damping_start,
+                event_us,
+                event_code,
+                self._events_lost,
                 in_bytes(),
                 out_bytes(),
                 tick,
@@ -519,6 +537,15 @@ class ServoLoop:
         except LinkError:
             pass  # it is gone; its watchdog does the same
         self.device.close()
+
+    def _event(self, head: Head, seen: int, board_us: int) -> tuple[int, int]:
+        """Time [us] and code of the event of `head`; a board without event pins has none."""
+        hello = self.device.hello
+        if hello is None or not hello.capabilities & Capability.EVENT:
+            return NO_TIME_US, NO_CODE
+        time_us, code, lost = event_in(head, seen, board_us)
+        self._events_lost = self._events_lost + lost & LOST_MASK
+        return time_us, code
 
     def _answer(self, answers: tuple[Answer, ...]) -> None:
         for seq, result, fault, revision, ticks, values in answers:
