@@ -115,6 +115,7 @@ def recorded_run() -> "RecordedFlight":
         InjectionParams("drop_in", tick=1500, count=2),
         InjectionParams("event_code", tick=1499, value=17),
         InjectionParams("event_code", tick=1600, value=0),
+        InjectionParams("event_code", tick=2100, value=18),
     )
     board = board_params(injections=injections)
     with RecordedFlight(board=board) as run:

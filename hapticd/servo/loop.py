@@ -37,6 +37,7 @@ from hapticd.clock import Clock
 from hapticd.errors import LinkError, LinkLost, MailboxError
 from hapticd.link.base import backoff_s
 from hapticd.link.device import NO_HEAD, SEED, UNKNOWN_US, Device, Head
+from hapticd.link.events import NO_CODE, NO_TIME_US
 from hapticd.link.search import Search, Tell
 from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
@@ -45,7 +46,6 @@ from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.params import ServoParams
 from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
-from hapticd.servo.events import LOST_MASK, NO_CODE, NO_TIME_US, event_in
 from hapticd.servo.inbox import Inbox, Streamer
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
@@ -63,14 +63,13 @@ from hapticd.servo.step import initial_state, make_step
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S, round_half_up
 from hapticd.wire.codec import (
     HEAD_ENCODER,
-    HEAD_EVENT_SEQ,
     HEAD_STATUS,
     HEAD_TEMPERATURE,
     I16_HIGHEST,
     I16_LOWEST,
     NO_SAMPLES,
 )
-from hapticd.wire.frames import Capability, OutFlag
+from hapticd.wire.frames import OutFlag
 
 Wait = Callable[[int, Callable[[], object]], int]
 MISSED = -1  # arrival of a tick without a sample, before it is known for how long
@@ -183,8 +182,6 @@ class ServoLoop:
         self._delay_spread_us = 0
         self._least_us = _NOTHING_US  # delays of the running 256 ticks
         self._most_us = 0
-        self._event_seq = 0  # of the newest event that was seen at the board's pins
-        self._events_lost = 0
         self._stepped_ns = clock.now_ns()  # when the last OUT was ready
         self._board_search = Search(device, self._told)
         self._tell = tell
@@ -217,6 +214,7 @@ class ServoLoop:
         rehearse = self._rehearsal()
         receive = device.receive
         send = device.send
+        events = device.events
         step = self.step
         wait = self.wait
         clock = self.clock.now_ns
@@ -232,7 +230,6 @@ class ServoLoop:
         stepped = self._stepped_ns
         least_us = self._least_us
         most_us = self._most_us
-        event_seen = self._event_seq
         head: Head = NO_HEAD
         pausing = self._pausing
         alive_until_ns = 0
@@ -246,7 +243,6 @@ class ServoLoop:
             if self.stopping or tick == last:
                 self._least_us = least_us
                 self._most_us = most_us
-                self._event_seq = event_seen
                 self._stepped_ns = stepped
                 self._pausing = pausing
                 break
@@ -281,7 +277,6 @@ class ServoLoop:
                     arrival, pausing = self._overdue(tick, slot, got - start)
                 elif arrival == SEED:
                     linked = self._seeded()
-                    event_seen = head[HEAD_EVENT_SEQ]
             (
                 _,
                 echo,
@@ -306,9 +301,8 @@ class ServoLoop:
                 event_seq,
                 _,
             ) = head
-            if event_seq != event_seen:
-                event_us, event_code = self._event(head, event_seen, board_us)
-                event_seen = event_seq
+            if event_seq != events.seen and arrival >= 0:
+                event_us, event_code = events.take(head, board_us)
 
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
             if pressed or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
@@ -431,7 +425,7 @@ class ServoLoop:
                 damping_slope * damping_effect + damping_start,
                 event_us,
                 event_code,
-                self._events_lost,
+                events.lost,
                 in_bytes(),
                 out_bytes(),
                 tick,
@@ -537,15 +531,6 @@ class ServoLoop:
         except LinkError:
             pass  # it is gone; its watchdog does the same
         self.device.close()
-
-    def _event(self, head: Head, seen: int, board_us: int) -> tuple[int, int]:
-        """Time [us] and code of the event of `head`; a board without event pins has none."""
-        hello = self.device.hello
-        if hello is None or not hello.capabilities & Capability.EVENT:
-            return NO_TIME_US, NO_CODE
-        time_us, code, lost = event_in(head, seen, board_us)
-        self._events_lost = self._events_lost + lost & LOST_MASK
-        return time_us, code
 
     def _answer(self, answers: tuple[Answer, ...]) -> None:
         for seq, result, fault, revision, ticks, values in answers:

@@ -103,8 +103,8 @@ def test_events_at_the_pins_are_in_every_form_to_the_bit(
             assert np.array_equal(csv[name], kept)
         codes = recording.column("servo", "event_code")
         times_us = recording.column("servo", "event_us")[codes >= 0]
-    assert codes[codes >= 0].tolist() == [17, 0]
-    assert np.diff(times_us).tolist() == [101_000]
+    assert codes[codes >= 0].tolist() == [17, 0, 18]
+    assert np.diff(times_us).tolist() == [101_000, 500_000]
 
 
 def test_csv_holds_every_bit(recording_file: Path, tmp_path: Path) -> None:

@@ -7,9 +7,10 @@ from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.gateway.view import as_records
+from hapticd.link.events import NO_CODE, NO_TIME_US
 from hapticd.params import InjectionParams, UsbParams
-from hapticd.servo.events import NO_CODE, NO_TIME_US
-from hapticd.wire.frames import EVENT_DEPTH, Capability
+from hapticd.servo.plan import LINK_UP
+from hapticd.wire.frames import EVENT_DEPTH
 
 MS_NS = 1_000_000
 BOTH = [UsbParams(), UsbParams(in_flight=True)]
@@ -107,8 +108,7 @@ def test_a_board_without_event_pins_has_no_events(count):
 
 def test_event_fields_of_a_board_without_the_capability_are_ignored():
     with LockStep(servo_params(), board_params()) as stack:
-        hello = stack.device.hello
-        stack.device.hello = hello._replace(capabilities=hello.capabilities & ~Capability.EVENT)
+        stack.device.events.able = False
         stack.run(100)
         stack.backend._port.set_event_code(stack.clock.now_ns() + 100_000, 3)
         stack.run(100)
@@ -135,6 +135,26 @@ def test_what_was_at_the_pins_before_the_link_is_no_event():
     assert (code, others) == (10, [])
     assert records["events_lost"][-1] == 9
     assert time_us == NO_TIME_US or time_us < records["board_us"][-1]
+
+
+def test_an_event_while_the_link_is_lost_is_recorded_if_the_board_lives_on():
+    codes = (code_at(150, 2), code_at(200, 5))
+    records = flown(300, injections=(*codes, InjectionParams("io_error", tick=200)))
+    assert (records["host"] & LINK_UP == 0).any()
+    assert [code for code, _ in events(records)] == [2, 5]
+    assert records["events_lost"][-1] == 0
+
+
+@pytest.mark.parametrize("fault", [("unplug", 1, 0.05), ("drop_out", 8, 0.0)])
+def test_a_tick_without_a_frame_is_no_event_however_the_loop_was_entered(fault):
+    kind, count, value = fault
+    gone = InjectionParams(kind, tick=200, count=count, value=value)
+    with LockStep(servo_params(), board_params(injections=(code_at(100, 5), gone))) as stack:
+        for _ in range(400):
+            stack.run(1)
+        records = as_records(b"".join(stack.blocks))
+    assert [code for code, _ in events(records)] == [5]
+    assert records["events_lost"][-1] == 0
 
 
 def test_times_are_right_where_board_time_wraps():
