@@ -82,6 +82,7 @@ KINDS = {
     "amplifier_limited": Kind((1, 60), (0.2, 1.0)),
     "amplifier_gain": Kind((1, 30), (-1.0, 0.5, 1.5)),
     "active_damping_gain": Kind((1, 30), (0.0, 0.5)),
+    "event_code": Kind((1, 3), (0.0, 1.0, 65535.0)),
     "restart": Kind(values=(0.0, 40 * 60.0, 2147.48, 4294.96)),
     "hang": Kind(values=(0.003, 0.02, 0.08)),
     "hang_unwatched": Kind(values=(0.003, 0.02, 0.05)),

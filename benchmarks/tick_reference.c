@@ -59,7 +59,7 @@ static void make_table(void)
 static int accept(struct servo *s, const struct hapticd_in *in)
 {
     int64_t passed = (int64_t)in->board_time_us - (s->board_us & 0xFFFFFFFF);
-    if (in->crc != crc16(in, HAPTICD_IN_BYTES - 2) || in->axis >= HAPTICD_AXIS_COUNT || in->probe_count > HAPTICD_PROBE_MAX)
+    if (in->crc != crc16(in, HAPTICD_IN_BYTES - 2) || in->axis >= HAPTICD_AXIS_COUNT || in->probe_count > HAPTICD_PAIR_MAX)
         return 0;
     if (in->seq != s->expected || in->echo != s->sent || 2 * passed < s->period_us || 2 * passed > 3 * s->period_us)
         return 0;

@@ -19,7 +19,7 @@
 
 #include <stdint.h>
 
-#define HAPTICD_PROTOCOL_HASH 0x7def932b9cce8e69ULL
+#define HAPTICD_PROTOCOL_HASH 0x016b7228b39ec3caULL
 
 #define HAPTICD_USB_VENDOR_ID 0x1209
 #define HAPTICD_USB_PRODUCT_ID 0x0001
@@ -28,10 +28,13 @@
 #define HAPTICD_IN_BYTES 64
 #define HAPTICD_HELLO_BYTES 80
 #define HAPTICD_AXIS_COUNT 1         /* frames carry an axis index; this protocol has one axis */
-#define HAPTICD_PROBE_MAX 6          /* probe samples or pairs in one frame */
+#define HAPTICD_PROBE_MAX 6          /* perturbation samples in one OUT */
+#define HAPTICD_PAIR_MAX 5           /* measured pairs in one IN */
 #define HAPTICD_FIFO_DEPTH 16        /* perturbation samples the board holds */
 #define HAPTICD_FIFO_TARGET 8        /* level at which the host aims */
 #define HAPTICD_PROBE_RATE_HZ 4000   /* the board's own sample clock */
+#define HAPTICD_EVENT_DEPTH 16       /* events at the pins that the board holds, the one in its frames included */
+#define HAPTICD_EVENT_FRAMES 2       /* frames with an event that the host takes before the next event follows */
 #define HAPTICD_CRC_POLYNOMIAL 0x1021
 #define HAPTICD_CRC_INITIAL 0xFFFF
 
@@ -73,6 +76,7 @@
 #define HAPTICD_CAPABILITY_SAMPLE_PHASE 0x0080  /* REQUEST_SAMPLE_PHASE is obeyed, else the phase is 0.875 of the period */
 #define HAPTICD_CAPABILITY_RESISTANCE_MEASURED 0x0100 /* reserved for a measured winding resistance: 0 */
 #define HAPTICD_CAPABILITY_RESISTANCE_TRACKED 0x0200 /* reserved for compensation that follows the winding by itself: 0 */
+#define HAPTICD_CAPABILITY_EVENT 0x0400         /* the event pins are connected, else the event fields are 0 */
 #define HAPTICD_CAPABILITY_SIMULATED 0x8000     /* the device behind this board is computed */
 
 #pragma pack(push, 1)
@@ -95,7 +99,7 @@ struct hapticd_in {
     uint16_t seq;              /* +1 per frame */
     uint16_t echo;             /* seq of the last OUT accepted */
     uint8_t axis;              /* 0..HAPTICD_AXIS_COUNT - 1 */
-    uint8_t probe_count;       /* 0..HAPTICD_PROBE_MAX valid pairs below */
+    uint8_t probe_count;       /* 0..HAPTICD_PAIR_MAX valid pairs below */
     uint16_t status;           /* HAPTICD_STATUS_ */
     uint32_t board_time_us;    /* when the encoder was latched; wraps */
     int32_t encoder;           /* counts; wraps */
@@ -107,11 +111,13 @@ struct hapticd_in {
     uint8_t life;              /* counted on or drawn at every start of the firmware; constant within one */
     int16_t index_offset;      /* encoder - count at the index mark, valid with STATUS_INDEX */
     uint32_t probe_index;      /* index of the first pair below, counts 250 us intervals since power-up; wraps */
-    int16_t pair[HAPTICD_PROBE_MAX][2]; /* mean perturbation torque, mean velocity over the interval */
+    int16_t pair[HAPTICD_PAIR_MAX][2]; /* mean perturbation torque, mean velocity over the interval */
+    uint16_t event_code;       /* code at the event pins since event `event_seq` */
+    uint16_t event_age_us;     /* time from that event to the latch; 65535 stands for longer too */
     uint16_t torque_age_us;    /* time since the torque of OUT `torque_seq` took effect; 65535 stands for longer too */
     uint16_t damping_effect;   /* damping scale factor in effect, in counts of the DAC */
     uint8_t torque_seq;        /* low byte of the seq of the OUT whose torque is in effect */
-    uint8_t reserved;          /* 0 */
+    uint8_t event_seq;         /* number of that event, +1 per change of the code since power-up; wraps */
     uint16_t crc;              /* over all bytes before it */
 };
 

@@ -491,7 +491,7 @@ class BoardParams:
     touch: TouchParams | None = None  # what touches its rotor beside the motor
     emergency_stop_bounce_ms: float = 0.0  # of its contact, at either edge
     hello_serial: str = ""  # serial number in the hello reply; empty: `serial`
-    lacks: tuple[str, ...] = ()  # capabilities that it does not have: "probe", "temperature"
+    lacks: tuple[str, ...] = ()  # capabilities that it does not have: "probe", "event"
     rights_s: float = 0.0  # after a plug until udev has granted the rights to open it
     hello_s: float = 0.0  # after a plug until it answers requests
     boot_loader_s: float = 0.0  # after a plug in its boot loader, until it comes back as itself

@@ -102,8 +102,8 @@ def fresh_runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.fixture(scope="session")
 def recorded_run() -> "RecordedFlight":
-    """Three seconds with active damping switched live and one lost frame; the stack is gone, its
-    messages are there.
+    """Three seconds with active damping switched live, two lost frames, and a code at the event
+    pins of the board; the stack is gone, its messages are there.
     """
     from support.boards import board_params
     from support.recorded import RecordedFlight
@@ -111,7 +111,13 @@ def recorded_run() -> "RecordedFlight":
     from hapticd.mailbox.layout import Command, Value
     from hapticd.params import InjectionParams
 
-    board = board_params(injections=(InjectionParams("drop_in", tick=1500, count=2),))
+    injections = (
+        InjectionParams("drop_in", tick=1500, count=2),
+        InjectionParams("event_code", tick=1499, value=17),
+        InjectionParams("event_code", tick=1600, value=0),
+        InjectionParams("event_code", tick=2100, value=18),
+    )
+    board = board_params(injections=injections)
     with RecordedFlight(board=board) as run:
         run.move()
         run.fly(1000)

@@ -12,7 +12,13 @@ from hapticd.wire.frames import StatusBit
 from pages.markdown import table
 
 # units of fields whose names have none
-UNITS = {"tick": "ticks", "slot": "periods", "lost_slots": "periods", "resistance_count": "counts"}
+UNITS = {
+    "tick": "ticks",
+    "slot": "periods",
+    "lost_slots": "periods",
+    "resistance_count": "counts",
+    "events_lost": "events",
+}
 FIELDS = {
     "tick": "number of the tick since the servo started",
     "time_ns": "time at which the tick woke, on the host's monotonic clock",
@@ -67,6 +73,9 @@ FIELDS = {
     "delay_spread_us": "greatest minus least delay of the last 256 ticks",
     "frame_age_us": "age of the frame when it was read; -1 if unknown",
     "active_damping_effect_ns_per_m": "active damping that the board reports as in effect",
+    "event_us": "time of the event at the board's pins, on the board's clock; -1 if unknown or none",
+    "event_code": "code at the board's event pins, in the tick that brought its change; -1 for none",
+    "events_lost": "events at the board's pins that were lost since the servo started",
     "in_frame": "frame from the board, as it came",
     "out_frame": "frame to the board, as it was sent",
     "tail": "equals `tick`; absent in recordings",

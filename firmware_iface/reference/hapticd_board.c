@@ -20,7 +20,6 @@
 #define RELEASE_US 500000u /* and then released */
 #define RELEASE_STEPS (RELEASE_US / HAPTICD_INTERVAL_US)
 #define US_PER_MS 1000u
-#define AGE_MAX_US 65535u
 #define VENDOR_IN 0xC0
 #define VENDOR_OUT 0x40
 #define CRC_CHECK 0x29B1 /* over "123456789" */
@@ -151,8 +150,17 @@ static void end_interval(struct hapticd_board *board, uint32_t now_us)
             hapticd_probe_miss(probe, (now_us - probe->start_us) / HAPTICD_INTERVAL_US);
     port->set_perturbation(port->device, probe->sample);
     /* an age that has reached its end stays there, however often the clock wraps meanwhile */
-    if (now_us - board->torque_since_us > AGE_MAX_US)
-        board->torque_since_us = now_us - AGE_MAX_US;
+    if (now_us - board->torque_since_us > HAPTICD_AGE_MAX_US)
+        board->torque_since_us = now_us - HAPTICD_AGE_MAX_US;
+    hapticd_events_grow_old(&board->pins, now_us);
+}
+
+/* --- event pins ------------------------------------------------------------------------------- */
+
+static void look_at_pins(struct hapticd_board *board, uint32_t now_us)
+{
+    if (able(board, HAPTICD_CAPABILITY_EVENT))
+        hapticd_events_look(&board->pins, board->port->event_code(board->port->device), now_us);
 }
 
 /* --- IN --------------------------------------------------------------------------------------- */
@@ -196,8 +204,8 @@ static uint8_t copy_pairs(struct hapticd_board *board)
         board->pairs_end = probe->index;
         return 0;
     }
-    if (count > HAPTICD_PROBE_MAX)
-        count = HAPTICD_PROBE_MAX;
+    if (count > HAPTICD_PAIR_MAX)
+        count = HAPTICD_PAIR_MAX;
     for (uint32_t i = 0; i < count; i++) {
         const int16_t *pair = probe->pair[(probe->first_index + i) % HAPTICD_PAIRS];
         board->frame.pair[i][0] = pair[0];
@@ -242,9 +250,11 @@ static void latch(struct hapticd_board *board)
     frame->fifo_level = board->probe.level;
     frame->life = board->life;
     frame->probe_index = board->probe.first_index;
-    frame->torque_age_us = (uint16_t)(age_us < AGE_MAX_US ? age_us : AGE_MAX_US);
+    frame->torque_age_us = (uint16_t)(age_us < HAPTICD_AGE_MAX_US ? age_us : HAPTICD_AGE_MAX_US);
     frame->damping_effect = board->damping;
     frame->torque_seq = board->torque_seq;
+    if (able(board, HAPTICD_CAPABILITY_EVENT))
+        hapticd_events_show(&board->pins, frame, now_us);
     frame->crc = crc16((const uint8_t *)frame, sizeof *frame - sizeof frame->crc);
 
     board->frame_events = board->events;
@@ -259,6 +269,7 @@ void hapticd_board_taken(struct hapticd_board *board)
         return;
     board->waiting = false;
     hapticd_probe_forget(&board->probe, board->pairs_end);
+    hapticd_events_taken(&board->pins, board->frame.event_seq);
 }
 
 /* In the order of their OUTs, also when the phase was made shorter in between. */
@@ -294,6 +305,7 @@ void hapticd_board_service(struct hapticd_board *board)
     uint32_t now_us = clock_us(board);
     if (!board->fit)
         return;
+    look_at_pins(board, now_us);
     while (reached(now_us, next_event_us(board))) {
         if (!alarm_first(board))
             end_interval(board, now_us);
@@ -336,6 +348,8 @@ static void obey(struct hapticd_board *board, const struct hapticd_out *out, uin
     bool enable = out->flags & HAPTICD_FLAG_ENABLE;
     if (board->tripped && enable)
         return; /* answered and echoed; nothing in it acts */
+    if (board->tripped)
+        hapticd_events_forget(&board->pins);
     board->tripped = false;
     feed(board, now_us);
     damp(board, out->damping);
@@ -435,6 +449,9 @@ bool hapticd_board_boot(struct hapticd_board *board, const struct hapticd_config
     cut_torque(board, now_us);
     damp(board, 0);
     port->set_resistance(port->device, 0);
+    hapticd_events_start(&board->pins, 0, now_us);
+    if (able(board, HAPTICD_CAPABILITY_EVENT))
+        hapticd_events_start(&board->pins, port->event_code(port->device), now_us);
     board->origin_us = now_us;
     board->torque_since_us = now_us;
     board->phase_us = config->phase_us;

@@ -19,6 +19,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "hapticd_event.h"
 #include "hapticd_probe.h"
 #include "hapticd_wire.h"
 
@@ -57,6 +58,9 @@ struct hapticd_port {
     void (*set_resistance)(void *device, int16_t count);
     /* the IN endpoint holds this frame from now on, in place of one that was not taken */
     void (*send)(void *device, const struct hapticd_in *frame);
+    /* the code at the event pins at this moment, once its bits have settled. Called only with the
+     * capability EVENT: a board without event pins may leave it NULL */
+    uint16_t (*event_code)(void *device);
 };
 
 /* What this very board is. */
@@ -97,6 +101,7 @@ struct hapticd_board {
     uint16_t echo;
 
     struct hapticd_probe probe;
+    struct hapticd_events pins;
     struct hapticd_in frame; /* the newest, as sent */
     bool waiting;            /* nobody has taken it */
     uint16_t events;         /* since it was latched */

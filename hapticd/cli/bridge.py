@@ -28,6 +28,7 @@ CHANNELS = {  # fields of a tick, and their units
     "mass_kg": "kg",
     "state": "",
     "revision": "",
+    "event_code": "",  # of the board's event pins, in the tick that brought its change; else -1
 }
 CLOCKS_AGREE_S = 0.01
 app = typer.Typer(help="Hand telemetry to other tools.", no_args_is_help=True)
@@ -42,7 +43,8 @@ def lsl(
 ) -> None:
     """Offer every tick as a stream of the Lab Streaming Layer. Ctrl-C ends it.
 
-    Channels: position, velocity, force, active damping, K, B, M, state, revision.
+    Channels: position, velocity, force, active damping, K, B, M, state, revision, and the
+    code of an event at the board's pins.
     """
     import numpy as np
 

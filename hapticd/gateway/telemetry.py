@@ -20,7 +20,7 @@ for acquisition: one map with a header and, in `d`, the records byte by byte as 
 them; numpy.frombuffer(d, numpy.dtype(descr)) is lossless and copies nothing.
 
 Probe. The 4 kHz stream is taken out of the IN frames that the tick records carry. A frame holds
-0..6 (torque, velocity) pairs and the board's index of the first one, 32 bits that wrap. Here the
+0..5 (torque, velocity) pairs and the board's index of the first one, 32 bits that wrap. Here the
 index is unwrapped, intervals that come twice are dropped, missing ones are counted, and each pair
 gets the host time of the tick that brought it. Counts stay counts; the header carries the scales of
 this device. When the board starts anew its index does too: that is a new `run`, not a gap.
@@ -301,7 +301,7 @@ _COUNT_PLACE = frames.IN_OFFSETS["probe_count"]
 _INDEX = struct.Struct("<I")
 _INDEX_PLACE = frames.IN_OFFSETS["probe_index"]
 _PAIRS_PLACE = frames.IN_OFFSETS["pair"]
-_PAIR_BYTES = frames.IN_PAIRS.size // frames.PROBE_MAX
+_PAIR_BYTES = frames.IN_PAIRS.size // frames.PAIR_MAX
 _STALE = Flag.MISSING_IN | Flag.BAD_IN  # the record repeats an older frame
 
 
@@ -353,7 +353,7 @@ class ProbeDecoder:
         for flags, time_ns, frame in zip(
             *(records[name].tolist() for name in ("flags", "time_ns", "in_frame")), strict=True
         ):
-            count = min(frame[_COUNT_PLACE], frames.PROBE_MAX)
+            count = min(frame[_COUNT_PLACE], frames.PAIR_MAX)
             if flags & _STALE or not count:
                 continue
             if self._is_restart(frame):

@@ -28,7 +28,7 @@ from typing import NamedTuple
 from hapticd.params import MOST_CORRECTION, DeviceParams, ScaleParams
 from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
-from hapticd.wire.frames import PROBE_MAX, Capability, HelloFrame
+from hapticd.wire.frames import PAIR_MAX, Capability, HelloFrame
 
 TOLERANCE = 0.1  # of the device file's number, where nobody measured it
 
@@ -75,11 +75,11 @@ def probe_shortage(rate_hz: float) -> str:
     perturbation alike; empty if it carries all.
     """
     samples = PROBE_RATE_HZ / rate_hz
-    if samples <= PROBE_MAX:
+    if samples <= PAIR_MAX:
         return ""
-    least_hz = ceil(PROBE_RATE_HZ / PROBE_MAX)
+    least_hz = ceil(PROBE_RATE_HZ / PAIR_MAX)
     return (
-        f"at {rate_hz:g} Hz a frame carries {PROBE_MAX} of {samples:.3g} samples of probe"
+        f"at {rate_hz:g} Hz a frame carries {PAIR_MAX} of {samples:.3g} samples of probe"
         f" and perturbation, the others are lost; set realtime.rate_hz to at least {least_hz} Hz"
     )
 

@@ -37,6 +37,7 @@ from typing import NamedTuple
 
 from hapticd.errors import LinkStalled, LinkTimeout
 from hapticd.link.base import Link
+from hapticd.link.events import PinEvents
 from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames, session
 from hapticd.wire.codec import (
@@ -44,13 +45,14 @@ from hapticd.wire.codec import (
     HEAD_BOARD_TIME,
     HEAD_CRC,
     HEAD_ECHO,
+    HEAD_EVENT_SEQ,
     HEAD_LIFE,
     HEAD_PROBE_COUNT,
     HEAD_SEQ,
     HEAD_TORQUE_AGE,
     HEAD_TORQUE_SEQ,
 )
-from hapticd.wire.frames import HelloFrame, Request
+from hapticd.wire.frames import Capability, HelloFrame, Request
 from hapticd.wire.session import BOARD_TIME_BITS
 
 # far above any number of lost samples: the link is given up long before
@@ -104,6 +106,7 @@ class Device:
         )
         self.counts = dict.fromkeys(kinds, 0)
         self.hello: HelloFrame | None = None
+        self.events = PinEvents()
         self._phase: Phase | None = None  # None: as the board has it
         self._begin: Callable[[], None]
         self.receive: Callable[[], Received]
@@ -125,6 +128,7 @@ class Device:
     def greet(self) -> HelloFrame:
         """Ask an open board again who it is. LinkError, ProtocolMismatch or FrameError."""
         self.hello = session.greet(self.link.request(Request.HELLO, frames.HELLO_BYTES))
+        self.events.able = bool(self.hello.capabilities & Capability.EVENT)
         return self.hello
 
     def begin(self) -> None:
@@ -180,7 +184,7 @@ def _exchange(
     out_seal = memoryview(out_buffer).cast("H")
     seal_place = len(out_body) // frames.CRC.size
     whole = frames.IN_BYTES
-    most = frames.PROBE_MAX
+    most = frames.PAIR_MAX
     # whole, as board time is
     shortest = ceil(0.5 * period_us)
     longest = floor(1.5 * period_us)
@@ -268,6 +272,7 @@ def _exchange(
         if found[HEAD_LIFE] != life:
             counts["lives"] += life >= 0
             life = found[HEAD_LIFE]
+            device.events.seen = found[HEAD_EVENT_SEQ]
             begin()
         if not seeding:
             latched = session.unwrap(board_us, latched, BOARD_TIME_BITS)

@@ -327,6 +327,10 @@ TELEMETRY = (
     # of the IN frame when it was read, by both clocks; -1: unknown, or the board holds torque back
     ("frame_age_us", "<i4"),
     ("active_damping_effect_ns_per_m", "<f4"),  # active damping in effect, as the board says
+    # of the event at the board's pins that this tick brought (link.events)
+    ("event_us", "<i8"),
+    ("event_code", "<i4"),
+    ("events_lost", "<u4"),
     ("in_frame", "V64"),
     ("out_frame", "V32"),
     ("tail", "<u8"),  # = tick; differs while the record is being overwritten

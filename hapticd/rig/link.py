@@ -57,6 +57,7 @@ WITHOUT = {
 USEFUL = {
     Capability.INDEX: "the origin is found at a stop or by hand",
     Capability.RESISTANCE: "damping and force get weaker as the winding warms up",
+    Capability.EVENT: "no event code of an EEG or eye tracker comes into the recording",
 }
 REMEDIES = {
     "missing_in": "look at cable and hub, and at what else shares the bus",

@@ -37,6 +37,7 @@ from hapticd.clock import Clock
 from hapticd.errors import LinkError, LinkLost, MailboxError
 from hapticd.link.base import backoff_s
 from hapticd.link.device import NO_HEAD, SEED, UNKNOWN_US, Device, Head
+from hapticd.link.events import NO_CODE, NO_TIME_US
 from hapticd.link.search import Search, Tell
 from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
@@ -213,6 +214,7 @@ class ServoLoop:
         rehearse = self._rehearsal()
         receive = device.receive
         send = device.send
+        events = device.events
         step = self.step
         wait = self.wait
         clock = self.clock.now_ns
@@ -250,6 +252,8 @@ class ServoLoop:
             place = first_place + tick % places * size
             delay_us = UNKNOWN_US
             frame_age_us = UNKNOWN_US
+            event_us = NO_TIME_US
+            event_code = NO_CODE
             commands: tuple[Request, ...] = ()
             count = 0
             samples = NO_SAMPLES
@@ -289,11 +293,16 @@ class ServoLoop:
                 _,
                 index,
                 _,
+                _,
+                _,
                 torque_age_us,
                 damping_effect,
                 torque_seq,
+                event_seq,
                 _,
             ) = head
+            if event_seq != events.seen and arrival >= 0:
+                event_us, event_code = events.take(head, board_us)
 
             # a plain load of the head is a hint, at worst a tick old; `take` loads it in order
             if pressed or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
@@ -414,6 +423,9 @@ class ServoLoop:
                 self._delay_spread_us,
                 frame_age_us,
                 damping_slope * damping_effect + damping_start,
+                event_us,
+                event_code,
+                events.lost,
                 in_bytes(),
                 out_bytes(),
                 tick,

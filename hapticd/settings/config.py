@@ -266,8 +266,8 @@ class SimulatedBoard(TomlTable):
 
     serial: str | None = Field(None, min_length=1, max_length=16, pattern=r"^[!-~]+$")
     """In the hello alone: it is still found by the device file's serial number."""
-    lacks: tuple[Literal["probe", "temperature", "sample_phase", "resistance"], ...] = Field(
-        (), strict=False
+    lacks: tuple[Literal["probe", "temperature", "sample_phase", "resistance", "event"], ...] = (
+        Field((), strict=False)
     )
     """Capabilities that it does not have."""
     position_m_per_count: float | None = Field(None, gt=0)

@@ -33,10 +33,12 @@ from hapticd.sim.axis import (
     FIFO_CLEAR,
     NEVER,
     PERTURB,
+    WATCHDOG,
     Amplifier,
     Axis,
     i16_count,
 )
+from hapticd.sim.events import EventPins, PinEvent
 from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, HelloFrame, Request, StatusBit
@@ -58,9 +60,9 @@ IN_BODY = frames.IN_BYTES - frames.CRC.size
 IN_LAYOUTS = tuple(  # by the number of pairs; zeros behind them, and up to the CRC
     struct.Struct(
         f"{frames.IN_HEAD.format}{2 * pairs}h{frames.IN_PAIRS.size - 4 * pairs}x"
-        f"{frames.IN_EFFECT.format[1:]}x"
+        f"{frames.IN_TAIL.format[1:]}"
     )
-    for pairs in range(frames.PROBE_MAX + 1)
+    for pairs in range(frames.PAIR_MAX + 1)
 )
 
 
@@ -74,6 +76,7 @@ class BoardModel:
         "_echo",
         "_events",
         "_frame",
+        "_has_pins",
         "_in_seq",
         "_latch_at",
         "_latches",
@@ -84,9 +87,11 @@ class BoardModel:
         "_pairs_end",
         "_params",
         "_phase",
+        "_pins",
         "_ready_events",
         "_ready_ns",
         "_replies",
+        "_shown",
         "_substep_ns",
         "_substeps_max",
         "_temperature",
@@ -110,7 +115,7 @@ class BoardModel:
         self._temperature = (
             i16_count(params.ambient_c / params.temperature_c_per_count) if feels_heat else 0
         )
-        self._most_numbers = 0 if "probe" in params.lacks else 2 * frames.PROBE_MAX
+        self._most_numbers = 0 if "probe" in params.lacks else 2 * frames.PAIR_MAX
         self._frame = bytearray(frames.IN_BYTES)
         self._body = memoryview(self._frame)[:IN_BODY]
         self.on_slip = on_slip  # called with the ns that the plant missed
@@ -118,6 +123,8 @@ class BoardModel:
         self.in_replaced = 0
         self.out_refused = 0
         self._life = 0
+        self._has_pins = "event" not in params.lacks
+        self._pins = EventPins()
         self.power_up()
 
     def power_up(self) -> None:
@@ -125,6 +132,7 @@ class BoardModel:
         counts from here.
         """
         self._axis.power_up()
+        self._pins.power_up()
         self._life = self._life + 1 & 0xFF
         self._phase = round(self._params.sample_phase * SUBSTEPS_PER_TICK)
         self._origin_ns: int | None = None
@@ -134,6 +142,7 @@ class BoardModel:
         self._events = 0
         self._ready_events = 0
         self._pairs_end = 0
+        self._shown = 0  # number of the event in the newest frame
         self._latches: deque[int] = deque(maxlen=LATCHES_MAX)
         self._latch_at = NEVER
         self._ready_ns: int | None = None
@@ -176,7 +185,11 @@ class BoardModel:
         behind = self._latches[-1] if self._latches else 0
         self._latches.append(max(self._axis.now + self._phase, behind))
         self._latch_at = self._latches[0]
-        return self._axis.obey(flags, torque, damping, samples[:count], seq, resistance)
+        tripped = self._axis.status & WATCHDOG
+        self._axis.obey(flags, torque, damping, samples[:count], seq, resistance)
+        if tripped and not self._axis.status & WATCHDOG:
+            self._pins.forget()
+        return None
 
     def poll_in(self, t_ns: int) -> bytes | None:
         """The IN frame, once, if one was latched by `t_ns`; else None."""
@@ -188,6 +201,7 @@ class BoardModel:
             return None
         self._ready_ns = None
         self._axis.probe.forget(self._pairs_end)
+        self._pins.taken(self._shown)
         return bytes(self._frame)
 
     def next_in_ns(self) -> int | None:
@@ -235,6 +249,11 @@ class BoardModel:
         self._advance(t_ns)
         self._axis.press_stop(pressed)
 
+    def set_event_code(self, t_ns: int, code: int) -> None:
+        """`code` (0 to 65535) is at the event pins from `t_ns` on."""
+        self._advance(t_ns)
+        self._pins.change(code, self._axis.now)
+
     @property
     def amplifier(self) -> Amplifier | None:
         """What becomes of a commanded force [N]; None: nothing."""
@@ -262,6 +281,9 @@ class BoardModel:
         if self._latches:
             self._latches[-1] += floor(delay_ns / self._substep_ns + 0.5)
             self._latch_at = self._latches[0]
+
+    def _age_us(self, substeps: int) -> int:
+        return min(round(substeps * self._substep_ns) // NS_PER_US, codec.U16_HIGHEST)
 
     def _refuse(self) -> None:
         self._events |= BAD_FRAME
@@ -318,7 +340,8 @@ class BoardModel:
             self._temperature = i16_count(
                 self._celsius(axis.state) / params.temperature_c_per_count
             )
-        since = latched_at - axis.torque_since
+        # without event pins the fields are 0, the age too
+        event = self._pins.shown() if self._has_pins else PinEvent(0, 0, latched_at)
         pairs = probe.pairs[: self._most_numbers]
         count = len(pairs) // 2
         IN_LAYOUTS[count].pack_into(
@@ -340,14 +363,18 @@ class BoardModel:
             0,
             probe.first_index & 0xFFFFFFFF,
             *pairs,
-            min(round(since * self._substep_ns) // NS_PER_US, codec.U16_HIGHEST),
+            event.code,
+            self._age_us(latched_at - event.substep),
+            self._age_us(latched_at - axis.torque_since),
             axis.damping_count,
             axis.torque_seq & 0xFF,
+            event.number,
         )
         frames.CRC.pack_into(self._frame, IN_BODY, crc_hqx(self._body, frames.CRC_INITIAL))
         self._in_seq = self._in_seq + 1 & 0xFFFF
         self._ready_ns = self._to_ns(latched_at)
         self._ready_events = events
+        self._shown = event.number
         self._pairs_end = probe.first_index + count if self._most_numbers else probe.index
         self._latch_at = self._latches[0] if self._latches else NEVER
 
@@ -399,6 +426,7 @@ CAPABILITIES = (
     | Capability.EMERGENCY_STOP
     | Capability.AMPLIFIER_READY
     | Capability.SAMPLE_PHASE
+    | Capability.EVENT
     | Capability.SIMULATED
 )
 

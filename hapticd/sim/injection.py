@@ -303,6 +303,11 @@ def _pressed(injector: Injector, packet: memoryview, value: float, t_ns: int) ->
     return packet
 
 
+def _event(injector: Injector, packet: memoryview, value: float, t_ns: int) -> memoryview:
+    injector.board.set_event_code(t_ns, round(value) & codec.U16_HIGHEST)
+    return packet
+
+
 def _amplifier(act: Callable[[float, float], float]) -> OutFault:
     """`act(force_n, value)`: what the amplifier makes of a commanded force."""
 
@@ -417,6 +422,11 @@ OUT_FAULTS: dict[str, OutKind] = {
         _damped,
         "the damping circuit damps less, or more, than is commanded",
         "damping over commanded damping",
+    ),
+    "event_code": OutKind(
+        _event,
+        "the code at the event pins changes, and stays; no fault",
+        "the code (0 to 65535)",
     ),
     "restart": OutKind(
         _restarted,

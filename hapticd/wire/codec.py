@@ -40,12 +40,16 @@ HEAD_TEMPERATURE = 10
 HEAD_FIFO_LEVEL = 11
 HEAD_LIFE = 12
 HEAD_INDEX_OFFSET = 13
-HEAD_TORQUE_AGE = 15
-HEAD_TORQUE_SEQ = 17
-HEAD_CRC = 18
-HEAD_FIELDS = 19
+HEAD_EVENT_CODE = 15
+HEAD_EVENT_AGE = 16
+HEAD_TORQUE_AGE = 17
+HEAD_TORQUE_SEQ = 19
+HEAD_EVENT_SEQ = 20
+HEAD_CRC = 21
+HEAD_FIELDS = 22
 NO_SAMPLES = (0,) * frames.PROBE_MAX
-_NO_PAIRS = (0,) * (2 * frames.PROBE_MAX)
+_NO_PAIRS = (0,) * (2 * frames.PAIR_MAX)
+_PAIRS = InFrame._fields.index("pairs")
 _SERIAL_BYTES = 16
 
 
@@ -88,10 +92,10 @@ def _check_length(kind: str, found: int, expected: int, remedy: str) -> None:
         )
 
 
-def _counted(kind: str, count: int) -> int:
-    if count > frames.PROBE_MAX:
+def _counted(kind: str, count: int, most: int) -> int:
+    if count > most:
         raise FrameError(
-            f"{kind} frame has a count of {count} probe values, limit {frames.PROBE_MAX}",
+            f"{kind} frame has a count of {count} probe values, limit {most}",
             "count",
         )
     return count
@@ -109,7 +113,7 @@ def _check_axis(kind: str, axis: int) -> None:
 def encode_out(frame: OutFrame) -> bytes:
     """32 bytes of an OUT frame. FrameError if a value does not fit its field."""
     *head, perturbation = frame
-    count = _counted("OUT", len(perturbation))
+    count = _counted("OUT", len(perturbation), frames.PROBE_MAX)
     samples = (*perturbation, *NO_SAMPLES[count:])
     return _sealed(frames.OUT, *head, count, 0, *samples, b"")
 
@@ -119,60 +123,29 @@ def decode_out(data: bytes | bytearray | memoryview) -> OutFrame:
     seq, axis, flags, torque, damping, resistance, count, _, *samples, _, _ = _opened(
         frames.OUT, data, "OUT"
     )
-    kept = tuple(samples[: _counted("OUT", count)])
+    kept = tuple(samples[: _counted("OUT", count, frames.PROBE_MAX)])
     _check_axis("OUT", axis)
     return OutFrame(seq, axis, flags, torque, damping, resistance, kept)
 
 
 def encode_in(frame: InFrame) -> bytes:
     """64 bytes of an IN frame. FrameError if a value does not fit its field."""
-    seq, echo, axis, *latched, pairs, age, damping, torque_seq = frame
-    count = _counted("IN", len(pairs))
-    flat = tuple(value for pair in pairs for value in pair) + _NO_PAIRS[2 * count :]
-    head = (seq, echo, axis, count, *latched)
-    return _sealed(frames.IN, *head, *flat, age, damping, torque_seq, 0)
+    seq, echo, axis, *latched = frame[:_PAIRS]
+    count = _counted("IN", len(frame.pairs), frames.PAIR_MAX)
+    flat = tuple(value for pair in frame.pairs for value in pair) + _NO_PAIRS[2 * count :]
+    return _sealed(frames.IN, seq, echo, axis, count, *latched, *flat, *frame[_PAIRS + 1 :])
 
 
 def decode_in(data: bytes | bytearray | memoryview) -> InFrame:
     """The IN frame in 64 bytes. FrameError names length, CRC, count or axis."""
-    values = _opened(frames.IN, data, "IN")
-    (
-        seq,
-        echo,
-        axis,
-        count,
-        status,
-        time_us,
-        encoder,
-        current,
-        voltage,
-        emf,
-        temperature,
-        level,
-        life,
-        *tail,
-    ) = values
-    index_offset, probe_index, *flat, age, damping, torque_seq, _, _ = tail
-    pairs = tuple(zip(flat[::2], flat[1::2], strict=True))[: _counted("IN", count)]
+    seq, echo, axis, count, *values, _ = _opened(frames.IN, data, "IN")
+    latched = _PAIRS - 3
+    behind = latched + len(_NO_PAIRS)
+    flat = values[latched:behind]
+    pairs = tuple(zip(flat[::2], flat[1::2], strict=True))
+    kept = pairs[: _counted("IN", count, frames.PAIR_MAX)]
     _check_axis("IN", axis)
-    electrical = (current, voltage, emf, temperature)
-    return InFrame(
-        seq,
-        echo,
-        axis,
-        status,
-        time_us,
-        encoder,
-        *electrical,
-        level,
-        life,
-        index_offset,
-        probe_index,
-        pairs,
-        age,
-        damping,
-        torque_seq,
-    )
+    return InFrame._make((seq, echo, axis, *values[:latched], kept, *values[behind:]))
 
 
 def encode_hello(hello: HelloFrame) -> bytes:
@@ -288,15 +261,16 @@ def in_parser(buffer: "array[int]") -> Callable[[], tuple[int, ...] | None]:
     Refused is what `decode_in` refuses: CRC, count or axis; the caller has checked that 64 bytes
     were read. A head is the fields of IN_SEALED (see HEAD_SEQ and the others): seq, echo, axis,
     probe_count, status, board_time_us, encoder, current, voltage, emf_velocity, temperature,
-    fifo_level, life, index_offset, probe_index, torque_age_us, damping_effect, torque_seq, CRC. The
-    pairs stay in the frame; whoever wants them decodes it whole.
+    fifo_level, life, index_offset, probe_index, event_code, event_age_us, torque_age_us,
+    damping_effect, torque_seq, event_seq, CRC. The pairs stay in the frame; whoever wants them
+    decodes it whole.
     """
     body = memoryview(buffer)[: frames.IN_BYTES - frames.CRC.size]
     unpack = frames.IN_SEALED.unpack_from
     check = crc_hqx
     initial = frames.CRC_INITIAL
     axes = frames.AXIS_COUNT
-    most = frames.PROBE_MAX
+    most = frames.PAIR_MAX
 
     def parse() -> tuple[int, ...] | None:
         head = unpack(buffer)

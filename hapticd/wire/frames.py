@@ -17,7 +17,7 @@ import struct
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-PROTOCOL_HASH = bytes.fromhex("7def932b9cce8e69")
+PROTOCOL_HASH = bytes.fromhex("016b7228b39ec3ca")
 
 USB_VENDOR_ID = 0x1209
 USB_PRODUCT_ID = 0x0001
@@ -27,9 +27,12 @@ IN_BYTES = 64
 HELLO_BYTES = 80
 AXIS_COUNT = 1
 PROBE_MAX = 6
+PAIR_MAX = 5
 FIFO_DEPTH = 16
 FIFO_TARGET = 8
 PROBE_RATE_HZ = 4000
+EVENT_DEPTH = 16
+EVENT_FRAMES = 2
 CRC_POLYNOMIAL = 0x1021
 CRC_INITIAL = 0xFFFF
 
@@ -37,20 +40,28 @@ OUT = struct.Struct("<HBBhHhBB6h6sH")
 OUT_HEAD = struct.Struct("<HBBhHhBB")  # the first 12 bytes of OUT: all before the samples
 OUT_BARE = struct.Struct("<HxBhHhxx")  # the same bytes where axis and count are 0
 OUT_SAMPLES = struct.Struct("<6h")
-IN = struct.Struct("<HHBBHIihhhhBBhI12hHHBBH")
+IN = struct.Struct("<HHBBHIihhhhBBhI10hHHHHBBH")
 IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all before the pairs
-IN_SEALED = struct.Struct(f"{IN_HEAD.format}24xHHBxH")  # IN without its pairs
-IN_PAIRS = struct.Struct("<12h")
+IN_PAIRS = struct.Struct("<10h")
+IN_TAIL = struct.Struct("<HHHHBB")  # between pairs and CRC: event, what acts, number of the event
+IN_EFFECT = struct.Struct("<HHB")  # of those: age, damping and sequence of what acts
+# IN without its pairs
+IN_SEALED = struct.Struct(f"{IN_HEAD.format}{IN_PAIRS.size}x{IN_TAIL.format[1:]}H")
 HELLO = struct.Struct("<8sHBBHH16s8f16s")
 CRC = struct.Struct("<H")
 # bytes at which fields begin, for those who read one without unpacking the frame
 OUT_OFFSETS = {"torque": 4, "damping": 6}
-IN_OFFSETS = {"probe_count": 5, "probe_index": 28, "pair": 32, "torque_age_us": 56}
+IN_OFFSETS = {
+    "probe_count": 5,
+    "probe_index": 28,
+    "pair": 32,
+    "event_code": 52,
+    "torque_age_us": 56,
+}
 assert (OUT.size, IN.size, HELLO.size) == (OUT_BYTES, IN_BYTES, HELLO_BYTES)
 assert IN_SEALED.size == IN_BYTES
-IN_EFFECT = struct.Struct("<HHB")  # between pairs and CRC: age, damping, sequence of what acts
-assert IN_OFFSETS["torque_age_us"] == IN_HEAD.size + IN_PAIRS.size
-assert IN_OFFSETS["torque_age_us"] + IN_EFFECT.size + 1 + CRC.size == IN_BYTES
+assert IN_OFFSETS["event_code"] == IN_HEAD.size + IN_PAIRS.size
+assert IN_OFFSETS["event_code"] + IN_TAIL.size + CRC.size == IN_BYTES
 
 
 class Request(IntEnum):
@@ -102,6 +113,7 @@ class Capability(IntFlag):
     SAMPLE_PHASE = 0x0080
     RESISTANCE_MEASURED = 0x0100
     RESISTANCE_TRACKED = 0x0200
+    EVENT = 0x0400
     SIMULATED = 0x8000
 
 
@@ -118,7 +130,7 @@ class OutFrame(NamedTuple):
 
 
 class InFrame(NamedTuple):
-    """Board to host. All numbers are counts but `board_time_us` and `torque_age_us`."""
+    """Board to host. All numbers are counts but `board_time_us` and those of age."""
 
     seq: int
     echo: int
@@ -134,10 +146,13 @@ class InFrame(NamedTuple):
     life: int
     index_offset: int
     probe_index: int
-    pairs: tuple[tuple[int, int], ...] = ()  # (torque, velocity), at most PROBE_MAX
+    pairs: tuple[tuple[int, int], ...] = ()  # (torque, velocity), at most PAIR_MAX
+    event_code: int = 0
+    event_age_us: int = 0
     torque_age_us: int = 0
     damping_effect: int = 0
     torque_seq: int = 0
+    event_seq: int = 0
 
 
 class HelloFrame(NamedTuple):

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import h5py
 import pytest
@@ -17,6 +18,7 @@ from support.tree import ROOT
 
 PAGE = (ROOT / "docs" / "analysis.md").read_text()
 DEADLINE_S = 60
+EEG_S_PER_US = 1.00002e-6
 
 
 def blocks(language: str) -> str:
@@ -26,8 +28,18 @@ def blocks(language: str) -> str:
 
 @pytest.fixture
 def run1(recording_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The recording of which the page speaks, in the working directory."""
+    """The recording of which the page speaks, in the working directory, and the markers of an
+    instrument whose clock began 12.5 s earlier and is 20 ppm fast.
+    """
     monkeypatch.chdir(tmp_path)
+    with h5py.File(recording_file) as file:
+        codes, times_us = file["servo/event_code"][:], file["servo/event_us"][:]
+    rows = [
+        f"{code},{12.5 + EEG_S_PER_US * time_us!r}"
+        for code, time_us in zip(codes.tolist(), times_us.tolist(), strict=True)
+        if code > 0
+    ]
+    (tmp_path / "eeg_markers.csv").write_text("\n".join(["code,time_s", *rows, ""]))
     return Path(shutil.copy(recording_file, "run1.h5"))
 
 
@@ -41,6 +53,17 @@ def test_python_of_the_page_selects_steady_ticks_by_condition(run1: Path) -> Non
     assert len(names["records"]) == len(names["servo"])  # type: ignore[arg-type]
     assert names["servo"]["time"].iloc[0].year == 2027  # type: ignore[index]
     assert "mm at 1000.0 Hz" in printed.getvalue()
+
+
+def test_python_of_the_page_puts_samples_on_the_clock_of_another_instrument(run1: Path) -> None:
+    names: dict[str, Any] = {}
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(blocks("python"), names)
+    servo = names["servo"]
+    assert names["eeg"]["code"].tolist() == [17, 18]
+    expected_s = 12.5 + EEG_S_PER_US * servo["board_us"]
+    assert (servo["eeg_s"] - expected_s).abs().max() < 1e-6
+    assert len(names["around"]) == pytest.approx(500, abs=2)
 
 
 @pytest.mark.process

@@ -85,6 +85,28 @@ def test_mat_file_holds_what_the_recording_holds(recording_file: Path, tmp_path:
     assert content["info"].device_serial == "SIM0001"
 
 
+def test_events_at_the_pins_are_in_every_form_to_the_bit(
+    recording_file: Path, recorded_run: RecordedFlight, tmp_path: Path
+) -> None:
+    flown = recorded_run.records
+    with open_recording(recording_file) as recording:
+        pack.to_mat(recording, tmp_path / "run.mat")
+        main, _ = pack.to_csv(recording, tmp_path / "run.csv")
+        ticks = recording.column("servo", "tick")
+        rows = np.searchsorted(flown["tick"], ticks)
+        mat = scipy.io.loadmat(tmp_path / "run.mat", squeeze_me=True, struct_as_record=False)
+        csv = np.genfromtxt(main, delimiter=",", names=True)
+        for name in ("event_us", "event_code", "events_lost"):
+            kept = recording.column("servo", name)
+            assert np.array_equal(kept, flown[name][rows])
+            assert np.array_equal(getattr(mat["servo"], name), kept)
+            assert np.array_equal(csv[name], kept)
+        codes = recording.column("servo", "event_code")
+        times_us = recording.column("servo", "event_us")[codes >= 0]
+    assert codes[codes >= 0].tolist() == [17, 0, 18]
+    assert np.diff(times_us).tolist() == [101_000, 500_000]
+
+
 def test_csv_holds_every_bit(recording_file: Path, tmp_path: Path) -> None:
     with open_recording(recording_file) as recording:
         main, probe = pack.to_csv(recording, tmp_path / "run.csv")

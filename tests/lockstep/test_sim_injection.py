@@ -215,6 +215,15 @@ def test_probability_with_count_is_a_burst():
     assert all(tick + k in lost or tick + k >= 1000 for tick in starts for k in range(5))
 
 
+def test_event_code_is_at_the_pins_from_its_out_on():
+    port = one("event_code", value=258.0, count=3)
+    healthy(port, 0, 1)
+    frames = [codec.decode_in(tick_of(port, tick)) for tick in range(STRUCK, STRUCK + 5)]
+    assert {(frame.event_code, frame.event_seq) for frame in frames} == {(258, 1)}
+    ages = [frame.board_time_us - frame.event_age_us for frame in frames]
+    assert set(ages) == {1000 * STRUCK}
+
+
 def test_every_kind_is_tested_here():
     text = Path(__file__).read_text()
     assert all(f'"{kind}"' in text for kind in (*OUT_FAULTS, *IN_FAULTS))

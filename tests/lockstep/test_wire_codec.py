@@ -24,12 +24,12 @@ I16 = st.integers(-(2**15), 2**15 - 1)
 I32 = st.integers(-(2**31), 2**31 - 1)
 AXIS = st.integers(0, frames.AXIS_COUNT - 1)
 SAMPLES = st.lists(I16, max_size=frames.PROBE_MAX).map(tuple)
-PAIRS = st.lists(st.tuples(I16, I16), max_size=frames.PROBE_MAX).map(tuple)
+PAIRS = st.lists(st.tuples(I16, I16), max_size=frames.PAIR_MAX).map(tuple)
 OUT_FRAMES = st.builds(OutFrame, U16, AXIS, U8, I16, U16, I16, SAMPLES)
 IN_FRAMES = st.builds(
     InFrame,
     *(U16, U16, AXIS, U16, U32, I32, I16, I16, I16, I16, U8, U8, I16, U32, PAIRS),
-    *(U16, U16, U8),
+    *(U16, U16, U16, U16, U8, U8),
 )
 SERIALS = st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), max_size=16)
 F32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
@@ -54,9 +54,12 @@ IN = InFrame(
     0,
     4003,
     ((819, 1302), (-1638, 1318)),
+    17,
+    420,
     875,
     11403,
     232,
+    3,
 )
 HELLO = HelloFrame(
     frames.PROTOCOL_HASH, 0x0102, 1, 3, 20, "HD-0001", 8.0, 10.0, 2.0, 0.5, 4.0, 24.0, 2.0**-21, 8.0
@@ -177,7 +180,7 @@ def test_crc_message_names_both_values() -> None:
 
 
 @pytest.mark.parametrize("count", [7, 8, 255])
-def test_counts_beyond_six_are_refused(count: int) -> None:
+def test_counts_beyond_the_room_are_refused(count: int) -> None:
     out = bytearray(codec.encode_out(OUT))
     received = bytearray(codec.encode_in(IN))
     out[10] = received[5] = count
@@ -186,7 +189,7 @@ def test_counts_beyond_six_are_refused(count: int) -> None:
     ):
         codec.decode_out(resealed(bytes(out)))
     with pytest.raises(
-        FrameError, match=rf"^IN frame has a count of {count} probe values, limit 6"
+        FrameError, match=rf"^IN frame has a count of {count} probe values, limit 5"
     ):
         codec.decode_in(resealed(bytes(received)))
 
@@ -194,8 +197,8 @@ def test_counts_beyond_six_are_refused(count: int) -> None:
 def test_too_many_samples_are_refused() -> None:
     with pytest.raises(FrameError, match="OUT frame has a count of 7 probe values, limit 6"):
         codec.encode_out(OUT._replace(perturbation=(0,) * 7))
-    with pytest.raises(FrameError, match="IN frame has a count of 7 probe values, limit 6"):
-        codec.encode_in(IN._replace(pairs=((0, 0),) * 7))
+    with pytest.raises(FrameError, match="IN frame has a count of 6 probe values, limit 5"):
+        codec.encode_in(IN._replace(pairs=((0, 0),) * 6))
 
 
 @pytest.mark.parametrize("axis", [1, 255])
@@ -214,8 +217,7 @@ def test_what_lies_beyond_the_count_is_ignored() -> None:
     out = bytearray(codec.encode_out(OUT))
     received = bytearray(codec.encode_in(IN))
     out[11], out[18:30] = 0xFF, b"\xff" * 12  # reserved0, samples 3 to 5, reserved
-    received[40:56] = b"\xff" * 16  # pairs 2 to 5
-    received[61] = 0xFF  # reserved
+    received[40:52] = b"\xff" * 12  # pairs 2 to 4
     assert codec.decode_out(resealed(bytes(out))) == OUT
     assert codec.decode_in(resealed(bytes(received))) == IN
 
@@ -242,6 +244,9 @@ FIELDS_IN = {
     "fifo_level": 256,
     "index_offset": 32768,
     "probe_index": -1,
+    "event_code": 65536,
+    "event_age_us": -1,
+    "event_seq": 256,
 }
 
 

@@ -68,6 +68,7 @@ PORT = {
     "set_damping": CFUNCTYPE(None, c_void_p, c_uint16),
     "set_resistance": CFUNCTYPE(None, c_void_p, c_int16),
     "send": CFUNCTYPE(None, c_void_p, c_void_p),
+    "event_code": CFUNCTYPE(c_uint16, c_void_p),
 }
 
 
@@ -136,6 +137,7 @@ class FirmwareBoard:
         self.state = self._plant.rest(0.0)
         self._life = 0
         self._levels = READY
+        self._code = 0
         self.power_up()
 
     @property
@@ -208,6 +210,11 @@ class FirmwareBoard:
     def press_stop(self, t_ns: int, pressed: bool) -> None:
         self._advance(t_ns)
         self._levels = EMERGENCY_STOP if pressed else READY
+        self.firmware.hapticd_board_service(self._board)
+
+    def set_event_code(self, t_ns: int, code: int) -> None:
+        self._advance(t_ns)
+        self._code = code
         self.firmware.hapticd_board_service(self._board)
 
     def trip(self, faults: int) -> None:
@@ -348,6 +355,9 @@ class FirmwareBoard:
         self._believed_ohm = (heating.compensated_ohm if heating else params.winding_ohm) + trim_ohm
         if self._plant.compensate is not None:
             self._plant.compensate(trim_ohm)
+
+    def _event_code(self, _: Any) -> int:
+        return self._code
 
     def _send(self, _: Any, frame: int) -> None:
         self.in_replaced += self._ready_ns is not None

@@ -21,6 +21,7 @@ static struct {
     uint64_t now_us; /* never wraps; the port's clock is its low half */
     uint16_t inputs;
     struct hapticd_sensors sensors;
+    uint16_t event_code;
     bool authority; /* what stands at the outputs */
     int16_t torque, perturbation, resistance;
     uint16_t damping;
@@ -40,12 +41,20 @@ static struct { /* what was promised */
     bool passed;        /* the index mark, since the last IN */
     bool bad, bad_said; /* an OUT was refused since the last IN; the newest IN says so */
     unsigned owed; /* INs */
+    struct {       /* what was at the event pins, by the number of the event */
+        uint16_t code;
+        uint64_t at_us;
+        unsigned taken; /* frames that said so */
+    } event[256];
+    bool born;             /* the pins have been looked at */
+    uint8_t newest, shown; /* numbers of events */
+    bool may_skip;         /* the oldest were lost, or no host was there to see them */
 } host;
 
 static struct hapticd_board board;
 static struct hapticd_config config;
 static uint64_t random_state;
-static unsigned long met_frames, met_refused, met_trips, met_boots, met_pairs;
+static unsigned long met_frames, met_refused, met_trips, met_boots, met_pairs, met_events;
 
 static uint32_t draw(uint32_t below) /* xorshift64 */
 {
@@ -86,6 +95,42 @@ static void sense(void *device, struct hapticd_sensors *sensors)
     world.sensors.index_passed = false;
 }
 
+static uint16_t event_code(void *device)
+{
+    (void)device;
+    promise(able(HAPTICD_CAPABILITY_EVENT), "pins that are not there are not read");
+    if (host.born && world.event_code == host.event[host.newest].code)
+        return world.event_code;
+    host.newest = (uint8_t)(host.newest + host.born);
+    host.event[host.newest].code = world.event_code;
+    host.event[host.newest].at_us = host.born ? world.now_us : 0;
+    host.event[host.newest].taken = 0;
+    host.may_skip |= (uint8_t)(host.newest - host.shown) >= HAPTICD_EVENT_DEPTH - 1;
+    host.born = true;
+    return world.event_code;
+}
+
+/* The event that a frame shows is the one after that of the frame before, or the same. */
+static void check_event(const struct hapticd_in *frame)
+{
+    uint8_t step = (uint8_t)(frame->event_seq - host.shown);
+    uint64_t age_us = world.now_us - host.event[frame->event_seq].at_us;
+    if (!able(HAPTICD_CAPABILITY_EVENT)) {
+        promise(!frame->event_seq && !frame->event_code && !frame->event_age_us, "no event pins");
+        return;
+    }
+    promise((uint8_t)(host.newest - frame->event_seq) < HAPTICD_EVENT_DEPTH, "no event of before");
+    promise(frame->event_code == host.event[frame->event_seq].code, "each event has its code");
+    promise(frame->event_age_us == (age_us < 65535 ? age_us : 65535), "each event has its time");
+    promise(step <= 1 || host.may_skip, "no event is left out");
+    promise(!step || host.may_skip || host.event[host.shown].taken >= HAPTICD_EVENT_FRAMES,
+            "each event is in two frames that were taken");
+    if (frame->event_seq == host.newest)
+        host.may_skip = false;
+    met_events += step;
+    host.shown = frame->event_seq;
+}
+
 static void measure_pair(void *device, int16_t pair[2])
 {
     (void)device;
@@ -110,10 +155,10 @@ static void send(void *device, const struct hapticd_in *frame)
     promise(frame->echo == host.echo, "echo is the last OUT that was accepted");
     promise(!(frame->status & HAPTICD_STATUS_ENABLED) == !world.authority, "ENABLED is what acts");
     promise(frame->damping_effect == world.damping, "damping_effect is what acts");
-    promise(frame->probe_count <= HAPTICD_PROBE_MAX, "at most 6 pairs");
+    promise(frame->probe_count <= HAPTICD_PAIR_MAX, "at most 5 pairs");
     promise(frame->fifo_level <= HAPTICD_FIFO_DEPTH, "at most 16 samples");
     promise(frame->board_time_us == (uint32_t)(world.now_us - host.born_us), "time of the latch");
-    if (frame->probe_count < HAPTICD_PROBE_MAX && able(HAPTICD_CAPABILITY_PROBE))
+    if (frame->probe_count < HAPTICD_PAIR_MAX && able(HAPTICD_CAPABILITY_PROBE))
         promise(frame->probe_index + frame->probe_count ==
                     (uint32_t)((world.now_us - host.born_us) / HAPTICD_INTERVAL_US),
                 "intervals are numbered by the clock");
@@ -129,6 +174,7 @@ static void send(void *device, const struct hapticd_in *frame)
     host.bad_said = host.bad || (world.sent && host.bad_said);
     promise(!(frame->status & HAPTICD_STATUS_BAD_FRAME) == !host.bad_said, "BAD_FRAME once");
     host.bad = false;
+    check_event(frame);
     world.frame = *frame;
     world.sent = true;
 }
@@ -136,6 +182,7 @@ static void send(void *device, const struct hapticd_in *frame)
 static const struct hapticd_port port = {
     NULL,       clock_us,         inputs,      sense,          measure_pair,
     set_torque, set_perturbation, set_damping, set_resistance, send,
+    event_code,
 };
 
 /* --- what is promised --------------------------------------------------------------------------- */
@@ -211,7 +258,7 @@ static void boot(void)
     config.hello.watchdog_ms = WATCHDOG_US / 1000;
     config.hello.force_full_scale_n = 8.0f;
     config.hello.force_limit_n = 6.0f;
-    config.hello.capabilities = (uint16_t)(draw(4) ? 0x00FF : draw(0x10000));
+    config.hello.capabilities = (uint16_t)(draw(4) ? 0x04FF : draw(0x10000));
     config.torque_limit = 24575;
     config.period_us = 1000;
     config.phase_us = 875;
@@ -284,6 +331,7 @@ static void obeyed(const struct hapticd_out *out)
     host.owed += host.owed < HAPTICD_LATCHES;
     if (host.tripped && out->flags & HAPTICD_FLAG_ENABLE)
         return;
+    host.may_skip |= host.tripped;
     host.tripped = false;
     host.fed_us = world.now_us;
     host.asked = out->flags & HAPTICD_FLAG_ENABLE;
@@ -328,6 +376,7 @@ static void take(void)
     if (!world.sent)
         return;
     world.sent = false;
+    host.event[frame->event_seq].taken++;
     promise(frame->crc == crc16((const uint8_t *)frame, sizeof *frame - sizeof frame->crc), "CRC");
     if (!(frame->status & HAPTICD_STATUS_PROBE_OVERFLOW) && frame->probe_count)
         promise(frame->probe_index == host.next_pair, "every pair comes once, in order");
@@ -369,6 +418,16 @@ static void disturb(void)
         serve();
 }
 
+/* The code changes once, or faster than frames can tell. */
+static void change_code(void)
+{
+    for (uint32_t changes = draw(8) ? 1 : draw(40); changes; changes--) {
+        world.event_code = (uint16_t)(draw(2) ? draw(4) : draw(0x10000));
+        if (draw(4))
+            serve();
+    }
+}
+
 static void step(void)
 {
     uint32_t kind = draw(1000);
@@ -388,8 +447,10 @@ static void step(void)
         pass(draw(30000), draw(2));
     } else if (kind < 832) {
         pass(draw(3000000), true);
-    } else if (kind < 920) {
+    } else if (kind < 880) {
         disturb();
+    } else if (kind < 920) {
+        change_code();
     } else if (kind < 990) {
         ask();
     } else if (kind < 998) {
@@ -429,7 +490,7 @@ int main(int count, char **words)
     while (steps--)
         step();
     grow_old();
-    printf("%lu frames, %lu refused, %lu trips, %lu starts, %lu pairs\n", met_frames, met_refused,
-           met_trips, met_boots, met_pairs);
+    printf("%lu frames, %lu refused, %lu trips, %lu starts, %lu pairs, %lu events\n", met_frames,
+           met_refused, met_trips, met_boots, met_pairs, met_events);
     return 0;
 }

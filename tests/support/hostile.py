@@ -4,7 +4,8 @@ that both let be seen.
 What it does is read from bytes, whoever makes them (a seed, hypothesis): a good host's next frame
 where they are 0, else frames that are damaged, cut, forged with a fitting CRC, sent out of order,
 early, in bursts or twice; frames left unread; silence up to the end of the released damping; the
-emergency stop, board faults, requests of endpoint 0 and new starts of the firmware at any instant.
+emergency stop, board faults, codes at the event pins, requests of endpoint 0 and new starts of the
+firmware at any instant.
 
 Everything happens at whole microseconds: on every sub-step of T/16 at 250, 1250, 2500 and 12500 Hz
 (5 us), on every second one at 1 kHz.
@@ -25,7 +26,13 @@ VENDOR_IN = 0xC0
 VENDOR_OUT = 0x40
 RATES_HZ = (1000.0, 250.0, 1250.0, 2500.0, 12500.0)
 WATCHDOGS_MS = (20.0, 1.0, 5.0, 250.0)
-LACKS: tuple[tuple[str, ...], ...] = ((), ("probe",), ("temperature",), ("sample_phase",))
+LACKS: tuple[tuple[str, ...], ...] = (
+    (),
+    ("probe",),
+    ("temperature",),
+    ("sample_phase",),
+    ("event",),
+)
 LONGEST_NS = 20 * NS_PER_MS  # that a simulated board plays at once
 FAULTS = (
     StatusBit.AMPLIFIER_FAULT,
@@ -132,8 +139,11 @@ class Bench:
         elif kind < 200:
             self.pass_time(kind)
             self.send(self.damaged())
-        elif kind < 215:
+        elif kind < 210:
             self.pass_time(kind)
+        elif kind < 215:
+            code = self.data.take() % 4
+            self.each(lambda board: board.set_event_code(self.t_ns, code))
         elif kind < 217:
             self.fall_silent()
         elif kind < 228:

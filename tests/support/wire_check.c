@@ -19,13 +19,13 @@ static uint16_t crc16(const uint8_t *data, size_t size)
     return crc;
 }
 
-static const char *refusal(const uint8_t *data, size_t size, size_t expected, unsigned count_at, unsigned axis_at)
+static const char *refusal(const uint8_t *data, size_t size, size_t expected, unsigned count_at, unsigned most, unsigned axis_at)
 {
     if (size != expected) return "length";
     uint16_t crc;
     memcpy(&crc, data + size - sizeof crc, sizeof crc);
     if (crc != crc16(data, size - sizeof crc)) return "CRC";
-    if (data[count_at] > HAPTICD_PROBE_MAX) return "count";
+    if (data[count_at] > most) return "count";
     if (data[axis_at] >= HAPTICD_AXIS_COUNT) return "axis";
     return NULL;
 }
@@ -41,7 +41,7 @@ static void print_hex(const void *frame, size_t size)
 static const char *take_out(const uint8_t *data, size_t size)
 {
     struct hapticd_out in, out = {0};
-    const char *error = refusal(data, size, sizeof in, offsetof(struct hapticd_out, probe_count), offsetof(struct hapticd_out, axis));
+    const char *error = refusal(data, size, sizeof in, offsetof(struct hapticd_out, probe_count), HAPTICD_PROBE_MAX, offsetof(struct hapticd_out, axis));
     if (error) return error;
     memcpy(&in, data, sizeof in);
     printf("{\"fields\": {\"seq\": %u, \"axis\": %u, \"flags\": %u, ", in.seq, in.axis, in.flags);
@@ -61,7 +61,7 @@ static const char *take_out(const uint8_t *data, size_t size)
 static const char *take_in(const uint8_t *data, size_t size)
 {
     struct hapticd_in in, out = {0};
-    const char *error = refusal(data, size, sizeof in, offsetof(struct hapticd_in, probe_count), offsetof(struct hapticd_in, axis));
+    const char *error = refusal(data, size, sizeof in, offsetof(struct hapticd_in, probe_count), HAPTICD_PAIR_MAX, offsetof(struct hapticd_in, axis));
     if (error) return error;
     memcpy(&in, data, sizeof in);
     printf("{\"fields\": {\"seq\": %u, \"echo\": %u, \"axis\": %u, \"status\": %u, ", in.seq, in.echo, in.axis, in.status);
@@ -73,12 +73,14 @@ static const char *take_in(const uint8_t *data, size_t size)
         printf("%s[%d, %d]", i ? ", " : "", in.pair[i][0], in.pair[i][1]);
         out.pair[i][0] = in.pair[i][0], out.pair[i][1] = in.pair[i][1];
     }
-    printf("], \"torque_age_us\": %u, ", in.torque_age_us);
-    printf("\"damping_effect\": %u, \"torque_seq\": %u", in.damping_effect, in.torque_seq);
+    printf("], \"event_code\": %u, \"event_age_us\": %u, ", in.event_code, in.event_age_us);
+    printf("\"torque_age_us\": %u, \"damping_effect\": %u, ", in.torque_age_us, in.damping_effect);
+    printf("\"torque_seq\": %u, \"event_seq\": %u", in.torque_seq, in.event_seq);
     out.seq = in.seq, out.echo = in.echo, out.axis = in.axis, out.probe_count = in.probe_count, out.status = in.status;
     out.board_time_us = in.board_time_us, out.encoder = in.encoder, out.current = in.current, out.voltage = in.voltage;
     out.emf_velocity = in.emf_velocity, out.temperature = in.temperature, out.fifo_level = in.fifo_level;
     out.life = in.life, out.index_offset = in.index_offset, out.probe_index = in.probe_index;
+    out.event_code = in.event_code, out.event_age_us = in.event_age_us, out.event_seq = in.event_seq;
     out.torque_age_us = in.torque_age_us, out.damping_effect = in.damping_effect, out.torque_seq = in.torque_seq;
     out.crc = crc16((const uint8_t *)&out, sizeof out - sizeof out.crc);
     print_hex(&out, sizeof out);

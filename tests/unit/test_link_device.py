@@ -161,7 +161,7 @@ def test_damaged_frame_is_missing_and_counted_as_bad(damaged):
     assert device.counts["bad"] == 1
 
 
-@pytest.mark.parametrize(("place", "value"), [(4, 1), (5, frames.PROBE_MAX + 1)])
+@pytest.mark.parametrize(("place", "value"), [(4, 1), (5, frames.PAIR_MAX + 1)])
 def test_next_frame_for_another_axis_or_with_too_many_pairs_is_bad(place, value):
     """In time, in sequence and with a CRC that fits: refused all the same."""
     packet = bytearray(codec.encode_in(frame(1)))

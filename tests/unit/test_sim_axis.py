@@ -296,9 +296,9 @@ def test_unread_pairs_are_kept_then_lost_from_the_front():
         board.on_out(out_packet(tick), tick * 1_000_000)
     first = exchange(board, 20)
     assert first.status & LOST
-    assert (first.probe_index, len(first.pairs)) == (83 - PAIRS_MAX, 6)
-    backlog = [exchange(board, tick) for tick in range(21, 60)]
-    index = first.probe_index + 6
+    assert (first.probe_index, len(first.pairs)) == (83 - PAIRS_MAX, 5)
+    backlog = [exchange(board, tick) for tick in range(21, 100)]
+    index = first.probe_index + 5
     for frame in backlog:
         assert frame.probe_index == index
         index += len(frame.pairs)

@@ -204,8 +204,30 @@ def test_unread_in_is_replaced_and_loses_nothing():
     assert board.in_replaced == 2
     assert (frame.seq, frame.echo) == (2, 10)
     assert frame.status & StatusBit.SEQ_GAP
-    assert (frame.probe_index, len(frame.pairs)) == (0, 6)
-    assert exchange(board, 11).probe_index == 6
+    assert (frame.probe_index, len(frame.pairs)) == (0, 5)
+    assert exchange(board, 11).probe_index == 5
+
+
+@pytest.mark.parametrize("lost", ["OUT", "IN"])
+@pytest.mark.parametrize("rate_hz", [1000.0, 2000.0, 4000.0, 8000.0])
+def test_one_lost_frame_loses_no_sample_of_the_probe(rate_hz, lost):
+    """At each rate of the protocol, whatever the phase: the frames after it carry all pairs."""
+    period_ns = round(1e9 / rate_hz)
+    for phase in range(17):
+        board = BoardModel(board_params(rate_hz=rate_hz, sample_phase=phase / 16))
+        indices = []
+        for tick in range(60):
+            if (tick, lost) != (20, "OUT"):
+                board.on_out(out_packet(tick), tick * period_ns)
+            # at a phase of a whole period the next OUT comes at the latch: read just after it
+            packet = None if (tick, lost) == (20, "IN") else board.poll_in((tick + 1) * period_ns)
+            if packet is not None:
+                frame = codec.decode_in(packet)
+                indices += range(frame.probe_index, frame.probe_index + len(frame.pairs))
+                assert not frame.status & StatusBit.PROBE_OVERFLOW
+        assert indices == list(range(len(indices)))
+        ended = floor((59 + phase / 16) * 4000.0 / rate_hz)
+        assert len(indices) == ended  # caught up
 
 
 def test_two_outs_within_a_tick_latch_two_ins():
@@ -325,6 +347,7 @@ def test_hello_describes_the_board():
         | Capability.EMERGENCY_STOP
         | Capability.AMPLIFIER_READY
         | Capability.SAMPLE_PHASE
+        | Capability.EVENT
         | Capability.SIMULATED
     )
     assert (hello.serial, hello.axis_count, hello.watchdog_ms) == ("SIM0001", 1, 250)

@@ -66,7 +66,7 @@ def test_parser_finds_whole_header() -> None:
     assert len(header.CONSTANTS) == len(
         re.findall(r"^#define HAPTICD_\w+[ \t]", header.HEADER, re.MULTILINE)
     )
-    assert [len(members) for members in header.STRUCTS.values()] == [11, 21, 16]
+    assert [len(members) for members in header.STRUCTS.values()] == [11, 23, 16]
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
@@ -141,7 +141,7 @@ def test_frames_fit_one_packet() -> None:
     assert frames.OUT.size <= frames.IN.size == frames.PACKET_BYTES
     assert frames.IN.format.startswith(frames.IN_HEAD.format)
     assert frames.IN_HEAD.size == struct.calcsize("<HHBBHIihhhhBBhI")
-    assert frames.IN_PAIRS.size == 4 * frames.PROBE_MAX
+    assert frames.IN_PAIRS.size == 4 * frames.PAIR_MAX
 
 
 @pytest.mark.parametrize("kind", ENUMS.values())

@@ -99,7 +99,7 @@ def _whole(packets: Packets, sizes: NDArray[np.int64]) -> NDArray[np.bool_]:
     sealed = packets[:, -2].astype(np.uint16) | packets[:, -1].astype(np.uint16) << 8
     good = crcs(packets[:, :-2]) == sealed
     good &= packets[:, AXIS_PLACE] < frames.AXIS_COUNT
-    good &= packets[:, COUNT_PLACE] <= frames.PROBE_MAX
+    good &= packets[:, COUNT_PLACE] <= frames.PAIR_MAX
     return good & (sizes == frames.IN_BYTES)
 
 

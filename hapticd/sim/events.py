@@ -1,0 +1,70 @@
+"""The event pins of the fake firmware: a code of 16 bits, whose changes are events.
+
+Every change is an event, also the one back to 0; a code that is held is none. Events are numbered
+modulo 256 and shown to the host one at a time, oldest first. The next one follows when the host has
+taken EVENT_FRAMES frames with the one before, so a frame that is lost loses no event. Of more than
+EVENT_DEPTH the oldest are lost; the step of the number tells how many. The last one stays.
+
+What would break it: a frame that is counted as taken and shows another event than it carried.
+"""
+
+from collections import deque
+from typing import NamedTuple
+
+from hapticd.wire.frames import EVENT_DEPTH, EVENT_FRAMES
+
+LONG_AGO = -(1 << 62)  # substep of the code that was there at power-up
+NUMBERS = 256
+
+
+class PinEvent(NamedTuple):
+    """A change of the code."""
+
+    number: int
+    code: int
+    substep: int  # at which it happened
+
+
+class EventPins:
+    """What is at the pins, and the events that the host has not been shown yet."""
+
+    __slots__ = ("_code", "_taken", "_waiting")
+
+    def __init__(self) -> None:
+        self._code = 0
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Number anew, from the code that is there."""
+        first = PinEvent(0, self._code, LONG_AGO)
+        self._waiting = deque([first], maxlen=EVENT_DEPTH)
+        self._taken = 0
+
+    def change(self, code: int, substep: int) -> None:
+        """`code` is at the pins from `substep` on."""
+        if code == self._code:
+            return
+        self._code = code
+        if len(self._waiting) == EVENT_DEPTH:
+            self._taken = 0  # the one that was shown is lost
+        self._waiting.append(PinEvent((self._waiting[-1].number + 1) % NUMBERS, code, substep))
+
+    def forget(self) -> None:
+        """Of all but the newest: no host was there to see them."""
+        while len(self._waiting) > 1:
+            self._advance()
+
+    def shown(self) -> PinEvent:
+        """What a frame says that is latched now."""
+        if self._taken >= EVENT_FRAMES and len(self._waiting) > 1:
+            self._advance()
+        return self._waiting[0]
+
+    def taken(self, number: int) -> None:
+        """The host took a frame that showed event `number`."""
+        if number == self._waiting[0].number:
+            self._taken += 1
+
+    def _advance(self) -> None:
+        self._waiting.popleft()
+        self._taken = 0
