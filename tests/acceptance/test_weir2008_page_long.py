@@ -17,8 +17,6 @@ from hapticd.weir2008.page import Drawing, Section, keep, page, parts, sections,
 from hapticd.weir2008.rows import PaperRow, rows
 from hapticd.weir2008.run import SCENES, ReproduceResult
 
-pytestmark = pytest.mark.xdist_group("reproduced")
-
 DOCS = ROOT / "docs"
 AXIS_LIMITS = {"K_max": "N/m", "B_max": "Ns/m", "M_min": "kg"}
 

@@ -11,8 +11,6 @@ from hapticd.weir2008.rows import PaperRow, rows
 from hapticd.weir2008.run import SCENES, ReproduceResult
 from hapticd.weir2008.table import as_json, from_json, markdown, notes, paper_table
 
-pytestmark = pytest.mark.xdist_group("reproduced")
-
 
 @pytest.fixture(scope="module")
 def quick() -> ReproduceResult:
