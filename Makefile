@@ -50,9 +50,10 @@ lab: $(VENV)/lab.stamp
 practice: $(VENV)/run.stamp
 	@exec $(BIN)/python tests/practice_rig.py build/practice $(if $(ARGS),$(ARGS),rig)
 
-# tests that need no clock run on all cores; those of real processes one after the other
+# tests that need no clock run on all cores, a worker on each, so that BLAS needs no threads of its own;
+# those of real processes run one after the other
 PYTEST := $(BIN)/python -m pytest
-PARALLEL := --numprocesses auto --dist worksteal
+WORKERS := OPENBLAS_NUM_THREADS=1 $(PYTEST) --numprocesses auto
 MAIN_JOB := tests/process/test_main_job.py
 USB_STACK := tests/acceptance/test_usb_stack.py
 COMPUTED := build/acceptance.txt
@@ -64,16 +65,16 @@ test: deps-test $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports & imports=$$!; $(BIN)/mypy; wait $$imports
-	$(PYTEST) $(PARALLEL) tests/unit tests/lockstep $(ARGS)
+	$(WORKERS) --dist worksteal tests/unit tests/lockstep $(ARGS)
 	$(PYTEST) $(MAIN_JOB) $(ARGS)
 
 # Tests of processes mostly wait. Acceptance tests that only compute use the idle time, at the lowest
 # priority. The USB stack has the machine to itself.
-COMPUTING := nice -n 19 $(PYTEST) --numprocesses auto --dist loadfile --no-loadscope-reorder --timeout 900
+COMPUTING := $(WORKERS) --dist loadfile --no-loadscope-reorder --timeout 900
 check: ARGS += --all-must-run
 check: check-installed test
 	@echo "beside the rest: acceptance tests without processes, reported in $(COMPUTED) and below"
-	set -m; $(COMPUTING) -m "not process" tests/acceptance $(ARGS) </dev/null >$(COMPUTED) 2>&1 & \
+	set -m; nice -n 19 env $(COMPUTING) -m "not process" tests/acceptance $(ARGS) </dev/null >$(COMPUTED) 2>&1 & \
 	computing=$$!; set +m; trap "kill -- -$$computing 2>/dev/null || true" EXIT; failed=0; \
 	$(PYTEST) tests/process --ignore $(MAIN_JOB) $(ARGS) || failed=1; \
 	$(PYTEST) -m process tests/acceptance --ignore $(USB_STACK) $(ARGS) || failed=1; \
