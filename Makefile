@@ -30,7 +30,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run lab practice test check usb-kernel test-usb mutate attack hands soak firmware circuit bench reproduce reproduction-docs pictures docs site deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
+.PHONY: run lab practice test check check-installed usb-kernel test-usb mutate attack hands soak firmware circuit bench reproduce reproduction-docs pictures docs site deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -50,23 +50,41 @@ lab: $(VENV)/lab.stamp
 practice: $(VENV)/run.stamp
 	@exec $(BIN)/python tests/practice_rig.py build/practice $(if $(ARGS),$(ARGS),rig)
 
-# tests that need no clock run on all cores; those of real processes one after the other
+# tests that need no clock run on all cores, a worker on each, so that BLAS needs no threads of its own;
+# those of real processes run one after the other
 PYTEST := $(BIN)/python -m pytest
-PARALLEL := --numprocesses auto --dist worksteal
+WORKERS := OPENBLAS_NUM_THREADS=1 $(PYTEST) --numprocesses auto
 MAIN_JOB := tests/process/test_main_job.py
+USB_STACK := tests/acceptance/test_usb_stack.py
+COMPUTED := build/acceptance.txt
+
+# what is imported is compiled once, also where the environment says that nothing be kept
+test check: export PYTHONDONTWRITEBYTECODE =
 
 test: deps-test $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports & imports=$$!; $(BIN)/mypy; wait $$imports
-	$(PYTEST) $(PARALLEL) tests/unit tests/lockstep $(ARGS)
+	$(WORKERS) --dist worksteal tests/unit tests/lockstep $(ARGS)
 	$(PYTEST) $(MAIN_JOB) $(ARGS)
 
+# Tests of processes mostly wait. Acceptance tests that only compute use the idle time, at the lowest
+# priority. The USB stack has the machine to itself.
+COMPUTING := $(WORKERS) --dist loadfile --no-loadscope-reorder --timeout 900
 check: ARGS += --all-must-run
-check: deps-check usb-kernel $(VENV)/check.stamp test
-	$(PYTEST) $(PARALLEL) -m "not process" tests/acceptance $(ARGS)
-	$(PYTEST) tests/process --ignore $(MAIN_JOB) $(ARGS)
-	$(PYTEST) -m process tests/acceptance $(ARGS)
+check: check-installed test
+	@echo "beside the rest: acceptance tests without processes, reported in $(COMPUTED) and below"
+	set -m; nice -n 19 env $(COMPUTING) -m "not process" tests/acceptance $(ARGS) </dev/null >$(COMPUTED) 2>&1 & \
+	computing=$$!; set +m; trap "kill -- -$$computing 2>/dev/null || true" EXIT; failed=0; \
+	$(PYTEST) tests/process --ignore $(MAIN_JOB) $(ARGS) || failed=1; \
+	$(PYTEST) -m process tests/acceptance --ignore $(USB_STACK) $(ARGS) || failed=1; \
+	wait $$computing || failed=1; cat $(COMPUTED); \
+	$(PYTEST) $(USB_STACK) $(ARGS) || failed=1; \
+	exit $$failed
+
+# system packages and libraries at the same time; the kernel as soon as its source is there
+check-installed: deps-run
+	@$(MAKE) --no-print-directory --jobs=2 usb-kernel $(VENV)/check.stamp
 
 # built once, beside what comes before the tests that boot it; they wait for it, and say it if it failed
 usb-kernel: deps-check
@@ -128,6 +146,8 @@ deps:
 
 deps-run deps-test deps-check deps-bench: deps-%:
 	@PYTHON=$(PYTHON) .ci/deps $*
+
+deps-test deps-check deps-bench: deps-run # one after the other, also with --jobs
 
 # for every Python from the oldest on: what a checkout has, and the same for installations, with the hash of every file
 RESOLVED := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --all-extras --no-header --no-annotate

@@ -1,5 +1,6 @@
 """Fixtures that several files use, and which tests may be skipped where every test has to run."""
 
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -41,6 +42,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--all-must-run", action="store_true", help=text)
     text = "write the answers to mistakes at the shell into support/data/cli_mistakes.txt"
     parser.addoption("--write-texts", action="store_true", help=text)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """On workers slow tests, and files of them, go first: none of them is alone at the end."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 @pytest.hookimpl(trylast=True)

@@ -65,6 +65,7 @@ def _balance(matrix: Array) -> Array:
     scale = np.ones(size)
     off = abs(matrix) * (1.0 - np.eye(size))
     for _ in range(BALANCE_SWEEPS):
+        before = scale.copy()
         scaled = off / scale[:, None] * scale
         for i in range(size):
             row = scaled[i].sum()
@@ -74,6 +75,8 @@ def _balance(matrix: Array) -> Array:
                 scale[i] *= factor
                 scaled[i] /= factor
                 scaled[:, i] *= factor
+        if (scale == before).all():  # no later sweep changes it: powers of two are exact
+            break
     return scale
 
 

@@ -84,19 +84,23 @@ class EffectTable(Provenance):
     """More about the numbers, in words."""
 
 
+class _OfAnEffect(EffectTable, use_attribute_docstrings=False):
+    """Without source text: pydantic would look for it in every module that is loaded."""
+
+
 def _table(kind: type[Effect]) -> type[EffectTable]:
     numbers: dict[str, Any] = {}
     for item in fields(kind):
         if item.name not in PROVENANCE:
             default = ... if item.default is MISSING else item.default
             numbers[item.name] = (float, Field(default, **item.metadata))
-    return create_model(kind.__name__, __base__=EffectTable, __doc__=kind.__doc__, **numbers)
+    return create_model(kind.__name__, __base__=_OfAnEffect, __doc__=kind.__doc__, **numbers)
 
 
 TABLES = {key: _table(kind) for key, kind in BY_KEY.items() if key not in FROM_SCALES}
 
 
-class _Tables(TomlTable):
+class _Tables(TomlTable, use_attribute_docstrings=False):
     def table(self, key: str) -> Any:
         """The table of the effect `key`; None if the device has none."""
         return getattr(self, key)

@@ -1,12 +1,16 @@
 """`hapticd rig` from the command line, on a simulated rig in place of a daemon."""
 
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.cli_rig import at_the_rig
+from support.models import COUNT_N
 
 from hapticd.cli.app import main
-from hapticd.cli.rig import steps
+from hapticd.cli.rig import guided, steps
+from hapticd.params import ScaleParams
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 
@@ -38,3 +42,67 @@ def test_probe_writes_both_channels(config, verified_hand, monkeypatch):
     assert device.probe_velocity.full_scale_m_per_s == pytest.approx(2.0, rel=0.005)
     assert device.limits.probe_n < 2.0  # its full scale is a little below that
     assert "rig probe: probe_torque.full_scale_n" in device.probe_torque.source
+
+
+@pytest.fixture
+def hand(monkeypatch: pytest.MonkeyPatch):
+    yield from at_the_rig(monkeypatch, {"force": ScaleParams(COUNT_N, -1), "commissioning": True})
+
+
+def test_motor_writes_sign_and_verification_with_their_record(config, hand, capsys):
+    assert load(config).device.commissioning.signs_verified is False
+    assert main(["rig", "motor", "--yes", "--json", "--config", str(config)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["ok"]
+    device = load(config).device
+    assert device.force.sign == 1
+    assert device.commissioning.signs_verified
+    assert device.commissioning.serial == device.serial
+    assert (device.commissioning.firmware, device.commissioning.life) == (
+        "1.0",
+        hand.life,
+    )
+    assert "# not yet" in load(config).device_file.read_text()
+    (record,) = (config.parent / "devices" / "rig").iterdir()
+    assert record.name in device.commissioning.source
+    assert device.force.source == load(shipped("config") / "hapticd.toml").device.force.source
+    with np.load(record) as kept:
+        assert len(kept["position_m_0"]) > 100
+
+
+def test_whoever_says_no_writes_nothing(config, hand, monkeypatch):
+    before = load(config).device_file.read_bytes()
+    monkeypatch.setattr(steps, "answer", lambda question: "no")
+    assert main(["rig", "motor", "--config", str(config)]) == 0
+    assert load(config).device_file.read_bytes() == before
+
+
+def test_link_says_a_verdict_for_each_thing(hand, capsys, monkeypatch):
+    monkeypatch.setattr("hapticd.rig.link.SECONDS", 1.0)
+    assert main(["rig", "link"]) == 0
+    told = capsys.readouterr().out
+    assert "ok: missing_in: 0" in told
+    assert "ok: watchdog of the board: trips after" in told
+
+
+def test_the_guided_path_does_each_step_that_is_wanted(config, hand, monkeypatch, capsys):
+    """No link, no encoder, the motor's sign; and the file is written once yes was said."""
+    monkeypatch.setenv("HAPTICD_CONFIG", str(config))
+    monkeypatch.setattr(guided, "connect", steps.connect)
+    said = iter(["no", "no", "yes", "", "yes"])
+    monkeypatch.setattr(steps, "answer", lambda question: next(said))
+    assert main(["rig"]) == 0
+    assert load(config).device.commissioning.signs_verified
+    assert "start it again" in capsys.readouterr().err
+    assert not list(said)
+
+
+def test_refused_signs_are_not_called_verified(config, hand, monkeypatch, capsys):
+    monkeypatch.setenv("HAPTICD_CONFIG", str(config))
+    monkeypatch.setattr(guided, "connect", steps.connect)
+    said = iter(["no", "no", "yes", "", "no"])  # the last: write this? no
+    monkeypatch.setattr(steps, "answer", lambda question: next(said))
+    assert main(["rig"]) == 0
+    told = capsys.readouterr().err
+    assert "Signs are not verified yet" in told
+    assert "start it again" not in told

@@ -6,16 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numba import njit
 from support.devices import COGS, COUNTS, DRY, ENDS, HAND, LIMIT, STAR, TWO_MASSES, WARMING, device
 from support.engine_kernels import ALL, WALL, shape
 from support.tree import ROOT, TESTS
 
-from hapticd.analysis.arrays import aligned
-from hapticd.engine.kernels import kernel
-from hapticd.engine.source import SCALARS
+from hapticd.engine.source import kernel_source
 from hapticd.plant.effects import AntiAlias, Coulomb
 
 LARGE = device(
@@ -35,18 +31,11 @@ X86 = pytest.mark.skipif(
 
 def assembly(model, **options):
     """Assembly of the kernel, compiled anew: code from the cache has no text."""
-    made = shape(model, **options)
-    module = kernel(made)
-    scalar = SCALARS[made.dtype]
-    fresh = njit(fastmath={"contract", "nsz"}, error_model="numpy")(module.run.py_func)
-    coefficients, torque, nothing = (
-        np.zeros(size, scalar) for size in (len(module.COEFFICIENTS) or 1, made.samples, 1)
-    )
-    fresh(
-        aligned(len(module.ROWS) * made.lanes, scalar), coefficients, torque, nothing, nothing, 1, 0
-    )
-    (text,) = fresh.inspect_asm().values()
-    return text
+    text = kernel_source(shape(model, **options)).replace("cache=True", "cache=False")
+    names = {"__name__": "fresh_kernel"}
+    exec(text, names)
+    (machine_code,) = names["run"].inspect_asm().values()
+    return machine_code
 
 
 @X86

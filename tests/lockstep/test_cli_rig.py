@@ -6,7 +6,6 @@ import socket
 import threading
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support.cli_rig import at_the_rig
 from support.models import COUNT_N
@@ -40,27 +39,6 @@ def hand(monkeypatch: pytest.MonkeyPatch):
     yield from at_the_rig(monkeypatch, {"force": ScaleParams(COUNT_N, -1), "commissioning": True})
 
 
-def test_motor_writes_sign_and_verification_with_their_record(config, hand, capsys):
-    assert load(config).device.commissioning.signs_verified is False
-    assert main(["rig", "motor", "--yes", "--json", "--config", str(config)]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["ok"]
-    device = load(config).device
-    assert device.force.sign == 1
-    assert device.commissioning.signs_verified
-    assert device.commissioning.serial == device.serial
-    assert (device.commissioning.firmware, device.commissioning.life) == (
-        "1.0",
-        hand.life,
-    )
-    assert "# not yet" in load(config).device_file.read_text()
-    (record,) = (config.parent / "devices" / "rig").iterdir()
-    assert record.name in device.commissioning.source
-    assert device.force.source == load(shipped("config") / "hapticd.toml").device.force.source
-    with np.load(record) as kept:
-        assert len(kept["position_m_0"]) > 100
-
-
 def test_ctrl_c_leaves_the_device_file_and_ends_the_force(config, hand, monkeypatch):
     before = load(config).device_file.read_bytes()
 
@@ -71,13 +49,6 @@ def test_ctrl_c_leaves_the_device_file_and_ends_the_force(config, hand, monkeypa
     assert main(["rig", "motor", "--yes", "--config", str(config)]) != 0
     assert load(config).device_file.read_bytes() == before
     assert hand.bench.status().state == "disabled"
-
-
-def test_whoever_says_no_writes_nothing(config, hand, monkeypatch):
-    before = load(config).device_file.read_bytes()
-    monkeypatch.setattr(steps, "answer", lambda question: "no")
-    assert main(["rig", "motor", "--config", str(config)]) == 0
-    assert load(config).device_file.read_bytes() == before
 
 
 def test_a_file_of_another_device_is_refused_before_anything_moves(config, hand, capsys):
@@ -106,26 +77,6 @@ def test_a_shipped_device_file_is_not_measured_into(hand, capsys):
     assert "copy it" in capsys.readouterr().err
 
 
-def test_link_says_a_verdict_for_each_thing(hand, capsys, monkeypatch):
-    monkeypatch.setattr("hapticd.rig.link.SECONDS", 1.0)
-    assert main(["rig", "link"]) == 0
-    told = capsys.readouterr().out
-    assert "ok: missing_in: 0" in told
-    assert "ok: watchdog of the board: trips after" in told
-
-
-def test_the_guided_path_does_each_step_that_is_wanted(config, hand, monkeypatch, capsys):
-    """No link, no encoder, the motor's sign; and the file is written once yes was said."""
-    monkeypatch.setenv("HAPTICD_CONFIG", str(config))
-    monkeypatch.setattr(guided, "connect", steps.connect)
-    said = iter(["no", "no", "yes", "", "yes"])
-    monkeypatch.setattr(steps, "answer", lambda question: next(said))
-    assert main(["rig"]) == 0
-    assert load(config).device.commissioning.signs_verified
-    assert "start it again" in capsys.readouterr().err
-    assert not list(said)
-
-
 def test_what_is_measured_says_how_old_it_is(config):
     """A date that somebody typed is no measurement; neither is a table that is not there."""
     file = load(config).device_file
@@ -148,17 +99,6 @@ def test_a_table_that_outlived_its_newton_is_offered_again(config):
         write(file, written, "rig damping", datetime.date.today())
         said = guided.in_doubt("active_damping", load(config).device.model_copy(update=real))
         assert said.startswith("it was found with a scale of force of 7.4 N") == doubted
-
-
-def test_refused_signs_are_not_called_verified(config, hand, monkeypatch, capsys):
-    monkeypatch.setenv("HAPTICD_CONFIG", str(config))
-    monkeypatch.setattr(guided, "connect", steps.connect)
-    said = iter(["no", "no", "yes", "", "no"])  # the last: write this? no
-    monkeypatch.setattr(steps, "answer", lambda question: next(said))
-    assert main(["rig"]) == 0
-    told = capsys.readouterr().err
-    assert "Signs are not verified yet" in told
-    assert "start it again" not in told
 
 
 def test_the_path_waits_until_the_daemon_has_read_what_was_written(config, hand, monkeypatch):

@@ -4,48 +4,22 @@ nothing when it is interrupted.
 
 import importlib.util
 import json
-import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import pytest
-from support import reproduced
 from support.tree import ROOT
 
 from hapticd.cli.app import main
 from hapticd.cli.zwidth import report as verb
 from hapticd.errors import ConfigError
-from hapticd.weir2008.page import Drawing, Section, keep, page, parts, sections, terminal
-from hapticd.weir2008.rows import PaperRow, rows
-from hapticd.weir2008.run import SCENES, ReproduceResult
+from hapticd.weir2008.page import keep
+from hapticd.weir2008.rows import PaperRow
 from hapticd.weir2008.table import from_json
 
 DOCS = ROOT / "docs"
-AXIS_LIMITS = {"K_max": "N/m", "B_max": "Ns/m", "M_min": "kg"}
-
-
-@pytest.fixture(scope="module")
-def quick() -> ReproduceResult:
-    return reproduced.by_prediction()
-
-
-@pytest.fixture
-def flown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The verb finds the run already done."""
-    from hapticd.weir2008 import future_work, run
-
-    monkeypatch.setattr(run, "run_reproduce", lambda plan, tell: reproduced.by_prediction())
-    monkeypatch.setattr(
-        future_work, "run_future_work", lambda plan, tell: reproduced.future_work_by_prediction()
-    )
-
-
-@pytest.fixture(scope="module")
-def found(quick: ReproduceResult) -> tuple[PaperRow, ...]:
-    return rows(quick)
 
 
 @pytest.fixture(scope="module")
@@ -61,31 +35,6 @@ def pages() -> ModuleType:
     return module
 
 
-@pytest.mark.usefixtures("flown")
-def test_json_names_axis_limits_as_agreed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["zwidth", "reproduce", "--quick", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["quick"] is True
-    assert "files" not in told
-    for stem, unit in AXIS_LIMITS.items():
-        for mode in ("off", "on"):
-            named = [row for row in told["table"] if row["quantity"] == f"{stem}_{mode}"]
-            assert [row["device"] for row in named] == list(SCENES)
-            assert {row["unit"] for row in named} == {unit}
-
-
-def test_page_is_made_of_sections(found: tuple[PaperRow, ...]) -> None:
-    more = Section(
-        "Beyond the paper",
-        "What it left to the future.",
-        tuple(replace(row, part="beyond") for row in found[:1]),
-    )
-    text = page("Title", "Head.", [*parts(found).values(), more])
-    assert text.startswith("# Title\n\nHead.\n\n## Limits on their axes\n")
-    assert "## Beyond the paper\n\nWhat it left to the future.\n\n| quantity" in text
-    assert "Beyond the paper\n\nquantity" in terminal([more])
-
-
 def test_interrupted_run_keeps_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,61 +47,6 @@ def test_interrupted_run_keeps_nothing(
     assert main(["zwidth", "reproduce", "--out", str(tmp_path / "x")]) == 130
     assert "interrupted: nothing of this run was kept" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
-
-
-def test_interrupted_drawing_leaves_the_run_before(
-    quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("matplotlib")
-    from hapticd.report import style
-
-    (tmp_path / "table.json").write_text("before")
-    saved: list[str] = []
-
-    def save(figure: object, folder: Path, name: str, width_mm: float | None) -> None:
-        if saved:
-            raise KeyboardInterrupt
-        saved.append(name)
-        (folder / f"{name}.png").write_text("drawn")
-
-    monkeypatch.setattr(style, "save", save)
-    with pytest.raises(KeyboardInterrupt):
-        keep(sections(quick), tmp_path, {})
-    assert saved
-    assert [path.name for path in tmp_path.iterdir()] == ["table.json"]
-    assert (tmp_path / "table.json").read_text() == "before"
-
-
-def test_smaller_run_leaves_no_figure_of_the_run_before(
-    quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from hapticd.report import style
-
-    def save(figure: object, folder: Path, name: str, width_mm: float | None) -> None:
-        for kind in ("png", "svg", "pdf"):
-            (folder / f"{name}.{kind}").write_text("drawn")
-
-    monkeypatch.setattr(style, "save", save)
-    told = {"quick": True, "seeds": 1, "provenance": {"libraries": {}, "date": "", "hapticd": ""}}
-    one, *more = (replace(section, drawings=()) for section in sections(quick))
-    drawn = [Drawing(name, "caption", lambda: None) for name in ("fig02", "fig03")]  # type: ignore[arg-type,return-value]
-    keep([replace(one, drawings=tuple(drawn)), *more], tmp_path, told)
-    for foreign in ("fig02_mine.png", "notes.txt", "fig12.svg"):
-        (tmp_path / foreign).write_text("mine")
-    assert (tmp_path / "fig02.svg").is_file()
-    keep([replace(one, drawings=tuple(drawn[1:])), *more], tmp_path, told)
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "REPORT.md",
-        "table.json",
-        "table.csv",
-        "table.md",
-        "fig03.png",
-        "fig03.svg",
-        "fig03.pdf",
-        "fig02_mine.png",
-        "notes.txt",
-        "fig12.svg",
-    }
 
 
 @pytest.mark.parametrize(
@@ -188,9 +82,6 @@ def test_log_is_told_every_ten_seconds(
     assert capsys.readouterr().err.splitlines() == ["flying, 0 of 4", "flying, 3 of 4"]
 
 
-# --- figures --------------------------------------------------------------------------------------
-
-
 # --- the documentation ----------------------------------------------------------------------------
 
 
@@ -202,14 +93,6 @@ def test_documentation_says_what_its_table_says(pages: ModuleType) -> None:
     text = (DOCS / "reproduction.md").read_text()
     assert pages.filled(text, committed()) == text, "run `make reproduction-docs`"
     assert len(pages.NUMBER.findall(text)) > 20
-
-
-def test_documentation_has_every_figure(quick: ReproduceResult) -> None:
-    text = (DOCS / "reproduction.md").read_text()
-    shown = re.findall(r"\]\((figures/reproduction/\w+\.png)\)", text)
-    drawn = {drawing.name for section in sections(quick) for drawing in section.drawings}
-    assert {Path(name).stem for name in shown} >= drawn | {"fig02"}
-    assert all((DOCS / name).stat().st_size < 100_000 for name in shown)
 
 
 def test_stale_number_and_table_are_mended(pages: ModuleType) -> None:

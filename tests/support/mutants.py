@@ -21,6 +21,7 @@ import textwrap
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 from support.tree import TESTS
@@ -103,8 +104,14 @@ class _Place:
     fills_body: bool = False  # nothing else is in the block
 
 
+@lru_cache(maxsize=1)  # the mutants of a file follow each other; the tree stays as it is
+def parsed(text: str) -> ast.Module:
+    """The syntax of a file of Python."""
+    return ast.parse(text)
+
+
 def _replaced(text: str, change: Change) -> str:
-    scope = _scope(ast.parse(text), change.function)
+    scope = _scope(parsed(text), change.function)
     wanted = ast.parse(textwrap.dedent(change.old)).body
     places = list(_statements(scope, wanted))
     expression = len(wanted) == 1 and isinstance(wanted[0], ast.Expr) and not places

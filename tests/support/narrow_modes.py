@@ -14,6 +14,7 @@ from support.analysis_narrow import flexible
 
 PERIOD_S = 1e-3
 HARMONICS = np.arange(-25, 26)
+FIRST, SECOND = np.array([(0, 0), (1, 1), (2, 2), (0, 1), (0, 1), (0, 2), (0, 2), (1, 2), (1, 2)]).T
 EVEN = np.concatenate((np.geomspace(2e-3, 0.05, 150)[:-1], np.linspace(0.05, np.pi, 3000)))  # wT
 
 
@@ -99,16 +100,19 @@ class ClosedForm:
         # beyond HARMONICS the slider stands still
         a += (1.0 - (np.abs(held) ** 2).sum(axis=1)) / (device.viscous_ns_per_m + c)
         b = (np.abs(seen) ** 2 / resistance).sum(axis=1)
-        self.centre = 0.5 * (held * seen / resistance).sum(axis=1)
-        self.squared_radius = 0.25 * a * b
+        centre = 0.5 * (held * seen / resistance).sum(axis=1)
         turn = np.exp(1j * angles)
-        self.law = np.stack((np.ones_like(turn), *derivatives(turn, 1000.0, PAPER_FILTERS)))
+        law = np.stack((np.ones_like(turn), *derivatives(turn, 1000.0, PAPER_FILTERS)))
+        products = (law[FIRST] * law[SECOND].conj()).real
+        self.terms = np.vstack(  # of K, B, M and of their products, (9, A)
+            (2.0 * (law * centre).real, products * (np.abs(centre) ** 2 - 0.25 * a * b))
+        )
 
     def holds(self, points):
-        """True (N,) where the condition holds at all angles."""
-        law = np.asarray(points) @ self.law
-        outside = np.abs(1.0 + law * self.centre) ** 2 - self.squared_radius * np.abs(law) ** 2
-        return outside.min(axis=1) >= 0.0
+        """True (N,) where the condition, a quadratic form in K, B, M, holds at all angles."""
+        points = np.asarray(points)
+        products = points[:, FIRST] * points[:, SECOND]
+        return (np.hstack((points, products)) @ self.terms).min(axis=1) >= -1.0
 
 
 def edge(holds, direction):
