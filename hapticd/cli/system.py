@@ -264,10 +264,10 @@ def _guard(status: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
-    """The delay from sample to force that the daemon measures, and what it costs of K."""
+    """The delay from sample to force that the daemon measures, what it costs of K, late ticks."""
     from hapticd.cli.daemon import delay_words
-    from hapticd.client.words import timing_words
-    from hapticd.doctor import checks
+    from hapticd.client.words import late_words, timing_words
+    from hapticd.doctor import checks, late
 
     if status is None:
         return []
@@ -278,7 +278,8 @@ def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
         fix = "look what else is on the board's bus, or at its sample phase"
         delay = checks.warn("force delay", words, why, fix)
     costs = timing_words(_guard(status))
-    return [delay, checks.ok("stiffness", costs)] if costs else [delay]
+    stiffness = [checks.ok("stiffness", costs)] if costs else []
+    return [delay, *stiffness, late.judge(status, late_words(status))]
 
 
 def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str, Any]]":

@@ -91,6 +91,15 @@ def _instead(cost: dict[str, Any]) -> str:
     return f"{cost['stiffness_n_per_m']:.4g} instead of {cost['ideal_stiffness_n_per_m']:.4g}"
 
 
+def late_words(status: dict[str, Any]) -> str:
+    """Late ticks by cause, in one line; empty where there is none."""
+    return ", ".join(
+        f"{found['count']} {name} (latest {found['latest_us']:.0f} us)"
+        for name, found in status.get("late", {}).items()
+        if found["count"]
+    )
+
+
 def margin_words(found: dict[str, Any]) -> str:
     """The verdict on what is in force, in one line."""
     verdict = found.get("verdict") or {}

@@ -18,6 +18,7 @@ from hapticd.gateway.delivered import Delivered
 from hapticd.gateway.flight import FlightRecorder, flights_folder
 from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Actors, Journal
+from hapticd.gateway.late import LateCounts
 from hapticd.gateway.leases import Leases
 from hapticd.gateway.ledger import Ledger
 from hapticd.gateway.telemetry import (
@@ -240,6 +241,7 @@ class Publisher:
         self._batch = setup.gateway.batch
         self.feed = Feed(view, setup.gateway.batch)
         self.stages = StageHistograms(setup.servo.realtime.grace_s)
+        self.late = LateCounts(setup.servo.realtime.grace_s)
         self.flight = FlightRecorder(
             view, journal, setup, flights_folder(setup.servo.instance), unix_ns, self._leases
         )
@@ -304,6 +306,7 @@ class Publisher:
         for block in self.feed.take(now_ns, early):
             # whether or not anyone subscribes: statistics and events miss no record
             self.stages.add(block.records)
+            self.late.add(block.records)
             self._guard.count(block.records, block.life)
             self._transitions.follow(block)
             self.flight.add(block, now_ns)
@@ -328,6 +331,7 @@ class Publisher:
             )
             self._lamps = ()
             self.stages.begin(self._origin.epoch)
+            self.late.begin(self._origin.epoch)
             self.flight.begin(self._origin)
             self._probe.forget()
             self._ledger.begin()

@@ -212,6 +212,7 @@ class GatewayServer:
         return {
             **self._publisher.without_guard(self._unix_ns()),
             "stages": self._publisher.stages.summary(),
+            "late": self._publisher.late.summary(),
             "endpoints": self.endpoints,
             "servo": self._view.report(),
             "gateway": {

@@ -46,6 +46,7 @@ from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.params import ServoParams
 from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
 from hapticd.servo.inbox import Inbox, Streamer
+from hapticd.servo.late import LateTicks
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
     LINK_UP,
@@ -174,6 +175,9 @@ class ServoLoop:
         self._look_ns = 0  # no look before that
         self.stopping = False
         self._lost_slots = 0
+        self._publish_ns = 0  # of the last tick
+        self._late_ns = 0  # from its next deadline to its end
+        self._late_ticks = LateTicks(mailbox.ring, self.period_ns, device)
         self.dropped = 0  # slots without a tick, those of the start and of a reconnect too
         self._missed_tick = -1  # the newest tick without a sample
         self._fresh_slot = 0  # of the newest tick with one, before that
@@ -221,6 +225,8 @@ class ServoLoop:
         (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = self._sensor_lines()
         timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
         period_ns = self.period_ns
+        blame = self._late_ticks.blame
+        late_ns = self._late_ns
         periods_per_us = self.params.realtime.rate_hz / US_PER_S
         damping = self.params.device.active_damping
         damping_slope = damping.to_value(1.0) - damping.to_value(0.0)
@@ -233,7 +239,7 @@ class ServoLoop:
         alive_until_ns = 0
         board_us = 0
         linked = _HEALTHY | self.board.host  # host flags while all is well
-        publish_ns = 0
+        publish_ns = self._publish_ns
         last = None if ticks is None else self.tick + ticks
 
         while True:
@@ -243,6 +249,8 @@ class ServoLoop:
                 self._most_us = most_us
                 self._stepped_ns = stepped
                 self._pausing = pausing
+                self._publish_ns = publish_ns
+                self._late_ns = late_ns
                 break
             deadline = self.deadline_ns
             next_deadline = deadline + period_ns
@@ -410,6 +418,8 @@ class ServoLoop:
                 write_ns,
                 publish_ns,
                 self._lost_slots,
+                0,
+                0,
                 delay_us,
                 self._delay_spread_us,
                 frame_age_us,
@@ -418,6 +428,9 @@ class ServoLoop:
                 out_bytes(),
                 tick,
             )
+            if late_ns:  # of the tick before
+                blame(tick, late_ns)
+                late_ns = 0
             if plain:
                 ring_words[ring_head] = tick + 1
             else:
@@ -437,7 +450,7 @@ class ServoLoop:
             publish_ns = end - sent
             if end > deadline:
                 publish_ns = min(publish_ns, _LONGEST_NS)
-                self._late(end)
+                late_ns = self._late(end)
 
     def _rehearsal(self) -> Callable[[], None]:
         """The tick to no effect. No closure of `run`: what it shares with one costs a tick more
@@ -572,19 +585,22 @@ class ServoLoop:
             self.restart_clock()
         return slow
 
-    def _late(self, now_ns: int) -> None:
-        """Drop the slots that have passed."""
-        dropped = (now_ns - self.deadline_ns) // self.period_ns + 1
+    def _late(self, now_ns: int) -> int:
+        """Drop the slots that have passed; by how much the tick was late, 0: by intent."""
+        late_ns = now_ns - self.deadline_ns
+        dropped = late_ns // self.period_ns + 1
         self.deadline_ns += dropped * self.period_ns
         self.dropped += dropped
         if self.state[SETTLED].out_flags & WITHHELD:
-            return  # it listened in vain, as it was asked to
+            return 0  # it listened in vain, as it was asked to
         grace = now_ns - self._started_ns < self.params.realtime.grace_s * NS_PER_S
         self.mailbox.count("grace_late_events" if grace else "late_events")
         self.mailbox.count("grace_lost_slots" if grace else "lost_slots", dropped)
         if not grace:
             self._lost_slots = self._lost_slots + dropped & _U32
             self.inbox.lost_slots(now_ns, dropped)
+        self._late_ticks.begin()
+        return late_ns
 
     def _overdue(self, tick: int, slot: int, read_ns: int) -> Overdue:
         """How long there has been no sample, and whether the next tick does without a read.
