@@ -212,6 +212,7 @@ def doctor(
     """Check rights, processor, kernel, USB, disk and folders, and measure how late this
     machine wakes. Changes nothing.
     """
+    from hapticd.doctor import interpreter
     from hapticd.doctor.checks import examine, requirements
     from hapticd.doctor.machine import this_machine
     from hapticd.settings.load import load
@@ -219,7 +220,8 @@ def doctor(
     asked = requirements(load(config), instance)
     machine = this_machine()
     status = _latest_status(instance)
-    findings = [*examine(machine, asked), *_timing(status)]
+    build = interpreter.judge(interpreter.this_build())
+    findings = [*examine(machine, asked), build, *_timing(status)]
     measured: dict[str, Any] = {}
     if seconds > 0:
         if not as_json:
