@@ -266,7 +266,7 @@ def _guard(status: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
-    """The delay from sample to force that the daemon measures, what it costs of K, late ticks."""
+    """The delay from sample to force that the daemon measures, its cost in K, and the ticks."""
     from hapticd.cli.daemon import delay_words
     from hapticd.client.words import late_words, timing_words
     from hapticd.doctor import checks, late
@@ -281,7 +281,7 @@ def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
         delay = checks.warn("force delay", words, why, fix)
     costs = timing_words(_guard(status))
     stiffness = [checks.ok("stiffness", costs)] if costs else []
-    return [delay, *stiffness, late.judge(status, late_words(status))]
+    return [delay, *stiffness, late.judge_room(status), late.judge(status, late_words(status))]
 
 
 def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str, Any]]":

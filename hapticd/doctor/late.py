@@ -1,9 +1,12 @@
-"""What the late ticks of a running daemon say about the machine: each cause has its remedy."""
+"""What the ticks of a running daemon say about the machine: how much of a period one takes, and why
+some are late. Each cause has its remedy.
+"""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from hapticd.doctor.checks import CheckResult, ok, warn
+from hapticd.gateway.room import Room
 from hapticd.mailbox.layout import LateCause
 
 NAME = "late ticks"
@@ -38,6 +41,19 @@ ADVICE = {
     LateCause.STEP: Advice("computing the force took long", OWN),
     LateCause.PUBLISH: Advice("what follows the frame took long", OWN),
 }
+
+
+def judge_room(status: Mapping[str, Any]) -> CheckResult:
+    """What a tick takes of its period, as its `status` has it, as a line."""
+    room = Room(**status["room"]) if "room" in status else Room(0.0, 0.0, 0.0)
+    if not room.tick_us:
+        return ok("tick", "not measured yet")
+    text = f"{room.tick_us:.0f} us of {room.period_us:g} us, transfers included"
+    text += f"; a quarter of the period is left up to {room.highest_rate_hz:g} Hz"
+    if room.short:
+        fix = f"set realtime.rate_hz to {room.highest_rate_hz:g} or less"
+        return warn("tick", text, "whatever holds up such a tick makes it late", fix)
+    return ok("tick", text)
 
 
 def judge(status: Mapping[str, Any], words: str) -> CheckResult:

@@ -48,6 +48,7 @@ KEPT: Mapping[str, tuple[str, ...]] = {  # of the status, by part; "" is the sta
             "counters",
             "stages",
             "late",
+            "room",
         ),
     ),
     "servo": ("realtime", "transport", "differences", "uncompensated", "unsampled"),

@@ -21,6 +21,7 @@ from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.late import LateCounts
 from hapticd.gateway.leases import Leases
 from hapticd.gateway.ledger import Ledger
+from hapticd.gateway.room import ENOUGH, Room, room_of
 from hapticd.gateway.telemetry import (
     BY_NAME,
     Feed,
@@ -242,6 +243,8 @@ class Publisher:
         self.feed = Feed(view, setup.gateway.batch)
         self.stages = StageHistograms(setup.servo.realtime.grace_s)
         self.late = LateCounts(setup.servo.realtime.grace_s)
+        self._rate_hz = setup.servo.realtime.rate_hz
+        self._judged = False  # whether a tick leaves room
         self.flight = FlightRecorder(
             view, journal, setup, flights_folder(setup.servo.instance), unix_ns, self._leases
         )
@@ -315,6 +318,7 @@ class Publisher:
                 self._delivered.forget()
             self._follow_damping(block)
             found += self._ticks(block, wanted)
+        self._judge_room()
         self.flight.dump_if_due(now_ns)
         told = self._guard.messages(now_ns, unix_ns, "guard" in wanted)
         found += [("guard", _packed(message)) for message in told]
@@ -332,6 +336,7 @@ class Publisher:
             self._lamps = ()
             self.stages.begin(self._origin.epoch)
             self.late.begin(self._origin.epoch)
+            self._judged = False
             self.flight.begin(self._origin)
             self._probe.forget()
             self._ledger.begin()
@@ -343,6 +348,20 @@ class Publisher:
                 epoch=self._origin.epoch,
                 text=view.trouble,
             )
+
+    @property
+    def room(self) -> Room:
+        """What a tick takes of its period."""
+        return room_of(self.stages.summary(), self._rate_hz)
+
+    def _judge_room(self) -> None:
+        """Warn once that a tick leaves too little of its period."""
+        if self._judged or self.stages.count < ENOUGH:
+            return
+        self._judged = True
+        room = self.room
+        if room.short:
+            self._journal.note("warning", text=room.text, **room._asdict())
 
     def _follow_damping(self, block: RingBlock) -> None:
         """Too little of the active damping is delivered: warn, and end force where it is needed."""

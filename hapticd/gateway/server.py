@@ -213,6 +213,7 @@ class GatewayServer:
             **self._publisher.without_guard(self._unix_ns()),
             "stages": self._publisher.stages.summary(),
             "late": self._publisher.late.summary(),
+            "room": self._publisher.room._asdict(),
             "endpoints": self.endpoints,
             "servo": self._view.report(),
             "gateway": {
