@@ -161,6 +161,10 @@ class LateTicks:
         self._period_ns = period_ns
         self._device = device
         self._behind = 0
+        # of the last tick: kept here while the loop stands still, since an object of more than 30
+        # attributes is slow to read in CPython 3.11
+        self.publish_ns = 0
+        self.late_ns = 0  # from its next deadline to its end; 0: it was on time
 
     def begin(self) -> None:
         """The tick that has just ended is late."""

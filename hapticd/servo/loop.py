@@ -175,8 +175,6 @@ class ServoLoop:
         self._look_ns = 0  # no look before that
         self.stopping = False
         self._lost_slots = 0
-        self._publish_ns = 0  # of the last tick
-        self._late_ns = 0  # from its next deadline to its end
         self._late_ticks = LateTicks(mailbox.ring, self.period_ns, device)
         self.dropped = 0  # slots without a tick, those of the start and of a reconnect too
         self._missed_tick = -1  # the newest tick without a sample
@@ -225,8 +223,9 @@ class ServoLoop:
         (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = self._sensor_lines()
         timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
         period_ns = self.period_ns
-        blame = self._late_ticks.blame
-        late_ns = self._late_ns
+        late_ticks = self._late_ticks
+        blame = late_ticks.blame
+        late_ns = late_ticks.late_ns
         periods_per_us = self.params.realtime.rate_hz / US_PER_S
         damping = self.params.device.active_damping
         damping_slope = damping.to_value(1.0) - damping.to_value(0.0)
@@ -239,7 +238,7 @@ class ServoLoop:
         alive_until_ns = 0
         board_us = 0
         linked = _HEALTHY | self.board.host  # host flags while all is well
-        publish_ns = self._publish_ns
+        publish_ns = late_ticks.publish_ns
         last = None if ticks is None else self.tick + ticks
 
         while True:
@@ -249,8 +248,8 @@ class ServoLoop:
                 self._most_us = most_us
                 self._stepped_ns = stepped
                 self._pausing = pausing
-                self._publish_ns = publish_ns
-                self._late_ns = late_ns
+                late_ticks.publish_ns = publish_ns
+                late_ticks.late_ns = late_ns
                 break
             deadline = self.deadline_ns
             next_deadline = deadline + period_ns
