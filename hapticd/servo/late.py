@@ -1,8 +1,8 @@
 """Which part of a late tick took so long, from its record and those around it.
 
 A tick is late when it ends after the next deadline. The loop times its parts anyway. What a part
-takes beyond its usual time, the median of the last ticks on time, is its share of the lateness. The
-part with the greatest share is the cause:
+takes beyond its usual time, the median of three ticks on time at a tally, is its share of the
+lateness. The part with the greatest share is the cause:
 
     deadline | wake | read     | step | write    | publish | end      next deadline
                WAKE   transfer   STEP   transfer   PUBLISH
@@ -10,8 +10,8 @@ part with the greatest share is the cause:
 In flight (`link.flight`) `write` hands both transfers to the kernel and waits for neither, so its
 share is SUBMISSION. `read` waits for an IN that is late, and the board's clock tells why. The board
 latches a sample a fixed time after it got the OUT before. So the time from that OUT (by the host's
-clock) to the sample (by the board's) is constant but for the offset of the clocks, which the ticks
-before have as well:
+clock) to the sample (by the board's) is constant but for the offset of the clocks, which the two
+ticks before have as well:
 
     BUS          that time is longer, because the OUT came late to the board; or the OUT before was
                  still under way a period later; or the IN never came
@@ -27,11 +27,14 @@ it shows its OUT in time at the board. Every other one, and a late `read`, is TR
 The cause goes into the record of the next tick, after its OUT is sent, for a tick may be late in
 what it does after its own record. A tick after one on time pays for one test of an integer.
 
+Little may be done there: cold code takes tens of times longer, and a tick that is held up by the
+search for a cause is late as well. So one or two records are read, and five for a transfer.
+
 What would break it: a board that latches by a clock of its own, records that are not in the ring.
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -40,7 +43,8 @@ from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Flag, LateCause
 from hapticd.units import NS_PER_US
 
-LOOKED_AT = 10  # records: the late tick, the one after it, and those before
+SAMPLES = 3  # of ticks on time
+EARLIER = 3  # ticks before the late one, which show what is usual on the way to the board
 HELD_UP = 4  # from one such part of its lateness, on the way to the board, a read is late by BUS
 LONGEST_NS = (1 << 31) - 1  # that the record can hold
 READ, WRITE = (layout.STAGES.index(name) for name in ("read", "write"))
@@ -75,21 +79,25 @@ class Way(NamedTuple):
     behind: bool  # an IN came after its tick and was read past
 
 
-def cause_of(ticks: Sequence[Ticked], period_ns: int, way: Way) -> int:
-    """Why the last but one of `ticks` was late (LateCause); at least two, one after the other.
+def cause_of(
+    late: Ticked,
+    after: Ticked,
+    usual: Sequence[int],
+    way: Way,
+    earlier: Callable[[], list[Ticked]],
+) -> int:
+    """Why the tick `late` was late (LateCause); `after` is the next one, `usual` what parts take.
 
-    Any numbers will do: others may have written over the ring.
+    `earlier()` gives at most EARLIER ticks before it. Any numbers will do: others may have written
+    over the ring.
     """
-    *before, parts = (_parts(*pair) for pair in pairwise(ticks))
-    on_time = [row for row in before if sum(row) <= period_ns]
-    usual = [_median(column) for column in zip(*on_time, strict=True)] or [0] * len(parts)
-    shares = [part - normal for part, normal in zip(parts, usual, strict=True)]
+    shares = [part - normal for part, normal in zip(parts_of(late, after), usual, strict=True)]
     worst = shares.index(max(shares))
-    if worst == READ:
-        return _late_read(ticks, shares[READ], way)
-    if worst == WRITE:
-        return _late_write(ticks, shares[WRITE], way)
-    return OWN[worst]
+    if worst in OWN:
+        return OWN[worst]
+    ticks = [*earlier(), late, after]
+    decide = _late_read if worst == READ else _late_write
+    return decide(ticks, shares[worst], way)
 
 
 def _late_read(ticks: Sequence[Ticked], share_ns: int, way: Way) -> int:
@@ -118,10 +126,10 @@ def _held_up_ns(ticks: Sequence[Ticked]) -> int | None:
     """How much longer than usual the last but one OUT took to the board; None: not known."""
     *usual, newest = (_latched_ns(*pair) for pair in pairwise(ticks)) if ticks[1:] else (None,)
     known = [one for one in usual if one is not None]
-    return newest - _median(known) if known and newest is not None else None
+    return newest - min(known) if known and newest is not None else None
 
 
-def _parts(tick: Ticked, after: Ticked) -> tuple[int, ...]:
+def parts_of(tick: Ticked, after: Ticked) -> tuple[int, ...]:
     """How long each of layout.STAGES took."""
     return tick.wake_ns, tick.read_ns, tick.step_ns, tick.write_ns, after.published_ns
 
@@ -131,10 +139,6 @@ def _latched_ns(tick: Ticked, after: Ticked) -> int | None:
     if not 0 <= after.arrival < SEED:
         return None
     return after.board_us * NS_PER_US - (tick.woken_ns + tick.read_ns + tick.step_ns)
-
-
-def _median(values: Sequence[int]) -> int:
-    return sorted(values)[len(values) // 2]
 
 
 def _fields() -> struct.Struct:
@@ -161,10 +165,21 @@ class LateTicks:
         self._period_ns = period_ns
         self._device = device
         self._behind = 0
+        self._samples = [(0,) * len(layout.STAGES)] * SAMPLES
+        self._usual = self._samples[0]
         # of the last tick: kept here while the loop stands still, since an object of more than 30
         # attributes is slow to read in CPython 3.11
         self.publish_ns = 0
         self.late_ns = 0  # from its next deadline to its end; 0: it was on time
+
+    def learn(self, tick: int) -> None:
+        """Take the tick before `tick`, whose record is the newest, as a sample of what is usual."""
+        parts = parts_of(self._seen(tick - 1), self._seen(tick))
+        if tick and sum(parts) <= self._period_ns:
+            self._samples = [*self._samples[1:], parts]
+            self._usual = tuple(
+                sorted(column)[SAMPLES // 2] for column in zip(*self._samples, strict=True)
+            )
 
     def begin(self) -> None:
         """The tick that has just ended is late."""
@@ -174,14 +189,20 @@ class LateTicks:
         """Write into the record of `tick`, which is not published yet, why the tick before it
         was late, and by how much.
         """
-        ring = self._ring
-        first = max(0, tick + 1 - LOOKED_AT)
-        seen = [
-            Ticked._make(_TICKED.unpack_from(ring, _place(one))) for one in range(first, tick + 1)
-        ]
+        first = max(0, tick - 1 - EARLIER)
         behind = self._device.counts["behind"] > self._behind
-        cause = cause_of(seen, self._period_ns, Way(self._device.link.in_flight, behind))
-        _NOTED.pack_into(ring, _place(tick) + _NOTE_OFFSET, cause, min(late_ns, LONGEST_NS))
+        cause = cause_of(
+            self._seen(tick - 1),
+            self._seen(tick),
+            self._usual,
+            Way(self._device.link.in_flight, behind),
+            lambda: [self._seen(one) for one in range(first, tick - 1)],
+        )
+        place = _place(tick) + _NOTE_OFFSET
+        _NOTED.pack_into(self._ring, place, cause, min(late_ns, LONGEST_NS))
+
+    def _seen(self, tick: int) -> Ticked:
+        return Ticked._make(_TICKED.unpack_from(self._ring, _place(tick)))
 
 
 def _place(tick: int) -> int:

@@ -545,6 +545,7 @@ class ServoLoop:
         """
         words = self.mailbox.words
         words[_COUNTER["ticks"]] = self.tick
+        self._late_ticks.learn(self.tick)
         for name, key in _TALLY.items():
             words[_COUNTER[name]] = self.device.counts[key]
         self.mailbox.renew()
