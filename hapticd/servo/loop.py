@@ -46,7 +46,7 @@ from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.params import ServoParams
 from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
 from hapticd.servo.inbox import Inbox, Streamer
-from hapticd.servo.late import LateTicks
+from hapticd.servo.late import ON_TIME, Late, LateTicks
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
     LINK_UP,
@@ -224,8 +224,7 @@ class ServoLoop:
         timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
         period_ns = self.period_ns
         late_ticks = self._late_ticks
-        blame = late_ticks.blame
-        late_ns = late_ticks.late_ns
+        late_cause, late_ns = late_ticks.told
         periods_per_us = self.params.realtime.rate_hz / US_PER_S
         damping = self.params.device.active_damping
         damping_slope = damping.to_value(1.0) - damping.to_value(0.0)
@@ -249,7 +248,7 @@ class ServoLoop:
                 self._stepped_ns = stepped
                 self._pausing = pausing
                 late_ticks.publish_ns = publish_ns
-                late_ticks.late_ns = late_ns
+                late_ticks.told = Late(late_cause, late_ns)
                 break
             deadline = self.deadline_ns
             next_deadline = deadline + period_ns
@@ -417,8 +416,8 @@ class ServoLoop:
                 write_ns,
                 publish_ns,
                 self._lost_slots,
-                0,
-                0,
+                late_cause,
+                late_ns,
                 delay_us,
                 self._delay_spread_us,
                 frame_age_us,
@@ -427,9 +426,7 @@ class ServoLoop:
                 out_bytes(),
                 tick,
             )
-            if late_ns:  # of the tick before
-                blame(tick, late_ns)
-                late_ns = 0
+            late_cause = late_ns = 0
             if plain:
                 ring_words[ring_head] = tick + 1
             else:
@@ -449,7 +446,7 @@ class ServoLoop:
             publish_ns = end - sent
             if end > deadline:
                 publish_ns = min(publish_ns, _LONGEST_NS)
-                late_ns = self._late(end)
+                late_cause, late_ns = self._late(end, publish_ns)
 
     def _rehearsal(self) -> Callable[[], None]:
         """The tick to no effect. No closure of `run`: what it shares with one costs a tick more
@@ -585,22 +582,26 @@ class ServoLoop:
             self.restart_clock()
         return slow
 
-    def _late(self, now_ns: int) -> int:
-        """Drop the slots that have passed; by how much the tick was late, 0: by intent."""
-        late_ns = now_ns - self.deadline_ns
-        dropped = late_ns // self.period_ns + 1
+    def _late(self, end_ns: int, publish_ns: int) -> Late:
+        """Find the cause and drop the slots that have passed until then: nothing of it may hold
+        up the next tick.
+        """
+        by_intent = self.state[SETTLED].out_flags & WITHHELD  # it listens in vain
+        late_ns = min(end_ns - self.deadline_ns, _LONGEST_NS)
+        cause = 0 if by_intent else self._late_ticks.cause(self.tick - 1, publish_ns)
+        now_ns = self.clock.now_ns()
+        dropped = (now_ns - self.deadline_ns) // self.period_ns + 1
         self.deadline_ns += dropped * self.period_ns
         self.dropped += dropped
-        if self.state[SETTLED].out_flags & WITHHELD:
-            return 0  # it listened in vain, as it was asked to
+        if by_intent:
+            return ON_TIME
         grace = now_ns - self._started_ns < self.params.realtime.grace_s * NS_PER_S
         self.mailbox.count("grace_late_events" if grace else "late_events")
         self.mailbox.count("grace_lost_slots" if grace else "lost_slots", dropped)
         if not grace:
             self._lost_slots = self._lost_slots + dropped & _U32
             self.inbox.lost_slots(now_ns, dropped)
-        self._late_ticks.begin()
-        return late_ns
+        return Late(cause, late_ns)
 
     def _overdue(self, tick: int, slot: int, read_ns: int) -> Overdue:
         """How long there has been no sample, and whether the next tick does without a read.

@@ -12,6 +12,7 @@ from support.models import servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.gateway.view import Records, as_records
 from hapticd.mailbox.layout import STAGES, Command, LateCause, Value
+from hapticd.params import UsbParams
 from hapticd.sim.bus import BAND, Bus, Passed
 
 pytestmark = pytest.mark.usefixtures("either_way")
@@ -22,22 +23,24 @@ TALLIED = 256  # ticks between two visits of what a tick publishes now and then
 TRIALS = 20
 RIGHT = 0.9  # share of the late ticks
 SHORTEST_NS, LONGEST_NS = 1_100_000, 2_600_000  # of what a culprit holds up
+SERVO = servo_params(usb=UsbParams(timeout_ms=5))  # an IN that is late still comes
 BUSES = ("root port", "slow host")
-# in flight, one after the other; what no time can tell apart there is TRANSFER
+# in flight, one after the other; what no time tells apart there is TRANSFER, but for an IN behind an
+# OUT that came late
 CULPRITS = {
     "wake": (LateCause.WAKE, LateCause.WAKE),
     "submission": (LateCause.SUBMISSION, LateCause.TRANSFER),
     "bus": (LateCause.BUS, LateCause.TRANSFER),
     "completion of IN": (LateCause.COMPLETION, LateCause.TRANSFER),
-    "completion of OUT": (LateCause.NONE, LateCause.COMPLETION),  # in flight no tick waits for it
+    "completion of OUT": (LateCause.NONE, LateCause.TRANSFER),  # in flight no tick waits for it
     "step": (LateCause.STEP, LateCause.STEP),
     "publish": (LateCause.PUBLISH, LateCause.PUBLISH),
 }
 
 
 class SeededBus:
-    """`bus`, where `culprit` holds up the next transfer that it can, or two: a slow bus holds up an
-    OUT and an IN.
+    """`bus`, where `culprit` holds up the next transfer that it can; a slow bus an OUT and the IN
+    after it (an IN alone counts as completion).
     """
 
     def __init__(self, bus: Bus) -> None:
@@ -61,7 +64,9 @@ class SeededBus:
         return Passed(board_ns, host_ns + self._by("completion of OUT"))
 
     def received_ns(self, polled_ns: int) -> int:
-        slow_ns = self._by("bus") + self._by("completion of IN")
+        slow_ns = self._by("completion of IN")
+        if len(self.held_ns) == 1:  # the OUT before was slow
+            slow_ns += self._by("bus")
         return self._bus.received_ns(polled_ns) + slow_ns
 
 
@@ -69,7 +74,7 @@ class Bench:
     """A servo that renders a spring over the bus `name`, and culprits that make it late."""
 
     def __init__(self, name: str = "root port", seed: int = 1) -> None:
-        self.stack = LockStep(servo_params(), board_params(bus=BAND[name], seed=seed))
+        self.stack = LockStep(SERVO, board_params(bus=BAND[name], seed=seed))
         self.in_flight = self.stack.device.link.in_flight
         self._random = Random(seed)
         self._held_ns: dict[str, int] = {}  # by the stage of the servo
@@ -126,9 +131,10 @@ class Bench:
 def test_nine_late_ticks_of_ten_have_the_cause_that_was_seeded(culprit: str, name: str) -> None:
     with Bench(name) as bench:
         cause = CULPRITS[culprit][not bench.in_flight]
+        right = {cause} if bench.in_flight or culprit != "bus" else {cause, LateCause.BUS}
         found = bench.causes(culprit)
     assert found.total() >= (TRIALS if cause else 0)
-    assert found[cause] >= RIGHT * found.total(), found
+    assert sum(found[one] for one in right) >= RIGHT * found.total(), found
 
 
 def test_tick_on_time_has_no_cause() -> None:
