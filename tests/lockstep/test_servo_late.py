@@ -25,8 +25,7 @@ RIGHT = 0.9  # share of the late ticks
 SHORTEST_NS, LONGEST_NS = 1_100_000, 2_600_000  # of what a culprit holds up
 SERVO = servo_params(usb=UsbParams(timeout_ms=5))  # an IN that is late still comes
 BUSES = ("root port", "slow host")
-# in flight, one after the other; what no time tells apart there is TRANSFER, but for an IN behind an
-# OUT that came late
+# in flight, one after the other; what no time tells apart there is TRANSFER
 CULPRITS = {
     "wake": (LateCause.WAKE, LateCause.WAKE),
     "submission": (LateCause.SUBMISSION, LateCause.TRANSFER),
