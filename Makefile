@@ -42,6 +42,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; 
 	$$p -c '$(NEW_ENOUGH)' 2>/dev/null && echo $$p && break; done)
 
 run: $(VENV)/run.stamp
+	@echo "$$($(BIN)/python -VV), see hapticd doctor for how it was built"
 	@exec $(BIN)/hapticd run $(ARGS)
 
 lab: $(VENV)/lab.stamp

@@ -141,7 +141,7 @@ int reference_ticks(struct servo *s, const uint8_t *frames, uint8_t *ring, int c
         r->winding_c = in->temperature * s->slope[0], r->current_a = in->current * s->slope[1];
         r->voltage_v = in->voltage * s->slope[2], r->emf_velocity_m_per_s = in->emf_velocity * s->slope[3];
         r->wake_ns = 0, r->read_ns = got - start, r->step_ns = stepped - got, r->write_ns = sent - stepped;
-        r->publish_ns = publish, r->lost_slots = 0;
+        r->publish_ns = publish, r->lost_slots = 0, r->late_cause = 0, r->late_ns = 0;
         r->delay_spread_us = spread, r->active_damping_effect_ns_per_m = in->damping_effect * s->damping_slope;
         if (!(s->tick & 255)) {
             spread = most > least ? most - least : 0;

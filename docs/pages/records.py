@@ -5,7 +5,7 @@ renamed has to be described here.
 """
 
 from hapticd.environment import FURTHER
-from hapticd.mailbox.layout import COMMISSIONING, TELEMETRY, Flag, State, Watched
+from hapticd.mailbox.layout import COMMISSIONING, TELEMETRY, Flag, LateCause, State, Watched
 from hapticd.servo import plan
 from hapticd.units import unit_of
 from hapticd.wire.frames import StatusBit
@@ -69,6 +69,8 @@ FIELDS = {
     "write_ns": "time for writing the frame",
     "publish_ns": "time for publishing the record of the tick before",
     "lost_slots": "periods without a tick since the servo started",
+    "late_cause": "why the tick before was late; 0 if it was on time, see below",
+    "late_ns": "how long after the next deadline the tick before ended; 0 if it was on time",
     "delay_us": "delay from sample to force, by the board's clock; -1 if unknown",
     "delay_spread_us": "greatest minus least delay of the last 256 ticks",
     "frame_age_us": "age of the frame when it was read; -1 if unknown",
@@ -98,6 +100,16 @@ FLAGS = {
     "PAUSED": "ramps wait for their energy budget",
     "CONTROLLED": "the energy controller set more damping, or less K and B, than requested",
     "WITHHELD": "no frame was sent, to test the board's watchdog",
+}
+LATE_CAUSES = {
+    "NONE": "the tick before was on time",
+    "WAKE": "it woke late",
+    "SUBMISSION": "the kernel took its transfers late (in flight)",
+    "BUS": "the board got a frame late, or no frame came",
+    "COMPLETION": "the board was in time, the end of the transfer was late",
+    "TRANSFER": "a transfer was late, its part is not known (one after the other)",
+    "STEP": "computing the force took long",
+    "PUBLISH": "what follows the frame took long: record, replies, counters",
 }
 WATCHES = {
     "FORCE_AT_LIMIT": "the fault `force_at_limit` is on",
@@ -165,7 +177,7 @@ MEANINGS = {"flags": FLAGS, "watches": WATCHES, "host": HOST, "status": STATUS}
 
 
 def bits_tables() -> str:
-    """A table for each field of bits."""
+    """A table for each field of bits, and one for the causes of late ticks."""
     parts = []
     for field, values in bits().items():
         rows = [
@@ -173,4 +185,6 @@ def bits_tables() -> str:
             for name, value in sorted(values.items(), key=lambda item: item[1])
         ]
         parts.append(f"### Bits of `{field}`\n\n{table(('value', 'name', 'meaning'), rows)}")
+    rows = [(str(int(one)), f"`{one.name}`", LATE_CAUSES[one.name]) for one in LateCause]
+    parts.append(f"### Values of `late_cause`\n\n{table(('value', 'name', 'meaning'), rows)}")
     return "\n".join(parts)

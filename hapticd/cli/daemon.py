@@ -18,7 +18,7 @@ from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect
 from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
-from hapticd.client.words import board_words, parameters, receipt_text, timing_words
+from hapticd.client.words import board_words, late_words, parameters, receipt_text, timing_words
 from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.gateway.answers import Compensation, Delivered, StageTimes, Status, answer_of
 from hapticd.units import PROBE_RATE_HZ, US_PER_S
@@ -205,6 +205,8 @@ def _status_lines(found: Status, more: dict[str, Any]) -> list[str]:
         f"  delay     newest tick: {delay_words(found)}",
         f"  damping   {delivered_words(found.delivered_active_damping)}",
     ]
+    if late := late_words(found.late):
+        lines.append(f"  late      {late}")
     if costs := timing_words(found.guard.timing if found.guard else None):
         lines.append(f"  costs     {costs}")
     lines += _under("winding", compensation_lines(found.compensation))

@@ -212,6 +212,7 @@ def doctor(
     """Check rights, processor, kernel, USB, disk and folders, and measure how late this
     machine wakes. Changes nothing.
     """
+    from hapticd.doctor import interpreter
     from hapticd.doctor.checks import examine, requirements
     from hapticd.doctor.machine import this_machine
     from hapticd.settings.load import load
@@ -219,7 +220,8 @@ def doctor(
     asked = requirements(load(config), instance)
     machine = this_machine()
     status = _latest_status(instance)
-    findings = [*examine(machine, asked), *_timing(status)]
+    build = interpreter.judge(interpreter.this_build())
+    findings = [*examine(machine, asked), build, *_timing(status)]
     measured: dict[str, Any] = {}
     if seconds > 0:
         if not as_json:
@@ -265,10 +267,10 @@ def _guard(status: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
-    """The delay from sample to force that the daemon measures, and what it costs of K."""
+    """The delay from sample to force that the daemon measures, its cost in K, and the ticks."""
     from hapticd.cli.daemon import delay_words
-    from hapticd.client.words import timing_words
-    from hapticd.doctor import checks
+    from hapticd.client.words import late_words, timing_words
+    from hapticd.doctor import checks, late
     from hapticd.gateway.answers import Status, answer_of
 
     if status is None:
@@ -281,7 +283,9 @@ def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
         fix = "look what else is on the board's bus, or at its sample phase"
         delay = checks.warn("force delay", words, why, fix)
     costs = timing_words(known.guard.timing if known.guard else None)
-    return [delay, checks.ok("stiffness", costs)] if costs else [delay]
+    stiffness = [checks.ok("stiffness", costs)] if costs else []
+    ticks = late.judge(known, late_words(known.late))
+    return [delay, *stiffness, late.judge_room(known.room), ticks]
 
 
 def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str, Any]]":

@@ -3,18 +3,24 @@
 What would break it: an import that is large; `hapticd --help` loads this.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from hapticd.environment import FIELDS
 from hapticd.explanation import Explanation
-from hapticd.gateway.answers import GuardStatus, GuardVerdict, Receipt, Timing, TimingCost
+from hapticd.gateway.answers import (
+    GuardStatus,
+    GuardVerdict,
+    LateTicks,
+    Receipt,
+    Timing,
+    TimingCost,
+)
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.mailbox.layout import VALUE_LIMITS, Value
 
 if TYPE_CHECKING:
     from hapticd.errors import CommandError
-    from hapticd.gateway.answers import GuardVerdict, Receipt
 
 
 def verdict_lines(verdict: GuardVerdict | None) -> list[str]:
@@ -87,6 +93,15 @@ def timing_words(timing: Timing | None) -> str:
 
 def _instead(cost: TimingCost) -> str:
     return f"{cost.stiffness_n_per_m:.4g} instead of {cost.ideal_stiffness_n_per_m:.4g}"
+
+
+def late_words(late: Mapping[str, LateTicks]) -> str:
+    """Late ticks by cause, in one line; empty where there is none."""
+    return ", ".join(
+        f"{found.count} {name} (latest {found.latest_us:.0f} us)"
+        for name, found in late.items()
+        if found.count
+    )
 
 
 def margin_words(found: GuardStatus) -> str:

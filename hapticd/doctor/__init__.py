@@ -7,6 +7,8 @@ Each check finds, judges, explains and names the exact fix.
 
     checks    what is checked; `examine(machine, requirements)` is all of it
     machine   the machine as the checks see it; `this_machine()` is the one that we run on
+    interpreter   how Python was built
+    late      what the ticks of a running daemon say
     wake      how late a process with the servo's rights wakes; the only part that measures
 
 Nothing is applied. The measurement runs in a process of its own, and its numbers compare with those

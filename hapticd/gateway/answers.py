@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from hapticd.explanation import Entry
+from hapticd.gateway.room import Room
 
 __all__ = [
     "Compensation",
@@ -23,6 +24,7 @@ __all__ = [
     "GuardStatus",
     "GuardVerdict",
     "Hello",
+    "LateTicks",
     "LeaseHeld",
     "LeaseReleased",
     "Limit",
@@ -298,6 +300,14 @@ class StageTimes:
 
 
 @dataclass(frozen=True, slots=True)
+class LateTicks:
+    """Ticks that were late by one cause."""
+
+    count: int = 0
+    latest_us: float = 0.0  #: after its deadline the latest of them ended
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """Everything about servo and gateway. What a record tells is 0, or -1 for a tick and a delay,
     while no servo is alive.
@@ -343,6 +353,10 @@ class Status:
     counters: dict[str, int] = field(default_factory=dict)
     delivered_active_damping: Delivered | None = field(default=None, metadata=_one(Delivered))
     stages: dict[str, StageTimes] = field(default_factory=dict, metadata=_many(StageTimes))
+    #: by cause (`mailbox.layout.LateCause`)
+    late: dict[str, LateTicks] = field(default_factory=dict, metadata=_many(LateTicks))
+    #: what a tick takes of its period
+    room: Room | None = field(default=None, metadata=_one(Room))
     endpoints: dict[str, Any] = field(default_factory=dict)
     #: of the servo process: the rights that it was granted, its board and bus
     servo: dict[str, Any] = field(default_factory=dict)

@@ -7,6 +7,7 @@ of state or fault in a block of records, however short it was.
 
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Any
 
 import msgpack
@@ -18,8 +19,10 @@ from hapticd.gateway.delivered import Delivered
 from hapticd.gateway.flight import FlightRecorder, flights_folder
 from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Actors, Journal
+from hapticd.gateway.late import LateCounts
 from hapticd.gateway.leases import Leases
 from hapticd.gateway.ledger import Ledger
+from hapticd.gateway.room import ENOUGH, Room, room_of
 from hapticd.gateway.telemetry import (
     BY_NAME,
     Feed,
@@ -240,6 +243,9 @@ class Publisher:
         self._batch = setup.gateway.batch
         self.feed = Feed(view, setup.gateway.batch)
         self.stages = StageHistograms(setup.servo.realtime.grace_s)
+        self.late = LateCounts(setup.servo.realtime.grace_s)
+        self._rate_hz = setup.servo.realtime.rate_hz
+        self._judged = False  # whether a tick leaves room
         self.flight = FlightRecorder(
             view, journal, setup, flights_folder(setup.servo.instance), unix_ns, self._leases
         )
@@ -304,6 +310,7 @@ class Publisher:
         for block in self.feed.take(now_ns, early):
             # whether or not anyone subscribes: statistics and events miss no record
             self.stages.add(block.records)
+            self.late.add(block.records)
             self._guard.count(block.records, block.life)
             self._transitions.follow(block)
             self.flight.add(block, now_ns)
@@ -312,6 +319,7 @@ class Publisher:
                 self._delivered.forget()
             self._follow_damping(block)
             found += self._ticks(block, wanted)
+        self._judge_room()
         self.flight.dump_if_due(now_ns)
         told = self._guard.messages(now_ns, unix_ns, "guard" in wanted)
         found += [("guard", _packed(message)) for message in told]
@@ -328,6 +336,8 @@ class Publisher:
             )
             self._lamps = ()
             self.stages.begin(self._origin.epoch)
+            self.late.begin(self._origin.epoch)
+            self._judged = False
             self.flight.begin(self._origin)
             self._probe.forget()
             self._ledger.begin()
@@ -339,6 +349,20 @@ class Publisher:
                 epoch=self._origin.epoch,
                 text=view.trouble,
             )
+
+    @property
+    def room(self) -> Room:
+        """What a tick takes of its period."""
+        return room_of(self.stages.summary(), self._rate_hz)
+
+    def _judge_room(self) -> None:
+        """Warn once that a tick leaves too little of its period."""
+        if self._judged or self.stages.count < ENOUGH:
+            return
+        self._judged = True
+        room = self.room
+        if room.short:
+            self._journal.note("warning", text=room.text, **asdict(room))
 
     def _follow_damping(self, block: RingBlock) -> None:
         """Too little of the active damping is delivered: warn, and end force where it is needed."""

@@ -23,6 +23,7 @@ import os
 import selectors
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -212,6 +213,8 @@ class GatewayServer:
         return {
             **self._publisher.without_guard(self._unix_ns()),
             "stages": self._publisher.stages.summary(),
+            "late": self._publisher.late.summary(),
+            "room": asdict(self._publisher.room),
             "endpoints": self.endpoints,
             "servo": self._view.report(),
             "gateway": {

@@ -464,6 +464,11 @@ class StageHistograms:
         )
         np.maximum(self._max_ns, times_ns.max(axis=1), out=self._max_ns)
 
+    @property
+    def count(self) -> int:
+        """Ticks that were counted so far."""
+        return int(self._counts[0].sum())
+
     def summary(self) -> dict[str, dict[str, float]]:
         """{stage: {count, p50_us, p99_us, p999_us, max_us}}.
 

@@ -167,8 +167,9 @@ def _exchange(
 
     The state of the exchange lives in their cells, which are as quick to reach as locals.
     """
-    read = device.link.read
-    write = device.link.write
+    link = device.link
+    read = link.read
+    write = link.write
     in_buffer = device.in_buffer
     out_buffer = device.out_buffer
     counts = device.counts
@@ -355,6 +356,9 @@ def _exchange(
             write(out_buffer)
         except (LinkTimeout, LinkStalled):
             counts["write_errors"] += 1
+            # never submitted: the newest frame answers the OUT before
+            if link.in_flight:
+                sent = (sent - 1) & 0xFFFF
             return False
         return True
 

@@ -320,6 +320,10 @@ TELEMETRY = (
     ("write_ns", "<i4"),
     ("publish_ns", "<i4"),
     ("lost_slots", "<u4"),
+    # of the tick before, 0 if it was on time: why it was late (LateCause), and how long after the
+    # next deadline it ended
+    ("late_cause", "<u4"),
+    ("late_ns", "<i4"),
     # from the sample to the force that was in effect when this tick's sample was latched, by the
     # board's clock; -1: unknown
     ("delay_us", "<i4"),
@@ -363,6 +367,13 @@ MEASURED = struct.Struct(_codes(TELEMETRY[_MEASURED:]))
 RECORD = struct.Struct(STEPPED.format + MEASURED.format)
 assert RECORD.size == STEPPED.size + MEASURED.size
 RING_RECORDS = 8192  # 8 s at 1 kHz
+
+
+def offset_of(name: str) -> int:
+    """Bytes of a record before its field `name`."""
+    return struct.calcsize("<" + _codes(TELEMETRY[: _NAMES.index(name)]))
+
+
 TELEMETRY_HEAD_WORD = 0  # u64 index in telemetry.ring: records written
 TELEMETRY_EPOCH_WORD = 1
 TELEMETRY_OFFSET = PAGE
@@ -393,6 +404,19 @@ class Flag(IntEnum):
     WITHHELD = 65536  # no frame was sent: the board's watchdog is tried (servo.silence)
 
 
+class LateCause(IntEnum):
+    """The part of a late tick that took longest beyond its usual time (servo.late)."""
+
+    NONE = 0  # on time
+    WAKE = 1
+    SUBMISSION = 2  # of its transfers: the kernel took them late
+    BUS = 3  # the board got an OUT late, or no IN came
+    COMPLETION = 4  # the board was in time, the end of the transfer was not
+    TRANSFER = 5  # which part of a transfer is not known
+    STEP = 6
+    PUBLISH = 7
+
+
 class Watched(IntEnum):
     """Bits of `watches` in a record: faults that end a limit cycle (servo.monitors) and are on."""
 
@@ -418,6 +442,7 @@ LAYOUT_HASH = hashlib.sha256(
             list(Command),
             list(Value),
             list(Result),
+            list(LateCause),
         )
     ).encode()
 ).digest()[:8]

@@ -47,6 +47,7 @@ from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.params import ServoParams
 from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
 from hapticd.servo.inbox import Inbox, Streamer
+from hapticd.servo.late import ON_TIME, Late, LateTicks
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
     LINK_UP,
@@ -175,6 +176,7 @@ class ServoLoop:
         self._look_ns = 0  # no look before that
         self.stopping = False
         self._lost_slots = 0
+        self._late_ticks = LateTicks(mailbox.ring, self.period_ns, device)
         self.dropped = 0  # slots without a tick, those of the start and of a reconnect too
         self._missed_tick = -1  # the newest tick without a sample
         self._fresh_slot = 0  # of the newest tick with one, before that
@@ -223,6 +225,8 @@ class ServoLoop:
         (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = self._sensor_lines()
         timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
         period_ns = self.period_ns
+        late_ticks = self._late_ticks
+        late_cause, late_ns = late_ticks.told
         periods_per_us = self.params.realtime.rate_hz / US_PER_S
         damping = self.params.device.active_damping
         damping_slope = damping.to_value(1.0) - damping.to_value(0.0)
@@ -235,7 +239,7 @@ class ServoLoop:
         alive_until_ns = 0
         board_us = 0
         linked = _HEALTHY | self.board.host  # host flags while all is well
-        publish_ns = 0
+        publish_ns = late_ticks.publish_ns
         last = None if ticks is None else self.tick + ticks
 
         while True:
@@ -245,6 +249,8 @@ class ServoLoop:
                 self._most_us = most_us
                 self._stepped_ns = stepped
                 self._pausing = pausing
+                late_ticks.publish_ns = publish_ns
+                late_ticks.told = Late(late_cause, late_ns)
                 break
             deadline = self.deadline_ns
             next_deadline = deadline + period_ns
@@ -419,6 +425,8 @@ class ServoLoop:
                 write_ns,
                 publish_ns,
                 self._lost_slots,
+                late_cause,
+                late_ns,
                 delay_us,
                 self._delay_spread_us,
                 frame_age_us,
@@ -430,6 +438,7 @@ class ServoLoop:
                 out_bytes(),
                 tick,
             )
+            late_cause = late_ns = 0
             if plain:
                 ring_words[ring_head] = tick + 1
             else:
@@ -449,7 +458,7 @@ class ServoLoop:
             publish_ns = end - sent
             if end > deadline:
                 publish_ns = min(publish_ns, _LONGEST_NS)
-                self._late(end)
+                late_cause, late_ns = self._late(end, publish_ns)
 
     def _rehearsal(self) -> Callable[[], None]:
         """The tick to no effect. No closure of `run`: what it shares with one costs a tick more
@@ -545,6 +554,7 @@ class ServoLoop:
         """
         words = self.mailbox.words
         words[_COUNTER["ticks"]] = self.tick
+        self._late_ticks.learn(self.tick)
         for name, key in _TALLY.items():
             words[_COUNTER[name]] = self.device.counts[key]
         self.mailbox.renew()
@@ -584,19 +594,26 @@ class ServoLoop:
             self.restart_clock()
         return slow
 
-    def _late(self, now_ns: int) -> None:
-        """Drop the slots that have passed."""
+    def _late(self, end_ns: int, publish_ns: int) -> Late:
+        """Find the cause and drop the slots that have passed until then: nothing of it may hold
+        up the next tick.
+        """
+        by_intent = self.state[SETTLED].out_flags & WITHHELD  # it listens in vain
+        late_ns = min(end_ns - self.deadline_ns, _LONGEST_NS)
+        cause = 0 if by_intent else self._late_ticks.cause(self.tick - 1, publish_ns)
+        now_ns = self.clock.now_ns()
         dropped = (now_ns - self.deadline_ns) // self.period_ns + 1
         self.deadline_ns += dropped * self.period_ns
         self.dropped += dropped
-        if self.state[SETTLED].out_flags & WITHHELD:
-            return  # it listened in vain, as it was asked to
+        if by_intent:
+            return ON_TIME
         grace = now_ns - self._started_ns < self.params.realtime.grace_s * NS_PER_S
         self.mailbox.count("grace_late_events" if grace else "late_events")
         self.mailbox.count("grace_lost_slots" if grace else "lost_slots", dropped)
         if not grace:
             self._lost_slots = self._lost_slots + dropped & _U32
             self.inbox.lost_slots(now_ns, dropped)
+        return Late(cause, late_ns)
 
     def _overdue(self, tick: int, slot: int, read_ns: int) -> Overdue:
         """How long there has been no sample, and whether the next tick does without a read.

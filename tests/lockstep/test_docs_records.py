@@ -6,7 +6,7 @@ from types import ModuleType
 import pytest
 from support.tree import ROOT
 
-from hapticd.mailbox.layout import TELEMETRY, Flag
+from hapticd.mailbox.layout import TELEMETRY, Flag, LateCause
 from hapticd.units import unit_of
 
 
@@ -19,6 +19,7 @@ def records(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 def test_every_field_and_bit_is_described(records: ModuleType) -> None:
     assert list(records.FIELDS) == [name for name, *_ in TELEMETRY]
     assert list(records.FLAGS) == [flag.name for flag in Flag]
+    assert list(records.LATE_CAUSES) == [cause.name for cause in LateCause]
     assert {field: set(values) for field, values in records.bits().items()} == {
         field: set(meanings) for field, meanings in records.MEANINGS.items()
     }

@@ -702,15 +702,21 @@ def test_worker_that_fails_says_why() -> None:
 # --- the verb -------------------------------------------------------------------------------------
 
 
+def find_only(monkeypatch: pytest.MonkeyPatch, *found: CheckResult) -> None:
+    """`hapticd doctor` finds this; the last is that of the interpreter."""
+    *others, last = found
+    checks = tuple(lambda m, a, item=item: item for item in others)
+    monkeypatch.setattr("hapticd.doctor.checks.CHECKS", checks)
+    monkeypatch.setattr("hapticd.doctor.interpreter.judge", lambda build: last)
+
+
 @pytest.fixture
 def findings(monkeypatch: pytest.MonkeyPatch) -> list[CheckResult]:
     found = [
         CheckResult("one", "ok", "good"),
         CheckResult("two", "warn", "so so", "because", "do this"),
     ]
-    monkeypatch.setattr(
-        "hapticd.doctor.checks.CHECKS", tuple(lambda m, a, item=item: item for item in found)
-    )
+    find_only(monkeypatch, *found)
     return found
 
 
@@ -729,10 +735,7 @@ def test_doctor_prints_why_and_fix(
 def test_doctor_is_strict_only_when_asked(
     runtime: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(
-        "hapticd.doctor.checks.CHECKS",
-        (lambda m, a: CheckResult("three", "fail", "bad", "because", "do that"),),
-    )
+    find_only(monkeypatch, CheckResult("three", "fail", "bad", "because", "do that"))
     assert main(["doctor", "--seconds", "0"]) == 0
     assert main(["doctor", "--seconds", "0", "--strict", "--json"]) == 6
     out, err = capsys.readouterr()

@@ -43,6 +43,7 @@ STATUS: dict[str, Any] = {
     "cause": f"{HOME}/rig/board.toml is wrong",
     "counters": {"late_events": 3},
     "stages": {"read": {"p50_us": 84.1}},
+    "late": {"bus": {"count": 2, "latest_us": 700.0}},
     "servo": {"transport": {"pair_us": 400.0}, "device": SECRET, "board": {"serial": SECRET}},
     "guard": {"delays": {"counted_periods": 0.6875}, "timing": TIMING, "pid": SECRET},
 }
@@ -86,6 +87,7 @@ def test_report_has_what_a_question_needs(
     assert (check["found"], check["fix"]) == ("full: ~/data", "rm ~")
     assert found["status"]["cause"] == "~/rig/board.toml is wrong"
     assert found["status"]["counters"] == {"late_events": 3}
+    assert found["status"]["late"] == STATUS["late"]
 
 
 def test_topology_names_hubs_and_no_serial_numbers(

@@ -62,6 +62,7 @@ def test_json_client_needs_no_library(rig: GatewayRig) -> None:
         "revision",
         "fault",
         "stages",
+        "late",
         "endpoints",
         "servo",
         "events",

@@ -61,6 +61,26 @@ def unpacked(payloads: list[bytes]) -> list[Any]:
     return [msgpack.unpackb(payload) for payload in payloads]
 
 
+@pytest.mark.parametrize("step_ns", [8_000, 780_000])
+def test_a_tick_that_leaves_too_little_of_its_period_is_told_once(
+    rig: FeedRig, monkeypatch: pytest.MonkeyPatch, step_ns: int
+) -> None:
+    add = rig.publisher.stages.add
+
+    def slowed(found: np.ndarray) -> None:
+        found = found.copy()
+        found["step_ns"] = step_ns
+        add(found)
+
+    monkeypatch.setattr(rig.publisher.stages, "add", slowed)
+    for _ in range(150):
+        rig.servo.tick(20)
+        rig.take("state")
+    warnings = [one for one in rig.journal.recent if one["kind"] == "warning"]
+    assert [one["period_us"] for one in warnings] == [1000.0] * (step_ns > 700_000)
+    assert all(one["tick_us"] > 750.0 and one["highest_rate_hz"] < 1000.0 for one in warnings)
+
+
 # --- servo.raw ------------------------------------------------------------------------------------
 
 

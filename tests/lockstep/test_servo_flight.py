@@ -97,7 +97,28 @@ def test_out_that_nobody_takes_is_followed_by_none_and_the_boards_watchdog_ends_
         bench.stack.run(200)
         assert len(bench.arrived) > 100
         first, second = (frame.seq for _, frame in bench.arrived[:2])
-        assert second - first > 1  # the old one arrived, then the newest
+        assert second - first == 1  # none in between was on its way
+
+
+def test_out_that_is_on_its_way_for_more_than_a_period_costs_one_sample():
+    """The tick that sends none counts none as sent, so the sample of the one before is no old
+    one.
+    """
+    with Bench(IN_FLIGHT) as bench:
+        bench.enable()
+        bench.stack.run(100)
+        out = bench.stack.backend._bus.out
+        held_ns = [1_500_000]
+
+        def completed_late(t_ns, size):
+            board_ns, host_ns = out(t_ns, size)
+            return board_ns, host_ns + (held_ns.pop() if held_ns else 0)
+
+        bench.stack.backend._bus.out = completed_late
+        ticks = as_records(bench.stack.run(50))
+    assert ticks["arrival"].tolist().count(-1) == 1
+    assert ticks["arrival"].min() == -1
+    assert ticks["lost_slots"][-1] == 0
 
 
 @pytest.mark.parametrize("usb", [IN_TURN, IN_FLIGHT])

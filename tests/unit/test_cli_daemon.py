@@ -356,6 +356,42 @@ def test_doctor_warns_of_a_force_that_comes_a_period_late(
     assert levels == ["warn", "ok"]
 
 
+LATE = {
+    "wake": {"count": 3, "latest_us": 812.4},
+    "bus": {"count": 9, "latest_us": 1500.0},
+    "step": {"count": 0, "latest_us": 0.0},
+}
+LATE_LINE = "3 wake (latest 812 us), 9 bus (latest 1500 us)"
+
+
+@pytest.mark.parametrize(
+    ("late", "ticks", "level", "found"),
+    [
+        (LATE, 60_000, "warn", f"12 of 60000: {LATE_LINE}"),
+        (LATE, 600_000, "ok", f"12 of 600000: {LATE_LINE}"),
+        ({}, 0, "ok", "none"),
+    ],
+)
+def test_status_and_doctor_name_causes_of_late_ticks(
+    late: dict[str, Any],
+    ticks: int,
+    level: str,
+    found: str,
+    client: ClientDouble,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(system, "connect", lambda instance: client)
+    client.states = [RUNNING | {"late": late, "counters": {"ticks": ticks}}] * 2
+    assert main(["status"]) == 0
+    assert (f"  late      {LATE_LINE}\n" in capsys.readouterr().out) == bool(late)
+    main(["doctor", "--seconds", "0", "--json"])
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    (check,) = [check for check in told["checks"] if check["name"] == "late ticks"]
+    assert (check["level"], check["found"]) == (level, found)
+    assert ("use a root port" in check["fix"]) == (level == "warn")
+
+
 def test_status_and_doctor_say_what_the_delay_costs(
     client: ClientDouble, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,0 +1,69 @@
+"""What the ticks of a running daemon say about the machine: how much of a period one takes, and why
+some are late. Each cause has its remedy.
+"""
+
+from typing import NamedTuple
+
+from hapticd.doctor.checks import CheckResult, ok, warn
+from hapticd.gateway.answers import Status
+from hapticd.gateway.room import Room
+from hapticd.mailbox.layout import LateCause
+
+NAME = "late ticks"
+RARE = 1e-4  # share of the ticks; what a quiet computer without isolated cores keeps to
+
+
+class Advice(NamedTuple):
+    """Why ticks are late, and what to do."""
+
+    why: str
+    fix: str
+
+
+ABOVE = "see the lines above: rtprio limit, governor, C-state latency, isolation"
+OWN = "the servo's own work takes too long; see the interpreter above, or lower realtime.rate_hz"
+ADVICE = {
+    LateCause.WAKE: Advice("something else had the servo's core when the tick was due", ABOVE),
+    LateCause.SUBMISSION: Advice("the kernel took the transfers late", ABOVE),
+    LateCause.BUS: Advice(
+        "the board got its frame late, or sent none",
+        "use a root port, and look what else is on the board's bus",
+    ),
+    LateCause.COMPLETION: Advice(
+        "the frame was there in time; the interrupt or the wake-up after it was late",
+        "move other interrupts off the servo's core; with threaded interrupts raise the USB"
+        " controller's",
+    ),
+    LateCause.TRANSFER: Advice(
+        "a transfer took long, one after the other",
+        "set usb.in_flight = true, which also tells the parts of a transfer apart",
+    ),
+    LateCause.STEP: Advice("computing the force took long", OWN),
+    LateCause.PUBLISH: Advice("what follows the frame took long", OWN),
+}
+
+
+def judge_room(room: Room | None) -> CheckResult:
+    """What a tick takes of its period, as a line."""
+    if room is None or not room.tick_us:
+        return ok("tick", "not measured yet")
+    text = f"{room.tick_us:.0f} us of {room.period_us:g} us, transfers included"
+    text += f"; a quarter of the period is left up to {room.highest_rate_hz:g} Hz"
+    if room.short:
+        fix = f"set realtime.rate_hz to {room.highest_rate_hz:g} or less"
+        return warn("tick", text, "whatever holds up such a tick makes it late", fix)
+    return ok("tick", text)
+
+
+def judge(status: Status, words: str) -> CheckResult:
+    """The late ticks of a running servo, as its `status` counts and `words` shows them."""
+    counts = {name: one.count for name, one in status.late.items()}
+    late = sum(counts.values())
+    if not late:
+        return ok(NAME, "none")
+    ticks = status.counters.get("ticks", 0)
+    text = f"{late} of {ticks}: {words}"
+    if late <= RARE * ticks:
+        return ok(NAME, text)
+    why, fix = ADVICE[LateCause[max(counts, key=counts.__getitem__).upper()]]
+    return warn(NAME, text, f"most often {why}", fix)

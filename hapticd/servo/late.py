@@ -1,0 +1,181 @@
+"""Which part of a late tick took so long, from its record and those around it.
+
+A tick is late when it ends after the next deadline. The loop times its parts anyway. What a part
+takes beyond its usual time, the median of three ticks on time at a tally, is its share of the
+lateness. The part with the greatest share is the cause:
+
+    deadline | wake | read     | step | write    | publish | end      next deadline
+               WAKE   transfer   STEP   transfer   PUBLISH
+
+In flight (`link.flight`) `write` hands both transfers to the kernel and waits for neither, so its
+share is SUBMISSION. `read` waits for an IN that is late, and the board's clock tells why. The board
+latches a sample a fixed time after it got the OUT before. So the time from that OUT (by the host's
+clock) to the sample (by the board's) is constant but for the offset of the clocks, which the two
+ticks before have as well:
+
+    BUS          that time is longer, because the OUT came late to the board; or the OUT before was
+                 still under way a period later; or no IN came within the time-out
+    COMPLETION   that time is as usual: the sample was ready, and the IN ended late
+
+A slow bus holds up OUT and IN, so it is BUS from a quarter of the lateness on the way out. An IN
+alone that is slow on the wire counts as COMPLETION: only the kernel could tell the two apart. A
+late tick sends its OUT late, so the next ones may wait for their IN: they have its cause. One after
+the other, libusb's call hides its parts: what is not BUS is TRANSFER.
+
+The cause is looked for once the tick has ended, before the slots that it lost are counted, so the
+next tick is not held up: cold code takes tens of times longer. It goes into the record of the next
+tick, since the own one is out by then. A tick on time pays for two integers of its record.
+
+What would break it: a board that latches by a clock of its own, records that are not in the ring.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+from hapticd.link.device import SEED, Device
+from hapticd.mailbox import layout
+from hapticd.mailbox.layout import Flag, LateCause
+from hapticd.units import NS_PER_US
+
+SAMPLES = 3  # of ticks on time
+EARLIER = 3  # ticks before the late one, which show what is usual on the way to the board
+HELD_UP = 4  # from one such part of its lateness, on the way to the board, a read is late by BUS
+READ, WRITE = (layout.STAGES.index(name) for name in ("read", "write"))
+OWN = {  # the other stages
+    layout.STAGES.index("wake"): LateCause.WAKE,
+    layout.STAGES.index("step"): LateCause.STEP,
+    layout.STAGES.index("publish"): LateCause.PUBLISH,
+}
+
+
+class Ticked(NamedTuple):
+    """What a record says of the times of its tick."""
+
+    woken_ns: int
+    board_us: int  # of its sample
+    flags: int
+    status: int
+    arrival: int
+    wake_ns: int
+    read_ns: int
+    step_ns: int
+    write_ns: int
+    published_ns: int  # `publish` of the tick before
+    lost_slots: int
+    late_cause: int  # of the tick before
+
+
+class Late(NamedTuple):
+    """What the next record says of a late tick."""
+
+    cause: int  # LateCause
+    late_ns: int  # from its next deadline to its end
+
+
+ON_TIME = Late(LateCause.NONE, 0)
+
+
+def cause_of(
+    parts: Sequence[int], usual: Sequence[int], in_flight: bool, ticks: Callable[[], list[Ticked]]
+) -> int:
+    """Why a tick was late (LateCause) that took `parts` where `usual` is usual (layout.STAGES).
+
+    `ticks()` gives at most EARLIER ticks before it, and it. Any numbers will do: others may have
+    written over the ring.
+    """
+    shares = [part - normal for part, normal in zip(parts, usual, strict=True)]
+    worst = shares.index(max(shares))
+    if worst == READ:
+        return _late_read(ticks(), shares[READ], in_flight)
+    if worst == WRITE:
+        return LateCause.SUBMISSION if in_flight else LateCause.TRANSFER
+    return OWN[worst]
+
+
+def _late_read(ticks: Sequence[Ticked], share_ns: int, in_flight: bool) -> int:
+    *before, late = ticks
+    if before and before[-1].flags & Flag.WRITE_FAILED:
+        return before[-1].late_cause or LateCause.BUS
+    held_up_ns = _held_up_ns(ticks)
+    if held_up_ns is not None and HELD_UP * held_up_ns >= share_ns:
+        return LateCause.BUS
+    if late.late_cause:
+        return late.late_cause
+    if late.arrival < 0:
+        return LateCause.BUS
+    return LateCause.COMPLETION if in_flight else LateCause.TRANSFER
+
+
+def _held_up_ns(ticks: Sequence[Ticked]) -> int | None:
+    """How much longer than usual the last but one OUT took to the board; None: not known."""
+    *usual, newest = (_latched_ns(*pair) for pair in pairwise(ticks)) if ticks[1:] else (None,)
+    known = [one for one in usual if one is not None]
+    return newest - min(known) if known and newest is not None else None
+
+
+def _parts(tick: Ticked, publish_ns: int) -> tuple[int, ...]:
+    """How long each of layout.STAGES took."""
+    return tick.wake_ns, tick.read_ns, tick.step_ns, tick.write_ns, publish_ns
+
+
+def _latched_ns(tick: Ticked, after: Ticked) -> int | None:
+    """From the OUT of `tick` to the sample after it, but for the offset of the clocks."""
+    if not 0 <= after.arrival < SEED:
+        return None
+    return after.board_us * NS_PER_US - (tick.woken_ns + tick.read_ns + tick.step_ns)
+
+
+def _fields() -> struct.Struct:
+    """Of a record what `Ticked` has, the rest skipped."""
+    runs = (("time_ns", "qq"), ("flags", "IIi"), ("wake_ns", "5iII"))
+    text, end = "<", 0
+    for name, codes in runs:
+        begin = layout.offset_of(name)
+        text += f"{begin - end}x{codes}"
+        end = begin + struct.calcsize(f"<{codes}")
+    return struct.Struct(text)
+
+
+_TICKED = _fields()
+
+
+class LateTicks:
+    """The causes of late ticks over `device`, in the ring of their records."""
+
+    def __init__(self, ring: memoryview, period_ns: int, device: Device) -> None:
+        self._ring = ring
+        self._period_ns = period_ns
+        self._device = device
+        self._samples = [(0,) * len(layout.STAGES)] * SAMPLES
+        self._usual = self._samples[0]
+        # of the last tick: kept here while the loop stands still, since an object of more than 30
+        # attributes is slow to read in CPython 3.11
+        self.publish_ns = 0
+        self.told = ON_TIME
+
+    def learn(self, tick: int) -> None:
+        """Take the tick before `tick`, whose record is the newest, as a sample of what is usual."""
+        parts = _parts(self._seen(tick - 1), self._seen(tick).published_ns)
+        if tick and sum(parts) <= self._period_ns:
+            self._samples = [*self._samples[1:], parts]
+            self._usual = tuple(
+                sorted(column)[SAMPLES // 2] for column in zip(*self._samples, strict=True)
+            )
+
+    def cause(self, tick: int, publish_ns: int) -> int:
+        """Why `tick`, whose record is the newest, was late."""
+        return cause_of(
+            _parts(self._seen(tick), publish_ns),
+            self._usual,
+            self._device.link.in_flight,
+            lambda: [self._seen(one) for one in range(max(0, tick - EARLIER), tick + 1)],
+        )
+
+    def _seen(self, tick: int) -> Ticked:
+        return Ticked._make(_TICKED.unpack_from(self._ring, _place(tick)))
+
+
+def _place(tick: int) -> int:
+    return layout.TELEMETRY_OFFSET + tick % layout.RING_RECORDS * layout.RECORD.size
