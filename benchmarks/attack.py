@@ -37,9 +37,7 @@ from benchmarks.attack_watch import DTYPE, Given, Violation, Watch
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from hapticd.assembly.lockstep import LockStep
-from hapticd.mailbox.layout import Command, State, Value, values_of
-from hapticd.mailbox.stop_word import press_stop
-from hapticd.params import (
+from hapticd.core.params import (
     BoardParams,
     HandParams,
     HomeParams,
@@ -49,6 +47,8 @@ from hapticd.params import (
     ServoParams,
     TouchParams,
 )
+from hapticd.mailbox.layout import Command, State, Value, values_of
+from hapticd.mailbox.stop_word import press_stop
 from hapticd.settings.build import board_params, servo_params
 
 TARGETS = targets.of("attack")

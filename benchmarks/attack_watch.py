@@ -28,9 +28,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import BoardParams, ServoParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, State, Value
-from hapticd.params import BoardParams, ServoParams
 from hapticd.plant.composed import POSITION
 from hapticd.plant.step import SUBSTEPS_PER_TICK
 from hapticd.servo.safety import GRANTED, LATCHED

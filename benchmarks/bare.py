@@ -10,9 +10,9 @@ from array import array
 from dataclasses import replace
 
 from benchmarks.tick_reference import ReferenceTick
-from hapticd.clock import Clock, VirtualClock
+from hapticd.core.clock import Clock, VirtualClock
+from hapticd.core.params import BoardParams, UsbParams
 from hapticd.link.usb import UsbLink
-from hapticd.params import BoardParams, UsbParams
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import control_replies
 from hapticd.wire import codec, frames

@@ -18,11 +18,11 @@ from benchmarks.figures import Figure, compared
 from benchmarks.lockstep import lockstep_figure
 from hapticd.assembly.lockstep import scene_params
 from hapticd.assembly.servo_main import simulated_backend
-from hapticd.clock import VirtualClock
+from hapticd.core.clock import VirtualClock
+from hapticd.core.params import BoardParams
+from hapticd.core.units import NS_PER_MS, NS_PER_US
 from hapticd.link.usb import UsbLink
-from hapticd.params import BoardParams
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
-from hapticd.units import NS_PER_MS, NS_PER_US
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import OutFlag
 

@@ -12,7 +12,7 @@ from benchmarks.blocks import median_quantile
 from benchmarks.echo import echoing_at
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import ROOT, BenchError, environment
-from hapticd.units import NS_PER_MS
+from hapticd.core.units import NS_PER_MS
 
 TARGETS = targets.of("cli_verbs")
 BLOCKS = 5

@@ -21,7 +21,7 @@ import numpy as np
 
 from benchmarks.engine_scene import Lanes
 from benchmarks.worker import BenchError
-from hapticd.analysis.arrays import aligned
+from hapticd.core.arrays import aligned
 from hapticd.engine.batch import workers
 from hapticd.engine.shape import Shape
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from hapticd.core.environment import Environment
 from hapticd.engine.job import Group, Job, prepared, shared_torque
-from hapticd.environment import Environment
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import (
     Coulomb,

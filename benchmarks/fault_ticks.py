@@ -30,10 +30,8 @@ from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from benchmarks.worker import BenchError
 from hapticd.assembly.lockstep import LockStep
-from hapticd.faults import BY_CODE, BY_NUMBER
-from hapticd.mailbox.layout import Command, Value
-from hapticd.mailbox.stop_word import press_stop
-from hapticd.params import (
+from hapticd.core.faults import BY_CODE, BY_NUMBER
+from hapticd.core.params import (
     BoardParams,
     HandParams,
     InjectionParams,
@@ -41,11 +39,13 @@ from hapticd.params import (
     ServoParams,
     TouchParams,
 )
+from hapticd.core.units import NS_PER_MS
+from hapticd.mailbox.layout import Command, Value
+from hapticd.mailbox.stop_word import press_stop
 from hapticd.plant.composed import VELOCITY
 from hapticd.servo.plan import SETTLED
 from hapticd.settings.build import board_params, servo_params
 from hapticd.sim.injection import Injector
-from hapticd.units import NS_PER_MS
 
 TARGETS = targets.of("fault_ticks")
 PAGES = Path(__file__).resolve().parents[1] / "docs" / "faults"

@@ -14,9 +14,9 @@ import time
 import msgpack
 import zmq
 
+from hapticd.core.params import GatewayParams
 from hapticd.gateway.telemetry import TICK_DESCR
 from hapticd.mailbox import files, layout
-from hapticd.params import GatewayParams
 
 PAUSE_S = 0.01  # as the gateway's
 TOPIC = b"servo.raw"

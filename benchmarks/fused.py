@@ -15,8 +15,8 @@ from benchmarks.engine_c import C_LANES, CReference, check_same
 from benchmarks.engine_scene import NOISE, Lanes, environments, least_cpu_s, model
 from benchmarks.figures import Figure, compared
 from benchmarks.spa_c import SpectraYard
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine import simulate
-from hapticd.units import PROBE_RATE_HZ
 
 TARGETS = targets.of("fused")
 TRIALS = 64

@@ -31,10 +31,10 @@ from benchmarks.echo import echo_ns, echoing
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import ROOT, Worker, environment
 from hapticd.assembly.resolve import write
+from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.worker import LENGTH
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped
-from hapticd.units import NS_PER_MS
 
 TARGETS = targets.of("guard")
 DEVICE = "weir2008"

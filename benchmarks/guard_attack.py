@@ -43,8 +43,8 @@ from benchmarks.guard_verdict import FURTHER, Bench, grows
 from hapticd.analysis.bases import model_of
 from hapticd.analysis.judge import Judge
 from hapticd.assembly.resolve import resolve
+from hapticd.core.params import GuardSetup, ServoParams, from_plain
 from hapticd.mailbox import files
-from hapticd.params import GuardSetup, ServoParams, from_plain
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped

@@ -13,13 +13,13 @@ import msgpack
 
 from benchmarks.guard_requests import Answering
 from hapticd.assembly.lockstep import LockStep
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
+from hapticd.core.params import GuardParams
 from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
 from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import ServoView, as_records
-from hapticd.params import GuardParams
 
 UNIX_NS = 1_800_000_000_000_000_000
 CLIENT = b"client"

@@ -28,8 +28,8 @@ import numpy as np
 
 from benchmarks.stand import settings
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import BoardParams, ServoParams
 from hapticd.mailbox import layout
-from hapticd.params import BoardParams, ServoParams
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import Delay, Effect, Load, Masses, Motor, PassiveHand, Viscous
 from hapticd.plant.tables import board_fields

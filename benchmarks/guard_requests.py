@@ -25,13 +25,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from support.whole_tick import Point
 
-from hapticd.environment import Environment
-from hapticd.errors import HapticdError
+from hapticd.core.environment import Environment
+from hapticd.core.errors import HapticdError
+from hapticd.core.params import ServoParams
 from hapticd.gateway.commands import posting
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import parse
 from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
-from hapticd.params import ServoParams
 from hapticd.servo.commands import Now, apply_settings, obey
 from hapticd.servo.plan import (
     NEVER,

@@ -29,7 +29,7 @@ from support.whole_tick import (
 )
 
 from hapticd.analysis.coupled import shaking_hand
-from hapticd.environment import FilterParams
+from hapticd.core.environment import FilterParams
 from hapticd.plant.model import Model
 
 FURTHER = 1.05  # of K, B and M, from where nothing is rendered

@@ -13,8 +13,8 @@ from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.displays import from_message
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.ways import Leg, sampled
+from hapticd.core.params import GuardSetup, RealtimeParams, from_plain
 from hapticd.mailbox.files import GUARD_JSON
-from hapticd.params import GuardSetup, RealtimeParams, from_plain
 
 POINTS = 20
 NS_PER_MS = 1e6

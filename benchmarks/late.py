@@ -17,7 +17,7 @@ from benchmarks import cyclictest, targets
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import parameter_file
 from benchmarks.worker import BenchError, Worker
-from hapticd.units import US_PER_S
+from hapticd.core.units import US_PER_S
 
 RATES_HZ = (1000, 2000, 4000, 8000)
 # of each, in all

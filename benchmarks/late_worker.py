@@ -7,7 +7,7 @@ import sys
 from benchmarks.bench_servo import BenchServo, read_parameters
 from benchmarks.worker import serve
 from hapticd.assembly.servo_main import simulated_backend
-from hapticd.clock import MonotonicClock
+from hapticd.core.clock import MonotonicClock
 from hapticd.link.usb import UsbLink
 
 

@@ -13,8 +13,8 @@ from benchmarks.figures import Figure, compared
 from benchmarks.records import place
 from benchmarks.worker import BenchError
 from hapticd.client import Client
+from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox import files, layout
-from hapticd.units import NS_PER_MS
 
 TARGETS = targets.of("latency")
 BLOCKS = 6

@@ -17,10 +17,10 @@ from benchmarks.engine_c import Yard
 from benchmarks.engine_scene import Lanes
 from benchmarks.figures import Figure, compared
 from benchmarks.spa_c import SpectraYard
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine.batch import workers
 from hapticd.plant.compose import compose
 from hapticd.settings.scene import load_scene
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.weir2008.run import AXES
 from hapticd.zwidth.executors import executor
 from hapticd.zwidth.map import MapParams, plan_map, run_map

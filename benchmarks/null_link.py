@@ -12,10 +12,10 @@ from array import array
 from math import pi, sin
 from statistics import median
 
+from hapticd.core.params import BoardParams
+from hapticd.core.units import US_PER_S
 from hapticd.link.base import Link
-from hapticd.params import BoardParams
 from hapticd.sim.board import hello
-from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import InFrame, Request
 

@@ -18,13 +18,13 @@ from benchmarks.figures import Figure, compared
 from benchmarks.telemetry import cpu_s
 from benchmarks.worker import ROOT, BenchError, environment, next_json, started
 from hapticd.client import Client
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
 from hapticd.recording.file import open_recording
 from hapticd.recording.pack import pack
 from hapticd.recording.recorder import RecordingParams
 from hapticd.recording.replay import replay_recording
-from hapticd.units import PROBE_RATE_HZ
 
 TARGETS = targets.of("record")
 SETTLED_S = 3.0

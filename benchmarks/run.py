@@ -33,7 +33,7 @@ from rich.table import Table
 from benchmarks import targets
 from benchmarks.figures import Figure, load, merge, refused, save
 from benchmarks.worker import BenchError
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
 
 PARTS = tuple(targets.TABLE)
 GROUPS = {  # parts whose figures belong together

@@ -16,7 +16,7 @@ from benchmarks import daemon, targets
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import BenchError, next_json, started
 from hapticd.client import Client
-from hapticd.units import NS_PER_S
+from hapticd.core.units import NS_PER_S
 
 TARGETS = targets.of("telemetry")
 SUBSCRIBERS = 5

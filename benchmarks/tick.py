@@ -12,7 +12,7 @@ from benchmarks.figures import Figure, compared, refused
 from benchmarks.stand import parameter_file
 from benchmarks.tick_c import compile_library
 from benchmarks.worker import BenchError, Worker
-from hapticd.units import NS_PER_US
+from hapticd.core.units import NS_PER_US
 
 TARGETS = targets.of("tick")
 ROUNDS = 17

@@ -14,10 +14,10 @@ from typing import Any
 
 from benchmarks.records import c_struct, place
 from benchmarks.worker import ROOT, BenchError
+from hapticd.core.params import ServoParams
+from hapticd.core.units import US_PER_S
 from hapticd.mailbox import layout
-from hapticd.params import ServoParams
 from hapticd.servo.monitors import bounds
-from hapticd.units import US_PER_S
 from hapticd.wire.codec import TORQUE_SEQUENCES
 from hapticd.wire.frames import IN_HEAD
 

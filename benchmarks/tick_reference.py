@@ -8,7 +8,7 @@ same pace as the servo's tick.
 
 import struct
 
-from hapticd.environment import Environment, FilterParams
+from hapticd.core.environment import Environment, FilterParams
 from hapticd.render.filters import design
 from hapticd.wire.frames import IN_SEALED, OUT
 

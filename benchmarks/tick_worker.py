@@ -17,10 +17,10 @@ from benchmarks.tick_c import CReference, check_same_work
 from benchmarks.tick_reference import yardstick
 from benchmarks.worker import serve
 from hapticd.assembly.servo_main import simulated_backend
-from hapticd.clock import MonotonicClock
+from hapticd.core.clock import MonotonicClock
+from hapticd.core.params import BoardParams, ServoParams
 from hapticd.link.usb import UsbLink
 from hapticd.mailbox import layout
-from hapticd.params import BoardParams, ServoParams
 from hapticd.servo.loop import first_deadline
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import OutFrame

@@ -19,13 +19,13 @@ from benchmarks.engine_c import Yard
 from benchmarks.engine_scene import Lanes, environments, model
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import ROOT, BenchError, environment
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine import simulate
 from hapticd.engine.batch import workers
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Scene
 from hapticd.settings.scene import load_scene
-from hapticd.units import PROBE_RATE_HZ
 
 TARGETS = targets.of("trials")
 SCENE = "fig7"

@@ -13,8 +13,8 @@ from benchmarks import cyclictest, targets
 from benchmarks.blocks import median_quantile
 from benchmarks.figures import Figure, compared, refused
 from benchmarks.worker import Worker
-from hapticd.params import RealtimeParams
-from hapticd.units import NS_PER_US
+from hapticd.core.params import RealtimeParams
+from hapticd.core.units import NS_PER_US
 
 TARGETS = targets.of("wake")
 PERIOD_US = 1000

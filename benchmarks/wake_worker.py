@@ -4,9 +4,9 @@ import time
 from typing import Any
 
 from benchmarks.worker import serve
-from hapticd.params import RealtimeParams
+from hapticd.core.params import RealtimeParams
+from hapticd.core.units import NS_PER_US
 from hapticd.servo.loop import first_deadline, spinning_wait
-from hapticd.units import NS_PER_US
 
 
 def _nothing() -> None:

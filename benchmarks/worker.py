@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from hapticd.params import RealtimeParams
+from hapticd.core.params import RealtimeParams
 from hapticd.servo import host
 
 ROOT = Path(__file__).resolve().parents[1]

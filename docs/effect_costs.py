@@ -19,12 +19,12 @@ from statistics import median
 from typing import Any
 
 from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.core.errors import HapticdError
+from hapticd.core.units import NS_PER_S
 from hapticd.engine import simulate
-from hapticd.errors import HapticdError
 from hapticd.plant.effects import ALWAYS, KINDS
 from hapticd.settings.scene import load_files, load_scene
 from hapticd.study.accuracy import GROUP
-from hapticd.units import NS_PER_S
 from hapticd.zwidth.scenes import point
 
 COSTS = Path(__file__).parent / "figures" / "effect-costs.json"

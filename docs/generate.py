@@ -14,7 +14,7 @@ from pages.scenes import effects_page, scene_page
 from pages.settings import settings_page
 from pages.simulated_board import simulated_board_page
 
-from hapticd.faults import FAULTS
+from hapticd.core.faults import FAULTS
 
 GENERATED = Path(__file__).parent / "generated"
 ANALYSIS = Path(__file__).parent / "analysis.md"

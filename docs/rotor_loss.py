@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 from pages.markdown import replaced, table
 
-from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.envelope import accepted
 from hapticd.analysis.verdict import judge
+from hapticd.core.arrays import Flags, Floats
 from hapticd.engine import simulate
 from hapticd.plant.blueprint import StateVariable
 from hapticd.plant.model import Array, Model, Output, Outputs, frozen

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from pages.markdown import replaced, table
 
-from hapticd.analysis.arrays import Floats
+from hapticd.core.arrays import Floats
 from hapticd.engine import simulate
 from hapticd.settings.toml import shipped
 from hapticd.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN

@@ -18,13 +18,13 @@ They are loaded when they are first used; `import hapticd` itself loads the stan
 
 from typing import TYPE_CHECKING
 
-from hapticd.lazy import lazily
+from hapticd.core.lazy import lazily
 
 if TYPE_CHECKING:
     from hapticd.client.aio import AsyncClient
     from hapticd.client.client import Client
     from hapticd.client.staircase import Staircase
-    from hapticd.errors import GuardWarning
+    from hapticd.core.errors import GuardWarning
     from hapticd.recording.file import open_recording
     from hapticd.settings.scene import load_scene
     from hapticd.zwidth.virtual import virtual_board
@@ -47,7 +47,7 @@ __getattr__, __dir__ = lazily(
     {
         "AsyncClient": "hapticd.client.aio",
         "Client": "hapticd.client.client",
-        "GuardWarning": "hapticd.errors",
+        "GuardWarning": "hapticd.core.errors",
         "Staircase": "hapticd.client.staircase",
         "load_scene": "hapticd.settings.scene",
         "open_recording": "hapticd.recording.file",

@@ -40,14 +40,14 @@ from support.blind_truth import NOMINAL, BlindBoard, drawn
 
 import hapticd.cli
 from hapticd.assembly import servo_main
-from hapticd.assembly.process import die_with_parent, on_stop
 from hapticd.assembly.supervisor import Supervisor, spawn
 from hapticd.cli.app import main as hapticd_main
 from hapticd.client import Client
-from hapticd.clock import MonotonicClock
-from hapticd.errors import ConfigError, HapticdError
+from hapticd.core.clock import MonotonicClock
+from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.params import BoardParams, ServoParams
+from hapticd.core.process import die_with_parent, on_stop
 from hapticd.mailbox.files import runtime_folder
-from hapticd.params import BoardParams, ServoParams
 from hapticd.rig.hand import Action, Request
 from hapticd.rig.machine_hand import asked_at
 from hapticd.settings.load import load

@@ -35,9 +35,9 @@ from benchmarks.cyclictest import wakes_beyond_period
 from benchmarks.late import fisher_p
 from benchmarks.worker import BenchError
 from hapticd.client import Client
-from hapticd.errors import CommandError, DaemonDown, MailboxError
+from hapticd.core.errors import CommandError, DaemonDown, MailboxError
+from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.units import NS_PER_MS
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "build" / "soak.json"

@@ -30,10 +30,10 @@ from support.models import servo_params
 
 from benchmarks.attack import Operator
 from hapticd.assembly.lockstep import LockStep
-from hapticd.faults import BY_NUMBER
+from hapticd.core.faults import BY_NUMBER
+from hapticd.core.params import InjectionParams
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import State
-from hapticd.params import InjectionParams
 
 RESULT = ROOT / "build" / "soak_lockstep.json"
 AT_ONCE = 100  # ticks between two looks of the operator

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from hapticd.errors import CommandError
-from hapticd.faults import FAULTS, Fault
+from hapticd.core.errors import CommandError
+from hapticd.core.faults import FAULTS, Fault
 from pages.markdown import table
 
 NOTES = Path(__file__).parents[1] / "faults"  # what to look at, one file per code

@@ -4,10 +4,10 @@ The names are those of the record. A test compares both, so that a field that is
 renamed has to be described here.
 """
 
-from hapticd.environment import FURTHER
+from hapticd.core.environment import FURTHER
+from hapticd.core.units import unit_of
 from hapticd.mailbox.layout import COMMISSIONING, TELEMETRY, Flag, LateCause, State, Watched
 from hapticd.servo import plan
-from hapticd.units import unit_of
 from hapticd.wire.frames import StatusBit
 from pages.markdown import table
 

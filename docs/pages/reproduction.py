@@ -12,7 +12,7 @@ What would break it: a mark for a row that is not there; it is refused.
 import re
 from collections.abc import Iterable
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.weir2008.page import parts, table_part
 from hapticd.weir2008.rows import PaperRow, by_quantity
 

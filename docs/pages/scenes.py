@@ -5,8 +5,8 @@ from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
+from hapticd.core.units import unit_of
 from hapticd.plant.effects import ALWAYS, KINDS, PROVENANCE, Effect
-from hapticd.units import unit_of
 from pages.markdown import table
 from pages.settings import settings_page
 

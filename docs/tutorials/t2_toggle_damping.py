@@ -12,7 +12,7 @@ damping it renders about 100 N/m, with 1.74 N s/m about 600.
 import numpy as np
 
 from hapticd.assembly.lockstep import scene_params
-from hapticd.faults import BY_NUMBER
+from hapticd.core.faults import BY_NUMBER
 from hapticd.report.style import BLUE, OFF, ON, WIDTH_IN, axes, styled
 from hapticd.zwidth.lockstep import LockStepBench
 

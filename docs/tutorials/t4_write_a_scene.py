@@ -9,7 +9,7 @@ it. This tutorial writes, reads, simulates and changes one. See also :doc:`/scen
 import tempfile
 from pathlib import Path
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.plant.compose import compose
 from hapticd.report.study import scene_figure
 from hapticd.settings.scene import load_scene

@@ -31,10 +31,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Floats, Integers
 from hapticd.analysis.gaps import Gap, find_gaps
 from hapticd.analysis.matching import coefficients, fraction
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Floats, Integers
+from hapticd.core.errors import AnalysisError
 from hapticd.plant.excitation import mark_signs
 
 PIECE = 1024  # samples that are looked for at once

@@ -27,7 +27,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import Filters, Tick, radii, tick_of
 from hapticd.analysis.predict import Prediction, predict
@@ -41,8 +40,9 @@ from hapticd.analysis.theorem import (
     opened,
     within,
 )
-from hapticd.environment import Point
-from hapticd.params import MeasuredLevel, MeasuredParams, ModelParams, OutputParams
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.environment import Point
+from hapticd.core.params import MeasuredLevel, MeasuredParams, ModelParams, OutputParams
 from hapticd.plant.blueprint import StateVariable
 from hapticd.plant.model import InputColumns, Model, Output, Outputs, frozen
 

@@ -41,7 +41,7 @@ from numba.core import cgutils
 from numba.extending import models, overload, register_model
 from numba.np import arrayobj as arrays
 
-from hapticd.analysis.arrays import CACHE_LINE
+from hapticd.core.arrays import CACHE_LINE
 
 arrayobj: Any = arrays  # neither module is typed
 utils: Any = cgutils

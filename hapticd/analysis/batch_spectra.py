@@ -23,7 +23,10 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import (
+from hapticd.analysis.covariances import NO_SAMPLES, Moments, Sections, line_products
+from hapticd.analysis.spectra import DEFAULT_LAG as LAG
+from hapticd.analysis.spectra import on_the_grid
+from hapticd.core.arrays import (
     CACHE_LINE,
     Complexes,
     Floats,
@@ -32,9 +35,6 @@ from hapticd.analysis.arrays import (
     aligned,
     alternating,
 )
-from hapticd.analysis.covariances import NO_SAMPLES, Moments, Sections, line_products
-from hapticd.analysis.spectra import DEFAULT_LAG as LAG
-from hapticd.analysis.spectra import on_the_grid
 
 TOGETHER = 8  # sections that wait, 4 MB: a vector's sums are brought into the cache once for all
 

@@ -12,9 +12,9 @@ from typing import Any
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.bases import Theorem, model_of
 from hapticd.analysis.displays import nothing_rendered
-from hapticd.environment import FilterParams
+from hapticd.core.environment import FilterParams
+from hapticd.core.params import GuardSetup
 from hapticd.mailbox.environment_limits import WIDEST
-from hapticd.params import GuardSetup
 from hapticd.plant.model import Model
 
 IDEAL_PERIODS = 0.0  # a force that acts at its sample: of the delay, the hold alone is left

@@ -45,11 +45,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.angles import least_between
-from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.loop import PAPER_FILTERS, Filters, held, responses, spectral_radius
 from hapticd.analysis.predict import environments
 from hapticd.analysis.theorem import Lift, lift
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Complexes, Flags, Floats, Integers
+from hapticd.core.errors import AnalysisError
 from hapticd.plant.blueprint import StateVariable
 from hapticd.plant.model import Model, Output, Outputs
 

@@ -41,9 +41,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
-from hapticd.params import DeviceParams, ServoParams
-from hapticd.units import COPPER_PER_K
+from hapticd.core.arrays import Floats
+from hapticd.core.params import DeviceParams, ServoParams
+from hapticd.core.units import COPPER_PER_K
 
 LEAST = 8  # blocks from which an estimate is made
 WINDOW = 8  # periods over which means are taken

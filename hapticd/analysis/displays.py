@@ -10,8 +10,8 @@ from itertools import product
 from math import isfinite
 from typing import Any
 
-from hapticd.environment import Environment, FilterParams
-from hapticd.errors import AnalysisError
+from hapticd.core.environment import Environment, FilterParams
+from hapticd.core.errors import AnalysisError
 
 AXES = ("K", "B", "M")
 

@@ -19,9 +19,9 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.spectra import Spectra
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.errors import AnalysisError
 
 Estimator = Literal["spa", "h_force"]
 

@@ -26,10 +26,10 @@ from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.plane import plane
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
 from hapticd.analysis.words import Verdicts, doubling, explained, in_words
-from hapticd.environment import FURTHER, Environment, Point
-from hapticd.errors import AnalysisError
+from hapticd.core.environment import FURTHER, Environment, Point
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import GuardSetup
 from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
-from hapticd.params import GuardSetup
 
 _DELAYS = 8  # whose cost is kept
 _TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}

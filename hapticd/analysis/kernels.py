@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats, Integers, alternating
+from hapticd.core.arrays import Complexes, Floats, Integers, alternating
 
 ORDER = 2  # of both polynomials
 TERMS = ORDER + 1

@@ -48,7 +48,7 @@ from math import exp
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Floats
+from hapticd.core.arrays import Floats
 
 # one row per usable sample
 SAMPLE = np.dtype(

@@ -34,12 +34,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.environment import FilterParams
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.environment import FilterParams
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.plant.discrete import delay_steps, discretise, late_command
 from hapticd.plant.model import Model
 from hapticd.render.filters import Biquad, design
-from hapticd.units import PROBE_RATE_HZ
 
 # of velocity and acceleration; None leaves one out
 Filters = tuple[FilterParams | None, FilterParams | None]

@@ -10,7 +10,7 @@ What would break it: a signal of one frequency, which fits itself a period later
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
+from hapticd.core.arrays import Flags, Floats
 
 FLAT = 1e-6  # of the mean variance: less is a stretch in which nothing was measured
 TAPS = 16  # on either side, of the interpolation between samples

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Flags, Floats
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.errors import AnalysisError
 
 AXES = ("K", "B", "M")
 _SPLIT = 4  # parts of a cell's edge when its share is counted

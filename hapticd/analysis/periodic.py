@@ -27,11 +27,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.findings import Finding
 from hapticd.analysis.spectra import Spectra, grid_frequencies
-from hapticd.errors import AnalysisError
-from hapticd.units import percent
+from hapticd.core.arrays import Complexes, Flags, Floats, Integers
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import percent
 
 LEAST_POWER = 1e-9  # of a harmonic's force over the strongest one: below, it is not excited
 CHANGING = (

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.arrays import Flags, Floats
-from hapticd.environment import Environment
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.environment import Environment
 
 _COLUMNS = 60  # values of K
 _ROWS = 41  # values of B

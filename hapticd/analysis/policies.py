@@ -31,9 +31,9 @@ from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.displays import between, environment_of, from_message, with_change
 from hapticd.analysis.ways import POINTS, Leg, Plan, Request, Stage, Ways, groups, sampled
 from hapticd.analysis.words import Verdicts, explained
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
+from hapticd.core.params import STRICT_POLICIES, DampingMode, Policy
 from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
-from hapticd.params import STRICT_POLICIES, DampingMode, Policy
 
 HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
 POLICIES: tuple[str, ...] = get_args(Policy)

@@ -25,7 +25,6 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.linearise import (
     Linearised,
     Perturbation,
@@ -45,7 +44,8 @@ from hapticd.analysis.loop import (
     with_viscous,
 )
 from hapticd.analysis.narrow import Bottom, bottom, mode_lines
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Complexes, Flags, Floats, Integers
+from hapticd.core.errors import AnalysisError
 from hapticd.plant.model import Model
 
 DEFAULT_BAND_HZ = (2.0, 500.0)

@@ -25,7 +25,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.linearise import (
     BURSTS,
     Linearised,
@@ -37,6 +36,7 @@ from hapticd.analysis.loop import Filters, close_loop, spectral_radius
 from hapticd.analysis.passive_set import grid
 from hapticd.analysis.predict import NOMINAL_NS_PER_M, chunks, coulomb, frequencies, rubbed
 from hapticd.analysis.surrogate import Box
+from hapticd.core.arrays import Floats
 from hapticd.plant.model import Model
 
 SHAPE = (20, 12, 14)  # of the grid of b_c

@@ -45,9 +45,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hapticd.analysis.angles import held_poles
-from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.loop import Filters, biquad_of, port_states
 from hapticd.analysis.theorem import NOWHERE, Circles, circles, lift, opened, terms_of
+from hapticd.core.arrays import Complexes, Flags, Floats
 from hapticd.plant.model import Model
 
 __all__ = ["Rational", "positive_everywhere", "rational"]

@@ -42,7 +42,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.passive_set import boundary, distance, samples
 from hapticd.analysis.surrogate import (
     Box,
@@ -54,7 +53,8 @@ from hapticd.analysis.surrogate import (
     margin,
     margin_sd,
 )
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.errors import AnalysisError
 
 Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
 

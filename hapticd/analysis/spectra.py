@@ -40,7 +40,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers, once
 from hapticd.analysis.covariances import (
     NO_SAMPLES,
     TOGETHER,
@@ -50,8 +49,9 @@ from hapticd.analysis.covariances import (
     same_length,
 )
 from hapticd.analysis.kernels import kernels
-from hapticd.errors import AnalysisError
-from hapticd.units import PROBE_RATE_HZ
+from hapticd.core.arrays import Complexes, Flags, Floats, Integers, once
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import PROBE_RATE_HZ
 
 NEAR = 1e-6  # of the spacing of the lines: what is closer to a line is that line
 LEFT = 0.5  # of the lesser power of two lines: a smooth spectrum has that much left between them

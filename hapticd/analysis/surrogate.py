@@ -36,8 +36,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Floats
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
 
 Prior = Callable[[Floats], Floats]  # environments (N, 3) -> Re Z (N, F)
 

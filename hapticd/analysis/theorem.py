@@ -46,7 +46,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.angles import angles_of, least_between, vertices
-from hapticd.analysis.arrays import Complexes, Flags, Floats, Integers
 from hapticd.analysis.loop import (
     PAPER_FILTERS,
     Filters,
@@ -56,7 +55,8 @@ from hapticd.analysis.loop import (
     responses,
 )
 from hapticd.analysis.predict import environments
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Complexes, Flags, Floats, Integers
+from hapticd.core.errors import AnalysisError
 from hapticd.plant.model import Model
 
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT

@@ -47,7 +47,6 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.channels import channel_findings
 from hapticd.analysis.findings import SWELLS, Energy, Finding, Record, coherence_findings
 from hapticd.analysis.impedance import (
@@ -60,8 +59,9 @@ from hapticd.analysis.impedance import (
 )
 from hapticd.analysis.resolved import Resolved, unresolved
 from hapticd.analysis.spectra import Spectra, lines_beside
-from hapticd.errors import AnalysisError
-from hapticd.units import percent
+from hapticd.core.arrays import Complexes, Flags, Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import percent
 
 Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]

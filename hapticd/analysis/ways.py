@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapticd.analysis.displays import AXES, between, kept_level, mixed, with_change
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
 
 POINTS = 20  # of a whole way
 

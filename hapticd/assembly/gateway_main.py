@@ -17,12 +17,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from hapticd.assembly.process import Feeder, die_with_parent, notify, on_stop
-from hapticd.clock import MonotonicClock
-from hapticd.errors import ConfigError, HapticdError
+from hapticd.core.clock import MonotonicClock
+from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.params import GatewaySetup, from_plain
+from hapticd.core.process import Feeder, die_with_parent, notify, on_stop
 from hapticd.gateway import server
 from hapticd.mailbox.files import GATEWAY_JSON, GUARD_JSON
-from hapticd.params import GatewaySetup, from_plain
 
 GUARD_MODULE = f"{__package__}.guard_main"
 

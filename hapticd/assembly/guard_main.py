@@ -25,12 +25,12 @@ from typing import TYPE_CHECKING, Any
 
 import msgpack
 
-from hapticd.assembly.process import die_with_parent, on_stop
-from hapticd.errors import ConfigError, HapticdError
+from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.params import GuardSetup, from_plain
+from hapticd.core.process import die_with_parent, on_stop
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.gateway.worker import LENGTH
 from hapticd.mailbox.files import GUARD_JSON
-from hapticd.params import GuardSetup, from_plain
 
 if TYPE_CHECKING:
     from hapticd.analysis.judge import Judge

@@ -17,6 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticd.core.params import ServoParams
+from hapticd.core.units import US_PER_S
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import (
     PLAN_FIELDS,
@@ -25,7 +27,6 @@ from hapticd.mailbox.layout import (
     Value,
     values_of,
 )
-from hapticd.params import ServoParams
 from hapticd.servo.plan import (
     Request,
     ServoState,
@@ -37,7 +38,6 @@ from hapticd.servo.plan import (
 )
 from hapticd.servo.step import make_step
 from hapticd.servo.transition import refiltered
-from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames
 
 Records = NDArray[np.void]

@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import EnvironmentLimits, GatewaySetup, GuardSetup, ServoParams, to_plain
 from hapticd.gateway.limits import CommandLimits
 from hapticd.mailbox import files
 from hapticd.mailbox.environment_limits import UNKNOWN, WIDEST, environment_limits
-from hapticd.params import EnvironmentLimits, GatewaySetup, GuardSetup, ServoParams, to_plain
 from hapticd.settings.build import (
     board_params,
     gateway_params,

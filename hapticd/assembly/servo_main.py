@@ -22,19 +22,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hapticd.assembly.process import die_with_parent, notify, on_stop
 from hapticd.assembly.watchdog import start_feeder
-from hapticd.clock import Clock, MonotonicClock
-from hapticd.errors import ConfigError, HapticdError
+from hapticd.core.clock import Clock, MonotonicClock
+from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.params import BoardParams, ServoParams, from_plain
+from hapticd.core.process import die_with_parent, notify, on_stop
+from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.link.device import Device
 from hapticd.link.search import Search
 from hapticd.link.usb import UsbLink
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.params import BoardParams, ServoParams, from_plain
 from hapticd.servo import host
 from hapticd.servo.loop import ServoLoop, spinning_wait
-from hapticd.units import NS_PER_S, NS_PER_US, US_PER_S
 
 if TYPE_CHECKING:
     from hapticd.sim.backend import SimulatedBackend

@@ -33,12 +33,12 @@ from typing import NamedTuple, Protocol
 
 import hapticd
 from hapticd.assembly import resolve
-from hapticd.clock import Clock
-from hapticd.errors import ConfigError, HapticdError, MailboxError
+from hapticd.core.clock import Clock
+from hapticd.core.errors import ConfigError, HapticdError, MailboxError
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import console_place
 from hapticd.settings.load import Settings
-from hapticd.units import NS_PER_MS, NS_PER_S
 
 SUPERVISOR_LOCK = "supervisor.lock"
 POLL_NS = 20 * NS_PER_MS

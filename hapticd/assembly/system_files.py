@@ -11,8 +11,8 @@ import os
 import sys
 from pathlib import Path
 
-from hapticd.errors import ConfigError
-from hapticd.params import UsbParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import UsbParams
 from hapticd.settings.toml import shipped
 
 PLACES = {

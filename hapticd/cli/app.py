@@ -13,7 +13,7 @@ import typer
 
 from hapticd import __version__
 from hapticd.cli import terminal
-from hapticd.errors import GuardWarning, HapticdError
+from hapticd.core.errors import GuardWarning, HapticdError
 
 SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, and function
     "Daily use": {

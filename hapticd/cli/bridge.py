@@ -14,9 +14,9 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.errors import ConfigError
-from hapticd.extras import need
-from hapticd.units import NS_PER_S
+from hapticd.core.errors import ConfigError
+from hapticd.core.extras import need
+from hapticd.core.units import NS_PER_S
 
 CHANNELS = {  # fields of a tick, and their units
     "position_m": "m",

@@ -13,7 +13,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.numbers import number, unknown
 from hapticd.client.words import objection_lines, receipt_text, refusal_lines
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
 from hapticd.gateway.limits import PLACES
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ def console(
 
     The daemon need not run yet. Pages are served to browsers of this computer alone.
     """
-    from hapticd.assembly.process import on_stop
     from hapticd.console.server import serve
+    from hapticd.core.process import on_stop
 
     def tell(url: str) -> None:
         if as_json:

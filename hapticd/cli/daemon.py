@@ -19,13 +19,13 @@ from hapticd.cli.change import change, changes, connect
 from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.words import board_words, late_words, parameters, receipt_text, timing_words
-from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
+from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
+from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.gateway.answers import Compensation, Delivered, StageTimes, Status, answer_of
-from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 if TYPE_CHECKING:
     from hapticd.assembly.supervisor import ProcessEvent
-    from hapticd.params import GuardParams
+    from hapticd.core.params import GuardParams
     from hapticd.settings.load import Settings
 
 
@@ -44,9 +44,9 @@ def run(
     """Start the daemon in the foreground, with the operators' page. Ctrl-C ends it: force fades to
     0. A second Ctrl-C kills it.
     """
-    from hapticd.assembly.process import on_stop
     from hapticd.assembly.supervisor import Supervisor
-    from hapticd.clock import MonotonicClock
+    from hapticd.core.clock import MonotonicClock
+    from hapticd.core.process import on_stop
     from hapticd.mailbox.files import runtime_folder
     from hapticd.settings.load import Override, load
 
@@ -115,7 +115,7 @@ def _guarded(guard: "GuardParams") -> str:
 
 
 def _ready_text(settings: "Settings", instance: str) -> str:
-    from hapticd.params import COMMISSIONING_SHARE
+    from hapticd.core.params import COMMISSIONING_SHARE
     from hapticd.settings.build import commissioning, guard_params
 
     guard = guard_params(settings)

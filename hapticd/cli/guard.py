@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hapticd import params
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.client.words import guard_line, margin_words, verdict_lines
+from hapticd.core import params
 
 if TYPE_CHECKING:
     from hapticd.client import Client

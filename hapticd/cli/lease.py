@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from hapticd import params
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.core import params
 from hapticd.gateway.answers import LeaseHeld
 
 lease_app = typer.Typer(
@@ -54,7 +54,7 @@ def take(
     as_json: terminal.Json = False,
 ) -> None:
     """Hold a lease until Ctrl-C, so that nobody else changes it; e.g. to keep scripts away."""
-    from hapticd.assembly.process import on_stop
+    from hapticd.core.process import on_stop
 
     ending: list[bool] = []
     on_stop(lambda: ending.append(True))

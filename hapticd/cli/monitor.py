@@ -22,8 +22,8 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.errors import HapticdError
-from hapticd.units import NS_PER_S
+from hapticd.core.errors import HapticdError
+from hapticd.core.units import NS_PER_S
 
 if TYPE_CHECKING:
     from hapticd.cli.screen import History
@@ -113,7 +113,7 @@ def watch(instance: str, seconds: float | None, show: Show) -> None:
     from hapticd.cli.screen import NO_DATA_S, History
     from hapticd.client.blocks import BlockDecoder
     from hapticd.client.events import event_words
-    from hapticd.clock import MonotonicClock
+    from hapticd.core.clock import MonotonicClock
 
     clock = MonotonicClock()
     begin_ns = clock.now_ns()
@@ -182,7 +182,7 @@ def _switch_damping(instance: str, on: bool, news: deque[str]) -> None:
 
 def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict[str, Any]:
     from hapticd.cli.screen import NO_DATA_S
-    from hapticd.faults import BY_NUMBER
+    from hapticd.core.faults import BY_NUMBER
     from hapticd.mailbox.layout import State
 
     newest = history.newest
@@ -233,8 +233,8 @@ def events(
     """
     import msgpack
 
-    from hapticd.assembly.process import die_with_parent
-    from hapticd.clock import MonotonicClock
+    from hapticd.core.clock import MonotonicClock
+    from hapticd.core.process import die_with_parent
 
     die_with_parent(parent)
     clock = MonotonicClock()

@@ -12,7 +12,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import changes, connect
-from hapticd.errors import ConfigError, HapticdError
+from hapticd.core.errors import ConfigError, HapticdError
 
 if TYPE_CHECKING:
     from hapticd.mailbox.layout import Value
@@ -58,7 +58,7 @@ def record(
 
     Ctrl-C ends it in order. A recorder that was killed loses at most 100 ms: `hapticd rec recover`.
     """
-    from hapticd.assembly.process import on_stop
+    from hapticd.core.process import on_stop
     from hapticd.recording.recorder import RecordingParams, record
 
     asked: list[bool] = []

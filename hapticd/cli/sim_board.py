@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from hapticd.cli import terminal
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 LOOPBACK = "127.0.0.1"
 MOST_PORT = 65535
@@ -39,8 +39,8 @@ def sim_board(
     Whoever attaches it has it: USB/IP knows no rights, so it stays on this machine unless HOST is
     named.
     """
-    from hapticd.assembly.process import on_stop
-    from hapticd.clock import MonotonicClock
+    from hapticd.core.clock import MonotonicClock
+    from hapticd.core.process import on_stop
     from hapticd.settings.build import board_params
     from hapticd.settings.load import load
     from hapticd.sim.board import make_board

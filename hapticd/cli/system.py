@@ -13,8 +13,8 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.errors import HapticdError, RealtimeError
-from hapticd.units import US_PER_S
+from hapticd.core.errors import HapticdError, RealtimeError
+from hapticd.core.units import US_PER_S
 
 TEMPLATE_SERIAL = "CHANGE-ME"  # of config/devices/example-board.toml
 
@@ -71,8 +71,8 @@ def check_config(
 
 def _simulation_and_network_rules(config: "Config") -> "Iterator[Mistake]":
     """Injections that no simulated board knows, and telemetry in the clear."""
+    from hapticd.core.params import GatewayParams
     from hapticd.gateway import auth
-    from hapticd.params import GatewayParams
     from hapticd.settings.load import Mistake
     from hapticd.sim.injection import KINDS
 
@@ -106,9 +106,9 @@ def show_config(
     as_json: terminal.Json = False,
 ) -> None:
     """Every value in force with its unit; the device file under `device`."""
+    from hapticd.core.units import unit_of
     from hapticd.settings.load import load
     from hapticd.settings.tables import dotted, leaves
-    from hapticd.units import unit_of
 
     settings = load(file or config)
     if as_json and not origin:

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError, MailboxError
-from hapticd.extras import need
+from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError, MailboxError
+from hapticd.core.extras import need
 from hapticd.mailbox.files import DEFAULT_INSTANCE, runtime_folder
 
 if TYPE_CHECKING:

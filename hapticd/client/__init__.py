@@ -25,7 +25,7 @@ are loaded when they are used, so that it stays fast.
 
 from typing import TYPE_CHECKING
 
-from hapticd.lazy import lazily
+from hapticd.core.lazy import lazily
 
 if TYPE_CHECKING:
     from hapticd.client.aio import AsyncClient
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from hapticd.client.lease import ClientLease
     from hapticd.client.listener import Listener
     from hapticd.client.sequence import Step, StepReceipt, step
-    from hapticd.errors import CommandError, DaemonDown, GuardWarning, SequenceError
+    from hapticd.core.errors import CommandError, DaemonDown, GuardWarning, SequenceError
     from hapticd.gateway.answers import GuardVerdict, Receipt
 
 __all__ = [
@@ -60,13 +60,13 @@ __getattr__, __dir__ = lazily(
         "Block": "hapticd.client.blocks",
         "Client": "hapticd.client.client",
         "ClientLease": "hapticd.client.lease",
-        "CommandError": "hapticd.errors",
-        "DaemonDown": "hapticd.errors",
+        "CommandError": "hapticd.core.errors",
+        "DaemonDown": "hapticd.core.errors",
         "GuardVerdict": "hapticd.gateway.answers",
-        "GuardWarning": "hapticd.errors",
+        "GuardWarning": "hapticd.core.errors",
         "Listener": "hapticd.client.listener",
         "Receipt": "hapticd.gateway.answers",
-        "SequenceError": "hapticd.errors",
+        "SequenceError": "hapticd.core.errors",
         "Step": "hapticd.client.sequence",
         "StepReceipt": "hapticd.client.sequence",
         "step": "hapticd.client.sequence",

@@ -53,12 +53,12 @@ from hapticd.client.sequence import (
 )
 from hapticd.client.verbs import POLL_S, Verbs, hand_of
 from hapticd.client.verdict import GuardWarnings
-from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.core.params import AtEnd, Leased
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
-from hapticd.params import AtEnd, Leased
-from hapticd.units import NS_PER_S
 
 Answer = dict[str, Any]
 

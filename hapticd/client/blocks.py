@@ -10,8 +10,8 @@ import msgpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hapticd.errors import ConfigError
-from hapticd.units import NS_PER_S
+from hapticd.core.errors import ConfigError
+from hapticd.core.units import NS_PER_S
 
 Records = NDArray[np.void]
 # 32 kB as float32, half of what a message may hold

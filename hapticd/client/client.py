@@ -40,11 +40,11 @@ from hapticd.client.lease import ClientLease
 from hapticd.client.verbs import POLL_S, Verbs, hand_of
 from hapticd.client.verdict import GuardWarnings
 from hapticd.client.watching import Line, Watching
-from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
-from hapticd.units import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from hapticd.client.sequence import Ask, AtRefusal, Course, Step, StepReceipt
-    from hapticd.params import AtEnd, Leased
+    from hapticd.core.params import AtEnd, Leased
 
 
 class GatewayLine(Line):

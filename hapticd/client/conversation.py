@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from hapticd.errors import CommandError, ConfigError, DaemonDown, MailboxError
+from hapticd.core.errors import CommandError, ConfigError, DaemonDown, MailboxError
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.answers import Receipt, answer_of, verdict_of
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.mailbox.daemons import down, instance_of
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.units import NS_PER_S
 
 PROTOCOL_VERSION = 1
 STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off may not wait for a gateway

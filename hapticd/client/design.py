@@ -31,7 +31,7 @@ from typing import Any, NamedTuple, Self, TextIO
 import numpy as np
 
 from hapticd.client.blocks import Records
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.gateway.answers import Receipt
 
 IN_FORCE = ("K", "B", "M", "active_damping")

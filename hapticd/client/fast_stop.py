@@ -16,11 +16,11 @@ import sys
 import time
 from typing import NamedTuple
 
-from hapticd.errors import DaemonDown, HapticdError, MailboxError
+from hapticd.core.errors import DaemonDown, HapticdError, MailboxError
+from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox import daemons, files
 from hapticd.mailbox.daemons import Place
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, press_stop, servo_lives, stop_taken
-from hapticd.units import NS_PER_MS
 
 TAKEN_MS = 50  # for all servos together: the stop ramp of 20 ms, way, and some waiting
 LOOK_S = 0.001

@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Self
 
-from hapticd.errors import CommandError, HapticdError
+from hapticd.core.errors import CommandError, HapticdError
 from hapticd.gateway.answers import LeaseHeld, LeaseReleased, answer_of
 
 RENEWALS = 3  # in the time after which it would end

@@ -15,7 +15,7 @@ from pathlib import Path
 import zmq
 
 from hapticd.client.watching import Line, Watching
-from hapticd.errors import CommandError, ConfigError, DaemonDown, HapticdError
+from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.gateway import monitored
 from hapticd.gateway.keys import SERVER_PUBLIC, public_key, secret_pair
 

@@ -38,7 +38,7 @@ from typing import Any, Literal, NamedTuple
 
 from hapticd.client.conversation import receipt_of
 from hapticd.client.verbs import POLL_S
-from hapticd.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.gateway.answers import (
     GuardVerdict,
     Hello,

@@ -16,7 +16,7 @@ What would break it: levels that may be 0 or negative, since a step multiplies t
 
 from math import exp, inf, isfinite, log
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 __all__ = ["Staircase"]
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 from hapticd.gateway.answers import GuardStatus, GuardVerdict, Hello, Status
 
 if TYPE_CHECKING:
-    from hapticd.params import BasisName, DampingMode, Policy
+    from hapticd.core.params import BasisName, DampingMode, Policy
 
 
 # what is given, now or later
@@ -110,7 +110,7 @@ class Verbs(Generic[R, H, S, G, D]):
         on the same fields are as they were before. With `if_rev` it acts only if the revision is
         still that one. `limit_cycle_faults`: whether force_at_limit and energy end a limit cycle;
         on again as soon as force is off. `further`: parameters that were added to the environment
-        (`hapticd.environment`), by their keys.
+        (`hapticd.core.environment`), by their keys.
 
         >>> receipt = device.set(K=100, B=1, ramp_s=0.2)
         >>> receipt.effective["K"], receipt.ramp_end_tick - receipt.first_tick

@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from hapticd.client.words import verdict_lines
-from hapticd.errors import GuardWarning
+from hapticd.core.errors import GuardWarning
 from hapticd.explanation import Explanation
 from hapticd.gateway.answers import GuardVerdict, Receipt
 

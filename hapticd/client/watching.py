@@ -16,7 +16,7 @@ import msgpack
 import zmq
 
 from hapticd.client.conversation import check_topic, heard_with
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
 
 if TYPE_CHECKING:
     from hapticd.client.blocks import Block, Records

@@ -6,7 +6,7 @@ What would break it: an import that is large; `hapticd --help` loads this.
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from hapticd.environment import FIELDS
+from hapticd.core.environment import FIELDS
 from hapticd.explanation import Explanation
 from hapticd.gateway.answers import (
     GuardStatus,
@@ -20,7 +20,7 @@ from hapticd.gateway.limits import PLACES, flat
 from hapticd.mailbox.layout import VALUE_LIMITS, Value
 
 if TYPE_CHECKING:
-    from hapticd.errors import CommandError
+    from hapticd.core.errors import CommandError
 
 
 def verdict_lines(verdict: GuardVerdict | None) -> list[str]:

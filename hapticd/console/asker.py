@@ -26,7 +26,7 @@ from hapticd.client.words import (
     receipt_text,
     refusal_lines,
 )
-from hapticd.errors import CommandError, HapticdError
+from hapticd.core.errors import CommandError, HapticdError
 from hapticd.gateway.answers import GuardStatus, GuardVerdict, answer_of
 from hapticd.plant.excitation import Stream, band_noise, generator
 from hapticd.plant.scene import Excitation

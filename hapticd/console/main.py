@@ -11,8 +11,8 @@ import argparse
 import os
 import sys
 
-from hapticd.assembly.process import die_with_parent, on_stop
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
+from hapticd.core.process import die_with_parent, on_stop
 
 
 def main(arguments: list[str]) -> int:

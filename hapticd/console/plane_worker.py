@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 from hapticd.analysis.judge import Judge
-from hapticd.assembly.process import die_with_parent
-from hapticd.params import GuardSetup, from_plain
+from hapticd.core.params import GuardSetup, from_plain
+from hapticd.core.process import die_with_parent
 
 NICENESS = 10
 

@@ -22,8 +22,8 @@ from hapticd.analysis.impedance import impedance
 from hapticd.analysis.spectra import spa
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError, HapticdError
-from hapticd.units import PROBE_RATE_HZ
+from hapticd.core.errors import AnalysisError, HapticdError
+from hapticd.core.units import PROBE_RATE_HZ
 
 PROBE = "probe"
 WINDOW_S = 5.0

@@ -46,7 +46,7 @@ from hapticd.console.probing import Probing
 from hapticd.console.recorder import Recorder
 from hapticd.console.visitors import STOP_PATH, Visitors
 from hapticd.console.watch import Watch
-from hapticd.errors import ConfigError, HapticdError
+from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.mailbox.daemons import looked_for, read_report
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, servo_lives
 
@@ -230,7 +230,7 @@ def _read(text: str) -> dict[str, Any]:
 
 class _Server(uvicorn.Server):
     def capture_signals(self) -> AbstractContextManager[None]:  # type: ignore[override]
-        return nullcontext()  # ours end it (assembly.process.on_stop)
+        return nullcontext()  # ours end it (core.process.on_stop)
 
 
 def bound(port: int | None, before: int | None) -> socket.socket:

@@ -9,7 +9,7 @@ What would break it: starting it from a thread that ends, for the kernel means t
 import os
 import sys
 
-from hapticd.assembly.process import die_with_parent
+from hapticd.core.process import die_with_parent
 
 
 def main(parent: str, *words: str) -> None:

@@ -28,10 +28,10 @@ from hapticd.client.client import Client
 from hapticd.client.events import event_words
 from hapticd.console.plane import Planes
 from hapticd.console.probing import Probing
-from hapticd.errors import HapticdError
-from hapticd.faults import BY_NUMBER
+from hapticd.core.errors import HapticdError
+from hapticd.core.faults import BY_NUMBER
+from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import State
-from hapticd.units import NS_PER_S
 from hapticd.wire.frames import IN_EFFECT, IN_OFFSETS
 
 RETRY_S = 0.25  # between looks for a daemon that is not there

@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+from hapticd.core.errors import MailboxError
+from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, Machine, cores_in
-from hapticd.errors import MailboxError
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import believe, looked_for
 from hapticd.mailbox.files import DEFAULT_INSTANCE
-from hapticd.params import RealtimeParams, UsbParams
 from hapticd.settings.build import gateway_params, servo_params
 from hapticd.settings.load import Settings
 

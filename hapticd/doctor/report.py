@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import hapticd
+from hapticd.core.errors import ConfigError
 from hapticd.doctor.checks import CheckResult, Requirements, board_path, hubs_above
 from hapticd.doctor.machine import Machine
-from hapticd.errors import ConfigError
 
 __all__ = ["report_of", "write_report"]
 

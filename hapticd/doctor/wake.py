@@ -16,11 +16,11 @@ import time
 from collections import Counter
 from typing import Any
 
+from hapticd.core.params import RealtimeParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.doctor.checks import CheckResult, Requirements, fail, ok, warn
-from hapticd.params import RealtimeParams
 from hapticd.servo import host
 from hapticd.servo.loop import Wait, first_deadline, spinning_wait
-from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
 
 PERIOD_NS = NS_PER_MS
 PRIORITY = 80

@@ -26,9 +26,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Floats, Values
 from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.analysis.spectra import Spectra, grid_frequencies
+from hapticd.core.arrays import Complexes, Floats, Values
+from hapticd.core.environment import Environment
+from hapticd.core.errors import ConfigError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine.job import (
     Group,
     Heating,
@@ -43,12 +46,9 @@ from hapticd.engine.job import (
 from hapticd.engine.numbers import Filters
 from hapticd.engine.records import Records, Sums, force_spectrum, spectral
 from hapticd.engine.shape import Shape
-from hapticd.environment import Environment
-from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import DampingStep, Excitation, Scene
-from hapticd.units import PROBE_RATE_HZ
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from hapticd.analysis.arrays import CACHE_LINE
+from hapticd.core.arrays import CACHE_LINE
 from hapticd.render import law
 
 HELPERS = (law.wall_force, law.end_force, law.clamp)

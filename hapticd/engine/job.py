@@ -38,19 +38,19 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Values, aligned
 from hapticd.analysis.spectra import DEFAULT_LAG as LAG
+from hapticd.core.arrays import Flags, Values, aligned
+from hapticd.core.environment import Environment
+from hapticd.core.errors import ConfigError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine.kernels import kernel
 from hapticd.engine.numbers import Filters, law_numbers, plant_numbers
 from hapticd.engine.shape import LANES_OF_RECORDS, Shape, reduced, shape_of
 from hapticd.engine.source import LAW_STATE, SCALARS
-from hapticd.environment import Environment
-from hapticd.errors import ConfigError
 from hapticd.plant.effects import copper_ohm
 from hapticd.plant.excitation import Stream, held_noise, torque_record
 from hapticd.plant.model import Array, Model, Winding
 from hapticd.plant.scene import DampingStep, Excitation
-from hapticd.units import PROBE_RATE_HZ
 
 CACHED = 4  # jobs, records: a few are compared, the rest would only fill memory
 KEEPS = ("summary", "spectra", "records", "ticks")

@@ -17,10 +17,10 @@ from pathlib import Path
 from types import ModuleType
 
 from hapticd import __version__
+from hapticd.core.errors import ConfigError
+from hapticd.core.extras import need
 from hapticd.engine.shape import Shape
 from hapticd.engine.source import kernel_source
-from hapticd.errors import ConfigError
-from hapticd.extras import need
 from hapticd.render import law
 
 

@@ -9,14 +9,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hapticd.core.environment import Environment, FilterParams
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine.shape import Shape, sample_point
 from hapticd.engine.source import ENDS, FILTERS, FURTHER_NAMES, ROTOR_LAWS, WALL
-from hapticd.environment import Environment, FilterParams
 from hapticd.plant.discrete import discretise
 from hapticd.plant.drive import reach, well_posed
 from hapticd.plant.model import Array, DriveLimits, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
-from hapticd.units import PROBE_RATE_HZ
 
 # of velocity and acceleration; None: none
 Filters = tuple[FilterParams | None, FilterParams | None]

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import CACHE_LINE, Complexes, Floats, Values, aligned
 from hapticd.analysis.batch_spectra import BatchSections, SharedForce, shared_force
 from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.analysis.spectra import spa
+from hapticd.core.arrays import CACHE_LINE, Complexes, Floats, Values, aligned
 from hapticd.engine.job import (
     BLOCK_TICKS,
     CACHED,

@@ -59,9 +59,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hapticd.core.environment import FURTHER
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine.shape import DriveStates, Shape, Term
-from hapticd.environment import FURTHER
-from hapticd.units import PROBE_RATE_HZ
 
 SCALARS: dict[str, type[np.floating[Any]]] = {"f32": np.float32, "f64": np.float64}
 FASTMATH = '{"contract", "nsz"}'  # fused multiply-add; no reassociation, NaN stays NaN

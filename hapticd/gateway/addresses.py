@@ -18,7 +18,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hapticd.errors import ConfigError, MailboxError
+from hapticd.core.errors import ConfigError, MailboxError
+from hapticd.core.params import GatewayParams, GatewaySetup
 from hapticd.gateway import auth
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.gateway.peers import Port
@@ -30,7 +31,6 @@ from hapticd.mailbox.files import (
     remove,
     write_whole,
 )
-from hapticd.params import GatewayParams, GatewaySetup
 
 if TYPE_CHECKING:
     from hapticd.gateway.outside import Outside

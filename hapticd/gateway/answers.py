@@ -169,7 +169,7 @@ class Hello:
 
     rate_hz: float = 0.0  #: of the servo
     simulated: bool = False
-    #: the configuration of the servo process, as `hapticd.params.ServoParams` in plain form
+    #: the configuration of the servo process, as `hapticd.core.params.ServoParams` in plain form
     servo: dict[str, Any] = field(default_factory=dict)
     actor: int = 0  #: number of this client
     limits: dict[str, Limit] = field(

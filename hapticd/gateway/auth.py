@@ -7,8 +7,8 @@ offered there and on the loopback; on any other address only with CURVE keys (`k
 
 import ipaddress
 
-from hapticd.errors import ConfigError
-from hapticd.params import GatewayParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import GatewayParams
 
 
 def is_loopback(host: str) -> bool:

@@ -8,7 +8,7 @@ to do it. The worker is another process: its answer is looked at before it is be
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from hapticd.environment import JUDGED, SLOTS, Environment
+from hapticd.core.environment import JUDGED, SLOTS, Environment
 from hapticd.gateway.limits import PLACES, flat
 from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Judged, Request, Set
 from hapticd.mailbox.client_side import Answer

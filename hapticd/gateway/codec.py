@@ -15,7 +15,7 @@ from typing import Any
 
 import msgpack
 
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
 
 MAX_MESSAGE_BYTES = 64 * 1024
 MAX_ARRAY = 256

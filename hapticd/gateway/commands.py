@@ -21,9 +21,9 @@ from dataclasses import replace
 from math import nan
 from typing import Any, NamedTuple
 
-from hapticd.environment import JUDGED, Environment
-from hapticd.errors import CommandError
-from hapticd.faults import BY_NUMBER, FAULTS, Fault
+from hapticd.core.environment import JUDGED, Environment
+from hapticd.core.errors import CommandError
+from hapticd.core.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.gateway.journal import Actors
 from hapticd.gateway.leases import DAMPING, ENVIRONMENT, PERTURBATION, Leases
 from hapticd.gateway.limits import PLACES, CommandLimits, flat

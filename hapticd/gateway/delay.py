@@ -13,8 +13,8 @@ What would break it: rounding down, or a minute without records that still count
 import numpy as np
 from numpy.typing import NDArray
 
+from hapticd.core.units import NS_PER_S, US_PER_S
 from hapticd.gateway.view import Records
-from hapticd.units import NS_PER_S, US_PER_S
 
 STEPS = 16  # of a period
 MOST_PERIODS = 16

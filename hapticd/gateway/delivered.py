@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.delivered import (
     ACCELERATION,
     COLUMNS,
@@ -37,10 +36,11 @@ from hapticd.analysis.delivered import (
     estimate,
 )
 from hapticd.analysis.ledger import Table, smoothed
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
 from hapticd.gateway.ledger import CONTEXT, samples
 from hapticd.gateway.view import Records, joined
 from hapticd.mailbox.layout import Flag
-from hapticd.params import DeviceParams, ScaleParams, ServoParams
 from hapticd.wire.codec import I16_HIGHEST
 from hapticd.wire.frames import StatusBit
 

@@ -18,7 +18,9 @@ a client sent (it holds nothing foreign but a bounded id and a few printable cha
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-from hapticd.errors import CommandError, MailboxError
+from hapticd.core.errors import CommandError, MailboxError
+from hapticd.core.params import LeaseParams
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.case import Case, changes_environment, concerns, damping_by
 from hapticd.gateway.codec import (
     Encoding,
@@ -63,8 +65,6 @@ from hapticd.gateway.waveform import Waveform
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, Result, values_of
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.params import LeaseParams
-from hapticd.units import NS_PER_S
 
 
 class RequestMessage(NamedTuple):

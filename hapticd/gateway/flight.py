@@ -31,8 +31,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import hapticd
-from hapticd.errors import CommandError, ConfigError
-from hapticd.faults import BY_NUMBER, FAULTS
+from hapticd.core.errors import CommandError, ConfigError
+from hapticd.core.faults import BY_NUMBER, FAULTS
+from hapticd.core.params import GatewaySetup, to_plain
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.leases import Leases
 from hapticd.gateway.telemetry import TICK_DESCR, Origin, RingBlock
@@ -40,8 +42,6 @@ from hapticd.gateway.view import Records, ServoView
 from hapticd.mailbox.client_side import Checkpoint, Noted
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.mailbox.layout import State
-from hapticd.params import GatewaySetup, to_plain
-from hapticd.units import NS_PER_S
 
 SUFFIX = ".flight"
 _MAGIC = b"hapticd-flight/1\n"

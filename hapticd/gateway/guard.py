@@ -20,7 +20,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
+from hapticd.core.params import STRICT_POLICIES, GuardParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.explanation import Outcome, Reason, because
 from hapticd.gateway.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.gateway.in_force import InForce
@@ -29,8 +31,6 @@ from hapticd.gateway.schemas import GuardRequest
 from hapticd.gateway.terms import Terms, TermsKeeper
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
-from hapticd.params import STRICT_POLICIES, GuardParams
-from hapticd.units import NS_PER_MS, NS_PER_S
 
 VERDICT_NS = 500 * NS_PER_MS  # that a request waits for its verdict
 # after which a worker without an answer hangs; one that sees a delay for the first time takes

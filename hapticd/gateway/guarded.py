@@ -29,7 +29,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
+from hapticd.core.params import STRICT_POLICIES
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because, explanation_of
 from hapticd.gateway.case import (
     Case,
@@ -48,8 +50,6 @@ from hapticd.gateway.stages import Post, Stages, Told, ramp_s
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
-from hapticd.params import STRICT_POLICIES
-from hapticd.units import NS_PER_MS, NS_PER_S
 
 MOST_WAITING = 64
 WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.environment import FIELDS, Environment
+from hapticd.core.environment import FIELDS, Environment
 from hapticd.gateway.commands import rendered
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.layout import Flag, Value, newer

@@ -16,8 +16,8 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from typing import Any
 
+from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD
-from hapticd.units import NS_PER_S
 
 KEPT = 32
 QUEUED = 256

@@ -18,7 +18,7 @@ from tempfile import TemporaryDirectory
 
 import zmq.auth
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 SERVER = "server"
 SERVER_PUBLIC = "server.key"

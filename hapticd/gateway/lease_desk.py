@@ -22,7 +22,9 @@ What would break it: `tend` not called in every pass, or an answer of the servo 
 
 from typing import Any
 
-from hapticd.environment import STRENGTHS
+from hapticd.core.environment import STRENGTHS
+from hapticd.core.params import LeaseParams
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.gateway.leases import (
     DAMPING,
@@ -42,8 +44,6 @@ from hapticd.gateway.schemas import LeaseRequest
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, Value, Watched, values_of
-from hapticd.params import LeaseParams
-from hapticd.units import NS_PER_S
 
 FORMER = "a client of the gateway before this one"
 UNANSWERED_NS = NS_PER_S  # after which the servo is told again

@@ -26,8 +26,8 @@ keeps it), or a caller that changes something without asking `may`.
 from collections import OrderedDict
 from typing import Any, NamedTuple
 
-from hapticd.errors import CommandError
-from hapticd.units import NS_PER_S, round_half_up
+from hapticd.core.errors import CommandError
+from hapticd.core.units import NS_PER_S, round_half_up
 
 ENVIRONMENT = "environment"
 DAMPING = "active_damping"

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.analysis.ledger import BOOKED, LONGEST, SAMPLE, Table, book
+from hapticd.core.params import ServoParams
+from hapticd.core.units import US_PER_S
 from hapticd.gateway.view import Records, joined
 from hapticd.mailbox.layout import Flag
-from hapticd.params import ServoParams
-from hapticd.units import US_PER_S
 from hapticd.wire.codec import TORQUE_SEQUENCES
 from hapticd.wire.frames import IN_EFFECT, IN_OFFSETS, StatusBit
 

@@ -8,13 +8,13 @@ from collections.abc import Iterator, Sequence
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hapticd.environment import SLOTS
-from hapticd.errors import ConfigError
+from hapticd.core.environment import SLOTS
+from hapticd.core.errors import ConfigError
 from hapticd.mailbox.environment_limits import AXES
 from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, value_limits
 
 if TYPE_CHECKING:
-    from hapticd.params import EnvironmentLimits, ServoParams
+    from hapticd.core.params import EnvironmentLimits, ServoParams
 
 PLACES: dict[str, Value] = {key: Value(slot) for key, slot in SLOTS.items()} | {
     "ramp_s": Value.RAMP_S

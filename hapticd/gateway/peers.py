@@ -24,9 +24,9 @@ from collections import deque
 from collections.abc import Callable
 from itertools import count
 
-from hapticd.errors import WireError
+from hapticd.core.errors import WireError
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.zmtp import Message, Session
-from hapticd.units import NS_PER_S
 
 MOST_PEERS = 128
 READ_BYTES = 64 * 1024

@@ -13,7 +13,9 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS, Fault
+from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS, Fault
+from hapticd.core.params import GatewaySetup
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.gateway.codec import finite
 from hapticd.gateway.delivered import Delivered
 from hapticd.gateway.flight import FlightRecorder, flights_folder
@@ -37,8 +39,6 @@ from hapticd.gateway.telemetry import (
 from hapticd.gateway.view import STATES, Records, ServoView
 from hapticd.gateway.winding import compensation
 from hapticd.mailbox.layout import Command, Flag, Value, Watched, values_of
-from hapticd.params import GatewaySetup
-from hapticd.units import NS_PER_MS, NS_PER_S
 
 RECORD_FIELDS_SHOWN = (
     "tick",

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from hapticd.core.units import US_PER_S
 from hapticd.mailbox.layout import STAGES
-from hapticd.units import US_PER_S
 
 LEFT = 0.25  # of a period, at least
 ENOUGH = 1000  # ticks before it is judged

@@ -23,13 +23,9 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from hapticd.environment import FIELDS, JUDGED
-from hapticd.errors import CommandError
-from hapticd.gateway import answers
-from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
-from hapticd.gateway.limits import CommandLimits, quantity
-from hapticd.mailbox.layout import LONGEST_SILENCE_S
-from hapticd.params import (
+from hapticd.core.environment import FIELDS, JUDGED
+from hapticd.core.errors import CommandError
+from hapticd.core.params import (
     LONGEST_LEASE_S,
     SHORTEST_LEASE_S,
     AtEnd,
@@ -38,6 +34,10 @@ from hapticd.params import (
     Leased,
     Policy,
 )
+from hapticd.gateway import answers
+from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
+from hapticd.gateway.limits import CommandLimits, quantity
+from hapticd.mailbox.layout import LONGEST_SILENCE_S
 
 PROTOCOL_VERSION = 1
 _ID_SCHEMA = {

@@ -28,8 +28,10 @@ from pathlib import Path
 from typing import Any
 
 import hapticd
-from hapticd.clock import Clock
-from hapticd.errors import ConfigError
+from hapticd.core.clock import Clock
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import GatewaySetup, to_plain
+from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.gateway import zmtp
 from hapticd.gateway.addresses import Sockets
 from hapticd.gateway.desk import Desk
@@ -42,8 +44,6 @@ from hapticd.gateway.view import ServoView
 from hapticd.gateway.worker import Start, Worker
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import LAYOUT_HASH
-from hapticd.params import GatewaySetup, to_plain
-from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 DRAIN_MS = 10
 PEEK_NS = 250 * NS_PER_US  # between looks for an outstanding answer

@@ -13,7 +13,9 @@ that waits for ever (it has a deadline).
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
+from hapticd.core.params import STRICT_POLICIES
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.case import Case
 from hapticd.gateway.commands import Posting, parameters, values_given
 from hapticd.gateway.in_force import IN_MOTION
@@ -21,8 +23,6 @@ from hapticd.gateway.schemas import Enable, Request, Set
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, State, Value, values_of
-from hapticd.params import STRICT_POLICIES
-from hapticd.units import NS_PER_S
 
 UNJUDGED = (
     "ramp_s",

@@ -14,12 +14,12 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
-from hapticd.errors import MailboxError
+from hapticd.core.errors import MailboxError
+from hapticd.core.params import STRICT_POLICIES, BasisName, Policy
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.files import GUARD_TERMS, write_whole
-from hapticd.params import STRICT_POLICIES, BasisName, Policy
-from hapticd.units import NS_PER_S
 
 RETRY_NS = NS_PER_S  # after terms that could not be kept
 LAXEST_FIRST = ("off", "warn")  # then those of STRICT_POLICIES, which are all as strict

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.errors import MailboxError
-from hapticd.faults import BY_NUMBER, FAULTS, Fault
+from hapticd.core.errors import MailboxError
+from hapticd.core.faults import BY_NUMBER, FAULTS, Fault
+from hapticd.core.params import ServoParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.daemons import living_report
 from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, State, Value, newer
 from hapticd.mailbox.stop_word import FIRST_CLIENT
-from hapticd.params import ServoParams
-from hapticd.units import NS_PER_MS, NS_PER_S
 
 Records = NDArray[np.void]
 
@@ -239,5 +239,5 @@ class ServoView:
 
     @property
     def fault(self) -> Fault:
-        """Row of hapticd.faults of the newest record."""
+        """Row of hapticd.core.faults of the newest record."""
         return BY_NUMBER.get(int(self.record.get("fault", 0)), FAULTS[0])

@@ -11,12 +11,12 @@ was loaded for a servo that is no more (a new life begins with none).
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import Perturb, invalid
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
 

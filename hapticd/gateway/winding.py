@@ -11,7 +11,7 @@ What would break it: a count of a board without the DAC, which the servo keeps a
 from math import isfinite, nan
 from typing import Any
 
-from hapticd.params import DeviceParams
+from hapticd.core.params import DeviceParams
 from hapticd.render.winding import LEAST_LOOP_GAIN, loop_gain, ohm
 
 

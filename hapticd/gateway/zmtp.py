@@ -20,7 +20,7 @@ grows), and a partner that speaks ZMTP 2 or older (its version is refused).
 
 from collections.abc import Sequence
 
-from hapticd.errors import WireError
+from hapticd.core.errors import WireError
 
 _MECHANISM = b"NULL".ljust(20, b"\0")
 GREETING = b"\xff" + bytes(8) + b"\x7f" + b"\x03\x00" + _MECHANISM + bytes(32)

@@ -25,8 +25,8 @@ temperature); a nominal scale that is wrong by the very factor by which a step's
 from math import ceil
 from typing import NamedTuple
 
-from hapticd.params import MOST_CORRECTION, DeviceParams, ScaleParams
-from hapticd.units import PROBE_RATE_HZ
+from hapticd.core.params import MOST_CORRECTION, DeviceParams, ScaleParams
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 from hapticd.wire.frames import PAIR_MAX, Capability, HelloFrame
 

@@ -35,10 +35,10 @@ from collections.abc import Callable, Sequence
 from math import ceil, floor
 from typing import NamedTuple
 
-from hapticd.errors import LinkStalled, LinkTimeout
+from hapticd.core.errors import LinkStalled, LinkTimeout
+from hapticd.core.units import US_PER_S
 from hapticd.link.base import Link
 from hapticd.link.events import PinEvents
-from hapticd.units import US_PER_S
 from hapticd.wire import codec, frames, session
 from hapticd.wire.codec import (
     HEAD_AXIS,

@@ -30,7 +30,7 @@ from typing import NamedTuple, Protocol
 
 import usb.core
 
-from hapticd.units import NS_PER_MS
+from hapticd.core.units import NS_PER_MS
 
 
 class Transfers(Protocol):

@@ -15,10 +15,10 @@ What would break it: a reason that changes with every look (a count, a time), si
 
 from collections.abc import Callable
 
-from hapticd.errors import LinkError, ProtocolMismatch, WireError
+from hapticd.core.errors import LinkError, ProtocolMismatch, WireError
+from hapticd.core.units import NS_PER_S
 from hapticd.link.base import backoff_s
 from hapticd.link.device import Device
-from hapticd.units import NS_PER_S
 from hapticd.wire.frames import HelloFrame
 
 MISMATCH_NS = 30 * NS_PER_S  # boot loaders wait for seconds, and flashing takes half a minute

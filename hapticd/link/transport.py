@@ -31,10 +31,10 @@ from math import floor
 from statistics import median
 from typing import NamedTuple
 
-from hapticd.clock import Clock
-from hapticd.errors import LinkTimeout
+from hapticd.core.clock import Clock
+from hapticd.core.errors import LinkTimeout
+from hapticd.core.units import NS_PER_US, US_PER_S
 from hapticd.link.device import Device
-from hapticd.units import NS_PER_US, US_PER_S
 from hapticd.wire import frames
 from hapticd.wire.frames import Capability, Request
 

@@ -29,10 +29,17 @@ from typing import Any, NamedTuple
 import usb.core
 import usb.util
 
-from hapticd.errors import ConfigError, LinkAccess, LinkError, LinkLost, LinkStalled, LinkTimeout
+from hapticd.core.errors import (
+    ConfigError,
+    LinkAccess,
+    LinkError,
+    LinkLost,
+    LinkStalled,
+    LinkTimeout,
+)
+from hapticd.core.params import UsbParams
 from hapticd.link.base import Link
 from hapticd.link.flight import End, InFlight, OutFailed, Transfers
-from hapticd.params import UsbParams
 from hapticd.wire.frames import Request
 
 
@@ -109,7 +116,7 @@ def system_backend() -> Any:
 
     backend = libusb1.get_backend()
     if backend is None:
-        from hapticd.extras import need  # it reads metadata: not for a simulated board
+        from hapticd.core.extras import need  # it reads metadata: not for a simulated board
 
         backend = need("libusb_package", "a USB board").get_libusb1_backend()
     if backend is None:

@@ -27,8 +27,8 @@ from collections.abc import Callable
 
 import usb.core
 
+from hapticd.core.units import NS_PER_S
 from hapticd.link.flight import End
-from hapticd.units import NS_PER_S
 from hapticd.wire.frames import PACKET_BYTES
 
 PENDING = -1

@@ -9,7 +9,7 @@ import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hapticd.errors import MailboxError
+from hapticd.core.errors import MailboxError
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import Report
 from hapticd.mailbox.files import word_access

@@ -20,7 +20,7 @@ import stat
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hapticd.errors import DaemonDown, MailboxError
+from hapticd.core.errors import DaemonDown, MailboxError
 from hapticd.mailbox import files
 from hapticd.mailbox.files import DEFAULT_INSTANCE, INSTANCE_PREFIX
 from hapticd.mailbox.stop_word import servo_lives

@@ -9,8 +9,8 @@ What would break it: a unit that is wrong by less than ROOM.
 
 from collections.abc import Mapping, Sequence
 
+from hapticd.core.params import EnvironmentLimits
 from hapticd.mailbox.layout import VALUE_LIMITS, Value, ValueLimit
-from hapticd.params import EnvironmentLimits
 
 ROOM = 10.0
 AXES = {"K": Value.STIFFNESS, "B": Value.VIRTUAL_DAMPING, "M": Value.MASS}

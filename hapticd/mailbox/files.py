@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from hapticd.errors import MailboxError
+from hapticd.core.errors import MailboxError
 
 MAILBOX = "mailbox"
 TELEMETRY = "telemetry.ring"

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from hapticd.environment import FIELDS, FIRST_FURTHER_SLOT, FURTHER, SLOTS
+from hapticd.core.environment import FIELDS, FIRST_FURTHER_SLOT, FURTHER, SLOTS
 
 MAGIC = b"HAPTICD\0"
 

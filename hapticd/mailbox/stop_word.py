@@ -36,7 +36,7 @@ import stat
 from pathlib import Path
 from typing import NamedTuple
 
-from hapticd.errors import MailboxError
+from hapticd.core.errors import MailboxError
 from hapticd.mailbox import files
 
 NOT_PRESSED = bytes(8)

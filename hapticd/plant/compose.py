@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.plant.blueprint import ZERO, Blueprint, Form
 from hapticd.plant.effects import Amplifier, DampingCircuit, Effect, ShapedDamping, in_order, shaped
 from hapticd.plant.model import (

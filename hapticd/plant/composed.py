@@ -31,8 +31,8 @@ from math import sin, sqrt, tau
 from random import Random
 from typing import Any, Final, NamedTuple
 
-from hapticd.errors import ConfigError
-from hapticd.params import (
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import (
     BoardParams,
     Contact,
     DriveLimits,
@@ -43,9 +43,9 @@ from hapticd.params import (
     PlantParams,
     RotorForce,
 )
+from hapticd.core.units import COPPER_PER_K
 from hapticd.plant.drive import reach
 from hapticd.plant.friction import stick_two
-from hapticd.units import COPPER_PER_K
 
 Row = tuple[float, ...]
 Rows = tuple[Row, ...]  # [Phi Gamma] of a piece, a row for each state

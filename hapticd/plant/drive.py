@@ -32,8 +32,8 @@ Standard library alone: the simulated board runs by it.
 from math import exp
 from typing import NamedTuple
 
-from hapticd.errors import ConfigError
-from hapticd.params import DriveLimits
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import DriveLimits
 
 __all__ = ["Reach", "reach", "well_posed"]
 

@@ -64,6 +64,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from math import floor, sqrt, tau
 from typing import Any, ClassVar, NamedTuple
 
+from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.plant.blueprint import (
     AmplifierRange,
     Blueprint,
@@ -74,7 +75,6 @@ from hapticd.plant.blueprint import (
     Parameter,
     Warming,
 )
-from hapticd.units import COPPER_PER_K, unit_of
 
 PROVENANCE = ("source", "sources", "note")  # fields of every effect that are not parameters
 ZETA = sqrt(0.5)  # damping ratio of a Butterworth low-pass of the second order

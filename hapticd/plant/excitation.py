@@ -21,9 +21,9 @@ from math import pi, sqrt
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.plant.scene import Excitation
-from hapticd.units import PROBE_RATE_HZ
 
 Floats = npt.NDArray[np.float64]
 NOISE_SAMPLES_MAX = 1 << 26  # of one record: half a gigabyte, 4.7 hours

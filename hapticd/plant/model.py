@@ -31,7 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.params import Contact, DriveLimits, Ends, Noise, RotorForce
+from hapticd.core.params import Contact, DriveLimits, Ends, Noise, RotorForce
 from hapticd.plant.blueprint import InputColumns, Note, StateVariable
 
 __all__ = [

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.plant.model import Array
 
 

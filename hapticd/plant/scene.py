@@ -9,7 +9,7 @@ not built: no state, no instruction, no time.
 
 from dataclasses import dataclass, field
 
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
 from hapticd.plant.effects import Effect
 
 

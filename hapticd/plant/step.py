@@ -33,8 +33,8 @@ from dataclasses import replace
 from math import exp, expm1, factorial, inf, isfinite
 from typing import NamedTuple
 
-from hapticd.errors import ConfigError
-from hapticd.params import BoardParams, PlantParams, TouchParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import BoardParams, PlantParams, TouchParams
 from hapticd.plant.composed import (
     POSITION,
     VELOCITY,

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.params import HeatingParams, OutputParams, PlantParams
+from hapticd.core.params import HeatingParams, OutputParams, PlantParams
 from hapticd.plant.discrete import discretise
 from hapticd.plant.drive import well_posed
 from hapticd.plant.effects import copper_ohm

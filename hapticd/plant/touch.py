@@ -35,8 +35,8 @@ from math import exp, isfinite, pi, sin, tau
 from random import Random
 from typing import NamedTuple
 
-from hapticd.errors import ConfigError
-from hapticd.params import HandParams, TouchParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import HandParams, TouchParams
 from hapticd.plant.composed import POSITION, VELOCITY, State, Step
 
 TREMOR_HZ = 10.0  # physiological tremor of a hand: 8 to 12 Hz

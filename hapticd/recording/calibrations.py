@@ -16,8 +16,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hapticd.errors import AnalysisError
-from hapticd.params import CALIBRATION_DAYS
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import CALIBRATION_DAYS
 from hapticd.wire.codec import I16_HIGHEST
 
 SAME_SCALE = 0.01  # relative: what a gain that is measured again may differ by

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.settings.inputs import SETTINGS_BYTES, regular
 
 FOLDER = "rig"

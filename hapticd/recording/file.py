@@ -24,11 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.assembly.replay import Segment
-from hapticd.errors import ConfigError, HapticdError
+from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.params import ScaleParams, ServoParams, from_plain
+from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.gateway import flight
 from hapticd.gateway.view import RECORD_DTYPE, Records
 from hapticd.mailbox.client_side import Noted
-from hapticd.params import ScaleParams, ServoParams, from_plain
 from hapticd.recording.live import (
     FLUSHED,
     GROUPS,
@@ -49,7 +50,6 @@ from hapticd.recording.live import (
 from hapticd.recording.provenance import SCHEMA
 from hapticd.recording.superblock import Unattended
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
-from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 
 TEXT = "checkpoint_text"
 STANDING = 4096  # rows that a small group may have beyond its longest column

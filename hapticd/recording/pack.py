@@ -24,13 +24,13 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.errors import AnalysisError, ConfigError, HapticdError
-from hapticd.extras import need
+from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
+from hapticd.core.extras import need
+from hapticd.core.units import NS_PER_S
 from hapticd.recording.energy import DATASETS, GROUP, energies
 from hapticd.recording.file import Recording, open_recording
 from hapticd.recording.live import SUFFIX, of_fixed_length
 from hapticd.recording.stretch import remark, stretch
-from hapticd.units import NS_PER_S
 
 CHUNK_ROWS = 4096
 ROWS_AT_ONCE = 1 << 18  # copied from the source

@@ -23,10 +23,10 @@ from pathlib import Path
 from typing import Any
 
 import hapticd
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.answers import Hello, Status
 from hapticd.recording.calibrations import doubts
 from hapticd.recording.certificate import certificate_of
-from hapticd.units import NS_PER_S
 
 SCHEMA = "hapticd-recording/1"
 SIMULATED_NOTICE = "SIMULATED: the device behind this recording was computed"

@@ -23,13 +23,13 @@ from typing import Any
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client
-from hapticd.clock import Clock, MonotonicClock
-from hapticd.errors import ConfigError, DaemonDown, HapticdError
+from hapticd.core.clock import Clock, MonotonicClock
+from hapticd.core.errors import ConfigError, DaemonDown, HapticdError
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.answers import Hello, Status
 from hapticd.recording import live, pack
 from hapticd.recording.live import TOPICS, Writer
 from hapticd.recording.provenance import of_recording
-from hapticd.units import NS_PER_S
 
 FLUSH_PERIOD_S = 0.1  # what was received is written and flushed so often
 SYNC_PERIOD_NS = NS_PER_S  # the disk is synchronised and its room checked so often

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.assembly.replay import Difference, Records, difference, replay
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
+from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import Value
 from hapticd.recording.file import Recording
-from hapticd.units import NS_PER_S
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags
-from hapticd.errors import AnalysisError, ConfigError
+from hapticd.core.arrays import Flags
+from hapticd.core.errors import AnalysisError, ConfigError
+from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import LOST_SLOTS, State
 from hapticd.recording.provenance import SCHEMA
-from hapticd.units import NS_PER_S
 
 SETTLE_S = 1.0  # left out after the perturbation began
 REMARK = f"# {SCHEMA} "

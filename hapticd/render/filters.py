@@ -12,7 +12,7 @@ output is felt (a force that jumps now or swells for seconds), a rate other than
 
 import math
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 Biquad = tuple[float, float, float, float, float]
 MAPPINGS = ("prewarped", "bilinear", "matched")

@@ -19,7 +19,7 @@ also true of NaN, and `clamp` then makes that 0), coefficients for another rate.
 
 from typing import Final
 
-from hapticd.environment import FilterParams
+from hapticd.core.environment import FilterParams
 from hapticd.render.filters import Biquad, design, scaled
 
 LawState = tuple[float, float, float, float, float, float]

@@ -31,7 +31,7 @@ ambient of the device file, a second time constant (a housing that warms up) out
 from math import expm1, inf, isfinite
 from typing import Final, NamedTuple
 
-from hapticd.params import ResistanceParams
+from hapticd.core.params import ResistanceParams
 
 LEAST_LOOP_GAIN: Final = (
     -0.3

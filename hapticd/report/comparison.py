@@ -13,7 +13,7 @@ from hapticd.analysis.compare import widths_db
 from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.passive_set import AXES
 from hapticd.analysis.verdict import Judged
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 from hapticd.report.envelope import edges
 from hapticd.report.style import (
     BELOW,

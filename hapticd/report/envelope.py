@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.envelope import Edge, Envelope, admittance, of_predicted
 from hapticd.analysis.predict import frequencies
+from hapticd.core.arrays import Floats
 from hapticd.report.style import (
     BELOW,
     NORMAL,

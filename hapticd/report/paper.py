@@ -26,7 +26,7 @@ from math import lcm, log10
 from textwrap import fill
 from typing import Any
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.report.style import BELOW, Axes, Figure
 
 MM_PER_IN = 25.4

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.passive_set import PassiveSet
 from hapticd.analysis.verdict import Judged
+from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.report.style import (
     ANSWERS,
     BELOW,

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import AtLevel, Explanation
 from hapticd.render.winding import LEAST_LOOP_GAIN
@@ -52,7 +53,6 @@ from hapticd.report.trial import Curve, Trace, draw, draw_traces, dress
 from hapticd.study.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
 from hapticd.study.effects import EffectsResult, LeftOut
 from hapticd.study.scene import Ceiling, Integrators, SceneResult, SceneTrial
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies, point
 
 STYLES = (OFF, ON)

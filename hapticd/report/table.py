@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import inf, isnan
 from textwrap import wrap
 
-from hapticd.units import percent
+from hapticd.core.units import percent
 
 DIGITS = 3
 WIDEST_LAST = 70  # characters of the last column

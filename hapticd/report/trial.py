@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.impedance import Impedance, relative_sd
 from hapticd.analysis.periodic import PeriodicSpectra
 from hapticd.analysis.verdict import student_quantile
+from hapticd.core.arrays import Complexes, Floats
 from hapticd.recording.replay import ReplayResult
 from hapticd.report.style import (
     BELOW,

@@ -17,8 +17,8 @@ import numpy as np
 from hapticd.analysis.delivered import CALIBRATION, Estimate
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
+from hapticd.core.params import ServoParams, from_plain
 from hapticd.gateway.delivered import Delivered
-from hapticd.params import ServoParams, from_plain
 from hapticd.rig.damping import undamped
 from hapticd.rig.glide import least_squares
 from hapticd.rig.hand import Ask

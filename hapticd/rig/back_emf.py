@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
+from hapticd.core.arrays import Floats
+from hapticd.core.units import US_PER_S
 from hapticd.rig.plausible import count_of
 from hapticd.rig.records import raw_counts
 from hapticd.rig.result import (
@@ -31,7 +32,6 @@ from hapticd.rig.result import (
     change_of,
     relative_half,
 )
-from hapticd.units import US_PER_S
 from hapticd.wire.codec import I16_HIGHEST
 
 BLOCKS = 10

@@ -39,14 +39,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.rig.balance_terms import BLOCK, EDGE, Handle, Terms, commanded, hung, shifted, terms
 from hapticd.rig.jackknife import Solution, lines, solved
 from hapticd.rig.played import Played
 from hapticd.rig.probe_clock import H_S, Clock, clocked
-from hapticd.units import PROBE_RATE_HZ
 
 LEAST_BLOCKS = 8
 LOW_HZ = 5.0

@@ -28,8 +28,8 @@ import numpy.typing as npt
 
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
-from hapticd.params import ScaleParams
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import ScaleParams
 from hapticd.rig.damping_line import FACTOR, LEVELS, REFUSE, concluded
 from hapticd.rig.glide import Balance, Row, balance, row_of
 from hapticd.rig.hand import Ask, Request

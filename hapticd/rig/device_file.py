@@ -25,7 +25,7 @@ from typing import Any, get_args
 import tomlkit
 from tomlkit.items import InlineTable, Table
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.rig.result import Change, Written
 from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import load_device

@@ -18,17 +18,17 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
-from hapticd.params import MOST_CORRECTION
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import MOST_CORRECTION
+from hapticd.core.units import percent
 from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
-from hapticd.units import percent
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, StatusBit
 

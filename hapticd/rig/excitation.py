@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.client.client import Client
-from hapticd.environment import Environment
+from hapticd.core.arrays import Floats
+from hapticd.core.environment import Environment
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.rig.played import play
-from hapticd.units import PROBE_RATE_HZ
 
 CENTRE = Environment(20.0, 0.3)  # weak: it keeps the handle in the middle
 LOW_HZ = 5.0

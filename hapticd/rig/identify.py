@@ -21,7 +21,8 @@ import numpy as np
 from hapticd.analysis.linearise import GAIN
 from hapticd.analysis.theorem import required_damping
 from hapticd.client.client import Client
-from hapticd.environment import Environment, FilterParams
+from hapticd.core.environment import Environment, FilterParams
+from hapticd.core.units import US_PER_S, percent
 from hapticd.rig.assumptions import MATTERS, assumptions, parting, scales_agree
 from hapticd.rig.balance import NAMES, Balance, balanced, parted
 from hapticd.rig.excitation import CENTRE, loudest_n, noise
@@ -40,7 +41,6 @@ from hapticd.rig.model_tables import changes_of
 from hapticd.rig.motor import limit_n
 from hapticd.rig.played import Played, play
 from hapticd.rig.result import Finding, StepResult, relative_half, settled
-from hapticd.units import US_PER_S, percent
 
 QUIET_S = 6.0
 LOUD_S = 7.0

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
 
 
 def lines(values: Floats, block: int, rate_hz: float, band_hz: tuple[float, float]) -> Floats:

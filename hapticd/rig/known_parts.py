@@ -9,7 +9,7 @@ What would break it: a part so large that the display with it is not passive.
 
 from dataclasses import dataclass
 
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
 from hapticd.rig.excitation import CENTRE
 from hapticd.rig.hand import Request
 

@@ -25,16 +25,16 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError, CommandError
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError, CommandError
+from hapticd.core.units import NS_PER_US, US_PER_S
 from hapticd.gateway.answers import Status
 from hapticd.rig import watchdog
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
-from hapticd.units import NS_PER_US, US_PER_S
 from hapticd.wire.frames import Capability
 
 SECONDS = 10.0

@@ -11,7 +11,7 @@ import json
 import socket
 from pathlib import Path
 
-from hapticd.errors import AnalysisError, DaemonDown
+from hapticd.core.errors import AnalysisError, DaemonDown
 from hapticd.rig.hand import Ask, Request
 
 PATIENCE_S = 120.0

@@ -28,11 +28,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
-from hapticd.params import COMMISSIONING_SHARE, MOST_CORRECTION
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import COMMISSIONING_SHARE, MOST_CORRECTION
+from hapticd.core.units import percent
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import LOOK_S, Pushed, push, ready, wall_of
@@ -48,7 +49,6 @@ from hapticd.rig.result import (
     settled,
 )
 from hapticd.settings.device import signs_hash
-from hapticd.units import percent
 from hapticd.wire.codec import I16_HIGHEST
 
 PUSH_S = 0.02

@@ -18,10 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.delivered import SIMPSON, WINDOW
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
+from hapticd.core.arrays import Floats
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import ready

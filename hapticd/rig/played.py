@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Floats
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
-from hapticd.environment import Environment
-from hapticd.errors import AnalysisError
-from hapticd.params import ScaleParams
+from hapticd.core.arrays import Floats
+from hapticd.core.environment import Environment
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import ScaleParams
+from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.rig.push import ready
 from hapticd.rig.records import collect
 from hapticd.rig.streams import Streams, Travel, inside, measuring, streams
-from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 REST_S = 0.6
 RAMP_S = 0.5

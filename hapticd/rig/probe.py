@@ -22,9 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import percent
 from hapticd.rig import one_signal
 from hapticd.rig.added_mass import Added, added, channel
 from hapticd.rig.hand import Ask, Request
@@ -53,7 +54,6 @@ from hapticd.rig.shaken import (
     shaken,
     waveform,
 )
-from hapticd.units import percent
 from hapticd.wire.codec import I16_HIGHEST
 
 REST_S = 12.0  # high-passes of 0.1 Hz forget what was before in some seconds

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
+from hapticd.core.arrays import Floats
+from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.rig.jackknife import lines, solved
 from hapticd.rig.played import SAMPLE_US, Played
-from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 H_S = 1.0 / PROBE_RATE_HZ
 CLOCK_HZ = (5.0, 40.0)

@@ -17,7 +17,7 @@ import numpy as np
 
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
 from hapticd.rig.records import collect, servo_rate_hz
 
 FAR_M = 0.02

@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Floats
 from hapticd.client.blocks import BlockDecoder, Records
 from hapticd.client.client import Client
-from hapticd.errors import DaemonDown
-from hapticd.params import ScaleParams
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import DaemonDown
+from hapticd.core.params import ScaleParams
 from hapticd.wire import codec
 
 TICKS = "servo.raw"

@@ -21,15 +21,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.rig.push import ready
 from hapticd.rig.records import collect
 from hapticd.rig.streams import Travel, inside, measuring, streams
-from hapticd.units import PROBE_RATE_HZ, US_PER_S
 
 LINES_HZ = np.arange(10.0, 31.0)
 PERIOD_S = 1.0

@@ -21,9 +21,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
+from hapticd.core.arrays import Floats
+from hapticd.core.units import percent
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.motor import (
@@ -41,7 +42,6 @@ from hapticd.rig.motor import (
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
-from hapticd.units import percent
 from hapticd.wire.codec import I16_HIGHEST
 
 LEVELS = 3

@@ -15,11 +15,11 @@ import numpy as np
 from hapticd.client.blocks import Block, BlockDecoder, Records
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
-from hapticd.errors import AnalysisError, DaemonDown
+from hapticd.core.errors import AnalysisError, DaemonDown
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.mailbox.layout import State
 from hapticd.rig.link import force_ended
 from hapticd.rig.records import SILENT_LOOKS, TICKS
-from hapticd.units import PROBE_RATE_HZ
 
 PROBE = "probe"
 LEASE_S = 5.0

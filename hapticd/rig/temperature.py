@@ -23,12 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
-from hapticd.params import ScaleParams
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import ScaleParams
 from hapticd.rig import back_emf
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.theorem import required_damping
-from hapticd.errors import FrameError
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.errors import FrameError
 from hapticd.rig.result import Finding
 from hapticd.settings.toml import shipped
 from hapticd.wire import codec, frames

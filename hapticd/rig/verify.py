@@ -37,12 +37,13 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.impedance import Impedance, impedance
 from hapticd.analysis.loop import derivatives, held
 from hapticd.analysis.spectra import DEFAULT_LAG, spa
 from hapticd.client.client import Client
-from hapticd.environment import FilterParams
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.environment import FilterParams
+from hapticd.core.units import PROBE_RATE_HZ, US_PER_S, percent
 from hapticd.recording.calibrations import doubts
 from hapticd.rig import vectors
 from hapticd.rig.excitation import loudest_n, noise
@@ -52,7 +53,6 @@ from hapticd.rig.link import MOST_SPREAD, RARE, require_disabled, require_verifi
 from hapticd.rig.mechanics import UNKNOWN_SHARE
 from hapticd.rig.played import Played, play
 from hapticd.rig.result import Finding, StepResult, Value, Verdict, relative_half
-from hapticd.units import PROBE_RATE_HZ, US_PER_S, percent
 
 LOW_HZ = 8.0
 HIGH_HZ = 120.0

@@ -23,11 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import MS_PER_S, US_PER_S
 from hapticd.mailbox.layout import LONGEST_SILENCE_S, Flag
 from hapticd.rig.records import collect, servo_rate_hz
 from hapticd.rig.result import Finding, Value
-from hapticd.units import MS_PER_S, US_PER_S
 from hapticd.wire.frames import StatusBit
 
 COUNTS = 16  # of active damping: some thousandths of a N s/m

@@ -23,10 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import COPPER_PER_K
 from hapticd.rig import back_emf
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled, require_force, require_verified
@@ -34,7 +35,6 @@ from hapticd.rig.motor import allowed_n, fitted
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect, servo_rate_hz
 from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, relative_half, settled
-from hapticd.units import COPPER_PER_K
 
 LEVELS = (0.25, 0.5, 0.75, 1.0)  # of a tenth of the force, to either side
 RAMP_S = 0.3

@@ -13,12 +13,12 @@ a request may take 100 ms).
 
 from typing import Any, Final, NamedTuple
 
-from hapticd.clock import Clock
-from hapticd.errors import LinkError, WireError
+from hapticd.core.clock import Clock
+from hapticd.core.errors import LinkError, WireError
+from hapticd.core.params import ServoParams
 from hapticd.link.agreement import differences, probe_shortage
 from hapticd.link.device import Device
 from hapticd.link.transport import Transport, settle_transport
-from hapticd.params import ServoParams
 from hapticd.servo.plan import (
     AMPLIFIER_TOLD,
     COMPENSATES,

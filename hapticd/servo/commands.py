@@ -14,9 +14,11 @@ from collections.abc import Iterable, Sequence
 from math import inf
 from typing import NamedTuple
 
-from hapticd.environment import Environment
-from hapticd.errors import ConfigError
-from hapticd.faults import BY_CODE, FROM_GATEWAY
+from hapticd.core.environment import Environment
+from hapticd.core.errors import ConfigError
+from hapticd.core.faults import BY_CODE, FROM_GATEWAY
+from hapticd.core.params import ServoParams
+from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import (
     ANY_TERMS,
     COMMAND_VALUES,
@@ -26,7 +28,6 @@ from hapticd.mailbox.layout import (
     following,
     values_of,
 )
-from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import safety, silence
 from hapticd.servo.commissioning import Push
@@ -48,7 +49,6 @@ from hapticd.servo.plan import (
     without_origin,
 )
 from hapticd.servo.safety import GRANTED, LATCHED, State
-from hapticd.units import round_half_up
 
 MOST_SCHEDULED = 16
 # places of a bounded change that its end does not bring back

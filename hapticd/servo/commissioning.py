@@ -21,8 +21,8 @@ What would break it: a change of the origin under force (only `zero` does that, 
 
 from typing import Final, NamedTuple
 
-from hapticd.faults import BY_CODE
-from hapticd.params import ServoParams
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import ServoParams
 
 TRAVEL_M: Final = 10e-3
 FORCE_S: Final = 20.0

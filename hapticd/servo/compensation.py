@@ -17,8 +17,8 @@ What would break it: a look that every tick pays for, a clock in place of the sl
 
 from typing import Final
 
+from hapticd.core.params import ResistanceParams, ServoParams
 from hapticd.link.device import SEED
-from hapticd.params import ResistanceParams, ServoParams
 from hapticd.render.ramp import approach
 from hapticd.render.winding import Winding, heated, target_ohm
 from hapticd.servo.plan import AUTHORITY, COMPENSATES, LINK_UP, NO_TEMPERATURE, Plan, Sample

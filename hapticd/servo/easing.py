@@ -24,8 +24,8 @@ change without a ramp.
 from math import inf, isfinite
 from typing import NamedTuple
 
+from hapticd.core.params import ServoParams
 from hapticd.mailbox.layout import Flag
-from hapticd.params import ServoParams
 from hapticd.render.law import Coefficients, LawInputs, LawState, render
 from hapticd.render.ramp import Ramp
 from hapticd.servo import ramp_energy

@@ -34,9 +34,9 @@ credit above the device's true damping.
 from math import ceil, exp, inf, tau
 from typing import Final, NamedTuple
 
-from hapticd.environment import STRENGTHS
+from hapticd.core.environment import STRENGTHS
+from hapticd.core.params import ServoParams
 from hapticd.mailbox.layout import Value, following
-from hapticd.params import ServoParams
 from hapticd.render.ramp import Ramp
 from hapticd.servo.monitors import Bounds
 from hapticd.servo.plan import Control, Plan

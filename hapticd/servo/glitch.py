@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from enum import Enum
 from typing import Final
 
-from hapticd.params import ServoParams
+from hapticd.core.params import ServoParams
 from hapticd.render.law import LawState
 
 MOST_DOUBTED: Final = 2  # samples in a row; one more is a fault

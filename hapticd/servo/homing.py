@@ -50,8 +50,8 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import NamedTuple
 
-from hapticd.faults import BY_CODE
-from hapticd.params import ServoParams
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import ServoParams
 
 STIFFNESS_N_PER_M = 100.0
 DAMPING_NS_PER_M = 0.5

@@ -16,8 +16,8 @@ import resource
 from collections.abc import Callable
 from typing import NamedTuple
 
-from hapticd.errors import RealtimeError
-from hapticd.params import RealtimeParams
+from hapticd.core.errors import RealtimeError
+from hapticd.core.params import RealtimeParams
 
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3

@@ -34,10 +34,10 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+from hapticd.core.units import NS_PER_US
 from hapticd.link.device import SEED, Device
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Flag, LateCause
-from hapticd.units import NS_PER_US
 
 SAMPLES = 3  # of ticks on time
 EARLIER = 3  # ticks before the late one, which show what is usual on the way to the board

@@ -33,8 +33,10 @@ from collections.abc import Callable
 from math import nan
 from typing import Any, NamedTuple
 
-from hapticd.clock import Clock
-from hapticd.errors import LinkError, LinkLost, MailboxError
+from hapticd.core.clock import Clock
+from hapticd.core.errors import LinkError, LinkLost, MailboxError
+from hapticd.core.params import ServoParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S, round_half_up
 from hapticd.link.base import backoff_s
 from hapticd.link.device import NO_HEAD, SEED, UNKNOWN_US, Device, Head
 from hapticd.link.events import NO_CODE, NO_TIME_US
@@ -44,7 +46,6 @@ from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
-from hapticd.params import ServoParams
 from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
 from hapticd.servo.inbox import Inbox, Streamer
 from hapticd.servo.late import ON_TIME, Late, LateTicks
@@ -61,7 +62,6 @@ from hapticd.servo.plan import (
 )
 from hapticd.servo.silence import WITHHELD
 from hapticd.servo.step import initial_state, make_step
-from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S, round_half_up
 from hapticd.wire.codec import (
     HEAD_ENCODER,
     HEAD_STATUS,

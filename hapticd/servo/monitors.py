@@ -25,9 +25,9 @@ force lies at it.
 from math import ceil
 from typing import Final, NamedTuple
 
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import ServoParams
 from hapticd.mailbox.layout import Watched
-from hapticd.params import ServoParams
 
 REVERSALS: Final = 4
 WINDOW_S: Final = 0.1

@@ -24,7 +24,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
-from hapticd.environment import FIELDS, FURTHER, FilterParams, WorkspaceParams
+from hapticd.core.environment import FIELDS, FURTHER, FilterParams, WorkspaceParams
+from hapticd.core.params import ServoParams
+from hapticd.core.units import round_half_up
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import (
     ANY_TERMS,
@@ -36,7 +38,6 @@ from hapticd.mailbox.layout import (
     following,
     value_limits,
 )
-from hapticd.params import ServoParams
 from hapticd.render.energy import Ledger
 from hapticd.render.law import Coefficients, LawInputs, LawState, design_coefficients
 from hapticd.render.ramp import Ramp, approach, constant
@@ -45,7 +46,6 @@ from hapticd.servo.commissioning import Push
 from hapticd.servo.homing import Homing
 from hapticd.servo.monitors import Signs, watches
 from hapticd.servo.safety import FAULT_EVENT, GRANTED, LATCHED, State, held_damping
-from hapticd.units import round_half_up
 from hapticd.wire.codec import U16_HIGHEST
 from hapticd.wire.frames import OutFlag, StatusBit
 

@@ -34,7 +34,7 @@ acts and parameters move past `eased`.
 from math import prod
 from typing import Final, NamedTuple
 
-from hapticd.environment import FURTHER
+from hapticd.core.environment import FURTHER
 from hapticd.mailbox.layout import Value
 from hapticd.render.law import LawInputs
 from hapticd.render.ramp import Ramp

@@ -18,10 +18,10 @@ Pure: no clock, no I/O. What would break it: a state added without its row (TABL
 complete when this module is imported).
 """
 
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import SafetyParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result
-from hapticd.params import SafetyParams
 
 State = layout.State
 

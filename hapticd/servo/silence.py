@@ -14,11 +14,11 @@ What would break it: a force in the state disabled, or a board that holds dampin
 a silence may take.
 """
 
+from hapticd.core.params import ServoParams
+from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import Result, Value, following
-from hapticd.params import ServoParams
 from hapticd.servo.plan import Plan, masked_places, out_of_range
 from hapticd.servo.safety import State
-from hapticd.units import round_half_up
 from hapticd.wire.frames import OutFlag
 
 ENABLE = int(OutFlag.ENABLE)

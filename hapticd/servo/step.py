@@ -18,9 +18,10 @@ from dataclasses import replace
 from math import floor, inf, isfinite
 from typing import Any
 
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import ServoParams
+from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import Flag
-from hapticd.params import ServoParams
 from hapticd.render.energy import EMPTY, EXCESS, FORCE, book
 from hapticd.render.law import MASS, at_rest, clamp, render
 from hapticd.servo.energy_controller import budget_j, lag
@@ -39,7 +40,6 @@ from hapticd.servo.plan import (
     settle,
 )
 from hapticd.servo.transition import make_attend
-from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag
 from hapticd.wire.session import ENCODER_BITS

@@ -13,11 +13,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from hapticd.environment import FURTHER
-from hapticd.faults import BY_CODE
+from hapticd.core.environment import FURTHER
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import ServoParams
+from hapticd.core.units import round_half_up
 from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result
-from hapticd.params import ServoParams
 from hapticd.render.energy import EXCESS, FORCE, Ledger, book
 from hapticd.render.energy import at_rest as unknown_before
 from hapticd.render.filters import steady
@@ -70,7 +71,6 @@ from hapticd.servo.plan import (
     without_origin,
 )
 from hapticd.servo.safety import GRANTED, LATCHED, State
-from hapticd.units import round_half_up
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import OutFlag, StatusBit
 from hapticd.wire.session import ENCODER_BITS

@@ -6,7 +6,7 @@
     scenes/NAME.toml --------- load_scene -------------------> Scene         for simulations
 
 A unit lives in the name of its field and nowhere else. A default is written once, in
-`hapticd.params`; what the board is, and what one count means on it, in its device file alone.
+`hapticd.core.params`; what the board is, and what one count means on it, in its device file alone.
 
 For scripts:
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hapticd.environment import Environment, FilterParams, WallParams, WorkspaceParams
-from hapticd.params import (
+from hapticd.core.environment import Environment, FilterParams, WallParams, WorkspaceParams
+from hapticd.core.params import (
     BoardParams,
     BusParams,
     DeviceParams,

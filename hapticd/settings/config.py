@@ -1,6 +1,6 @@
 """hapticd.toml: what is asked of any device.
 
-Defaults come from hapticd.params; limits are those of good sense. What a device itself allows is
+Defaults come from hapticd.core.params; limits are those of good sense. What a device itself allows is
 checked in `load`.
 """
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, create_model
 
-from hapticd.environment import (
+from hapticd.core.environment import (
     FIELDS,
     STRENGTHS,
     Environment,
@@ -16,7 +16,7 @@ from hapticd.environment import (
     WallParams,
     WorkspaceParams,
 )
-from hapticd.params import (
+from hapticd.core.params import (
     LONGEST_LEASE_S,
     SHORTEST_LEASE_S,
     AtEnd,

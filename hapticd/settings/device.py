@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, create_model, field_validator
 
-from hapticd.params import (
+from hapticd.core.params import (
     CALIBRATION_DAYS,
     ENERGY_LIMIT_J,
     RAMP_ENERGY_J,
@@ -37,9 +37,9 @@ from hapticd.params import (
     ResistanceParams,
     ScaleParams,
 )
+from hapticd.core.units import COPPER_PER_K
 from hapticd.plant.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
 from hapticd.settings.tables import TomlTable
-from hapticd.units import COPPER_PER_K
 from hapticd.wire.codec import I16_HIGHEST
 
 SERIAL_BYTES = 16  # of the hello reply

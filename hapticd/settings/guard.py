@@ -16,8 +16,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from hapticd.errors import ConfigError
-from hapticd.params import (
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import (
     GuardParams,
     GuardSetup,
     MeasuredLevel,
@@ -26,11 +26,11 @@ from hapticd.params import (
     OutputParams,
     ServoParams,
 )
+from hapticd.core.units import COPPER_PER_K
 from hapticd.plant.effects import Effect, Motor, WindingTemperature
 from hapticd.settings.build import device_effects, guard_params, rigid_effects
 from hapticd.settings.inputs import SETTINGS_BYTES, regular
 from hapticd.settings.load import Settings
-from hapticd.units import COPPER_PER_K
 
 AXES = ("K", "B", "M")  # as limits of a .zwidth file number them
 

@@ -10,7 +10,7 @@ it would hang himself.
 import stat
 from pathlib import Path
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 SETTINGS_BYTES = 4 << 20
 WAVEFORM_BYTES = 64 << 20

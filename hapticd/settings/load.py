@@ -20,7 +20,8 @@ from typing import Any, NamedTuple, TypeVar
 
 from pydantic import ValidationError
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
+from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.plant.effects import ALWAYS, BY_KEY
 from hapticd.render.winding import LEAST_LOOP_GAIN, least_residual_ohm, loop_gain, ohm
 from hapticd.settings.config import LONGEST_TIMEOUT_MS, Config
@@ -34,7 +35,6 @@ from hapticd.settings.device import (
 from hapticd.settings.parsed import Parsed, concerns, parsed
 from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
 from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
-from hapticd.units import COPPER_PER_K, unit_of
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 
 FILE_NAME = "hapticd.toml"

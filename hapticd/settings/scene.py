@@ -19,8 +19,8 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from hapticd.errors import ConfigError
-from hapticd.params import RealtimeParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import RealtimeParams
 from hapticd.plant.scene import DampingStep, Excitation, Scene
 from hapticd.settings.build import converter_effects, environment_params
 from hapticd.settings.config import Config, EnvironmentTable

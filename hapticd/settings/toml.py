@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import hapticd
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.settings.inputs import SETTINGS_BYTES, regular
 
 KeyPath = tuple[str | int, ...]  # names of tables and keys, places in lists

@@ -29,10 +29,10 @@ from collections.abc import Callable, Sequence
 from math import ceil, floor
 from random import Random
 
-from hapticd.params import BoardParams
+from hapticd.core.params import BoardParams
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.plant.composed import VELOCITY, State
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.wire.frames import FIFO_DEPTH, OutFlag, StatusBit
 

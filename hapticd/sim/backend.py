@@ -19,7 +19,8 @@ from typing import NamedTuple, NoReturn
 
 import usb.backend
 
-from hapticd.clock import Clock, MonotonicClock
+from hapticd.core.clock import Clock, MonotonicClock
+from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.sim.board import VENDOR_OUT
 from hapticd.sim.bus import Bus, FixedBus
 from hapticd.sim.descriptors import (
@@ -32,7 +33,6 @@ from hapticd.sim.descriptors import (
 from hapticd.sim.errors import usb_error
 from hapticd.sim.flight import Endpoints, Flight
 from hapticd.sim.injection import Port, TransferFault
-from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 
 SPIN_NS = 60 * NS_PER_US  # a sleep of the machine is coarser than this
 ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the simulated board gives up

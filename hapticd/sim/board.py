@@ -24,8 +24,9 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from math import ceil, floor, inf
 
-from hapticd.errors import ConfigError
-from hapticd.params import BoardParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import BoardParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.plant.step import SUBSTEPS_PER_TICK
 from hapticd.sim.axis import (
     CLAMPED,
@@ -39,7 +40,6 @@ from hapticd.sim.axis import (
     i16_count,
 )
 from hapticd.sim.events import EventPins, PinEvent
-from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import Capability, HelloFrame, Request, StatusBit
 

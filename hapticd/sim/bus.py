@@ -31,8 +31,8 @@ from math import ceil
 from random import Random
 from typing import NamedTuple, Protocol
 
-from hapticd.params import BusParams
-from hapticd.units import NS_PER_MS, NS_PER_US
+from hapticd.core.params import BusParams
+from hapticd.core.units import NS_PER_MS, NS_PER_US
 from hapticd.wire.frames import HELLO_BYTES, IN_BYTES, PACKET_BYTES
 
 MICROFRAMES = 8  # in a frame

@@ -17,7 +17,7 @@ import errno
 from array import array
 from typing import TYPE_CHECKING, NamedTuple
 
-from hapticd.clock import Clock
+from hapticd.core.clock import Clock
 from hapticd.sim.bus import Bus
 from hapticd.sim.errors import usb_error
 from hapticd.sim.injection import Port, TransferFault

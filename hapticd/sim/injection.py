@@ -16,10 +16,10 @@ from collections.abc import Callable
 from random import Random
 from typing import NamedTuple, Protocol
 
-from hapticd.errors import ConfigError
-from hapticd.params import BoardParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import BoardParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.sim.board import BoardModel
-from hapticd.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.wire import codec
 from hapticd.wire.frames import StatusBit
 

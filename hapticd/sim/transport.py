@@ -15,14 +15,14 @@ late, as libusb does when its timer fires late).
 from array import array
 from collections.abc import Callable
 
-from hapticd.clock import Clock
-from hapticd.params import BoardParams
+from hapticd.core.clock import Clock
+from hapticd.core.params import BoardParams
+from hapticd.core.units import NS_PER_US
 from hapticd.sim.backend import Handle, SimulatedBackend, Unready
 from hapticd.sim.board import make_board
 from hapticd.sim.bus import FixedBus, FullSpeedBus
 from hapticd.sim.descriptors import Transfer
 from hapticd.sim.injection import with_injections
-from hapticd.units import NS_PER_US
 
 
 class DistantBackend(SimulatedBackend):

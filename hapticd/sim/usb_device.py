@@ -15,13 +15,13 @@ import errno
 import struct
 from typing import NamedTuple
 
-from hapticd.errors import ConfigError
-from hapticd.params import BoardParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import BoardParams
+from hapticd.core.units import NS_PER_S
 from hapticd.sim import descriptors
 from hapticd.sim.board import GET_DESCRIPTOR, STRING, VENDOR_OUT
 from hapticd.sim.descriptors import Transfer
 from hapticd.sim.injection import Port, TransferFault
-from hapticd.units import NS_PER_S
 from hapticd.wire.frames import PACKET_BYTES
 
 DEVICE = 0x01  # types of descriptors

@@ -29,12 +29,12 @@ from select import POLLIN, poll
 from time import sleep
 from typing import NamedTuple
 
-from hapticd.clock import Clock
-from hapticd.errors import ConfigError
+from hapticd.core.clock import Clock
+from hapticd.core.errors import ConfigError
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.sim import descriptors
 from hapticd.sim.injection import TransferFault
 from hapticd.sim.usb_device import IN_BIT, Setup, Unplugged, UsbDevice
-from hapticd.units import NS_PER_MS, NS_PER_S
 
 BUS_ID = "1-1"
 VERSION = 0x0111

@@ -45,16 +45,16 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.errors import AnalysisError, HapticdError
+from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.engine import BatchResult, simulate
 from hapticd.engine.shape import LANES
-from hapticd.errors import AnalysisError, HapticdError
 from hapticd.plant.excitation import Stream, torque_record
 from hapticd.plant.scene import Scene
-from hapticd.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.zwidth.lockstep import LockStepTrial, run_lockstep
 from hapticd.zwidth.scenes import (
     SUBSTEPS,

@@ -33,10 +33,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.predict import predicted_impedance
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.engine import simulate
-from hapticd.errors import AnalysisError, ConfigError
 from hapticd.plant.scene import Scene
 from hapticd.study.accuracy import GROUP, Stopwatch, engine_cost
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits

@@ -39,12 +39,13 @@ import numpy as np
 import numpy.typing as npt
 from numpy.linalg import matrix_power
 
-from hapticd.analysis.arrays import Complexes, Floats
 from hapticd.analysis.loop import spectral_radius
 from hapticd.analysis.spectra import DEFAULT_LAG
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine import BatchResult, simulate
-from hapticd.errors import ConfigError
-from hapticd.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.plant.compose import compose, compose_device
 from hapticd.plant.discrete import expm
 from hapticd.plant.effects import WindingTemperature
@@ -52,7 +53,6 @@ from hapticd.plant.model import Array, Model
 from hapticd.plant.scene import Scene
 from hapticd.plant.stability import damping_ceiling, edge, modes, stability
 from hapticd.render.winding import LEAST_LOOP_GAIN
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.scenes import SUBSTEPS, filters, level, point
 from hapticd.zwidth.simulated import simulated
 from hapticd.zwidth.sources import Trial

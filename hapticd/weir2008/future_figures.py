@@ -17,8 +17,8 @@ is predicted.
 from collections.abc import Sequence
 from typing import Any
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.envelope import Edge
+from hapticd.core.arrays import Floats
 from hapticd.report.envelope import keys, strip, weightiest
 from hapticd.report.style import (
     BELOW,

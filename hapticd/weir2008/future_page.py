@@ -16,7 +16,7 @@ from math import nan
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
+from hapticd.core.arrays import Floats
 from hapticd.report.passive_set import search_figure
 from hapticd.weir2008.future_figures import edge_figure, free_figure, levels_figure, shape_figure
 from hapticd.weir2008.future_work import (

@@ -51,13 +51,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.compare import mean_over_ln_f
 from hapticd.analysis.envelope import Edge
 from hapticd.analysis.passive_set import grid, open_ends, passive_set, volume
 from hapticd.analysis.search import predicted_passive
 from hapticd.analysis.theorem import lift, lifted_margin, lifted_passive, paper_equation_2
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Flags, Floats, Integers
+from hapticd.core.errors import AnalysisError
 from hapticd.plant.effects import ShapedDamping
 from hapticd.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.weir2008.run import AXES, FINE, Limit, conditions, limits_of, predicted_set

@@ -22,7 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.report import style
 from hapticd.report.passive_set import walls_figure
 from hapticd.report.style import Figure

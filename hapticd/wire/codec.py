@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any
 
-from hapticd.errors import FrameError
+from hapticd.core.errors import FrameError
 from hapticd.wire import frames
 from hapticd.wire.frames import HelloFrame, InFrame, OutFrame
 

@@ -21,7 +21,7 @@ first reading anew).
 from enum import Enum, auto
 from math import isfinite
 
-from hapticd.errors import ProtocolMismatch
+from hapticd.core.errors import ProtocolMismatch
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import HelloFrame
 

@@ -29,11 +29,11 @@ from hapticd.analysis.alignment import (
     align,
     find_marks,
 )
-from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.gaps import Gap
 from hapticd.analysis.matching import fitting, interpolated
-from hapticd.errors import AnalysisError
-from hapticd.units import PROBE_RATE_HZ
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.zwidth.recorded import ForeignSamples, read_file, read_foreign
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord
 from hapticd.zwidth.watch import Filler, in_even_time

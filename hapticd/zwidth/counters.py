@@ -9,8 +9,8 @@ What would break it: a counter of fewer bits that begins anew within the record;
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats, Integers
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Floats, Integers
+from hapticd.core.errors import AnalysisError
 
 BITS = 48  # of the longest counter
 WRAP = 1 << BITS

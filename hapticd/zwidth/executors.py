@@ -34,9 +34,9 @@ from socket import create_connection
 from typing import Any, ParamSpec, TypeVar
 from urllib.parse import urlsplit
 
+from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.extras import need
 from hapticd.engine.batch import at_most, workers
-from hapticd.errors import ConfigError, HapticdError
-from hapticd.extras import need
 
 PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
 GREETING_MOST = 1 << 20  # bytes

@@ -28,17 +28,17 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.alignment import find_marks
-from hapticd.analysis.arrays import Flags, Floats
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
-from hapticd.errors import AnalysisError, CommandError, DaemonDown
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.errors import AnalysisError, CommandError, DaemonDown
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.gateway.answers import Status
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.plant.excitation import marked, torque_record
 from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, Progress, TrialRecord, silent

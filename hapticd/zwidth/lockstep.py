@@ -22,12 +22,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.arrays import Floats
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client
-from hapticd.errors import AnalysisError, CommandError, ConfigError, LinkError
-from hapticd.faults import BY_NUMBER
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError, CommandError, ConfigError, LinkError
+from hapticd.core.faults import BY_NUMBER
+from hapticd.core.params import BoardParams, ServoParams, to_plain
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.gateway.answers import Receipt
 from hapticd.gateway.commands import ACCEPTED, Posting, posting, receipt
 from hapticd.gateway.leases import MEASURING
@@ -36,9 +38,7 @@ from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_messa
 from hapticd.gateway.view import Records, as_records, configured
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
-from hapticd.params import BoardParams, ServoParams, to_plain
 from hapticd.servo.plan import masked_places
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.zwidth.live import signals
 

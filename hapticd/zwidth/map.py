@@ -26,12 +26,12 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.passive_set import PassiveSet, ascending, grid, passive_set
 from hapticd.analysis.predict import Prediction
 from hapticd.analysis.verdict import Judged
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.errors import AnalysisError
 from hapticd.zwidth.limits import LimitsResult
 from hapticd.zwidth.outcomes import (
     Conditions,

@@ -36,7 +36,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hapticd import __version__
-from hapticd.analysis.arrays import Complexes, Flags, Floats, Values
 from hapticd.analysis.envelope import Envelope, accepted, merged, of_one
 from hapticd.analysis.findings import Energy, Finding, Record, escape_findings
 from hapticd.analysis.impedance import impedance
@@ -53,9 +52,10 @@ from hapticd.analysis.verdict import (
     judge,
     lines_to_resolve,
 )
+from hapticd.core.arrays import Complexes, Flags, Floats, Values
+from hapticd.core.errors import AnalysisError
 from hapticd.engine import BatchResult, simulate
 from hapticd.engine.shape import LANES
-from hapticd.errors import AnalysisError
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_walls, frequencies

@@ -23,9 +23,10 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.alignment import find_marks
-from hapticd.analysis.arrays import Integers
-from hapticd.environment import Environment
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Integers
+from hapticd.core.environment import Environment
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.recording.stretch import (
     JSON_ATTRIBUTES,
     REMARK_ATTRIBUTES,
@@ -33,7 +34,6 @@ from hapticd.recording.stretch import (
     Stretch,
     stretch,
 )
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord, to_json
 from hapticd.zwidth.watch import in_even_time
 

@@ -37,7 +37,7 @@ from hapticd.analysis.compare import (
 from hapticd.analysis.envelope import Edge, Envelope
 from hapticd.analysis.passive_set import AXES
 from hapticd.analysis.verdict import Judged
-from hapticd.errors import AnalysisError, ConfigError
+from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 from hapticd.settings.load import find_device
 from hapticd.settings.toml import read, shipped

@@ -26,14 +26,14 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats, Integers
-from hapticd.environment import Environment
-from hapticd.errors import AnalysisError, ConfigError
-from hapticd.extras import need
+from hapticd.core.arrays import Floats, Integers
+from hapticd.core.environment import Environment
+from hapticd.core.errors import AnalysisError, ConfigError
+from hapticd.core.extras import need
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.counters import counted, unwrapped
 from hapticd.zwidth.ending import end_of_plain
 from hapticd.zwidth.own import of_recording, of_remark

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Flags, Floats
 from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.loop import Filters
 from hapticd.analysis.predict import (
@@ -26,8 +25,10 @@ from hapticd.analysis.predict import (
     recorded_impedances,
 )
 from hapticd.analysis.spectra import DEFAULT_LAG
-from hapticd.environment import Environment, FilterParams, WallParams
-from hapticd.errors import ConfigError
+from hapticd.core.arrays import Complexes, Flags, Floats
+from hapticd.core.environment import Environment, FilterParams, WallParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.plant.compose import compose
 from hapticd.plant.effects import ALWAYS
 from hapticd.plant.model import Model
@@ -36,7 +37,6 @@ from hapticd.settings.build import device_effects, rigid_effects
 from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import find_config, find_device, validated
 from hapticd.settings.toml import Document, read, shipped
-from hapticd.units import PROBE_RATE_HZ
 
 TRIAL_S = 90.0
 NOISE = Excitation("noise")  # the paper's perturbation

@@ -32,7 +32,6 @@ from functools import partial
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats
 from hapticd.analysis.passive_set import PassiveSet, grid, halved, open_ends, passive_set
 from hapticd.analysis.prior import ModelPrior
 from hapticd.analysis.search import (
@@ -45,8 +44,9 @@ from hapticd.analysis.search import (
 from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.analysis.surrogate import Box, Observation, margin
 from hapticd.analysis.verdict import Judged
-from hapticd.errors import AnalysisError
-from hapticd.units import PROBE_RATE_HZ
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.zwidth.limits import predicted_limit
 from hapticd.zwidth.outcomes import (
     Conditions,

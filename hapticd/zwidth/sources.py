@@ -20,9 +20,9 @@ from math import nan
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
-from hapticd.environment import Environment
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Floats
+from hapticd.core.environment import Environment
+from hapticd.core.errors import AnalysisError
 from hapticd.plant.scene import Excitation, Scene
 from hapticd.zwidth import scenes
 from hapticd.zwidth.store import Progress, TrialRecord

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes, Floats
-from hapticd.units import PROBE_RATE_HZ
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.zwidth.ending import EndReason
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import Progress, Steps, TrialRecord, silent

@@ -31,9 +31,9 @@ from typing import Any, Literal
 import numpy as np
 from pydantic_core import to_jsonable_python
 
-from hapticd.analysis.arrays import Floats
-from hapticd.environment import Environment
-from hapticd.errors import AnalysisError, ConfigError
+from hapticd.core.arrays import Floats
+from hapticd.core.environment import Environment
+from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.zwidth.ending import EndReason, TrialEnd
 
 SUMMARY = "run.json"

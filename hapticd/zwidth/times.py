@@ -23,9 +23,9 @@ from math import log10
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats, Integers
-from hapticd.errors import AnalysisError
-from hapticd.units import percent
+from hapticd.core.arrays import Floats, Integers
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import percent
 
 GAP = 10.0  # periods between two rounded times; fewer are those of rounding
 ROUNDED = 0.005  # share of steps of 0 from which on times count as rounded

@@ -38,7 +38,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Complexes
 from hapticd.analysis.channels import unit_findings
 from hapticd.analysis.findings import Finding, Record, examine, leakage_findings
 from hapticd.analysis.impedance import Estimator, Impedance, impedance
@@ -61,9 +60,10 @@ from hapticd.analysis.verdict import (
     judge,
     lines_to_resolve,
 )
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Complexes
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.plant.scene import Excitation, Scene
-from hapticd.units import PROBE_RATE_HZ
 from hapticd.zwidth.ending import EndReason, TrialEnd, end_of_plain
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import Display, display

@@ -29,16 +29,8 @@ from hapticd.assembly.resolve import resolve
 from hapticd.client.client import Client
 from hapticd.client.conversation import accepted
 from hapticd.client.lease import ClientLease
-from hapticd.errors import CommandError, ConfigError
-from hapticd.gateway.answers import Receipt
-from hapticd.gateway.codec import Encoding, encode
-from hapticd.gateway.desk import Desk
-from hapticd.gateway.guard import MOST_RECORDS, Guard
-from hapticd.gateway.journal import Journal
-from hapticd.gateway.publisher import state_map
-from hapticd.gateway.view import ServoView
-from hapticd.mailbox import files
-from hapticd.params import (
+from hapticd.core.errors import CommandError, ConfigError
+from hapticd.core.params import (
     BoardParams,
     GatewaySetup,
     GuardSetup,
@@ -47,6 +39,14 @@ from hapticd.params import (
     from_plain,
     to_plain,
 )
+from hapticd.gateway.answers import Receipt
+from hapticd.gateway.codec import Encoding, encode
+from hapticd.gateway.desk import Desk
+from hapticd.gateway.guard import MOST_RECORDS, Guard
+from hapticd.gateway.journal import Journal
+from hapticd.gateway.publisher import state_map
+from hapticd.gateway.view import ServoView
+from hapticd.mailbox import files
 from hapticd.settings.build import board_params
 from hapticd.settings.load import load
 from hapticd.zwidth.lockstep import LockStepBench
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from hapticd.client.aio import AsyncClient
-    from hapticd.params import AtEnd, Leased
+    from hapticd.core.params import AtEnd, Leased
 
 __all__ = ["VirtualBoard", "virtual_board"]
 

@@ -22,9 +22,9 @@ from math import inf
 
 import numpy as np
 
-from hapticd.analysis.arrays import Values
+from hapticd.core.arrays import Values
+from hapticd.core.errors import AnalysisError
 from hapticd.engine import simulate
-from hapticd.errors import AnalysisError
 from hapticd.plant.compose import compose
 from hapticd.plant.model import Model
 from hapticd.plant.scene import Scene

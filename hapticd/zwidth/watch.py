@@ -52,12 +52,12 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.arrays import Flags, Floats, Integers
 from hapticd.analysis.findings import ESCAPE_RATIO, Finding, outgrows_walk
 from hapticd.analysis.impedance import Estimator
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
-from hapticd.units import percent
+from hapticd.core.arrays import Flags, Floats, Integers
+from hapticd.core.units import percent
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.store import LOSSES_BY, TrialRecord
 

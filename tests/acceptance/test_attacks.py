@@ -30,7 +30,7 @@ from support.firmware_board import FirmwareBoard
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import GatewayLine
-from hapticd.errors import DaemonDown
+from hapticd.core.errors import DaemonDown
 from hapticd.gateway import zmtp
 from hapticd.gateway.desk import Desk
 from hapticd.mailbox import files, layout

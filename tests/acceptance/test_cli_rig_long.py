@@ -10,7 +10,7 @@ from support.models import COUNT_N
 
 from hapticd.cli.app import main
 from hapticd.cli.rig import guided, steps
-from hapticd.params import ScaleParams
+from hapticd.core.params import ScaleParams
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 

@@ -33,7 +33,7 @@ from support.daemon import QUIET, Daemon, last_record, shared_daemon, until, zer
 
 from hapticd.client import Client, CommandError
 from hapticd.client.blocks import Block
-from hapticd.faults import BY_CODE, FAULTS
+from hapticd.core.faults import BY_CODE, FAULTS
 from hapticd.gateway.publisher import described
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import State
@@ -43,7 +43,7 @@ from hapticd.mailbox.stop_word import stop_taken
 # a busy machine has long delays, with which little is safe
 pytestmark = [
     pytest.mark.process,
-    pytest.mark.filterwarnings("ignore::hapticd.errors.GuardWarning"),
+    pytest.mark.filterwarnings("ignore::hapticd.core.errors.GuardWarning"),
 ]
 GREEN = (26, 127, 55)
 RED = (198, 34, 34)

@@ -20,7 +20,8 @@ from support.tree import ROOT
 
 from hapticd.cli.app import command_line
 from hapticd.client import Client
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.units import unit_of
 from hapticd.gateway.schemas import MODELS
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
@@ -31,7 +32,6 @@ from hapticd.settings.scene import schema
 from hapticd.settings.tables import leaves
 from hapticd.settings.toml import shipped
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
-from hapticd.units import unit_of
 
 SCENE_TABLES = ("SceneFile", "ExcitationTable", "DampingStepTable", "Start")
 

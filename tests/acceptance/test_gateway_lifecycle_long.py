@@ -11,9 +11,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from support.gateway_rig import DeskRig, packed
 from support.guard_stub import StubWorker, stage, verdict
 
+from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.guard import MOST_RECORDS
 from hapticd.mailbox.layout import State
-from hapticd.units import NS_PER_MS
 
 CLIENTS = st.sampled_from([b"a", b"b"])
 STAGES = [stage({"active_damping": 1.5}), stage({"K": 100.0}, at_least=1.5)]

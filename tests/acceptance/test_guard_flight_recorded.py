@@ -10,7 +10,7 @@ from support.whole_tick import SETTLED, Display, Point, gripping, radius
 from benchmarks.guard_flight import (
     SLACK_J,
 )
-from hapticd.faults import BY_NUMBER
+from hapticd.core.faults import BY_NUMBER
 from hapticd.mailbox.layout import State
 
 SHIPPED = Display(rotor_kg=0.008, rotor_ns_per_m=0.36, delay_periods=0.125)

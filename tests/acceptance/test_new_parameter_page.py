@@ -21,7 +21,7 @@ sys.path += ["tests"]
 from support.devices import COUNTS, DRY, TWO_MASSES, device
 from support.models import environment_tuple
 from hapticd.engine import simulate
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
 from hapticd.render.law import at_rest, design_coefficients, render
 
 cubic = Environment(cubic_stiffness_n_per_m3=1e9)
@@ -71,7 +71,7 @@ def test_page_adds_a_row_a_term_of_the_law_and_a_test() -> None:
     """One statement for the row; of the law a name and the line that uses it."""
     names = [re.search(r"^\+\+\+ b/(\S+)$", one, re.MULTILINE) for one in DIFFS]
     assert [found and found[1] for found in names] == [
-        "hapticd/environment.py",
+        "hapticd/core/environment.py",
         "hapticd/render/law.py",
         ADDED_TEST,
     ]

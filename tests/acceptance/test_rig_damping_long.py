@@ -13,8 +13,9 @@ from support.rig_hand import Hand
 
 from hapticd.cli.app import main
 from hapticd.cli.rig import steps
+from hapticd.core.params import ScaleParams
+from hapticd.core.units import COPPER_PER_K
 from hapticd.gateway.view import as_records
-from hapticd.params import ScaleParams
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import (
     Amplifier,
@@ -29,7 +30,6 @@ from hapticd.plant.tables import board_fields
 from hapticd.rig.damping import measure
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.units import COPPER_PER_K
 
 LIMIT_N = 0.8
 

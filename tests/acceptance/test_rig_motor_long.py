@@ -4,7 +4,7 @@ from support.models import COUNT_N
 from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 
-from hapticd.params import TouchParams
+from hapticd.core.params import TouchParams
 from hapticd.rig.motor import (
     measure_gain,
     measure_sign,

@@ -8,7 +8,7 @@ import numpy as np
 from support.rig_hand import Hand
 from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
-from hapticd.params import ScaleParams
+from hapticd.core.params import ScaleParams
 from hapticd.rig.added_mass import added, channel
 from hapticd.rig.probe import (
     force_gain,

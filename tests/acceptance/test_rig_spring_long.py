@@ -6,7 +6,7 @@ from support.models import COUNT_N
 from support.rig_hand import Hand
 from support.rig_spring import SPRING
 
-from hapticd.params import TouchParams
+from hapticd.core.params import TouchParams
 from hapticd.rig import encoder, motor
 from hapticd.rig.spring import Spring, measure, measure_offset
 

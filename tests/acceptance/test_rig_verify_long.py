@@ -10,7 +10,7 @@ from support.rig_hand import Hand
 from support.rig_verify import EMF, FREE, SHORT, nothing, verified
 
 from hapticd.cli.rig import steps
-from hapticd.params import to_plain
+from hapticd.core.params import to_plain
 from hapticd.recording.certificate import certificate_beside, certificate_of
 from hapticd.rig.certificate import page
 from hapticd.rig.verify import measure

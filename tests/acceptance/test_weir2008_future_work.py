@@ -12,7 +12,7 @@ from support.reproduced import future_work_by_prediction
 
 from hapticd.analysis.predict import predict
 from hapticd.analysis.theorem import lift, lifted_margin, paper_equation_2
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 from hapticd.plant.effects import Masses, Motor, Viscous
 from hapticd.plant.step import held_force_response
 from hapticd.weir2008 import future_work

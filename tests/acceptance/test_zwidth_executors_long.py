@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from support.zwidth_executors import made, refuse, same_error
 
+from hapticd.core.errors import CommandError, HapticdError
 from hapticd.engine.batch import workers
-from hapticd.errors import CommandError, HapticdError
 from hapticd.zwidth.executors import executor
 
 

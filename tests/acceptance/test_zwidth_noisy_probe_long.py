@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.zwidth_noisy_probe import GIVEN, POINTS
 
-from hapticd.analysis.arrays import Floats
+from hapticd.core.arrays import Floats
 from hapticd.zwidth.executors import executor
 from hapticd.zwidth.outcomes import Outcome, run_trials
 from hapticd.zwidth.store import to_json

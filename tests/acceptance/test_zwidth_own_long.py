@@ -13,14 +13,14 @@ import pytest
 from support.recorded import RecordedFlight, Source, room
 
 from hapticd.cli.app import main
-from hapticd.clock import VirtualClock
-from hapticd.environment import Environment
-from hapticd.errors import AnalysisError, ConfigError, HapticdError
+from hapticd.core.clock import VirtualClock
+from hapticd.core.environment import Environment
+from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
+from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import Command, Value
 from hapticd.recording import pack
 from hapticd.recording.file import open_recording
 from hapticd.recording.recorder import Recorder, RecordingParams, record
-from hapticd.units import NS_PER_S
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import given
 

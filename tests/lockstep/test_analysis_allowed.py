@@ -25,7 +25,7 @@ from hapticd.analysis.theorem import (
     required_damping,
     within,
 )
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
 from hapticd.plant.compose import compose
 from hapticd.zwidth.scenes import device_scene
 

@@ -12,7 +12,7 @@ from hapticd.analysis.coupled import GROUND, Network, coupled_radius
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.loop import PAPER_FILTERS
 from hapticd.analysis.theorem import Circles, within
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
 from hapticd.plant.effects import Coupling, Masses, Motor, Viscous
 from hapticd.settings.guard import model_params
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hapticd.analysis import batch_spectra
-from hapticd.analysis.arrays import aligned
 from hapticd.analysis.batch_spectra import LAG, BatchSections, shared_force
 from hapticd.analysis.spectra import spa
+from hapticd.core.arrays import aligned
 
 COUNTS = {np.float32: 32, np.float64: 16}  # two vectors of each
 WIDTH = 3  # vectors between samples hold something else

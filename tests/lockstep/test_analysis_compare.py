@@ -36,7 +36,7 @@ from hapticd.analysis.passive_set import (
 )
 from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.verdict import judge
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 
 def trial(name, z, coherence=0.99, estimator="h_force"):

@@ -11,7 +11,7 @@ from hapticd.analysis.coupled import coupled_radius, shaking_hand
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.ways import POINTS
 from hapticd.analysis.words import doubling
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 LEVEL = 1.74
 DAMPED = {"active_damping": LEVEL}

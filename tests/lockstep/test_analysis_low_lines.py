@@ -16,10 +16,10 @@ from support.analysis_low_lines import (
     with_line,
 )
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.findings import Finding
 from hapticd.analysis.low_lines import hinted
 from hapticd.analysis.spectra import spa
+from hapticd.core.arrays import Floats
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord

@@ -24,8 +24,8 @@ from hapticd.analysis.periodic import periodic
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import judge, student_quantile
+from hapticd.core.errors import AnalysisError
 from hapticd.engine import simulate
-from hapticd.errors import AnalysisError
 from hapticd.plant.effects import AntiAlias, Encoder
 from hapticd.plant.excitation import torque_record
 from hapticd.plant.scene import Excitation

@@ -16,7 +16,7 @@ from hapticd.analysis.loop import (
 from hapticd.analysis.passive_set import axis_limit
 from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.spectra import spa
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 from hapticd.plant.effects import (
     Multiplier,
     PassiveHand,

@@ -14,7 +14,7 @@ from hapticd.analysis.coupled import GROUND, Network, coupled_radius
 from hapticd.analysis.loop import PAPER_FILTERS
 from hapticd.analysis.rational import positive_everywhere, rational
 from hapticd.analysis.theorem import circles, lift, opened, within
-from hapticd.environment import FilterParams
+from hapticd.core.environment import FilterParams
 from hapticd.plant.compose import compose
 from hapticd.zwidth.scenes import device_scene
 

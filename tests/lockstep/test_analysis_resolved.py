@@ -20,11 +20,11 @@ from support.analysis_resolved import (
     outcomes,
 )
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.resolved import resolved, unresolved
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ as BAND
 from hapticd.analysis.verdict import Verdict, judge
+from hapticd.core.arrays import Floats
 from hapticd.engine import simulate
 from hapticd.plant.effects import (
     SensorNoise,

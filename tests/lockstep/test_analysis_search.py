@@ -32,7 +32,7 @@ from hapticd.analysis.surrogate import (
     margin,
     resistance,
 )
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 
 def test_passive_set_fills_a_fifth_of_the_box():

@@ -16,7 +16,7 @@ from hapticd.analysis import kernels as kernel_module
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.spectra import SpectralStream, corrected
 from hapticd.analysis.spectra import spa as estimate
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 RATE_HZ = 4000.0
 

@@ -11,7 +11,7 @@ from hapticd.analysis.covariances import Covariances
 from hapticd.analysis.periodic import periodic
 from hapticd.analysis.spectra import SpectralStream, corrected, spa, spectra
 from hapticd.analysis.verdict import half_width, judge
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 CHANNELS = ("velocity", "force", "cross")
 

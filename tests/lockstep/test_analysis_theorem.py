@@ -16,7 +16,7 @@ from hapticd.analysis.theorem import (
     paper_equation_2,
     required_damping,
 )
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 PLAIN = (None, None)
 T = 1e-3

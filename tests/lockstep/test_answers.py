@@ -15,15 +15,15 @@ from support.gateway_stand_in import setup
 import hapticd
 from benchmarks.guard_attack import shipped_judge
 from hapticd.client.conversation import accepted, receipt_of
-from hapticd.environment import Environment
-from hapticd.errors import CommandError
+from hapticd.core.environment import Environment
+from hapticd.core.errors import CommandError
+from hapticd.core.units import UNITS
 from hapticd.gateway import answers
 from hapticd.gateway.answers import GuardStatus, Hello, LeaseHeld, Receipt, Status, answer_of
 from hapticd.gateway.delivered import Estimate
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import ANSWERS, json_schema
 from hapticd.gateway.telemetry import PERCENTILES
-from hapticd.units import UNITS
 
 NUMBERS_WITHOUT_UNIT = {
     *("actor", "actors", "revision", "epoch", "tick", "slot", "first_tick", "ramp_end_tick"),

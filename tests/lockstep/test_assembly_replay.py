@@ -13,8 +13,8 @@ from support.models import device_params, servo_params
 from support.recorded import RecordedFlight
 
 from hapticd.assembly import replay
+from hapticd.core.params import HomeParams, InjectionParams
 from hapticd.mailbox.layout import Command, Result, State, Value
-from hapticd.params import HomeParams, InjectionParams
 from hapticd.servo.plan import SETTLED, ServoState, flatten, unflatten
 
 ROUGH = tuple(

@@ -33,8 +33,8 @@ from benchmarks.tick_c import CReference, check_same_work, compile_library
 from benchmarks.tick_reference import yardstick
 from benchmarks.tick_worker import own_ns
 from benchmarks.worker import BenchError
-from hapticd.environment import Environment
-from hapticd.errors import DaemonDown
+from hapticd.core.environment import Environment
+from hapticd.core.errors import DaemonDown
 from hapticd.mailbox import layout
 from hapticd.plant.compose import compose
 from hapticd.render.law import at_rest, design_coefficients, render

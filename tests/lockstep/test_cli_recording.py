@@ -10,14 +10,14 @@ import pytest
 from support.boards import board_params
 from support.recorded import RecordedFlight, Source
 
-from hapticd.assembly import process
 from hapticd.cli import daemon, recording
 from hapticd.cli.app import main
-from hapticd.clock import VirtualClock
+from hapticd.core import process
+from hapticd.core.clock import VirtualClock
+from hapticd.core.params import InjectionParams
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.flight import flights_folder
-from hapticd.params import InjectionParams
 from hapticd.recording import recorder
-from hapticd.units import NS_PER_S
 
 
 class ClientDouble(Source):

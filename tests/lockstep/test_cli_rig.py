@@ -12,8 +12,8 @@ from support.models import COUNT_N
 
 from hapticd.cli.app import main
 from hapticd.cli.rig import guided, steps
-from hapticd.errors import AnalysisError, DaemonDown
-from hapticd.params import ScaleParams
+from hapticd.core.errors import AnalysisError, DaemonDown
+from hapticd.core.params import ScaleParams
 from hapticd.rig.device_file import write
 from hapticd.rig.hand import Request
 from hapticd.rig.result import Change

@@ -77,7 +77,7 @@ def test_interrupted_map_has_told_what_it_kept(tmp_path, capsys, monkeypatch):
 
 
 def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
-    from hapticd.errors import HapticdError
+    from hapticd.core.errors import HapticdError
     from hapticd.zwidth import map
 
     assert run(small_map(tmp_path), capsys)[0] == 0

@@ -8,7 +8,7 @@ import pytest
 from support.tree import ROOT
 
 from hapticd.cli.app import main
-from hapticd.errors import AnalysisError, ConfigError
+from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.zwidth.portable import compare
 
 pytest.importorskip("matplotlib")

@@ -20,7 +20,7 @@ from hapticd.analysis.verdict import judge, two_digits
 from hapticd.cli import change
 from hapticd.cli.app import command_line, main
 from hapticd.cli.zwidth.trial import compared, needed
-from hapticd.params import InjectionParams
+from hapticd.core.params import InjectionParams
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

@@ -16,12 +16,12 @@ from support.gateway_rig import GatewayRig, running
 
 from hapticd.client import Client, Receipt
 from hapticd.client.conversation import Conversation, TimedOut, accepted, receipt_of
-from hapticd.errors import CommandError, ConfigError, DaemonDown
+from hapticd.core.errors import CommandError, ConfigError, DaemonDown
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.schemas import PROTOCOL_VERSION
 from hapticd.gateway.view import RECORD_DTYPE
 from hapticd.mailbox.layout import Command, State
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.units import NS_PER_S
 
 
 def ask(
@@ -443,7 +443,8 @@ def test_stream_of_a_topic_without_blocks_is_refused() -> None:
 
 
 def test_errors_are_where_the_client_is() -> None:
-    from hapticd import client, errors
+    from hapticd import client
+    from hapticd.core import errors
 
     assert (client.CommandError, client.DaemonDown) == (errors.CommandError, errors.DaemonDown)
     assert "Client" in dir(client)

@@ -10,7 +10,7 @@ import pytest
 from support.gateway_rig import GatewayRig, running
 
 from hapticd.client import AsyncClient, Client, Receipt
-from hapticd.errors import CommandError, DaemonDown
+from hapticd.core.errors import CommandError, DaemonDown
 from hapticd.mailbox.layout import Command, State
 
 

@@ -10,7 +10,7 @@ from support.models import servo_params
 
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.design import Condition, Table, blocks, joined, pairs, sweep
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.zwidth.lockstep import LockStepBench
 
 A = Condition("soft", {"K": 100.0})

@@ -20,7 +20,7 @@ import hapticd
 from hapticd.client import AsyncClient, Client, step
 from hapticd.zwidth.virtual import VirtualBoard
 
-pytestmark = pytest.mark.filterwarnings("ignore::hapticd.errors.GuardWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::hapticd.core.errors.GuardWarning")
 
 MOST_LINES = 3
 LOOSE = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
@@ -78,7 +78,7 @@ async def output(source: str, names: dict[str, Any]) -> str:
             result = eval(code, names)
             if inspect.iscoroutine(result):
                 await result
-        except hapticd.errors.HapticdError as error:
+        except hapticd.core.errors.HapticdError as error:
             return f"{type(error).__name__}: {error}\n"
     return printed.getvalue()
 

@@ -24,7 +24,7 @@ from support.guard_stub import StubWorker, stage, verdict
 import hapticd
 from hapticd.client import AsyncClient, Client, GuardVerdict, SequenceError, step
 from hapticd.client.design import Condition, Table
-from hapticd.errors import CommandError, GuardWarning
+from hapticd.core.errors import CommandError, GuardWarning
 from hapticd.gateway import server
 
 Clients = Callable[..., Client]

@@ -22,7 +22,7 @@ from hapticd.analysis.loop import (
     spectral_radius,
 )
 from hapticd.analysis.theorem import lift
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 from hapticd.weir2008.paper import ADDED_NS_PER_M, MAIN
 from hapticd.weir2008.run import conditions
 

@@ -16,7 +16,7 @@ from support.docs import CODES, broken
 from support.tree import ROOT, path_of_test
 
 import hapticd
-from hapticd.faults import BY_CODE, BY_NUMBER, FAULTS
+from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.settings.load import load
 from hapticd.settings.tables import leaves

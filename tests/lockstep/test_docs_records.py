@@ -6,8 +6,8 @@ from types import ModuleType
 import pytest
 from support.tree import ROOT
 
+from hapticd.core.units import unit_of
 from hapticd.mailbox.layout import TELEMETRY, Flag, LateCause
-from hapticd.units import unit_of
 
 
 @pytest.fixture

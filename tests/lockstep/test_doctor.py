@@ -13,15 +13,15 @@ from typing import Any
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.clock import VirtualClock
+from hapticd.core.clock import VirtualClock
+from hapticd.core.params import RealtimeParams, UsbParams
+from hapticd.core.units import NS_PER_S, NS_PER_US
 from hapticd.doctor import checks, machine, wake
 from hapticd.doctor.checks import CHECKS, CheckResult, Requirements, examine, requirements
 from hapticd.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Machine, cores_in
-from hapticd.params import RealtimeParams, UsbParams
 from hapticd.servo.loop import virtual_wait
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.units import NS_PER_S, NS_PER_US
 
 Check = Callable[[Machine, Requirements], CheckResult]
 NO_LIMIT = (UNLIMITED, UNLIMITED)

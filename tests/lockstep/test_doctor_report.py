@@ -11,10 +11,10 @@ from test_doctor import HUB_FILES, asked, make  # noqa: F401  # a fixture
 
 from hapticd.cli import system
 from hapticd.cli.app import main
+from hapticd.core.errors import ConfigError
 from hapticd.doctor.checks import CheckResult
 from hapticd.doctor.machine import Machine
 from hapticd.doctor.report import report_of, usb_devices, write_report
-from hapticd.errors import ConfigError
 
 HOME = "/home/ada.lovelace"
 SECRET = "s3cr3t-k3y"

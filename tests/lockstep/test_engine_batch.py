@@ -9,9 +9,9 @@ import pytest
 from support.devices import RIGID, STAR, device, rigid
 from support.engine_batch import PARAMS, SUMS, WEIR, same_bytes
 
+from hapticd.core.errors import ConfigError
 from hapticd.engine import simulate
 from hapticd.engine.source import VELOCITY_MAX_M_PER_S
-from hapticd.errors import ConfigError
 from hapticd.plant.effects import DampingDac, Masses, ProbeAdc
 from hapticd.plant.model import Noise
 from hapticd.plant.scene import DampingStep, Excitation, Scene

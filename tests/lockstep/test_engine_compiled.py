@@ -5,8 +5,8 @@ import pytest
 from support.devices import COUNTS, DRY, LIMIT, RIGID, TWO_MASSES, device
 from support.models import environment_tuple
 
+from hapticd.core.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.engine import simulate
-from hapticd.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.plant.effects import Saturation, Viscous
 from hapticd.plant.scene import Excitation
 from hapticd.render.law import at_rest, design_coefficients, render

@@ -19,8 +19,8 @@ from support.devices import (
 )
 from support.engine_exact import largest_error
 
+from hapticd.core.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.engine import simulate
-from hapticd.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.plant.effects import AntiAlias, VelocityHighpass
 
 

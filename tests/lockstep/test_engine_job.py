@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.devices import MOTOR, WARMING, device
 
+from hapticd.core.units import COPPER_PER_K
 from hapticd.engine import simulate
 from hapticd.plant.effects import (
     Amplifier,
@@ -16,7 +17,6 @@ from hapticd.plant.effects import (
     copper_ohm,
 )
 from hapticd.plant.scene import Excitation
-from hapticd.units import COPPER_PER_K
 
 PER_N_PER_A = 1.65
 WARM = (

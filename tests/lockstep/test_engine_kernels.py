@@ -8,10 +8,10 @@ import pytest
 from support.devices import COGS, COUNTS, DRY, ENDS, LIMIT, STAR, TWO_MASSES, device
 from support.engine_kernels import ALL, WALL, shape
 
+from hapticd.core.errors import ConfigError, MissingLibrary
 from hapticd.engine import kernels, simulate
 from hapticd.engine.kernels import cache_folder, kernel
 from hapticd.engine.source import kernel_source
-from hapticd.errors import ConfigError, MissingLibrary
 from hapticd.plant.effects import ForceDac
 
 

@@ -10,8 +10,8 @@ import pytest
 from support.devices import rigid
 
 from hapticd.analysis.theorem import required_damping
+from hapticd.core.environment import FilterParams
 from hapticd.engine import simulate
-from hapticd.environment import FilterParams
 from hapticd.plant.scene import Excitation
 
 RAW = (None, None)

@@ -17,7 +17,7 @@ from benchmarks.guard_attack import shipped_judge
 from benchmarks.guard_desk import GuardedStack
 from hapticd.assembly.lockstep import LockStep
 from hapticd.cli.change import changes
-from hapticd.environment import FIELDS, Environment, EnvironmentField, WorkspaceParams
+from hapticd.core.environment import FIELDS, Environment, EnvironmentField, WorkspaceParams
 from hapticd.gateway.limits import CommandLimits
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.recording.file import open_recording

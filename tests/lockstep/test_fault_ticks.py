@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.fault_ticks import CASES, RAMP_TICKS, stated_ticks, ticks_of
-from hapticd.faults import FAULTS
+from hapticd.core.faults import FAULTS
 
 MOST_TICKS = 10
 # ADR 0094 says why these take longer

@@ -19,11 +19,8 @@ from support.tree import ROOT
 
 from hapticd.analysis.judge import Judge
 from hapticd.assembly.lockstep import LockStep, scene_params
-from hapticd.faults import BY_CODE
-from hapticd.gateway.delivered import Delivered, Estimate, Low
-from hapticd.gateway.view import Records, as_records
-from hapticd.mailbox.layout import Command, State, Value
-from hapticd.params import (
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import (
     BoardParams,
     HandParams,
     InjectionParams,
@@ -31,6 +28,9 @@ from hapticd.params import (
     ServoParams,
     TouchParams,
 )
+from hapticd.gateway.delivered import Delivered, Estimate, Low
+from hapticd.gateway.view import Records, as_records
+from hapticd.mailbox.layout import Command, State, Value
 
 LEVEL = 1.74
 GAIN = 1.0 + 0.05820105820105820  # of the multiplier of weir2008

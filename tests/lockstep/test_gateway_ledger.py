@@ -7,10 +7,10 @@ from support.models import servo_params
 
 from hapticd.analysis.ledger import book
 from hapticd.assembly.lockstep import LockStep, scene_params
+from hapticd.core.params import InjectionParams
 from hapticd.gateway.ledger import NAMES, Ledger, samples
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Value
-from hapticd.params import InjectionParams
 from hapticd.wire import codec
 from hapticd.wire.frames import StatusBit
 

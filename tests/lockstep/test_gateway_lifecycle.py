@@ -15,12 +15,12 @@ from support.guard_stub import StubWorker, refuses, stage, verdict
 from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.errors import MailboxError
+from hapticd.core.errors import MailboxError
+from hapticd.core.units import NS_PER_MS
 from hapticd.gateway import terms
 from hapticd.gateway.guard import MOST_RECORDS
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import Command, Result, State, Value, values_of
-from hapticd.units import NS_PER_MS
 
 STRICT = ("clamp", "refuse", "follow")
 

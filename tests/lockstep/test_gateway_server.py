@@ -20,12 +20,12 @@ from support.raw_peer import RawPeer
 from support.tree import ROOT
 
 from hapticd.client.blocks import BlockDecoder
-from hapticd.clock import VirtualClock
-from hapticd.errors import ConfigError, MailboxError
+from hapticd.core.clock import VirtualClock
+from hapticd.core.errors import ConfigError, MailboxError
+from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.addresses import MESSAGES_QUEUED
 from hapticd.gateway.server import REQUESTS_PER_PASS, SETTLING_NS, GatewayServer, run
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD, Command
-from hapticd.units import NS_PER_MS
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ from support.gateway_rig import START_NS, UNIX_NS, DeskRig
 from support.gateway_stand_in import StandInServo
 
 from hapticd.client.blocks import BlockDecoder
+from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.publisher import Publisher
 from hapticd.gateway.telemetry import (
     COLUMNS,
@@ -31,7 +32,6 @@ from hapticd.gateway.view import RECORD_DTYPE
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import STAGES, Flag
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.units import NS_PER_MS
 
 
 class FeedRig(DeskRig):

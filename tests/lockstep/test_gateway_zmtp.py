@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.raw_peer import HELLO, PING, ready, short
 
-from hapticd.errors import WireError
+from hapticd.core.errors import WireError
 from hapticd.gateway.zmtp import GREETING, MOST_PARTS, Message, Session, message
 
 LONGEST = 1000

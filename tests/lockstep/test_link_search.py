@@ -19,8 +19,10 @@ from hapticd.assembly import servo_main
 from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.servo_main import Servo
 from hapticd.cli.app import main
-from hapticd.clock import VirtualClock
-from hapticd.errors import DaemonDown, MailboxError, ProtocolMismatch
+from hapticd.core.clock import VirtualClock
+from hapticd.core.errors import DaemonDown, MailboxError, ProtocolMismatch
+from hapticd.core.params import UsbParams
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.server import GatewayServer
 from hapticd.link.base import backoff_s
 from hapticd.link.device import Device
@@ -30,10 +32,8 @@ from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import State
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import StopWord, press_stop, servo_lives
-from hapticd.params import UsbParams
 from hapticd.sim.backend import READY, Handle, SimulatedBackend, Unready
 from hapticd.sim.board import BoardModel, hello
-from hapticd.units import NS_PER_S
 from hapticd.wire import codec
 
 START_NS = 1000 * NS_PER_S

@@ -11,8 +11,8 @@ import pytest
 import usb.backend.libusb1
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
-from hapticd.clock import VirtualClock
-from hapticd.errors import (
+from hapticd.core.clock import VirtualClock
+from hapticd.core.errors import (
     ConfigError,
     LinkAccess,
     LinkLost,
@@ -20,9 +20,9 @@ from hapticd.errors import (
     LinkTimeout,
     MissingLibrary,
 )
+from hapticd.core.params import InjectionParams, UsbParams
 from hapticd.link.base import backoff_s
 from hapticd.link.usb import FAILURES, UsbLink, link_error, system_backend
-from hapticd.params import InjectionParams, UsbParams
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
 from hapticd.sim.errors import usb_error

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hapticd.errors import MailboxError
+from hapticd.core.errors import MailboxError
 from hapticd.mailbox import daemons, files, layout
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.files import word_access

@@ -15,10 +15,10 @@ from support.gateway_stand_in import StandInServo, setup
 from support.models import device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.clock import VirtualClock
+from hapticd.core.clock import VirtualClock
+from hapticd.core.params import GatewaySetup, ScaleParams
 from hapticd.gateway.server import GatewayServer, run
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD, TELEMETRY, Command, Result, Value
-from hapticd.params import GatewaySetup, ScaleParams
 from hapticd.servo.inbox import Streamer
 from hapticd.wire import codec
 from hapticd.wire.frames import StatusBit

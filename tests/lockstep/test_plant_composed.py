@@ -13,8 +13,8 @@ from support.boards import board_params
 from support.plant_composed import EXACT, LEVELS, MODELS, H, board, forces
 from support.plant_devices import EFFECTS, N_PER_A, weir_device
 
-from hapticd.errors import ConfigError
-from hapticd.params import from_plain, to_plain
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import from_plain, to_plain
 from hapticd.plant.composed import Lookup, RowTerms, composed_source, composed_step
 from hapticd.plant.discrete import discretise
 from hapticd.plant.effects import (

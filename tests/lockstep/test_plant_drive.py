@@ -13,11 +13,11 @@ from support.impact import LIMITS, SPEEDS, impact, stays_bounded
 from support.plant_composed import board
 from support.straight import Straight
 
+from hapticd.core.environment import Environment
+from hapticd.core.errors import ConfigError
 from hapticd.engine import simulate
 from hapticd.engine.shape import reduced, shape_of
 from hapticd.engine.source import kernel_source
-from hapticd.environment import Environment
-from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import Amplifier, AmplifierLimits, Crowbar, DampingCircuit, Masses
 from hapticd.plant.step import make_plant

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from support.plant_devices import FULL, alpha, weir_device
 from support.straight import Straight
 
+from hapticd.core.errors import ConfigError
 from hapticd.engine import simulate
 from hapticd.engine.shape import reduced
-from hapticd.errors import ConfigError
 from hapticd.plant.compose import compose
 from hapticd.plant.effects import (
     Crowbar,

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from support.boards import board_params
 
 import hapticd.plant.step as plant_step
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.plant.step import held_force_response, make_step, phi1, phi2, rest_state, step_source
 
 MASS_KG = 0.008

@@ -12,10 +12,10 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep, scene_params
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import Ends, HandParams, TouchParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
-from hapticd.params import Ends, HandParams, TouchParams
 from hapticd.plant.composed import POSITION, VELOCITY
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
 

@@ -12,8 +12,8 @@ from support.recorded import RecordedFlight, recorded_into
 
 from hapticd.cli import change
 from hapticd.cli.app import main
-from hapticd.errors import AnalysisError
-from hapticd.params import to_plain
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import to_plain
 from hapticd.recording.calibrations import doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of, certificate_path
 from hapticd.recording.file import open_recording

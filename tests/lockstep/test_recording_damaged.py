@@ -11,7 +11,7 @@ import pytest
 from support.attacks.documents import crashed_recording, damaged_bytes, pack_damaged
 from support.recorded import RecordedFlight
 
-from hapticd.errors import ConfigError, HapticdError
+from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.recording import pack
 from hapticd.recording.file import open_recording
 from hapticd.recording.provenance import SCHEMA

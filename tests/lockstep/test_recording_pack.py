@@ -8,7 +8,7 @@ import pytest
 import scipy.io
 from support.recorded import RecordedFlight
 
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
 from hapticd.recording import pack
 from hapticd.recording.file import open_recording
 

@@ -10,13 +10,13 @@ from support.recorded import RecordedFlight, Source, recorded_into, room
 
 from hapticd.assembly import replay
 from hapticd.client.blocks import BlockDecoder
-from hapticd.clock import VirtualClock
-from hapticd.errors import ConfigError, DaemonDown, HapticdError
+from hapticd.core.clock import VirtualClock
+from hapticd.core.errors import ConfigError, DaemonDown, HapticdError
+from hapticd.core.units import NS_PER_S
 from hapticd.recording import pack, recorder
 from hapticd.recording.file import open_recording
 from hapticd.recording.live import Writer
 from hapticd.recording.recorder import RecordingParams, record
-from hapticd.units import NS_PER_S
 
 
 def test_seconds_are_recorded_time(recorded_run: RecordedFlight, tmp_path: Path) -> None:

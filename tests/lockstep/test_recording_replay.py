@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.recorded import RecordedFlight, recorded_into
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.mailbox.layout import Value
 from hapticd.recording.file import open_recording
 from hapticd.recording.replay import replay_recording

@@ -11,7 +11,7 @@ from numba import njit
 from scipy import signal
 from support.models import environment_tuple
 
-from hapticd.environment import Environment, FilterParams, WallParams, WorkspaceParams
+from hapticd.core.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.render import law
 from hapticd.render.law import at_rest, design_coefficients, render
 

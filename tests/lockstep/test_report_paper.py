@@ -10,7 +10,7 @@ from matplotlib.text import Text
 from support.report_paper import drawn
 
 from hapticd.cli.app import main
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.report.paper import WIDTHS_MM, fit, width_mm
 from hapticd.report.style import mosaic, save, styled
 

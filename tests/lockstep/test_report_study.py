@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from support.measured_scenes import scene
 
-from hapticd.errors import ConfigError, MissingLibrary
+from hapticd.core.errors import ConfigError, MissingLibrary
 from hapticd.plant.scene import Excitation
 from hapticd.report import style
 from hapticd.report.study import (

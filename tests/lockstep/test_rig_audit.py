@@ -8,9 +8,10 @@ import pytest
 from support.models import COUNT_M
 from support.rig_hand import Hand
 
-from hapticd.errors import AnalysisError, HapticdError
+from hapticd.core.errors import AnalysisError, HapticdError
+from hapticd.core.params import ScaleParams
+from hapticd.core.units import COPPER_PER_K
 from hapticd.gateway.view import as_records
-from hapticd.params import ScaleParams
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import (
     Amplifier,
@@ -24,7 +25,6 @@ from hapticd.plant.effects import (
 )
 from hapticd.plant.tables import board_fields
 from hapticd.rig import audit, trim
-from hapticd.units import COPPER_PER_K
 
 N_PER_A = 1.65
 OHM = 1.6

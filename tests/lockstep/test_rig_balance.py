@@ -8,7 +8,7 @@ from support.rig_balance import FACTS, runs_of
 from support.shaken_handle import Truth, shaken
 
 from hapticd.analysis.verdict import student_quantile
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 from hapticd.rig import balance, identify
 from hapticd.rig.balance import RIGID, balanced
 from hapticd.rig.balance_terms import Handle, commanded, friction

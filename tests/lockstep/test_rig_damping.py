@@ -10,9 +10,9 @@ from support.models import COUNT_M, COUNT_N
 from support.rig_damping import FREE, FRICTION, RATE_HZ, device, nothing
 from support.rig_hand import Hand
 
-from hapticd.errors import AnalysisError, HapticdError
+from hapticd.core.errors import AnalysisError, HapticdError
+from hapticd.core.params import ScaleParams
 from hapticd.gateway.view import as_records
-from hapticd.params import ScaleParams
 from hapticd.rig.damping import measure
 from hapticd.rig.damping_line import concluded
 from hapticd.rig.glide import Row, balance, row_of

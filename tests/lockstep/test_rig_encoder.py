@@ -7,8 +7,8 @@ import pytest
 from support.models import COUNT_M
 from support.rig_hand import Hand
 
-from hapticd.errors import AnalysisError
-from hapticd.params import ScaleParams
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import ScaleParams
 from hapticd.rig.encoder import Distance, concluded, measure, passages, scale_of
 from hapticd.wire import frames
 

@@ -6,7 +6,7 @@ import pytest
 from support.models import device_params, servo_params
 from support.rig_identify import bench, nothing
 
-from hapticd.errors import AnalysisError, CommandError
+from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.rig.identify import facts_of, measure
 from hapticd.rig.model_tables import motor_table
 

@@ -7,8 +7,8 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.errors import CommandError
-from hapticd.params import InjectionParams
+from hapticd.core.errors import CommandError
+from hapticd.core.params import InjectionParams
 from hapticd.rig.link import drift_of, measure, median_of
 from hapticd.wire.frames import StatusBit
 from hapticd.zwidth.lockstep import LockStepBench

@@ -10,9 +10,9 @@ from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 from support.tree import ROOT
 
-from hapticd.errors import AnalysisError, CommandError, HapticdError
+from hapticd.core.errors import AnalysisError, CommandError, HapticdError
+from hapticd.core.params import ScaleParams, TouchParams
 from hapticd.gateway.view import as_records
-from hapticd.params import ScaleParams, TouchParams
 from hapticd.rig.device_file import write
 from hapticd.rig.motor import (
     Masses,

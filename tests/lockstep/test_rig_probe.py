@@ -7,7 +7,7 @@ import pytest
 from support.rig_hand import Hand
 from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
-from hapticd.errors import AnalysisError, CommandError
+from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.rig.added_mass import added, channel
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.probe import (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.rig_hand import Hand
 
-from hapticd.errors import AnalysisError, CommandError
+from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.rig import back_emf
 from hapticd.rig.temperature import Stated, concluded, drift_of, measure
 

@@ -8,12 +8,12 @@ from support.winding_table import TABLE
 
 from benchmarks.thermal import device as heated_device
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import HandParams, SafetyParams, ScaleParams, TouchParams
+from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.params import HandParams, SafetyParams, ScaleParams, TouchParams
 from hapticd.servo.compensation import UNKNOWN_S
 from hapticd.servo.plan import SETTLED
-from hapticd.units import NS_PER_MS
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

@@ -12,12 +12,12 @@ from support.flight import Flight
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.environment import Environment, WorkspaceParams
-from hapticd.faults import BY_CODE
+from hapticd.core.environment import Environment, WorkspaceParams
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import HomeParams, ScaleParams
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import COMMISSIONING, Command, Result, State, Value
-from hapticd.params import HomeParams, ScaleParams
 from hapticd.servo.commissioning import Push, followed, push_ended
 from hapticd.servo.plan import flatten, unflatten
 

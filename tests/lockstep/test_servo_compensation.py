@@ -18,14 +18,11 @@ from support.winding_table import TABLE
 from benchmarks.thermal import DAMPING_NS_PER_M, RECORD, deviation_pct, device, flown
 from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.replay import Segment, replay
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import InjectionParams, ScaleParams
 from hapticd.link.device import SEED
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
-from hapticd.params import (
-    InjectionParams,
-    ScaleParams,
-)
 from hapticd.servo.board_check import uncompensated
 from hapticd.servo.compensation import compensated
 from hapticd.servo.plan import (

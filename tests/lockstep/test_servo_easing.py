@@ -11,9 +11,9 @@ from support.flight import Flight, enabled, masked
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import SafetyParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.params import SafetyParams
 from hapticd.render.ramp import constant
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
 

@@ -8,9 +8,9 @@ from support.boards import board_params
 from support.models import COUNT_M, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.params import HandParams, InjectionParams, TouchParams
 from hapticd.servo.safety import State
 from hapticd.wire import codec
 

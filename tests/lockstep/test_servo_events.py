@@ -6,9 +6,9 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import InjectionParams, UsbParams
 from hapticd.gateway.view import as_records
 from hapticd.link.events import NO_CODE, NO_TIME_US
-from hapticd.params import InjectionParams, UsbParams
 from hapticd.servo.plan import LINK_UP
 from hapticd.wire.frames import EVENT_DEPTH
 

@@ -14,10 +14,10 @@ from support.servo_glitch import FELT, LIMIT, params_with
 
 from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import InjectionParams
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.params import InjectionParams
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import State
 

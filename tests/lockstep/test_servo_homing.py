@@ -14,10 +14,10 @@ from support.homing_rig import HOME, Rig
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep, scene_params
-from hapticd.faults import BY_CODE, BY_NUMBER
+from hapticd.core.faults import BY_CODE, BY_NUMBER
+from hapticd.core.params import Ends, HandParams, InjectionParams, ScaleParams, TouchParams
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.params import Ends, HandParams, InjectionParams, ScaleParams, TouchParams
 from hapticd.plant.composed import POSITION, VELOCITY
 from hapticd.servo.homing import FASTEST
 from hapticd.servo.plan import flatten, unflatten

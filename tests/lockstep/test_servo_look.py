@@ -11,16 +11,16 @@ from support.boards import board_params
 from support.models import device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import InjectionParams
+from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.view import as_records
 from hapticd.link.device import SEED
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.params import InjectionParams
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.errors import usb_error
-from hapticd.units import NS_PER_MS
 from hapticd.wire.frames import OutFlag, Request
 
 RESTART = InjectionParams("restart", tick=50)

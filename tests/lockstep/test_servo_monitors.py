@@ -11,8 +11,8 @@ from support.models import COUNT_M, device_params, servo_params
 from hapticd.analysis.theorem import required_damping
 from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
-from hapticd.environment import FilterParams
-from hapticd.faults import BY_NUMBER
+from hapticd.core.environment import FilterParams
+from hapticd.core.faults import BY_NUMBER
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, State, Value, Watched
 from hapticd.render.energy import EMPTY, EXCESS, book

@@ -6,9 +6,9 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.params import RealtimeParams, UsbParams
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

@@ -10,10 +10,10 @@ from support.flight import Flight, enabled
 from support.models import COUNT_N, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import HomeParams, SafetyParams, ScaleParams
 from hapticd.mailbox.layout import Command, Value
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.params import HomeParams, SafetyParams, ScaleParams
 from hapticd.servo import safety
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State

@@ -13,12 +13,12 @@ from usb.core import USBTimeoutError
 
 from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import InjectionParams, SafetyParams, UsbParams
+from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.params import InjectionParams, SafetyParams, UsbParams
 from hapticd.servo.safety import State
-from hapticd.units import NS_PER_MS
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.attacks.documents import CONFIG, DEVICES, SCENES, mutated_toml, read_settings
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 # what a longer run found: a division by zero, an overflow, eigenvalues of infinities
 FOUND = [

@@ -9,11 +9,11 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.errors import ConfigError
-from hapticd.faults import BY_CODE
+from hapticd.core.errors import ConfigError
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import InjectionParams
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result
-from hapticd.params import InjectionParams
 from hapticd.settings.build import device_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

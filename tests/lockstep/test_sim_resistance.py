@@ -8,7 +8,7 @@ from support.boards import ENABLE, TICK_NS, exchange, out_packet
 from support.boards import board_params as rigid_board
 from support.plant_devices import N_PER_A, alpha, weir_device
 
-from hapticd.params import BoardParams
+from hapticd.core.params import BoardParams
 from hapticd.plant.effects import Coulomb, WindingHeating, WindingTemperature
 from hapticd.plant.tables import board_fields
 from hapticd.settings.build import board_params

@@ -17,7 +17,7 @@ from support.models import servo_params
 
 from hapticd.assembly import resolve
 from hapticd.assembly.lockstep import LockStep
-from hapticd.errors import MailboxError
+from hapticd.core.errors import MailboxError
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.mailbox.servo_side import ServoMailbox

@@ -6,7 +6,7 @@ import pytest
 from support.measured_scenes import stopwatch
 from support.study_accuracy import row
 
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 from hapticd.settings.scene import load_scene
 from hapticd.study.accuracy import (
     PositionComparison,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, scene, stopwatch
 
+from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.engine import BatchResult, simulate
-from hapticd.errors import AnalysisError, ConfigError
 from hapticd.plant.effects import (
     Amplifier,
     Coupling,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.measured_scenes import MASS_KG, PARTS, VISCOUS_NS_PER_M, scene
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.plant.effects import (
     Amplifier,
     Crowbar,

@@ -17,18 +17,19 @@ from support.programs import program
 from support.systemd import DEADLINE_S, Service
 from support.tree import ROOT
 
-from hapticd.assembly import process, system_files, watchdog
+from hapticd.assembly import system_files, watchdog
 from hapticd.assembly.supervisor import PATIENCE_NS, RESTARTS_MAX, WINDOW_NS
 from hapticd.cli.app import main
-from hapticd.clock import VirtualClock
-from hapticd.errors import ConfigError
+from hapticd.core import process
+from hapticd.core.clock import VirtualClock
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import RealtimeParams, UsbParams
+from hapticd.core.units import NS_PER_S
 from hapticd.mailbox import files
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.params import RealtimeParams, UsbParams
 from hapticd.settings.config import Safety
 from hapticd.settings.toml import shipped
-from hapticd.units import NS_PER_S
 
 UNITS = ("hapticd-servo.service", "hapticd-gateway.service", "hapticd.target")
 SERVICES = UNITS[:2]

@@ -14,7 +14,7 @@ from support.tree import ROOT
 
 from hapticd.cli.app import main
 from hapticd.cli.zwidth import report as verb
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.weir2008.page import keep
 from hapticd.weir2008.rows import PaperRow
 from hapticd.weir2008.table import from_json

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd.errors import FrameError
+from hapticd.core.errors import FrameError
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import HelloFrame, InFrame, OutFrame
 

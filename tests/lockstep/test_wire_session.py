@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd.errors import FrameError, ProtocolMismatch
+from hapticd.core.errors import FrameError, ProtocolMismatch
 from hapticd.wire import codec, frames, session
 from hapticd.wire.frames import HelloFrame
 from hapticd.wire.session import (

@@ -17,8 +17,8 @@ from support.gateway_rig import DeskRig
 from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import BoardParams, InjectionParams
 from hapticd.mailbox.layout import TELEMETRY, Command, Result, Value
-from hapticd.params import BoardParams, InjectionParams
 from hapticd.servo.plan import SETTLED
 from hapticd.wire import codec
 

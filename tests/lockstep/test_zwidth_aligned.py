@@ -15,14 +15,14 @@ from hapticd.analysis.alignment import find_marks
 from hapticd.assembly.lockstep import scene_params
 from hapticd.cli.app import main
 from hapticd.client.blocks import BlockDecoder
-from hapticd.clock import VirtualClock
-from hapticd.environment import Environment
-from hapticd.errors import AnalysisError
+from hapticd.core.clock import VirtualClock
+from hapticd.core.environment import Environment
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import Command, Value
 from hapticd.plant.excitation import MARK_LEAD
 from hapticd.recording.file import open_recording
 from hapticd.recording.recorder import RecordingParams, record
-from hapticd.units import NS_PER_S
 from hapticd.zwidth.aligned import read_aligned
 from hapticd.zwidth.live import daemon_source, signals
 from hapticd.zwidth.lockstep import LockStepBench

@@ -19,9 +19,15 @@ from support.measured_scenes import MOTOR, scene
 from support.stand_in import StandIn
 from support.zwidth_executors import SHORT
 
-from hapticd import errors
+from hapticd.core import errors
+from hapticd.core.errors import (
+    CommandError,
+    ConfigError,
+    HapticdError,
+    MissingLibrary,
+    SequenceError,
+)
 from hapticd.engine.batch import at_most, workers
-from hapticd.errors import CommandError, ConfigError, HapticdError, MissingLibrary, SequenceError
 from hapticd.plant.effects import Masses, ProbeMass, Viscous
 from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.executors import executor, threads

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from hapticd.assembly.lockstep import scene_params
-from hapticd.errors import AnalysisError, CommandError
+from hapticd.core.errors import AnalysisError, CommandError
+from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
-from hapticd.params import HandParams, TouchParams
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source

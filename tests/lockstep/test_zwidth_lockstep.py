@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from hapticd.core.errors import AnalysisError
 from hapticd.engine import simulate
-from hapticd.errors import AnalysisError
 from hapticd.settings.scene import load_scene
 from hapticd.study.accuracy import (
     phase_rms,

@@ -13,8 +13,8 @@ from hapticd.analysis.impedance import impedance
 from hapticd.analysis.spectra import spa
 from hapticd.assembly.lockstep import scene_params
 from hapticd.client.blocks import BlockDecoder
-from hapticd.errors import AnalysisError
-from hapticd.faults import BY_CODE
+from hapticd.core.errors import AnalysisError
+from hapticd.core.faults import BY_CODE
 from hapticd.gateway.answers import Status
 from hapticd.plant.scene import Excitation
 from hapticd.settings.build import board_params, servo_params

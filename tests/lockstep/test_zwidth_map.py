@@ -13,7 +13,7 @@ from support.zwidth_map import conditions
 
 from hapticd.analysis.passive_set import grid, open_ends, passive_set, set_limits
 from hapticd.analysis.surrogate import Box
-from hapticd.errors import AnalysisError, ConfigError
+from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, kept_map, plan_map, run_map

@@ -9,7 +9,7 @@ import pytest
 from support.measured_scenes import RIGID
 
 from hapticd.assembly.lockstep import scene_params
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source

@@ -10,8 +10,8 @@ import pytest
 from support.measured_scenes import scene
 from support.zwidth_noisy_probe import GIVEN, NOISE, NOISY, PARTS, POINTS, SECONDS
 
-from hapticd.analysis.arrays import Floats, Values
 from hapticd.analysis.spectra import spa
+from hapticd.core.arrays import Floats, Values
 from hapticd.engine import BatchResult, simulate
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.map import MapParams, plan_map, run_map

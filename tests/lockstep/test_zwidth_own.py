@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.environment import Environment
-from hapticd.errors import AnalysisError, ConfigError
+from hapticd.core.environment import Environment
+from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import given

@@ -5,8 +5,8 @@ it may be.
 import numpy as np
 import pytest
 
-from hapticd.analysis.arrays import Floats
-from hapticd.errors import AnalysisError
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.simulated import engine_source

@@ -13,7 +13,7 @@ from hapticd.analysis.impedance import impedance
 from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spectra import spa
 from hapticd.assembly.lockstep import scene_params
-from hapticd.errors import AnalysisError, ConfigError, DaemonDown
+from hapticd.core.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.plant.compose import compose
 from hapticd.plant.scene import Excitation
 from hapticd.settings.scene import load_scene

@@ -10,7 +10,7 @@ import hapticd
 from hapticd.client import CommandError, step
 from hapticd.zwidth.virtual import VirtualBoard
 
-pytestmark = pytest.mark.filterwarnings("ignore::hapticd.errors.GuardWarning")
+pytestmark = pytest.mark.filterwarnings("ignore::hapticd.core.errors.GuardWarning")
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from support.daemon import Daemon, until
 
 from hapticd.client import Client, GuardVerdict, Receipt
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
 
 # --- real processes -------------------------------------------------------------------------------
 

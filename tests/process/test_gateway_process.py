@@ -13,7 +13,7 @@ import zmq
 from support.gateway_rig import GatewayRig, packed
 
 from hapticd.client.blocks import BlockDecoder
-from hapticd.units import NS_PER_S
+from hapticd.core.units import NS_PER_S
 
 pytestmark = pytest.mark.process
 

@@ -14,9 +14,9 @@ import zmq.auth
 from support.raw_peer import HELLO
 from support.relay_rig import RelayRig
 
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.keys import SERVER_PUBLIC
 from hapticd.gateway.relay import MOST_DESCRIPTORS, MOST_REASONS, Connections, address_of
-from hapticd.units import NS_PER_S
 
 pytestmark = pytest.mark.process
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.tree import ROOT
 
-from hapticd.errors import MailboxError
+from hapticd.core.errors import MailboxError
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import GatewayMailbox
 

@@ -23,7 +23,7 @@ from hapticd.client import Client
 # a busy machine has long delays, with which little is safe
 pytestmark = [
     pytest.mark.process,
-    pytest.mark.filterwarnings("ignore::hapticd.errors.GuardWarning"),
+    pytest.mark.filterwarnings("ignore::hapticd.core.errors.GuardWarning"),
 ]
 # a busy machine loses slots, and what that does to force has tests on virtual time
 PATIENT = QUIET + "[safety]\nlost_slots_limit = 10000\nmissing_frames_limit = 100\n"

@@ -44,8 +44,8 @@ def write_elsewhere(
     """
     import pickle
 
+    from hapticd.core.params import to_plain
     from hapticd.mailbox.layout import LAYOUT_HASH
-    from hapticd.params import to_plain
 
     (folder / "messages").write_bytes(pickle.dumps(recorded_run.messages))
     arguments = [

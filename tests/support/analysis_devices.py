@@ -4,7 +4,7 @@ display; and the tick law played on such a device.
 
 import numpy as np
 
-from hapticd.environment import Environment, FilterParams
+from hapticd.core.environment import Environment, FilterParams
 from hapticd.plant.compose import compose_device
 from hapticd.plant.discrete import discretise
 from hapticd.plant.effects import (

@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 
-from hapticd.analysis.arrays import Floats
 from hapticd.analysis.findings import Finding
 from hapticd.analysis.low_lines import low_line
 from hapticd.analysis.spectra import spa
+from hapticd.core.arrays import Floats
 from hapticd.engine import simulate
 from hapticd.plant.effects import Coulomb, Masses, ProbeMass, Viscous
 from hapticd.plant.model import Model

@@ -27,8 +27,9 @@ from unittest.mock import patch
 import tomlkit
 
 from hapticd.assembly import lockstep
-from hapticd.errors import HapticdError
-from hapticd.params import BoardParams
+from hapticd.core.errors import HapticdError
+from hapticd.core.params import BoardParams
+from hapticd.core.units import COPPER_PER_K
 from hapticd.rig import (
     damping,
     device_file,
@@ -46,7 +47,6 @@ from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.settings.build import commissioning, servo_params
 from hapticd.settings.load import Settings, load
-from hapticd.units import COPPER_PER_K
 from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
 from hapticd.zwidth.lockstep import LockStepBench
 from support.blind_hand import Person

@@ -10,8 +10,9 @@ from math import pi
 from random import Random
 from typing import Any
 
-from hapticd.clock import Clock
-from hapticd.params import BoardParams
+from hapticd.core.clock import Clock
+from hapticd.core.params import BoardParams
+from hapticd.core.units import COPPER_PER_K, PROBE_RATE_HZ
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import (
     Amplifier,
@@ -33,7 +34,6 @@ from hapticd.plant.tables import board_fields
 from hapticd.sim.axis import Axis, Probe, i16_count
 from hapticd.sim.board import VENDOR_IN, BoardModel, hello
 from hapticd.sim.transport import make_backend
-from hapticd.units import COPPER_PER_K, PROBE_RATE_HZ
 from hapticd.wire import codec
 from hapticd.wire.frames import Request
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from math import inf
 from typing import Any
 
-from hapticd.params import BoardParams
+from hapticd.core.params import BoardParams
 from hapticd.wire import codec
 from hapticd.wire.frames import InFrame, OutFlag, OutFrame
 

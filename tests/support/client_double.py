@@ -3,7 +3,7 @@
 from typing import Any, Self
 
 from hapticd.client import Receipt
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
 from hapticd.gateway.answers import Status, answer_of
 
 EFFECTIVE = {

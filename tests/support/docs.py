@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-from hapticd.faults import FAULTS
+from hapticd.core.faults import FAULTS
 
 CODES = [fault.code for fault in FAULTS if fault.number]
 

@@ -12,7 +12,9 @@ from typing import Any, Self
 import msgpack
 import zmq
 
-from hapticd.clock import VirtualClock
+from hapticd.core.clock import VirtualClock
+from hapticd.core.params import LeaseParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
 from hapticd.gateway.guard import Guard, Line
@@ -20,8 +22,6 @@ from hapticd.gateway.journal import Journal
 from hapticd.gateway.server import GatewayServer
 from hapticd.gateway.view import ServoView
 from hapticd.gateway.worker import Start
-from hapticd.params import LeaseParams
-from hapticd.units import NS_PER_MS, NS_PER_S
 from support.gateway_stand_in import StandInServo, setup
 
 START_NS = 1000 * NS_PER_S

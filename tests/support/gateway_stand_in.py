@@ -11,13 +11,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from hapticd.clock import Clock, MonotonicClock, VirtualClock
-from hapticd.environment import Environment
-from hapticd.gateway.view import configured
-from hapticd.mailbox import layout
-from hapticd.mailbox.layout import Command, Result, State, Value
-from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.params import (
+from hapticd.core.clock import Clock, MonotonicClock, VirtualClock
+from hapticd.core.environment import Environment
+from hapticd.core.params import (
     DeviceParams,
     GatewayParams,
     GatewaySetup,
@@ -27,7 +23,11 @@ from hapticd.params import (
     ServoParams,
     UsbParams,
 )
-from hapticd.units import NS_PER_S
+from hapticd.core.units import NS_PER_S
+from hapticd.gateway.view import configured
+from hapticd.mailbox import layout
+from hapticd.mailbox.layout import Command, Result, State, Value
+from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.wire.codec import encode_in
 from hapticd.wire.frames import InFrame
 

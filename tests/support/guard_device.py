@@ -7,9 +7,9 @@ from typing import Any
 
 from hapticd.analysis.judge import Judge
 from hapticd.assembly import resolve
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
+from hapticd.core.params import GuardParams, GuardSetup, ModelParams, OutputParams, from_plain
 from hapticd.mailbox import files
-from hapticd.params import GuardParams, GuardSetup, ModelParams, OutputParams, from_plain
 from hapticd.plant.effects import (
     DampingCircuit,
     Delay,

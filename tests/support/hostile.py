@@ -14,10 +14,10 @@ Everything happens at whole microseconds: on every sub-step of T/16 at 250, 1250
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from hapticd.params import BoardParams
+from hapticd.core.params import BoardParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.plant.step import SUBSTEPS_PER_TICK
 from hapticd.sim.board import BoardModel, compensates
-from hapticd.units import NS_PER_MS, NS_PER_S
 from hapticd.wire import codec, frames
 from hapticd.wire.frames import OutFlag, OutFrame, Request, StatusBit
 from support.boards import board_params

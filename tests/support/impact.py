@@ -4,8 +4,8 @@ limits, by the batch engine.
 
 import numpy as np
 
+from hapticd.core.environment import Environment, WallParams
 from hapticd.engine import BatchResult, simulate
-from hapticd.environment import Environment, WallParams
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import AmplifierLimits
 from support.devices import LIMIT, STAR

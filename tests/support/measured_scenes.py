@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
 from hapticd.plant.effects import Coulomb, Effect, Masses, Motor, Viscous
 from hapticd.plant.scene import DampingStep, Excitation, Scene
 

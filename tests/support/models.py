@@ -5,8 +5,8 @@ plain values.
 import dataclasses
 from typing import Any
 
-from hapticd.environment import Environment
-from hapticd.params import (
+from hapticd.core.environment import Environment
+from hapticd.core.params import (
     DeviceParams,
     RealtimeParams,
     SafetyParams,

@@ -11,14 +11,8 @@ import numpy as np
 
 from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
-from hapticd.clock import VirtualClock
-from hapticd.gateway.answers import Hello, Status
-from hapticd.gateway.guard import Guard
-from hapticd.gateway.journal import Actors, Journal
-from hapticd.gateway.publisher import Publisher
-from hapticd.gateway.view import Records, ServoView, as_records
-from hapticd.mailbox.layout import Command, Value
-from hapticd.params import (
+from hapticd.core.clock import VirtualClock
+from hapticd.core.params import (
     BoardParams,
     GatewayParams,
     GatewaySetup,
@@ -26,8 +20,14 @@ from hapticd.params import (
     ServoParams,
     to_plain,
 )
+from hapticd.core.units import NS_PER_MS, NS_PER_S
+from hapticd.gateway.answers import Hello, Status
+from hapticd.gateway.guard import Guard
+from hapticd.gateway.journal import Actors, Journal
+from hapticd.gateway.publisher import Publisher
+from hapticd.gateway.view import Records, ServoView, as_records
+from hapticd.mailbox.layout import Command, Value
 from hapticd.recording.recorder import RecordingParams, record
-from hapticd.units import NS_PER_MS, NS_PER_S
 from support.boards import board_params
 from support.guard_stub import StubWorker
 from support.models import servo_params

@@ -2,7 +2,7 @@
 is another than its device file's.
 """
 
-from hapticd.params import TouchParams
+from hapticd.core.params import TouchParams
 from support.models import COUNT_N, COUNT_NS_PER_M
 
 FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)

@@ -1,6 +1,6 @@
 """`rig identify` on simulated boards whose mass, friction and delay the step does not know."""
 
-from hapticd.params import TouchParams
+from hapticd.core.params import TouchParams
 from hapticd.zwidth.lockstep import LockStepBench
 from support.boards import board_params
 from support.models import device_params, servo_params

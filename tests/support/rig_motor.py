@@ -1,6 +1,6 @@
 """`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
 
-from hapticd.params import TouchParams
+from hapticd.core.params import TouchParams
 from hapticd.rig.motor import (
     Masses,
 )

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hapticd.params import TouchParams
+from hapticd.core.params import TouchParams
 from hapticd.rig.probe import (
     Attached,
 )

@@ -1,7 +1,7 @@
 """`rig verify`: known parts as the probe sees them, and the certificate."""
 
 from hapticd.cli.app import main
-from hapticd.params import ScaleParams, TouchParams
+from hapticd.core.params import ScaleParams, TouchParams
 from hapticd.rig.known_parts import KnownParts
 
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5, "touch": TouchParams(0.0, 0.0, 0.02, 0.02)}

@@ -7,8 +7,8 @@ damping x int v^2 dt - what changes brought in.
 import math
 from itertools import product
 
+from hapticd.core.params import SafetyParams
 from hapticd.mailbox.layout import Value
-from hapticd.params import SafetyParams
 from support.leaking import CREDITED_NS_PER_M, DEVICE_NS_PER_M, Hand, LeakFlight, T, wander
 from support.models import device_params, servo_params
 

@@ -1,7 +1,7 @@
 """One bad encoder sample moves less than 1 N; a struck handle is no glitch; a burst is a fault."""
 
+from hapticd.core.params import SafetyParams
 from hapticd.mailbox.layout import Value
-from hapticd.params import SafetyParams
 from support.models import device_params, servo_params
 
 FELT = {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}

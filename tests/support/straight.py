@@ -9,7 +9,7 @@ from math import floor, pi, sin
 
 import numpy as np
 
-from hapticd.environment import Environment
+from hapticd.core.environment import Environment
 from hapticd.plant.friction import stick_one, stick_two
 from hapticd.render.law import at_rest, design_coefficients, render
 from support.models import environment_tuple

@@ -1,9 +1,6 @@
 """The compensation of a winding that the tests of servo and gateway share."""
 
-from hapticd.params import (
-    ResistanceParams,
-    ScaleParams,
-)
+from hapticd.core.params import ResistanceParams, ScaleParams
 
 TABLE = ResistanceParams(
     trim=ScaleParams(0.8 / 32767),

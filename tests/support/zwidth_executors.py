@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapticd.errors import AnalysisError, CommandError
+from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth import executors
 from hapticd.zwidth.map import MapParams, plan_map, run_map

@@ -18,7 +18,7 @@ from hapticd.analysis.envelope import (
 from hapticd.analysis.findings import Finding
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.verdict import LOST_EDGE, judge
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 
 def trial(name, z, coherence=0.99, estimator="h_force"):

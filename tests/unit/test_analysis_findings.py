@@ -16,7 +16,7 @@ from hapticd.analysis.findings import (
 )
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import judge
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 RATE_HZ = 4000.0
 SECONDS = 20

@@ -16,7 +16,7 @@ from hapticd.analysis.passive_set import (
     volume,
 )
 from hapticd.analysis.predict import predict
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 AXES = (np.linspace(0, 1000, 21), np.linspace(-2, 6, 17), np.linspace(-0.02, 0.02, 9))
 

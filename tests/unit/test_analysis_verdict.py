@@ -11,8 +11,8 @@ from support.spectral_trials import exact_trial, mass_damper, record, with_phase
 from hapticd.analysis.findings import Finding, energy, examine
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import Judged, judge, sidak, student_quantile
-from hapticd.errors import AnalysisError
-from hapticd.units import percent
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import percent
 
 NU = 2 * 360_000 / 1536 - 2
 LINE_HZ = 4000.0 / 4096

@@ -16,7 +16,7 @@ from hapticd.analysis.bases import model_of
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.loop import spectral_radius
 from hapticd.assembly.guard_main import answered
-from hapticd.params import GuardSetup, from_plain, to_plain
+from hapticd.core.params import GuardSetup, from_plain, to_plain
 from hapticd.plant.compose import compose
 from hapticd.zwidth.scenes import device_scene
 

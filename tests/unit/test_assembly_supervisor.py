@@ -12,14 +12,14 @@ import pytest
 
 from hapticd.assembly import resolve
 from hapticd.assembly.supervisor import ProcessEvent, Restarts, Supervisor, mailbox_served
-from hapticd.clock import VirtualClock
-from hapticd.errors import ConfigError, HapticdError, MailboxError
+from hapticd.core.clock import VirtualClock
+from hapticd.core.errors import ConfigError, HapticdError, MailboxError
+from hapticd.core.params import BoardParams, GatewaySetup, GuardSetup, ServoParams, from_plain
+from hapticd.core.units import NS_PER_S
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.params import BoardParams, GatewaySetup, GuardSetup, ServoParams, from_plain
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.units import NS_PER_S
 
 
 class ScriptedProcess:

@@ -6,7 +6,7 @@ import pickle
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.errors import DaemonDown
+from hapticd.core.errors import DaemonDown
 from hapticd.mailbox.files import prepare_folder, runtime_folder
 from hapticd.mailbox.stop_word import StopWord
 

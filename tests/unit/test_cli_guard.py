@@ -17,7 +17,7 @@ from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
 from hapticd.client import GuardVerdict, Receipt
 from hapticd.client.words import guard_line, objection_lines, receipt_text, timing_words
-from hapticd.errors import CommandError, GuardWarning
+from hapticd.core.errors import CommandError, GuardWarning
 from hapticd.gateway.answers import GuardStatus, Timing, answer_of, verdict_of
 
 VERDICT = {

@@ -14,12 +14,12 @@ from hapticd.cli import monitor
 from hapticd.cli.app import main
 from hapticd.cli.screen import History, envelope, screen, strip
 from hapticd.client import fast_stop
-from hapticd.clock import VirtualClock
-from hapticd.faults import BY_CODE
+from hapticd.core.clock import VirtualClock
+from hapticd.core.faults import BY_CODE
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.gateway.answers import Hello, Status
 from hapticd.gateway.telemetry import Origin, RingBlock, raw_message
 from hapticd.mailbox.layout import TELEMETRY, Flag, State
-from hapticd.units import NS_PER_MS, NS_PER_S
 
 DELIVERED = {"estimate_ns_per_m": 1.7, "low": 1.6, "high": 1.8, "commanded": 1.74}
 
@@ -258,7 +258,7 @@ class StreamDouble:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> VirtualClock:
     clock = VirtualClock(NS_PER_S)
-    monkeypatch.setattr("hapticd.clock.MonotonicClock", lambda: clock)
+    monkeypatch.setattr("hapticd.core.clock.MonotonicClock", lambda: clock)
     return clock
 
 

@@ -10,7 +10,7 @@ from typer.main import get_command
 
 from hapticd.cli import terminal
 from hapticd.cli.app import main
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ import pytest
 
 from hapticd.client.blocks import Excerpt
 from hapticd.client.client import Client
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 0.0, math.nan, math.inf])

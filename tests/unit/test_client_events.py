@@ -3,7 +3,7 @@
 import pytest
 
 from hapticd.client.events import event_words
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
 from hapticd.gateway.publisher import described
 
 FAULT = BY_CODE["overspeed"]

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from hapticd.client.lease import ClientLease
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
 
 
 def unasked(*_: Any, **__: Any) -> dict[str, Any]:

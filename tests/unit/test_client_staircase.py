@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hapticd.client.staircase import Staircase
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 
 def levels(answers: str, **options: float) -> list[float]:

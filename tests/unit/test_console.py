@@ -28,7 +28,7 @@ from hapticd.console.place import Place
 from hapticd.console.probing import estimate
 from hapticd.console.visitors import objection
 from hapticd.console.watch import frame
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.mailbox.daemons import console_place
 from hapticd.mailbox.layout import TELEMETRY, State
 

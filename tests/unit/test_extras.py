@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from support.tree import ROOT
 
-from hapticd import extras
-from hapticd.errors import ConfigError, MissingLibrary
+from hapticd.core import extras
+from hapticd.core.errors import ConfigError, MissingLibrary
 
 LIBRARIES = ("numba", "matplotlib", "scipy", "pylsl", "distributed")
 

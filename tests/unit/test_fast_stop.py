@@ -16,7 +16,7 @@ from support.gateway_rig import GatewayRig, running
 from hapticd.cli.app import main as command_line
 from hapticd.client import fast_stop
 from hapticd.client.fast_stop import main, stop
-from hapticd.errors import DaemonDown, MailboxError
+from hapticd.core.errors import DaemonDown, MailboxError
 from hapticd.mailbox import daemons, files
 from hapticd.mailbox.daemons import Place
 from hapticd.mailbox.layout import State

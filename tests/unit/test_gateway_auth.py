@@ -10,11 +10,11 @@ from support.gateway_rig import GatewayRig
 from support.gateway_stand_in import setup
 
 from hapticd.cli.app import main
-from hapticd.clock import VirtualClock
-from hapticd.errors import ConfigError
+from hapticd.core.clock import VirtualClock
+from hapticd.core.errors import ConfigError
+from hapticd.core.params import GatewayParams
 from hapticd.gateway import auth
 from hapticd.gateway.server import GatewayServer
-from hapticd.params import GatewayParams
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import Any
 import msgpack
 import pytest
 
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
 from hapticd.gateway.codec import Encoding, decode, echo_id, encode, encoding_of, shown
 
 HUGE_ARRAY = b"\x81\xa3cmd\xdd\xff\xff\xff\xff"

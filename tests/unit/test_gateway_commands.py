@@ -8,7 +8,7 @@ import pytest
 from support.gateway_rig import DeskRig
 from support.gateway_stand_in import NEXT_STATE
 
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
 from hapticd.gateway import commands
 from hapticd.gateway.commands import ALLOWED
 from hapticd.gateway.journal import RESERVED

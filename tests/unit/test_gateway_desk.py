@@ -13,7 +13,7 @@ from support.gateway_rig import DeskRig, decoded, packed
 from support.gateway_stand_in import StandInServo
 
 from hapticd.client.events import event_words
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
 from hapticd.gateway.commands import refusal
 from hapticd.gateway.journal import Actors
 from hapticd.mailbox import files, layout

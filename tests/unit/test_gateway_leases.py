@@ -9,13 +9,13 @@ from support.gateway_rig import DeskRig, packed
 from support.gateway_stand_in import StandInServo
 from support.guard_stub import StubWorker, stage, verdict
 
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
+from hapticd.core.params import LeaseParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.gateway.guard import MOST_RECORDS
 from hapticd.gateway.leases import LATE_NS, Leases
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, State, Value
-from hapticd.params import LeaseParams
-from hapticd.units import NS_PER_MS, NS_PER_S
 
 A = b"a"
 B = b"b"

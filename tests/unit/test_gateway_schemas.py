@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from support.gateway_stand_in import setup
 
-from hapticd.errors import CommandError
+from hapticd.core.errors import CommandError
 from hapticd.gateway.limits import PLACES, CommandLimits, flat
 from hapticd.gateway.schemas import MODELS, json_schema, parse
 from hapticd.mailbox.layout import VALUE_LIMITS

@@ -9,9 +9,9 @@ from typing import Any
 import msgpack
 import pytest
 
+from hapticd.core.units import NS_PER_S
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.gateway.worker import RESTART_NS, Worker
-from hapticd.units import NS_PER_S
 
 HASH = "c" * 64
 HELLO = {"hello": {"model": True, "model_hash": "m", "config_hash": HASH, "pid": 7}}

@@ -13,12 +13,12 @@ from support.gateway_rig import UNIX_NS, decoded, packed
 from support.models import device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import GuardParams
 from hapticd.gateway.desk import Desk
 from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import Records, ServoView, as_records
 from hapticd.mailbox.layout import Flag, State, Watched
-from hapticd.params import GuardParams
 
 HOLDER = b"holder"
 OTHER = b"other"

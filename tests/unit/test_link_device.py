@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from hapticd.errors import LinkLost, LinkStalled, LinkTimeout, ProtocolMismatch
+from hapticd.core.errors import LinkLost, LinkStalled, LinkTimeout, ProtocolMismatch
 from hapticd.link.base import Link, backoff_s
 from hapticd.link.device import SEED, Device
 from hapticd.wire import codec, frames

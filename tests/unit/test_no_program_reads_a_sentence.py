@@ -13,12 +13,12 @@ from support.tree import ROOT
 
 from hapticd.analysis import findings
 from hapticd.client.sequence import StepReceipt
+from hapticd.core.errors import MailboxError
+from hapticd.core.faults import Fault
+from hapticd.core.params import ScaleParams
 from hapticd.doctor.checks import CheckResult
-from hapticd.errors import MailboxError
 from hapticd.explanation import Entry
-from hapticd.faults import Fault
 from hapticd.gateway.answers import GuardVerdict
-from hapticd.params import ScaleParams
 from hapticd.plant.effects import Effect
 from hapticd.recording.calibrations import CalibrationDoubt
 from hapticd.rig.result import Finding

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.plant_devices import EFFECTS, FULL, N_PER_A, weir_device
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.plant.compose import compose_device
 from hapticd.plant.effects import (
     Amplifier,

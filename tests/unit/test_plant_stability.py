@@ -5,7 +5,7 @@ from math import tau
 import pytest
 from support.plant_devices import EFFECTS, FULL, N_PER_A, weir_device
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.plant.compose import compose
 from hapticd.plant.effects import (
     Amplifier,

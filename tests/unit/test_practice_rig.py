@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from practice_rig import SEED, lay_out, main
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.settings.load import load
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 
 def test_board_fixture_is_a_client_on_virtual_time(hapticd_board):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.recorded import RecordedFlight
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.recording.file import open_recording
 
 

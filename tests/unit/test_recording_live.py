@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.recorded import RecordedFlight
 
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
 from hapticd.recording import live
 from hapticd.recording.file import open_recording
 from hapticd.recording.live import GROUPS, as_channel, channels, columns, event_row, udunits

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.render.filters import design, scaled, steady
 
 

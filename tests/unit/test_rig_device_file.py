@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.rig.device_file import changed, write
 from hapticd.rig.result import Change, rounded
 from hapticd.settings.toml import shipped

@@ -6,7 +6,7 @@ from support.models import COUNT_N
 from support.rig_hand import Hand
 from support.rig_spring import SPRING
 
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 from hapticd.rig.motor import Most
 from hapticd.rig.spring import Spring, concluded, measure
 

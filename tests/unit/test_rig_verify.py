@@ -12,8 +12,8 @@ from support.rig_verify import EMF, FREE, SHORT, nothing, verified
 
 from hapticd.analysis.impedance import Impedance
 from hapticd.cli.rig import steps
-from hapticd.environment import FilterParams
-from hapticd.errors import AnalysisError
+from hapticd.core.environment import FilterParams
+from hapticd.core.errors import AnalysisError
 from hapticd.rig import vectors, verify
 from hapticd.rig.known_parts import KnownParts, parts_of
 from hapticd.rig.result import Value

@@ -5,7 +5,7 @@ import pytest
 from support.models import device_params
 from support.rig_winding import rests
 
-from hapticd.params import to_plain
+from hapticd.core.params import to_plain
 from hapticd.rig.winding import concluded
 
 DEVICE = to_plain(device_params())

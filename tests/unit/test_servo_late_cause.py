@@ -2,11 +2,11 @@
 
 import pytest
 
+from hapticd.core.params import UsbParams
 from hapticd.link.device import Device
 from hapticd.link.usb import UsbLink
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Flag, LateCause
-from hapticd.params import UsbParams
 from hapticd.servo import late as servo_late
 from hapticd.servo.late import LateTicks, Ticked
 

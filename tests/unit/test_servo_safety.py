@@ -6,9 +6,9 @@ import pytest
 from support.flight import Flight, enabled
 from support.models import device_params, servo_params
 
-from hapticd.faults import BY_CODE, FAULTS
+from hapticd.core.faults import BY_CODE, FAULTS
+from hapticd.core.params import HomeParams, SafetyParams, ScaleParams
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.params import HomeParams, SafetyParams, ScaleParams
 from hapticd.servo import safety
 from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.safety import FAULT_EVENT, State

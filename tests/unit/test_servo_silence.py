@@ -5,9 +5,9 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import UsbParams
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, State, Value
-from hapticd.params import UsbParams
 from hapticd.servo.plan import SETTLED, flatten, unflatten
 from hapticd.wire.frames import StatusBit
 

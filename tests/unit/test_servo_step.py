@@ -7,10 +7,10 @@ import pytest
 from support.flight import Flight, enabled, masked
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
-from hapticd.faults import BY_CODE
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import HomeParams, ScaleParams
 from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result, Value
-from hapticd.params import HomeParams, ScaleParams
 from hapticd.render.law import render
 from hapticd.servo.safety import State
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.mailbox import layout
-from hapticd.params import (
+from hapticd.core.params import (
     BoardParams,
     GatewayParams,
     HandParams,
@@ -16,6 +15,7 @@ from hapticd.params import (
     from_plain,
     to_plain,
 )
+from hapticd.mailbox import layout
 from hapticd.settings import build, scene
 from hapticd.settings.device import signs_hash
 from hapticd.settings.load import HIGHEST_CORNER, Settings, load

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.gateway.flight import SUFFIX
 from hapticd.recording.file import open_recording
 from hapticd.settings.inputs import MIB, SETTINGS_BYTES, regular

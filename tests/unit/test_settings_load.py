@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.settings import load as settings_load
 from hapticd.settings import scene, toml
 from hapticd.settings.config import Config

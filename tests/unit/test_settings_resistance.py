@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.render.winding import least_residual_ohm, loop_gain, ohm
 from hapticd.settings.build import servo_params
 from hapticd.settings.guard import guard_setup

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.plant_devices import alpha
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.plant.compose import compose
 from hapticd.plant.effects import ALWAYS, KINDS, Coulomb, WindingTemperature
 from hapticd.settings import build

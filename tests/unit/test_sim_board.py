@@ -5,7 +5,7 @@ from math import floor, inf, nan
 import pytest
 from support.boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, out_packet
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.plant.step import held_force_response
 from hapticd.sim.board import BoardModel, hello
 from hapticd.wire import codec

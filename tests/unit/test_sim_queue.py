@@ -3,7 +3,7 @@
 import pytest
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
-from hapticd.params import BoardParams
+from hapticd.core.params import BoardParams
 from hapticd.sim.board import BoardModel, QueueingBoard, make_board
 from hapticd.wire import codec
 from hapticd.wire.frames import InFrame

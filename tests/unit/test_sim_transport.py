@@ -7,8 +7,8 @@ import pytest
 import usb.core
 from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
-from hapticd.clock import VirtualClock
-from hapticd.params import InjectionParams
+from hapticd.core.clock import VirtualClock
+from hapticd.core.params import InjectionParams
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.transport import DistantBackend, make_backend
 from hapticd.wire import codec

@@ -18,14 +18,14 @@ from support.usbip_client import DEVICE_BYTES, DEVICES, VENDOR_IN, Client, exact
 
 from hapticd.cli import sim_board
 from hapticd.cli.app import main
-from hapticd.clock import VirtualClock
-from hapticd.params import BoardParams, InjectionParams
+from hapticd.core.clock import VirtualClock
+from hapticd.core.params import BoardParams, InjectionParams
+from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.sim import descriptors
 from hapticd.sim.board import BoardModel, make_board
 from hapticd.sim.injection import with_injections
 from hapticd.sim.usb_device import UsbDevice
 from hapticd.sim.usbip import UsbipServer
-from hapticd.units import NS_PER_MS, NS_PER_S
 from hapticd.wire import codec
 from hapticd.wire.frames import HELLO_BYTES, Request, StatusBit
 

@@ -8,8 +8,8 @@ from support.gateway_stand_in import setup
 
 from benchmarks.guard_attack import shipped_judge
 from hapticd.console.asker import EXCITE, Asker
-from hapticd.environment import Environment
-from hapticd.errors import AnalysisError, ConfigError, HapticdError
+from hapticd.core.environment import Environment
+from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
 from hapticd.gateway.commands import values_given
 from hapticd.gateway.limits import CommandLimits
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from support import wire_header as header
 
-from hapticd.params import BoardParams
+from hapticd.core.params import BoardParams
 from hapticd.sim.board import BoardModel
 from hapticd.wire import codec, frames, session
 from hapticd.wire.frames import Request, StatusBit

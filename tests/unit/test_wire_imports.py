@@ -34,8 +34,8 @@ def test_wire_loads_standard_library_only() -> None:
     assert {name.partition(".")[0] for name in modules - ours} <= sys.stdlib_module_names
     assert {name for name in ours if not name.startswith("hapticd.wire")} <= {
         "hapticd",
-        "hapticd.errors",
-        "hapticd.lazy",
+        "hapticd.core.errors",
+        "hapticd.core.lazy",
     }
 
 

@@ -10,7 +10,7 @@ import pytest
 from support import wire_header as header
 from support.tree import ROOT
 
-from hapticd.errors import FrameError
+from hapticd.core.errors import FrameError
 from hapticd.wire import codec, frames
 
 VECTORS = [json.loads(line) for line in (header.FOLDER / "vectors.jsonl").read_text().splitlines()]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from hapticd.errors import AnalysisError, ConfigError, HapticdError
+from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
 from hapticd.zwidth.counters import unwrapped
 from hapticd.zwidth.recorded import read_file, read_foreign
 from hapticd.zwidth.watch import loss_findings

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 from hapticd.zwidth.store import TrialStore, read_summary, write_run
 
 WHOLE = '{"key": "a", "x": 1}\n'

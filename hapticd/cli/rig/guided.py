@@ -22,7 +22,7 @@ from hapticd.cli.rig import damping, sensors, steps
 from hapticd.cli.rig.identify import identify
 from hapticd.cli.rig.motor import motor
 from hapticd.cli.rig.verify import verify
-from hapticd.errors import DaemonDown, HapticdError
+from hapticd.core.errors import DaemonDown, HapticdError
 
 if TYPE_CHECKING:
     from hapticd.settings.device import DeviceFile
@@ -181,7 +181,7 @@ def measured(table: str, device: "DeviceFile") -> str:
 
 def in_doubt(table: str, device: "DeviceFile") -> str:
     """Why what was measured into `table` of `device` cannot be relied on any more; "": it can."""
-    from hapticd.params import to_plain
+    from hapticd.core.params import to_plain
     from hapticd.recording.calibrations import doubts
     from hapticd.settings.build import device_params
 
@@ -192,7 +192,7 @@ def in_doubt(table: str, device: "DeviceFile") -> str:
 
 def _measured_on(table: str, device: "DeviceFile") -> datetime.date | None:
     """When a step measured `table` of `device`; None: never."""
-    from hapticd.params import RIG_STEPS
+    from hapticd.core.params import RIG_STEPS
 
     found = getattr(device, table) if table else None
     if table == "model" and found is not None:

@@ -9,7 +9,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.rig import steps
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
 
 if TYPE_CHECKING:
     from hapticd.client import Client

@@ -21,7 +21,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.zwidth.live import signals_end_with_force_off
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -148,7 +148,7 @@ def not_read_yet(running: "Mapping[str, Any]", device: "DeviceFile") -> list[str
     """Scales of `device` that are others than those of a running servo, whose parameters of the
     device are `running`, as its hello says them.
     """
-    from hapticd.params import to_plain
+    from hapticd.core.params import to_plain
     from hapticd.settings.build import device_params
 
     written = to_plain(device_params(device))

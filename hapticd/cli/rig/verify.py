@@ -7,7 +7,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.rig.steps import Yes, asking, perform, show
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from hapticd.client import Client

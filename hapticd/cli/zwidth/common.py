@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
 
 if TYPE_CHECKING:
     from hapticd.plant.scene import Scene
@@ -168,7 +168,7 @@ def scene_of(name: str) -> "Scene":
 
     ConfigError names what there is.
     """
-    from hapticd.errors import ConfigError
+    from hapticd.core.errors import ConfigError
     from hapticd.settings.scene import load_scene
     from hapticd.zwidth.scenes import device_scene
 
@@ -195,7 +195,7 @@ def record_file(word: str, sources: tuple[str, ...]) -> Path:
 
 def device_of(name: str) -> "DeviceFile":
     """The device file of that scene, or of that name; `scene_of` has found it before."""
-    from hapticd.errors import ConfigError
+    from hapticd.core.errors import ConfigError
     from hapticd.settings.scene import load_files
     from hapticd.zwidth.scenes import device_file
 

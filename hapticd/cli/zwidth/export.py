@@ -29,7 +29,7 @@ def command(form: Form, run: Run, out: Target = None, as_json: terminal.Json = F
 
     The least Re Z of the band is the input feedforward passivity index that these tools compute.
     """
-    from hapticd.errors import ConfigError
+    from hapticd.core.errors import ConfigError
     from hapticd.zwidth.interchange import write_response
     from hapticd.zwidth.store import read_summary
     from hapticd.zwidth.trial import kept_trial

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from hapticd.cli import change, terminal
 from hapticd.cli.zwidth import common
-from hapticd.units import US_PER_S
+from hapticd.core.units import US_PER_S
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -43,8 +43,8 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
 
     What ends this process meanwhile ends the trial with force off.
     """
-    from hapticd.environment import Environment
-    from hapticd.params import from_plain
+    from hapticd.core.environment import Environment
+    from hapticd.core.params import from_plain
     from hapticd.zwidth.scenes import scene_of_device
 
     stack.enter_context(signals_end_with_force_off())

@@ -12,7 +12,7 @@ from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.analysis.arrays import Floats
+    from hapticd.core.arrays import Floats
     from hapticd.zwidth.map import LevelMap, MapParams, MapResult
     from hapticd.zwidth.outcomes import Conditions, Outcome
 

@@ -90,7 +90,7 @@ def _named(what: str) -> "Scene":
 
     ConfigError says what a folder without a run is and what may be done with it.
     """
-    from hapticd.errors import ConfigError
+    from hapticd.core.errors import ConfigError
 
     try:
         return common.scene_of(what)
@@ -120,7 +120,7 @@ def _instead(folder: Path) -> str:
 
 
 def _of_run(folder: Path, out: Path, width_mm: float | None) -> DrawnReport:
-    from hapticd.errors import ConfigError
+    from hapticd.core.errors import ConfigError
     from hapticd.zwidth.map import kept_map, plan_map
     from hapticd.zwidth.store import TrialStore, read_summary
     from hapticd.zwidth.trial import kept_trial
@@ -141,7 +141,7 @@ def _of_run(folder: Path, out: Path, width_mm: float | None) -> DrawnReport:
 
 def _same_scene(kept: dict[str, Any]) -> "Scene | None":
     """The scene of the run, for its prediction, where it is still what it was."""
-    from hapticd.errors import ConfigError
+    from hapticd.core.errors import ConfigError
     from hapticd.zwidth.store import fingerprint
 
     try:

@@ -80,7 +80,7 @@ def _grid(
     """Stiffnesses [N/m] and dampings [N s/m] of the walls. AnalysisError: K is not above 0."""
     import numpy as np
 
-    from hapticd.errors import AnalysisError
+    from hapticd.core.errors import AnalysisError
 
     low, high, count = common.ranged("--stiffness", stiffness, 1)
     if low <= 0.0:

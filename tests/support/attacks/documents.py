@@ -18,8 +18,8 @@ from pathlib import Path
 from random import Random
 
 from hapticd.assembly.lockstep import scene_params
-from hapticd.errors import ConfigError, HapticdError
-from hapticd.params import InjectionParams, to_plain
+from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.params import InjectionParams, to_plain
 from hapticd.recording import pack
 from hapticd.recording.file import open_recording
 from hapticd.recording.live import Writer

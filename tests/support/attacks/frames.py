@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.errors import LinkTimeout
+from hapticd.core.errors import LinkTimeout
 from hapticd.link.base import Link
 from hapticd.link.device import Device
 from hapticd.wire import codec, frames

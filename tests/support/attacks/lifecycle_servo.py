@@ -4,8 +4,8 @@ played, or no number. `lifecycle` says what each attack is.
 
 from random import Random
 
+from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
-from hapticd.params import InjectionParams
 from support.attacks.stand import (
     LONG,
     NOTHING,

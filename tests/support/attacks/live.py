@@ -26,12 +26,12 @@ import numpy as np
 
 from hapticd.client import Client
 from hapticd.client.blocks import BlockDecoder
-from hapticd.errors import CommandError, DaemonDown, HapticdError
-from hapticd.faults import BY_NUMBER
+from hapticd.core.errors import CommandError, DaemonDown, HapticdError
+from hapticd.core.faults import BY_NUMBER
+from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import State
 from hapticd.servo.plan import LINK_UP
-from hapticd.units import NS_PER_MS
 
 PR_SET_PDEATHSIG = 1
 LIBC = ctypes.CDLL(None)

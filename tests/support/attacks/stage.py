@@ -23,9 +23,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hapticd.client.client import GatewayLine
-from hapticd.errors import DaemonDown
+from hapticd.core.errors import DaemonDown
+from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.units import NS_PER_MS
 from support.attacks.live import LiveDaemon, Subscriber, Watch, usage
 from support.attacks.rows import Losses, Outcome
 from support.tree import TESTS

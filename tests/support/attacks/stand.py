@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from hapticd.assembly.lockstep import LockStep
+from hapticd.core.params import GuardParams, InjectionParams, SafetyParams
+from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.desk import Desk
 from hapticd.gateway.guard import MOST_RECORDS, Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import GatewayMailbox
-from hapticd.params import GuardParams, InjectionParams, SafetyParams
-from hapticd.units import NS_PER_MS
 from support.boards import board_params
 from support.gateway_rig import UNIX_NS, decoded, packed
 from support.guard_stub import StubWorker

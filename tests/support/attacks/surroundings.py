@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from random import Random
 
-from hapticd.errors import CommandError, DaemonDown
+from hapticd.core.errors import CommandError, DaemonDown
 from hapticd.mailbox import files
 from hapticd.mailbox.stop_word import press_stop
 from support.attacks.live import LiveDaemon, Watch, until, usage

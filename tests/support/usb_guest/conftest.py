@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 from machine import Board, have_udev
 
+from hapticd.core.params import UsbParams
 from hapticd.link.device import Device
 from hapticd.link.usb import UsbLink
-from hapticd.params import UsbParams
 
 # far longer than may be configured, for the machine of the tests is shared
 OURS = UsbParams(serial="SIM0001", timeout_ms=2000)

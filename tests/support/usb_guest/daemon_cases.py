@@ -17,7 +17,7 @@ import pytest
 from machine import Board, Looker, in_own_network, until
 
 from hapticd.client import Client
-from hapticd.errors import CommandError, DaemonDown
+from hapticd.core.errors import CommandError, DaemonDown
 from hapticd.mailbox import files
 from hapticd.settings.toml import shipped
 

@@ -22,8 +22,8 @@ from machine import (
 )
 from packets import answers, opens, read, write
 
-from hapticd.clock import MonotonicClock
-from hapticd.errors import LinkLost, LinkStalled, LinkTimeout
+from hapticd.core.clock import MonotonicClock
+from hapticd.core.errors import LinkLost, LinkStalled, LinkTimeout
 from hapticd.link.device import Device
 from hapticd.link.transport import settle_transport
 from hapticd.link.usb import UsbLink

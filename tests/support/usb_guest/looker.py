@@ -4,9 +4,9 @@ in one line, the serial number or why not.
 
 import sys
 
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
+from hapticd.core.params import UsbParams
 from hapticd.link.usb import UsbLink
-from hapticd.params import UsbParams
 from hapticd.wire import codec
 from hapticd.wire.frames import HELLO_BYTES, Request
 

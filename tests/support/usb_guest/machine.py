@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from hapticd.assembly.system_files import system_files
-from hapticd.params import UsbParams
+from hapticd.core.params import UsbParams
 
 VHCI = Path("/sys/devices/platform/vhci_hcd.0")
 DEVICES = Path("/sys/bus/usb/devices")

@@ -2,7 +2,7 @@
 
 from array import array
 
-from hapticd.errors import LinkError
+from hapticd.core.errors import LinkError
 from hapticd.link.usb import UsbLink
 from hapticd.wire import codec, frames
 

@@ -10,7 +10,7 @@ from conftest import OURS
 from machine import GROUP, Board, Looker, as_person, have_udev, in_own_network, place, until
 from packets import answers, opens
 
-from hapticd.errors import LinkAccess
+from hapticd.core.errors import LinkAccess
 from hapticd.link.usb import UsbLink
 
 

@@ -11,8 +11,8 @@ import os
 import signal
 from collections.abc import Callable
 
-from hapticd.clock import Clock
-from hapticd.units import NS_PER_US
+from hapticd.core.clock import Clock
+from hapticd.core.units import NS_PER_US
 
 _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 

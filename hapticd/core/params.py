@@ -12,9 +12,9 @@ import typing
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeVar, get_args
 
-from hapticd.environment import Environment, WorkspaceParams
-from hapticd.errors import ConfigError
-from hapticd.units import round_half_up
+from hapticd.core.environment import Environment, WorkspaceParams
+from hapticd.core.errors import ConfigError
+from hapticd.core.units import round_half_up
 
 T = TypeVar("T")
 

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, NamedTuple
 
-from hapticd.errors import ConfigError
+from hapticd.core.errors import ConfigError
 
 __all__ = [
     "FIELDS",

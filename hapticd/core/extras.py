@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from hapticd.errors import MissingLibrary
+from hapticd.core.errors import MissingLibrary
 
 __all__ = ["install_command", "need", "requirement"]
 

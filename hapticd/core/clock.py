@@ -9,7 +9,7 @@ origin.
 import time
 from abc import ABC, abstractmethod
 
-from hapticd.units import NS_PER_S
+from hapticd.core.units import NS_PER_S
 
 
 class Clock(ABC):
