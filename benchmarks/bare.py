@@ -12,11 +12,11 @@ from dataclasses import replace
 from benchmarks.tick_reference import ReferenceTick
 from hapticd.core.clock import Clock, VirtualClock
 from hapticd.core.params import BoardParams, UsbParams
-from hapticd.link.usb import UsbLink
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import control_replies
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import InFrame
+from hapticd.usb import codec, frames
+from hapticd.usb.frames import InFrame
+from hapticd.usb.link import UsbLink
 
 QUIET = InFrame(0, 1, 0, int(frames.StatusBit.SIMULATED), 0, 0, 0, 0, 0, 2200, 0, 1, 0, 0)
 

@@ -12,14 +12,14 @@ from benchmarks.worker import BenchError
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.params import BoardParams, ServoParams, from_plain
 from hapticd.core.units import NS_PER_S, NS_PER_US
-from hapticd.link.base import Link
-from hapticd.link.device import Device
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.servo.loop import ServoLoop, spinning_wait
 from hapticd.servo.plan import SETTLED
+from hapticd.usb.base import Link
+from hapticd.usb.device import Device
 
 FOR_EVER_S = 1e6  # nobody beats here
 ACTOR = 1

@@ -8,7 +8,7 @@ from benchmarks.bench_servo import BenchServo, read_parameters
 from benchmarks.worker import serve
 from hapticd.assembly.servo_main import simulated_backend
 from hapticd.core.clock import MonotonicClock
-from hapticd.link.usb import UsbLink
+from hapticd.usb.link import UsbLink
 
 
 def main() -> None:

@@ -14,10 +14,10 @@ from statistics import median
 
 from hapticd.core.params import BoardParams
 from hapticd.core.units import US_PER_S
-from hapticd.link.base import Link
 from hapticd.sim.board import hello
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import InFrame, Request
+from hapticd.usb import codec, frames
+from hapticd.usb.base import Link
+from hapticd.usb.frames import InFrame, Request
 
 AMPLITUDE_COUNTS = 2000
 WAVE_HZ = 3.0

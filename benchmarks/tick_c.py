@@ -18,8 +18,8 @@ from hapticd.core.params import ServoParams
 from hapticd.core.units import US_PER_S
 from hapticd.mailbox import layout
 from hapticd.servo.monitors import bounds
-from hapticd.wire.codec import TORQUE_SEQUENCES
-from hapticd.wire.frames import IN_HEAD
+from hapticd.usb.codec import TORQUE_SEQUENCES
+from hapticd.usb.frames import IN_HEAD
 
 SOURCE = Path(__file__).with_name("tick_reference.c")
 OPTIONS = ("-O2", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")

@@ -10,7 +10,7 @@ import struct
 
 from hapticd.core.environment import Environment, FilterParams
 from hapticd.render.filters import design
-from hapticd.wire.frames import IN_SEALED, OUT
+from hapticd.usb.frames import IN_SEALED, OUT
 
 RECORD = struct.Struct(
     "<QqIihH4h10dIQ"

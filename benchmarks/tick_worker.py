@@ -19,11 +19,11 @@ from benchmarks.worker import serve
 from hapticd.assembly.servo_main import simulated_backend
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.params import BoardParams, ServoParams
-from hapticd.link.usb import UsbLink
 from hapticd.mailbox import layout
 from hapticd.servo.loop import first_deadline
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import OutFrame
+from hapticd.usb import codec, frames
+from hapticd.usb.frames import OutFrame
+from hapticd.usb.link import UsbLink
 
 STAGES = slice(
     place("read_ns"), place("publish_ns") + 1

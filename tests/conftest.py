@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from hapticd.link.usb import UsbLink
 from hapticd.mailbox import files
+from hapticd.usb.link import UsbLink
 
 if TYPE_CHECKING:
     from support.recorded import RecordedFlight

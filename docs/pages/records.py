@@ -8,7 +8,7 @@ from hapticd.core.environment import FURTHER
 from hapticd.core.units import unit_of
 from hapticd.mailbox.layout import COMMISSIONING, TELEMETRY, Flag, LateCause, State, Watched
 from hapticd.servo import plan
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 from pages.markdown import table
 
 # units of fields whose names have none

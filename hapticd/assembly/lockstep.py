@@ -17,13 +17,13 @@ from hapticd.assembly.servo_main import simulated_backend
 from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import MailboxError
 from hapticd.core.params import BoardParams, RealtimeParams, SafetyParams, ServoParams, UsbParams
-from hapticd.link.device import Device
-from hapticd.link.usb import UsbLink
 from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import Command, Value
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.servo.loop import ServoLoop, virtual_wait
+from hapticd.usb.device import Device
+from hapticd.usb.link import UsbLink
 
 ANSWER_TICKS = 10  # within which a command is answered; a reset that asks the board takes a few
 CHUNK = 256  # ticks between gateway heartbeats; far below the ring and the heartbeat time-out

@@ -38,7 +38,7 @@ from hapticd.servo.plan import (
 )
 from hapticd.servo.step import make_step
 from hapticd.servo.transition import refiltered
-from hapticd.wire import codec, frames
+from hapticd.usb import codec, frames
 
 Records = NDArray[np.void]
 

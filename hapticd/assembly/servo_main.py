@@ -28,13 +28,13 @@ from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import BoardParams, ServoParams, from_plain
 from hapticd.core.process import die_with_parent, notify, on_stop
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S
-from hapticd.link.device import Device
-from hapticd.link.search import Search
-from hapticd.link.usb import UsbLink
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.servo import host
 from hapticd.servo.loop import ServoLoop, spinning_wait
+from hapticd.usb.device import Device
+from hapticd.usb.link import UsbLink
+from hapticd.usb.search import Search
 
 if TYPE_CHECKING:
     from hapticd.sim.backend import SimulatedBackend

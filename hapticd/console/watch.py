@@ -32,7 +32,7 @@ from hapticd.core.errors import HapticdError
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import State
-from hapticd.wire.frames import IN_EFFECT, IN_OFFSETS
+from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS
 
 RETRY_S = 0.25  # between looks for a daemon that is not there
 TICKS = "servo.raw"

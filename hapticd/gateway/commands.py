@@ -40,7 +40,7 @@ from hapticd.gateway.schemas import (
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, Result, State, Value, values_of
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
 LATCHED = frozenset({State.STOPPED, State.FAULT})

@@ -41,8 +41,8 @@ from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
 from hapticd.gateway.ledger import CONTEXT, samples
 from hapticd.gateway.view import Records, joined
 from hapticd.mailbox.layout import Flag
-from hapticd.wire.codec import I16_HIGHEST
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.codec import I16_HIGHEST
+from hapticd.usb.frames import StatusBit
 
 BLOCK_S = 0.256
 KEPT = 16  # blocks

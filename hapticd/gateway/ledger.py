@@ -19,8 +19,8 @@ from hapticd.core.params import ServoParams
 from hapticd.core.units import US_PER_S
 from hapticd.gateway.view import Records, joined
 from hapticd.mailbox.layout import Flag
-from hapticd.wire.codec import TORQUE_SEQUENCES
-from hapticd.wire.frames import IN_EFFECT, IN_OFFSETS, StatusBit
+from hapticd.usb.codec import TORQUE_SEQUENCES
+from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS, StatusBit
 
 NAMES = BOOKED.names or ()
 CONTEXT = 4 * LONGEST  # records that are looked at again: what is still on its way comes from them

@@ -44,8 +44,8 @@ from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, PROBE_RATE_HZ
 from hapticd.gateway.ledger import NAMES as LEDGER
 from hapticd.gateway.view import Records, ServoView, as_records, joined, last_torn
 from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, STAGES, TELEMETRY, Flag
-from hapticd.wire import frames
-from hapticd.wire.session import PROBE_INDEX_BITS, unwrap
+from hapticd.usb import frames
+from hapticd.usb.session import PROBE_INDEX_BITS, unwrap
 
 
 class Topic(NamedTuple):

@@ -17,7 +17,7 @@ from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import Perturb, invalid
 from hapticd.gateway.view import ServoView
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
 
 class Waveform:

@@ -295,7 +295,7 @@ TELEMETRY = (
     # --- this tick
     ("flags", "<u4"),
     ("status", "<u4"),
-    # of the sample: 0 on time, k after k lost ones (link.device), -k none for k periods
+    # of the sample: 0 on time, k after k lost ones (usb.device), -k none for k periods
     ("arrival", "<i4"),
     ("host", "<u4"),  # servo.plan: LINK_UP and the others
     # the time that ramps, holds and budgets go by, in periods: tick + slots that were lost so far
@@ -331,7 +331,7 @@ TELEMETRY = (
     # of the IN frame when it was read, by both clocks; -1: unknown, or the board holds torque back
     ("frame_age_us", "<i4"),
     ("active_damping_effect_ns_per_m", "<f4"),  # active damping in effect, as the board says
-    # of the event at the board's pins that this tick brought (link.events)
+    # of the event at the board's pins that this tick brought (usb.events)
     ("event_us", "<i8"),
     ("event_code", "<i4"),
     ("events_lost", "<u4"),

@@ -18,7 +18,7 @@ from typing import Any
 
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import CALIBRATION_DAYS
-from hapticd.wire.codec import I16_HIGHEST
+from hapticd.usb.codec import I16_HIGHEST
 
 SAME_SCALE = 0.01  # relative: what a gain that is measured again may differ by
 

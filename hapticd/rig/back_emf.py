@@ -32,7 +32,7 @@ from hapticd.rig.result import (
     change_of,
     relative_half,
 )
-from hapticd.wire.codec import I16_HIGHEST
+from hapticd.usb.codec import I16_HIGHEST
 
 BLOCKS = 10
 LEAST_SPEED_M_PER_S = 5e-3  # rms, of a handle that was shaken

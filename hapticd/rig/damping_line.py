@@ -37,7 +37,7 @@ from hapticd.rig.result import (
     rounded,
     settled,
 )
-from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
+from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 
 LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit
 LEAST_LEVELS = 3

@@ -29,8 +29,8 @@ from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import Capability, StatusBit
+from hapticd.usb import codec, frames
+from hapticd.usb.frames import Capability, StatusBit
 
 REST_S = 2.0
 MOVE_S = 5.0

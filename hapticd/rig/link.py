@@ -35,7 +35,7 @@ from hapticd.gateway.answers import Status
 from hapticd.rig import watchdog
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
-from hapticd.wire.frames import Capability
+from hapticd.usb.frames import Capability
 
 SECONDS = 10.0
 BLOCKS = 10

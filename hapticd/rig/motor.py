@@ -49,7 +49,7 @@ from hapticd.rig.result import (
     settled,
 )
 from hapticd.settings.device import signs_hash
-from hapticd.wire.codec import I16_HIGHEST
+from hapticd.usb.codec import I16_HIGHEST
 
 PUSH_S = 0.02
 FIRST_SHARE = 0.05  # of the force that is allowed

@@ -54,7 +54,7 @@ from hapticd.rig.shaken import (
     shaken,
     waveform,
 )
-from hapticd.wire.codec import I16_HIGHEST
+from hapticd.usb.codec import I16_HIGHEST
 
 REST_S = 12.0  # high-passes of 0.1 Hz forget what was before in some seconds
 QUARTERS = 4

@@ -21,7 +21,7 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import DaemonDown
 from hapticd.core.params import ScaleParams
-from hapticd.wire import codec
+from hapticd.usb import codec
 
 TICKS = "servo.raw"
 SILENT_LOOKS = 40  # without a message: 2 s

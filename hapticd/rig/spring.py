@@ -42,7 +42,7 @@ from hapticd.rig.motor import (
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
-from hapticd.wire.codec import I16_HIGHEST
+from hapticd.usb.codec import I16_HIGHEST
 
 LEVELS = 3
 OVERSHOOT = 1.3  # beyond the last level, so that the way down begins beyond it

@@ -35,7 +35,7 @@ from hapticd.rig.link import require_disabled
 from hapticd.rig.plausible import FACTOR
 from hapticd.rig.records import collect, raw_counts
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
 REST_S = 10.0
 SHAKE_S = 6.0

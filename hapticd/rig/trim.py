@@ -35,7 +35,7 @@ from hapticd.rig.glide import Fitted, least_squares
 from hapticd.rig.hand import Ask
 from hapticd.rig.moved import Means, joined, means_of, moved, raw_of, ready_to_move
 from hapticd.rig.result import Finding, StepResult, Value
-from hapticd.wire.frames import Capability
+from hapticd.usb.frames import Capability
 
 SECONDS = 20.0
 SEEN = 4  # pieces that an estimate rests on

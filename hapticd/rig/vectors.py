@@ -23,7 +23,7 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import FrameError
 from hapticd.rig.result import Finding
 from hapticd.settings.toml import shipped
-from hapticd.wire import codec, frames
+from hapticd.usb import codec, frames
 
 RATE_HZ = 1000.0
 T_S = 1.0 / RATE_HZ

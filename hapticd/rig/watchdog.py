@@ -28,7 +28,7 @@ from hapticd.core.units import MS_PER_S, US_PER_S
 from hapticd.mailbox.layout import LONGEST_SILENCE_S, Flag
 from hapticd.rig.records import collect, servo_rate_hz
 from hapticd.rig.result import Finding, Value
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 
 COUNTS = 16  # of active damping: some thousandths of a N s/m
 BEYOND = 1.5  # times the stated time, and

@@ -2,8 +2,8 @@
 says to be, again whenever its firmware has started anew, for it may have been flashed.
 
 Two things bar force for as long as this board is connected, and both are said by name: the hello
-contradicts the device file (`link.agreement`), and the bus is too slow for the rate of the servo
-(`link.transport`). They travel as host flags with every sample, so that a replay sees them too. The
+contradicts the device file (`usb.agreement`), and the bus is too slow for the rate of the servo
+(`usb.transport`). They travel as host flags with every sample, so that a replay sees them too. The
 daemon runs all the same: what was found has to be read somewhere. A look that fails, or that has
 not been taken yet, bars force too: it counts as none, and is taken again.
 
@@ -16,9 +16,6 @@ from typing import Any, Final, NamedTuple
 from hapticd.core.clock import Clock
 from hapticd.core.errors import LinkError, WireError
 from hapticd.core.params import ServoParams
-from hapticd.link.agreement import differences, probe_shortage
-from hapticd.link.device import Device
-from hapticd.link.transport import Transport, settle_transport
 from hapticd.servo.plan import (
     AMPLIFIER_TOLD,
     COMPENSATES,
@@ -26,7 +23,10 @@ from hapticd.servo.plan import (
     NO_TEMPERATURE,
     RATE_NOT_HELD,
 )
-from hapticd.wire.frames import Capability, HelloFrame
+from hapticd.usb.agreement import differences, probe_shortage
+from hapticd.usb.device import Device
+from hapticd.usb.frames import Capability, HelloFrame
+from hapticd.usb.transport import Transport, settle_transport
 
 NOT_LOOKED_AT: Final = -1  # in place of the number of a life
 STARTED_ANEW: Final = "the board has started anew and has not said yet who it is"

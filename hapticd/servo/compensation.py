@@ -18,11 +18,11 @@ What would break it: a look that every tick pays for, a clock in place of the sl
 from typing import Final
 
 from hapticd.core.params import ResistanceParams, ServoParams
-from hapticd.link.device import SEED
 from hapticd.render.ramp import approach
 from hapticd.render.winding import Winding, heated, target_ohm
 from hapticd.servo.plan import AUTHORITY, COMPENSATES, LINK_UP, NO_TEMPERATURE, Plan, Sample
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.device import SEED
 
 UNKNOWN_S: Final = 0.5  # a longer time without a look: nothing is known of the current in it
 

@@ -27,13 +27,13 @@ from hapticd.core.errors import LinkError
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import ServoParams
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
-from hapticd.link.device import Device, Head
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request, Settled, fault_request
 from hapticd.servo.safety import GRANTED, ORPHANED_EVENT, PERTURB_DONE_EVENT
-from hapticd.wire.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, I16_HIGHEST, I16_LOWEST, NO_SAMPLES
-from hapticd.wire.frames import FIFO_TARGET, PROBE_MAX, OutFlag
+from hapticd.usb.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, I16_HIGHEST, I16_LOWEST, NO_SAMPLES
+from hapticd.usb.device import Device, Head
+from hapticd.usb.frames import FIFO_TARGET, PROBE_MAX, OutFlag
 
 Burst = tuple[int, int, tuple[int, ...]]  # OUT flags, samples that count, always PROBE_MAX values
 _FIFO_CLEAR = int(OutFlag.FIFO_CLEAR)

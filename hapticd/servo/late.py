@@ -7,7 +7,7 @@ lateness. The part with the greatest share is the cause:
     deadline | wake | read     | step | write    | publish | end      next deadline
                WAKE   transfer   STEP   transfer   PUBLISH
 
-In flight (`link.flight`) `write` hands both transfers to the kernel and waits for neither, so its
+In flight (`usb.flight`) `write` hands both transfers to the kernel and waits for neither, so its
 share is SUBMISSION. `read` waits for an IN that is late, and the board's clock tells why. The board
 latches a sample a fixed time after it got the OUT before. So the time from that OUT (by the host's
 clock) to the sample (by the board's) is constant but for the offset of the clocks, which the two
@@ -35,9 +35,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from hapticd.core.units import NS_PER_US
-from hapticd.link.device import SEED, Device
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Flag, LateCause
+from hapticd.usb.device import SEED, Device
 
 SAMPLES = 3  # of ticks on time
 EARLIER = 3  # ticks before the late one, which show what is usual on the way to the board

@@ -37,10 +37,6 @@ from hapticd.core.clock import Clock
 from hapticd.core.errors import LinkError, LinkLost, MailboxError
 from hapticd.core.params import ServoParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S, round_half_up
-from hapticd.link.base import backoff_s
-from hapticd.link.device import NO_HEAD, SEED, UNKNOWN_US, Device, Head
-from hapticd.link.events import NO_CODE, NO_TIME_US
-from hapticd.link.search import Search, Tell
 from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
@@ -62,7 +58,8 @@ from hapticd.servo.plan import (
 )
 from hapticd.servo.silence import WITHHELD
 from hapticd.servo.step import initial_state, make_step
-from hapticd.wire.codec import (
+from hapticd.usb.base import backoff_s
+from hapticd.usb.codec import (
     HEAD_ENCODER,
     HEAD_STATUS,
     HEAD_TEMPERATURE,
@@ -70,7 +67,10 @@ from hapticd.wire.codec import (
     I16_LOWEST,
     NO_SAMPLES,
 )
-from hapticd.wire.frames import OutFlag
+from hapticd.usb.device import NO_HEAD, SEED, UNKNOWN_US, Device, Head
+from hapticd.usb.events import NO_CODE, NO_TIME_US
+from hapticd.usb.frames import OutFlag
+from hapticd.usb.search import Search, Tell
 
 Wait = Callable[[int, Callable[[], object]], int]
 MISSED = -1  # arrival of a tick without a sample, before it is known for how long

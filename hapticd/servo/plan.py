@@ -46,8 +46,8 @@ from hapticd.servo.commissioning import Push
 from hapticd.servo.homing import Homing
 from hapticd.servo.monitors import Signs, watches
 from hapticd.servo.safety import FAULT_EVENT, GRANTED, LATCHED, State, held_damping
-from hapticd.wire.codec import U16_HIGHEST
-from hapticd.wire.frames import OutFlag, StatusBit
+from hapticd.usb.codec import U16_HIGHEST
+from hapticd.usb.frames import OutFlag, StatusBit
 
 NEVER = 1 << 62
 CONTROL_SLEW_NS_PER_M_S: Final = 2000.0  # of active damping that the energy controller raises
@@ -315,7 +315,7 @@ Former = tuple[LawState, Ledger]  # as they were before the last sample
 Held = tuple[int, float, Former]  # what was sent last: torque count, force [N]; and before it
 ServoState = tuple[Settled, LawState, Ledger, Held, Signs]
 SETTLED: Final = 0  # place in a ServoState
-# encoder count, status, temperature count, arrival (link.device), host flags, index offset, delay
+# encoder count, status, temperature count, arrival (usb.device), host flags, index offset, delay
 # from the sample to the force in effect [periods], negative while it is unknown, counts of the
 # motor's current and of the active damping in effect
 Sample = tuple[int, int, int, int, int, int, float, int, int]
@@ -358,8 +358,8 @@ Answer = tuple[int, int, int, int, tuple[int, int], tuple[float, ...]]
 LINK_UP = 1
 GATEWAY_ALIVE = 2
 AMPLIFIER_TOLD = 4  # the board says whether its amplifier is ready
-DEVICE_DIFFERS = 8  # the board contradicts its device file (link.agreement)
-RATE_NOT_HELD = 16  # the bus is too slow for the rate (link.transport)
+DEVICE_DIFFERS = 8  # the board contradicts its device file (usb.agreement)
+RATE_NOT_HELD = 16  # the bus is too slow for the rate (usb.transport)
 NO_TEMPERATURE = 32  # the board does not measure the winding: its count means nothing
 COMPENSATES = 64  # the board has a resistance DAC and does not move it by itself
 

@@ -19,7 +19,7 @@ from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import Result, Value, following
 from hapticd.servo.plan import Plan, masked_places, out_of_range
 from hapticd.servo.safety import State
-from hapticd.wire.frames import OutFlag
+from hapticd.usb.frames import OutFlag
 
 ENABLE = int(OutFlag.ENABLE)
 WITHHELD = 0x100  # among the flags of an OUT frame, which have eight bits: there is none

@@ -40,9 +40,9 @@ from hapticd.servo.plan import (
     settle,
 )
 from hapticd.servo.transition import make_attend
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
-from hapticd.wire.frames import OutFlag
-from hapticd.wire.session import ENCODER_BITS
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.frames import OutFlag
+from hapticd.usb.session import ENCODER_BITS
 
 Step = Callable[[ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, Output]]
 

@@ -17,7 +17,6 @@ from hapticd.core.environment import FURTHER
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import ServoParams
 from hapticd.core.units import round_half_up
-from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result
 from hapticd.render.energy import EXCESS, FORCE, Ledger, book
 from hapticd.render.energy import at_rest as unknown_before
@@ -71,9 +70,10 @@ from hapticd.servo.plan import (
     without_origin,
 )
 from hapticd.servo.safety import GRANTED, LATCHED, State
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
-from hapticd.wire.frames import OutFlag, StatusBit
-from hapticd.wire.session import ENCODER_BITS
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.device import SEED
+from hapticd.usb.frames import OutFlag, StatusBit
+from hapticd.usb.session import ENCODER_BITS
 
 NO_AUTHORITY = BY_CODE["no_authority"].number
 FRAMES_LOST = BY_CODE["frames_lost"].number

@@ -44,7 +44,7 @@ from hapticd.plant.effects import (
 from hapticd.settings.config import RENDERED, EnvironmentTable, SimulatedBoard, Touch
 from hapticd.settings.device import DeviceFile, Travel, effects_of, signs_hash
 from hapticd.settings.load import Settings
-from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
+from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 
 # fields of [simulation] that make the board unkind, by the names of BoardParams
 TRAITS = (

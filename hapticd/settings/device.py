@@ -40,7 +40,7 @@ from hapticd.core.params import (
 from hapticd.core.units import COPPER_PER_K
 from hapticd.plant.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
 from hapticd.settings.tables import TomlTable
-from hapticd.wire.codec import I16_HIGHEST
+from hapticd.usb.codec import I16_HIGHEST
 
 SERIAL_BYTES = 16  # of the hello reply
 FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")

@@ -35,7 +35,7 @@ from hapticd.settings.device import (
 from hapticd.settings.parsed import Parsed, concerns, parsed
 from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
 from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
 FILE_NAME = "hapticd.toml"
 SYSTEM_FILE = Path("/etc/hapticd") / FILE_NAME

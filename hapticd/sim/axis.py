@@ -33,8 +33,8 @@ from hapticd.core.params import BoardParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.plant.composed import VELOCITY, State
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
-from hapticd.wire.frames import FIFO_DEPTH, OutFlag, StatusBit
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.frames import FIFO_DEPTH, OutFlag, StatusBit
 
 PAIRS_MAX = 64
 UNDERRUN = StatusBit.FIFO_UNDERRUN.value

@@ -322,7 +322,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
 
     # --- transfers in flight ----------------------------------------------------------------------
     def transfers(self, out_endpoint: int, in_endpoint: int) -> Flight:
-        """One OUT and one IN of the claimed board, submitted and reaped (`link.flight`)."""
+        """One OUT and one IN of the claimed board, submitted and reaped (`usb.flight`)."""
         assert self.device is not None
         ends = Endpoints(out_endpoint, in_endpoint)
         self._flight = Flight(self, self._port, self.device, ends, self._bus, self._clock)

@@ -40,8 +40,8 @@ from hapticd.sim.axis import (
     i16_count,
 )
 from hapticd.sim.events import EventPins, PinEvent
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import Capability, HelloFrame, Request, StatusBit
+from hapticd.usb import codec, frames
+from hapticd.usb.frames import Capability, HelloFrame, Request, StatusBit
 
 ADVANCE_MAX_NS = 20 * NS_PER_MS
 RATES_HZ = (250.0, 32_000.0)

@@ -33,7 +33,7 @@ from typing import NamedTuple, Protocol
 
 from hapticd.core.params import BusParams
 from hapticd.core.units import NS_PER_MS, NS_PER_US
-from hapticd.wire.frames import HELLO_BYTES, IN_BYTES, PACKET_BYTES
+from hapticd.usb.frames import HELLO_BYTES, IN_BYTES, PACKET_BYTES
 
 MICROFRAMES = 8  # in a frame
 BIT_NS = 1000.0 / 12.0

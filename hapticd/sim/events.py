@@ -11,7 +11,7 @@ What would break it: a frame that is counted as taken and shows another event th
 from collections import deque
 from typing import NamedTuple
 
-from hapticd.wire.frames import EVENT_DEPTH, EVENT_FRAMES
+from hapticd.usb.frames import EVENT_DEPTH, EVENT_FRAMES
 
 LONG_AGO = -(1 << 62)  # substep of the code that was there at power-up
 NUMBERS = 256

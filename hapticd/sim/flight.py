@@ -1,6 +1,6 @@
 """Transfers of the simulated board that are under way while the host does something else.
 
-What `link.flight` asks of a backend: one OUT and one IN are submitted, and reaped when they are
+What `usb.flight` asks of a backend: one OUT and one IN are submitted, and reaped when they are
 done. The bus (`sim.bus`) says when each packet is on the wire. Nothing runs by itself: whenever the
 host looks, `play` makes happen what lies behind, in the order of its time: an IN that waits takes
 the first frame that the board has for it, an OUT reaches the board when it has passed the bus.

@@ -20,8 +20,8 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.sim.board import BoardModel
-from hapticd.wire import codec
-from hapticd.wire.frames import StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import StatusBit
 
 
 class TransferFault(Exception):

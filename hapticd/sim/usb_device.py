@@ -22,7 +22,7 @@ from hapticd.sim import descriptors
 from hapticd.sim.board import GET_DESCRIPTOR, STRING, VENDOR_OUT
 from hapticd.sim.descriptors import Transfer
 from hapticd.sim.injection import Port, TransferFault
-from hapticd.wire.frames import PACKET_BYTES
+from hapticd.usb.frames import PACKET_BYTES
 
 DEVICE = 0x01  # types of descriptors
 CONFIGURATION = 0x02

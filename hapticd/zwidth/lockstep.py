@@ -39,7 +39,7 @@ from hapticd.gateway.view import Records, as_records, configured
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
 from hapticd.servo.plan import masked_places
-from hapticd.wire.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.zwidth.live import signals
 
 READY_TICKS = 5

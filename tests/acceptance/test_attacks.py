@@ -38,7 +38,7 @@ from hapticd.mailbox.layout import State
 from hapticd.recording import pack
 from hapticd.servo.plan import LINK_UP
 from hapticd.sim.axis import Axis
-from hapticd.wire import codec, frames
+from hapticd.usb import codec, frames
 
 pytestmark = pytest.mark.process
 

@@ -10,7 +10,7 @@ from support.firmware_board import FirmwareBoard
 from support.firmware_reference import CASE_BYTES
 from support.hostile import Tally, compare_boards
 
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 
 CASES = 60
 

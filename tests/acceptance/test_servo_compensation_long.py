@@ -15,7 +15,7 @@ from hapticd.mailbox.layout import Command, Value
 from hapticd.servo.plan import (
     SETTLED,
 )
-from hapticd.wire import codec
+from hapticd.usb import codec
 
 
 def test_board_without_the_dac_gets_0_and_loses_what_theory_says():

@@ -13,14 +13,14 @@ from support.models import COUNT_M, COUNT_N, device_params, servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HomeParams, InjectionParams, RealtimeParams, ScaleParams, UsbParams
 from hapticd.gateway.view import as_records
-from hapticd.link.agreement import differences
-from hapticd.link.device import SEED
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.board import hello
-from hapticd.wire import codec
+from hapticd.usb import codec
+from hapticd.usb.agreement import differences
+from hapticd.usb.device import SEED
 
 
 def report(stack):

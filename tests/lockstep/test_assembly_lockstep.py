@@ -22,8 +22,8 @@ from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.safety import State
-from hapticd.wire import codec
-from hapticd.wire.frames import OutFlag, StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import OutFlag, StatusBit
 
 FIG_4 = {Value.STIFFNESS: 100.0, Value.VIRTUAL_DAMPING: 1.0, Value.MASS: 0.010, Value.RAMP_S: 0.0}
 FREE = {Value.STIFFNESS: 0.0, Value.RAMP_S: 0.0}

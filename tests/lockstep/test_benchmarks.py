@@ -40,7 +40,7 @@ from hapticd.plant.compose import compose
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.scene import load_scene
-from hapticd.wire import codec, frames
+from hapticd.usb import codec, frames
 
 PROMISED = {
     *(f"fault_ticks_{code}" for code in CASES),

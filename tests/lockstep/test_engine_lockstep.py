@@ -24,7 +24,7 @@ from hapticd.plant.tables import board_fields
 from hapticd.servo.safety import State
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
-from hapticd.wire import codec
+from hapticd.usb import codec
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 LEVEL_COUNT = 10.0 / 65535

@@ -20,8 +20,8 @@ from support.programs import compiler
 from hapticd.settings.build import board_params as simulated
 from hapticd.settings.load import load
 from hapticd.sim.board import compensates, hello
-from hapticd.wire import codec, session
-from hapticd.wire.frames import OutFlag, Request, StatusBit
+from hapticd.usb import codec, session
+from hapticd.usb.frames import OutFlag, Request, StatusBit
 
 VECTORS = [
     json.loads(line) for line in (wire_header.FOLDER / "vectors.jsonl").read_text().splitlines()

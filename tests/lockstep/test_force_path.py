@@ -15,7 +15,7 @@ from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.servo.plan import AMPLIFIER_TOLD
 from hapticd.servo.safety import State
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

@@ -11,8 +11,8 @@ from hapticd.core.params import InjectionParams
 from hapticd.gateway.ledger import NAMES, Ledger, samples
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Value
-from hapticd.wire import codec
-from hapticd.wire.frames import StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import StatusBit
 
 SPRING = {Value.STIFFNESS: 300.0, Value.VIRTUAL_DAMPING: 0.0, Value.MASS: 0.0, Value.RAMP_S: 0.1}
 EVERYTHING = SPRING | {

@@ -24,17 +24,17 @@ from hapticd.core.errors import DaemonDown, MailboxError, ProtocolMismatch
 from hapticd.core.params import UsbParams
 from hapticd.core.units import NS_PER_S
 from hapticd.gateway.server import GatewayServer
-from hapticd.link.base import backoff_s
-from hapticd.link.device import Device
-from hapticd.link.search import MISMATCH_NS, Search
-from hapticd.link.usb import UsbLink
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import State
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import StopWord, press_stop, servo_lives
 from hapticd.sim.backend import READY, Handle, SimulatedBackend, Unready
 from hapticd.sim.board import BoardModel, hello
-from hapticd.wire import codec
+from hapticd.usb import codec
+from hapticd.usb.base import backoff_s
+from hapticd.usb.device import Device
+from hapticd.usb.link import UsbLink
+from hapticd.usb.search import MISMATCH_NS, Search
 
 START_NS = 1000 * NS_PER_S
 FOREIGN_HELLO = b"\xff" * 8 + codec.encode_hello(hello(board_params()))[8:]

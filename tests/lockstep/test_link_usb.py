@@ -21,14 +21,14 @@ from hapticd.core.errors import (
     MissingLibrary,
 )
 from hapticd.core.params import InjectionParams, UsbParams
-from hapticd.link.base import backoff_s
-from hapticd.link.usb import FAILURES, UsbLink, link_error, system_backend
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
 from hapticd.sim.errors import usb_error
 from hapticd.sim.injection import with_injections
-from hapticd.wire import codec
-from hapticd.wire.frames import Request, StatusBit
+from hapticd.usb import codec
+from hapticd.usb.base import backoff_s
+from hapticd.usb.frames import Request, StatusBit
+from hapticd.usb.link import FAILURES, UsbLink, link_error, system_backend
 
 
 class Backend(SimulatedBackend):

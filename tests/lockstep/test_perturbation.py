@@ -20,8 +20,8 @@ from hapticd.core.params import GatewaySetup, ScaleParams
 from hapticd.gateway.server import GatewayServer, run
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD, TELEMETRY, Command, Result, Value
 from hapticd.servo.inbox import Streamer
-from hapticd.wire import codec
-from hapticd.wire.frames import StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import StatusBit
 
 DTYPE = np.dtype([tuple(field) for field in TELEMETRY])
 LONG = 400  # samples

@@ -10,7 +10,7 @@ from support.models import servo_params
 from hapticd.core.errors import CommandError
 from hapticd.core.params import InjectionParams
 from hapticd.rig.link import drift_of, measure, median_of
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 from hapticd.zwidth.lockstep import LockStepBench
 
 SECONDS = 2.0

@@ -14,7 +14,7 @@ from hapticd.mailbox.layout import Command, Result
 from hapticd.servo.safety import State
 from hapticd.sim.bus import Passed
 from hapticd.sim.errors import usb_error
-from hapticd.wire.frames import Request
+from hapticd.usb.frames import Request
 
 IN_TURN = UsbParams(in_flight=False)  # a pair of 0.8 ms is too slow for 1 kHz
 EVER = range(10**6)

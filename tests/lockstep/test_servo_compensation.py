@@ -20,7 +20,6 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.replay import Segment, replay
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams, ScaleParams
-from hapticd.link.device import SEED
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
 from hapticd.servo.board_check import uncompensated
@@ -35,8 +34,9 @@ from hapticd.servo.plan import (
 from hapticd.servo.step import make_step
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.wire import codec
-from hapticd.wire.frames import Capability
+from hapticd.usb import codec
+from hapticd.usb.device import SEED
+from hapticd.usb.frames import Capability
 
 BLIND = ABLE | NO_TEMPERATURE
 

@@ -12,7 +12,7 @@ from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.servo.safety import State
-from hapticd.wire import codec
+from hapticd.usb import codec
 
 DRAWN = TouchParams(hands=(HandParams("push", 0.6, 0.5, 0.3),))
 WRAP = 1 << 31

@@ -18,8 +18,8 @@ from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.servo.plan import SETTLED
 from hapticd.sim.axis import DAMPING_HOLD_S, DAMPING_RELEASE_S
-from hapticd.wire import codec
-from hapticd.wire.frames import OutFlag
+from hapticd.usb import codec
+from hapticd.usb.frames import OutFlag
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

@@ -8,9 +8,9 @@ from support.models import servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import InjectionParams, UsbParams
 from hapticd.gateway.view import as_records
-from hapticd.link.events import NO_CODE, NO_TIME_US
 from hapticd.servo.plan import LINK_UP
-from hapticd.wire.frames import EVENT_DEPTH
+from hapticd.usb.events import NO_CODE, NO_TIME_US
+from hapticd.usb.frames import EVENT_DEPTH
 
 MS_NS = 1_000_000
 BOTH = [UsbParams(), UsbParams(in_flight=True)]

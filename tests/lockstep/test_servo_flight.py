@@ -14,8 +14,8 @@ from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.servo.safety import State
 from hapticd.sim.bus import BAND
-from hapticd.wire import codec
-from hapticd.wire.frames import OutFlag
+from hapticd.usb import codec
+from hapticd.usb.frames import OutFlag
 
 ROOT_PORT = BusParams()
 IN_TURN, IN_FLIGHT = UsbParams(in_flight=False), UsbParams(in_flight=True)

@@ -15,13 +15,13 @@ from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.view import as_records
-from hapticd.link.device import SEED
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.errors import usb_error
-from hapticd.wire.frames import OutFlag, Request
+from hapticd.usb.device import SEED
+from hapticd.usb.frames import OutFlag, Request
 
 RESTART = InjectionParams("restart", tick=50)
 SEEN = device_params(signs_firmware="1.0")

@@ -12,8 +12,8 @@ from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value, values_of
 from hapticd.servo.safety import State
 from hapticd.sim.axis import Probe
-from hapticd.wire import codec
-from hapticd.wire.frames import OutFlag
+from hapticd.usb import codec
+from hapticd.usb.frames import OutFlag
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

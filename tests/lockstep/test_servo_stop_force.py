@@ -17,7 +17,7 @@ from hapticd.mailbox.stop_word import press_stop
 from hapticd.servo import safety
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
-from hapticd.wire.frames import OutFlag, StatusBit
+from hapticd.usb.frames import OutFlag, StatusBit
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

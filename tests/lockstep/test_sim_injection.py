@@ -10,8 +10,8 @@ from hapticd.core.errors import ConfigError, FrameError
 from hapticd.core.params import InjectionParams
 from hapticd.sim.board import BoardModel
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS, Injector, TransferFault, with_injections
-from hapticd.wire import codec
-from hapticd.wire.frames import StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import StatusBit
 
 STRUCK = 2  # the tick that the tests strike
 

@@ -15,7 +15,7 @@ from hapticd.settings.build import board_params
 from hapticd.settings.load import Override, load
 from hapticd.sim.axis import Axis
 from hapticd.sim.board import BoardModel, hello
-from hapticd.wire.frames import Capability
+from hapticd.usb.frames import Capability
 
 LEVEL = 5.0  # N s/m
 COUNT = round(LEVEL / 10.0 * 65535)

@@ -32,7 +32,7 @@ from hapticd.mailbox.stop_word import (
 from hapticd.servo.plan import SETTLED
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.wire.frames import OutFlag
+from hapticd.usb.frames import OutFlag
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

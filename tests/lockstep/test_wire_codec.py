@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hapticd.core.errors import FrameError
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import HelloFrame, InFrame, OutFrame
+from hapticd.usb import codec, frames
+from hapticd.usb.frames import HelloFrame, InFrame, OutFrame
 
 repeatable = settings(deadline=None, derandomize=True, database=None, max_examples=300)
 

@@ -7,16 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hapticd.core.errors import FrameError, ProtocolMismatch
-from hapticd.wire import codec, frames, session
-from hapticd.wire.frames import HelloFrame
-from hapticd.wire.session import (
-    Arrival,
-    SequenceCounter,
-    check_hello,
-    classify,
-    greet,
-    unwrap,
-)
+from hapticd.usb import codec, frames, session
+from hapticd.usb.frames import HelloFrame
+from hapticd.usb.session import Arrival, SequenceCounter, check_hello, classify, greet, unwrap
 
 repeatable = settings(deadline=None, derandomize=True, database=None, max_examples=300)
 

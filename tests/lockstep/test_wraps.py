@@ -20,7 +20,7 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import BoardParams, InjectionParams
 from hapticd.mailbox.layout import TELEMETRY, Command, Result, Value
 from hapticd.servo.plan import SETTLED
-from hapticd.wire import codec
+from hapticd.usb import codec
 
 DTYPE = np.dtype([tuple(field) for field in TELEMETRY])
 LOST = (InjectionParams("drop_in", tick=900, count=2), InjectionParams("drop_out", tick=950))

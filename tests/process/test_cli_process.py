@@ -18,7 +18,7 @@ from support.daemon import DEADLINE_S, QUIET, Daemon, asking, last_record, until
 from hapticd.cli.app import main
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import State
-from hapticd.wire import codec
+from hapticd.usb import codec
 
 pytestmark = pytest.mark.process
 

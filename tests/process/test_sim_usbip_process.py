@@ -10,8 +10,8 @@ from support.sim_usbip import DEADLINE_S
 from support.usbip_client import VENDOR_IN, Client
 
 from hapticd.settings.toml import shipped
-from hapticd.wire import codec
-from hapticd.wire.frames import HELLO_BYTES, Request
+from hapticd.usb import codec
+from hapticd.usb.frames import HELLO_BYTES, Request
 
 
 @pytest.mark.process

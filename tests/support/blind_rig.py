@@ -47,7 +47,7 @@ from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.settings.build import commissioning, servo_params
 from hapticd.settings.load import Settings, load
-from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
+from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 from hapticd.zwidth.lockstep import LockStepBench
 from support.blind_hand import Person
 from support.blind_truth import NOMINAL, SERIAL, BlindBoard, Truth, drawn

@@ -34,8 +34,8 @@ from hapticd.plant.tables import board_fields
 from hapticd.sim.axis import Axis, Probe, i16_count
 from hapticd.sim.board import VENDOR_IN, BoardModel, hello
 from hapticd.sim.transport import make_backend
-from hapticd.wire import codec
-from hapticd.wire.frames import Request
+from hapticd.usb import codec
+from hapticd.usb.frames import Request
 
 I16 = codec.I16_HIGHEST
 SERIAL = "BLIND"

@@ -7,8 +7,8 @@ from math import inf
 from typing import Any
 
 from hapticd.core.params import BoardParams
-from hapticd.wire import codec
-from hapticd.wire.frames import InFrame, OutFlag, OutFrame
+from hapticd.usb import codec
+from hapticd.usb.frames import InFrame, OutFlag, OutFrame
 
 BOARD = BoardParams(
     serial="SIM0001",

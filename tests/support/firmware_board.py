@@ -25,7 +25,7 @@ from hapticd.core.units import NS_PER_S, NS_PER_US
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.sim.axis import EMERGENCY_STOP, READY, Amplifier, i16_count
 from hapticd.sim.board import ADVANCE_MAX_NS, VENDOR_OUT, compensates, control_replies, hello
-from hapticd.wire import codec, frames
+from hapticd.usb import codec, frames
 from support.firmware_build import REFERENCE, load_firmware
 
 CLOCK_START_US = 2**32 - 1_000_000

@@ -4,13 +4,13 @@ healthy unless told otherwise.
 
 from typing import Any
 
-from hapticd.link.device import SEED
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.safety import State
 from hapticd.servo.step import initial_state, make_step
-from hapticd.wire.frames import OutFlag, StatusBit
+from hapticd.usb.device import SEED
+from hapticd.usb.frames import OutFlag, StatusBit
 
 HEALTHY = LINK_UP | GATEWAY_ALIVE
 ENABLE = int(OutFlag.ENABLE)

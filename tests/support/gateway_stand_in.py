@@ -28,8 +28,8 @@ from hapticd.gateway.view import configured
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.wire.codec import encode_in
-from hapticd.wire.frames import InFrame
+from hapticd.usb.codec import encode_in
+from hapticd.usb.frames import InFrame
 
 CONFIG_HASH = "c" * 64
 JUDGED = range(Value.STIFFNESS, Value.ACTIVE_DAMPING_ON + 1)

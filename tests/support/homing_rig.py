@@ -9,13 +9,13 @@ from random import Random
 from typing import Any, NamedTuple
 
 from hapticd.core.params import DeviceParams, HandParams, HomeParams, TouchParams
-from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command
 from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import State
 from hapticd.servo.step import initial_state, make_step
-from hapticd.wire.frames import OutFlag, StatusBit
+from hapticd.usb.device import SEED
+from hapticd.usb.frames import OutFlag, StatusBit
 from support.boards import board_params
 from support.flight import AMBIENT_COUNT, HEALTHY, masked
 from support.models import COUNT_M, device_params, servo_params

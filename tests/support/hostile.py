@@ -18,8 +18,8 @@ from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.plant.step import SUBSTEPS_PER_TICK
 from hapticd.sim.board import BoardModel, compensates
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import OutFlag, OutFrame, Request, StatusBit
+from hapticd.usb import codec, frames
+from hapticd.usb.frames import OutFlag, OutFrame, Request, StatusBit
 from support.boards import board_params
 
 VENDOR_IN = 0xC0

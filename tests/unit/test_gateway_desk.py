@@ -26,7 +26,7 @@ from hapticd.mailbox.layout import (
     State,
     Value,
 )
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 
 
 @pytest.fixture

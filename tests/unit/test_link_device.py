@@ -6,11 +6,11 @@ from itertools import pairwise
 import pytest
 
 from hapticd.core.errors import LinkLost, LinkStalled, LinkTimeout, ProtocolMismatch
-from hapticd.link.base import Link, backoff_s
-from hapticd.link.device import SEED, Device
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import HelloFrame, InFrame, OutFlag, OutFrame
-from hapticd.wire.session import BACKWARD
+from hapticd.usb import codec, frames
+from hapticd.usb.base import Link, backoff_s
+from hapticd.usb.device import SEED, Device
+from hapticd.usb.frames import HelloFrame, InFrame, OutFlag, OutFrame
+from hapticd.usb.session import BACKWARD
 
 PERIOD_US = 1000
 

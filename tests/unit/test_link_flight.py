@@ -6,7 +6,7 @@ from array import array
 import pytest
 import usb.core
 
-from hapticd.link.flight import InFlight, OutFailed
+from hapticd.usb.flight import InFlight, OutFailed
 
 TIMEOUT_MS = 1
 OUT, IN = 0x01, 0x81

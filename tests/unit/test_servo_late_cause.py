@@ -3,12 +3,12 @@
 import pytest
 
 from hapticd.core.params import UsbParams
-from hapticd.link.device import Device
-from hapticd.link.usb import UsbLink
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Flag, LateCause
 from hapticd.servo import late as servo_late
 from hapticd.servo.late import LateTicks, Ticked
+from hapticd.usb.device import Device
+from hapticd.usb.link import UsbLink
 
 PERIOD_NS = 1_000_000
 PUBLISH_NS = 5_000

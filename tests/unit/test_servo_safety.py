@@ -12,7 +12,7 @@ from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.servo import safety
 from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, SETTLED
 from hapticd.servo.safety import FAULT_EVENT, State
-from hapticd.wire.frames import OutFlag, StatusBit
+from hapticd.usb.frames import OutFlag, StatusBit
 
 STIFF = {Value.STIFFNESS: 100.0}
 DENTED = 20_000  # counts = 10 mm: -1 N at 100 N/m

@@ -9,7 +9,7 @@ from hapticd.core.params import UsbParams
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, State, Value
 from hapticd.servo.plan import SETTLED, flatten, unflatten
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 
 SILENCE = {Value.SILENCE_S: 0.05}
 

@@ -9,10 +9,10 @@ from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import HomeParams, ScaleParams
-from hapticd.link.device import SEED
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.render.law import render
 from hapticd.servo.safety import State
+from hapticd.usb.device import SEED
 
 STIFF = {Value.STIFFNESS: 100.0}
 HOME = HomeParams(

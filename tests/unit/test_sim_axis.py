@@ -10,8 +10,8 @@ from support.boards import ENABLE, PERTURB, TICK_NS, board_params, exchange, out
 from hapticd.plant.step import held_force_response
 from hapticd.sim.axis import PAIRS_MAX, Axis, i16_count
 from hapticd.sim.board import BoardModel
-from hapticd.wire import codec
-from hapticd.wire.frames import FIFO_DEPTH, OutFlag, StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import FIFO_DEPTH, OutFlag, StatusBit
 
 WATCHDOG_SUBSTEPS = 250 * 16
 HOLD_SUBSTEPS = 2000 * 16

@@ -12,7 +12,7 @@ from hapticd.core.clock import MonotonicClock, VirtualClock
 from hapticd.sim.backend import ENDLESS_MS, SPIN_NS, SimulatedBackend
 from hapticd.sim.board import BoardModel
 from hapticd.sim.errors import LIBUSB_ERRORS, usb_error
-from hapticd.wire import codec
+from hapticd.usb import codec
 
 OUT = 0x01
 IN = 0x81

@@ -8,8 +8,8 @@ from support.boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exc
 from hapticd.core.errors import ConfigError
 from hapticd.plant.step import held_force_response
 from hapticd.sim.board import BoardModel, hello
-from hapticd.wire import codec
-from hapticd.wire.frames import OUT_BYTES, PROTOCOL_HASH, Capability, OutFlag, Request, StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import OUT_BYTES, PROTOCOL_HASH, Capability, OutFlag, Request, StatusBit
 
 BOARD = board_params()
 ALWAYS = int(StatusBit.SIMULATED | StatusBit.AMPLIFIER_READY)

@@ -19,7 +19,7 @@ from hapticd.plant.model import Model
 from hapticd.plant.tables import board_fields
 from hapticd.sim.axis import Axis, Probe
 from hapticd.sim.board import BoardModel
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 
 LINEAR = ("probe", "coupling", "viscous", "smoothing", "amplifier", "damping_circuit")
 

@@ -5,8 +5,8 @@ from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.core.params import BoardParams
 from hapticd.sim.board import BoardModel, QueueingBoard, make_board
-from hapticd.wire import codec
-from hapticd.wire.frames import InFrame
+from hapticd.usb import codec
+from hapticd.usb.frames import InFrame
 
 DEPTHS = [1, 2, 3, 4]
 

@@ -11,7 +11,7 @@ from hapticd.core.clock import VirtualClock
 from hapticd.core.params import InjectionParams
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.transport import DistantBackend, make_backend
-from hapticd.wire import codec
+from hapticd.usb import codec
 
 OUT = 0x01
 IN = 0x81

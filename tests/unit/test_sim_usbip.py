@@ -26,8 +26,8 @@ from hapticd.sim.board import BoardModel, make_board
 from hapticd.sim.injection import with_injections
 from hapticd.sim.usb_device import UsbDevice
 from hapticd.sim.usbip import UsbipServer
-from hapticd.wire import codec
-from hapticd.wire.frames import HELLO_BYTES, Request, StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import HELLO_BYTES, Request, StatusBit
 
 START_NS = 1000 * NS_PER_S
 CLEAR_HALT = (0x02, 0x01, 0)

@@ -10,8 +10,8 @@ from support import wire_header as header
 
 from hapticd.core.params import BoardParams
 from hapticd.sim.board import BoardModel
-from hapticd.wire import codec, frames, session
-from hapticd.wire.frames import Request, StatusBit
+from hapticd.usb import codec, frames, session
+from hapticd.usb.frames import Request, StatusBit
 
 VECTORS = [json.loads(line) for line in (header.FOLDER / "vectors.jsonl").read_text().splitlines()]
 OUT_VECTORS = [vector for vector in VECTORS if vector["kind"] == "out"]

@@ -1,4 +1,4 @@
-"""The compiled C header against hapticd.wire.frames: every size, offset, type and constant."""
+"""The compiled C header against hapticd.usb.frames: every size, offset, type and constant."""
 
 import json
 import re
@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from support import wire_header as header
 
-from hapticd.wire import frames
-from hapticd.wire.frames import protocol_hash
+from hapticd.usb import frames
+from hapticd.usb.frames import protocol_hash
 
 ENUMS = {
     "REQUEST": frames.Request,

@@ -26,9 +26,9 @@ def loaded() -> set[str]:
 def test_wire_loads_standard_library_only() -> None:
     modules = loaded()
     assert {
-        "hapticd.wire.frames",
-        "hapticd.wire.codec",
-        "hapticd.wire.session",
+        "hapticd.usb.frames",
+        "hapticd.usb.codec",
+        "hapticd.usb.session",
     } <= modules
     ours = {name for name in modules if name.partition(".")[0] == "hapticd"}
     assert {name.partition(".")[0] for name in modules - ours} <= sys.stdlib_module_names

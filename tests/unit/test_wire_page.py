@@ -11,7 +11,7 @@ import pytest
 from support import wire_header as header
 from support.tree import ROOT
 
-from hapticd.wire import codec
+from hapticd.usb import codec
 
 PAGE = (header.FOLDER / "PROTOCOL.md").read_text()
 LINES = map(json.loads, (header.FOLDER / "vectors.jsonl").read_text().splitlines())

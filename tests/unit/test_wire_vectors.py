@@ -11,7 +11,7 @@ from support import wire_header as header
 from support.tree import ROOT
 
 from hapticd.core.errors import FrameError
-from hapticd.wire import codec, frames
+from hapticd.usb import codec, frames
 
 VECTORS = [json.loads(line) for line in (header.FOLDER / "vectors.jsonl").read_text().splitlines()]
 GOOD = [v for v in VECTORS if "fields" in v]

@@ -1,4 +1,4 @@
-"""IN frames that no board should send, through `link.device` and `wire`, and what may come of them.
+"""IN frames that no board should send, through `usb.device` and `wire`, and what may come of them.
 
 A tape has FRAMES frames of a board that counts its ticks, which the host reads one a tick. A third
 is left as it is; the others are damaged in bits, in fields under a CRC that fits, exchanged for
@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.core.errors import LinkTimeout
-from hapticd.link.base import Link
-from hapticd.link.device import Device
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import Request
+from hapticd.usb import codec, frames
+from hapticd.usb.base import Link
+from hapticd.usb.device import Device
+from hapticd.usb.frames import Request
 from support.attacks.rows import Losses, Outcome
 
 FRAMES = 20_000  # of one tape

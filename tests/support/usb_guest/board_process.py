@@ -28,7 +28,7 @@ from hapticd.sim.board import make_board
 from hapticd.sim.injection import Port, TransferFault, with_injections
 from hapticd.sim.usb_device import Unplugged, UsbDevice
 from hapticd.sim.usbip import UsbipServer
-from hapticd.wire.frames import Request
+from hapticd.usb.frames import Request
 
 ALWAYS = 1 << 30
 OTHER_SERIAL = b"ANOTHER".ljust(16, b"\0")

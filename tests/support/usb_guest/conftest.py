@@ -8,8 +8,8 @@ import pytest
 from machine import Board, have_udev
 
 from hapticd.core.params import UsbParams
-from hapticd.link.device import Device
-from hapticd.link.usb import UsbLink
+from hapticd.usb.device import Device
+from hapticd.usb.link import UsbLink
 
 # far longer than may be configured, for the machine of the tests is shared
 OURS = UsbParams(serial="SIM0001", timeout_ms=2000)

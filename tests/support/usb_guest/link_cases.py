@@ -24,11 +24,11 @@ from packets import answers, opens, read, write
 
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import LinkLost, LinkStalled, LinkTimeout
-from hapticd.link.device import Device
-from hapticd.link.transport import settle_transport
-from hapticd.link.usb import UsbLink
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import Request
+from hapticd.usb import codec, frames
+from hapticd.usb.device import Device
+from hapticd.usb.frames import Request
+from hapticd.usb.link import UsbLink
+from hapticd.usb.transport import settle_transport
 
 
 # --- enumeration ----------------------------------------------------------------------------------

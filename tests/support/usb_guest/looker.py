@@ -6,9 +6,9 @@ import sys
 
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import UsbParams
-from hapticd.link.usb import UsbLink
-from hapticd.wire import codec
-from hapticd.wire.frames import HELLO_BYTES, Request
+from hapticd.usb import codec
+from hapticd.usb.frames import HELLO_BYTES, Request
+from hapticd.usb.link import UsbLink
 
 link = UsbLink(UsbParams(serial="SIM0001"))
 for _ in sys.stdin:

@@ -3,8 +3,8 @@
 from array import array
 
 from hapticd.core.errors import LinkError
-from hapticd.link.usb import UsbLink
-from hapticd.wire import codec, frames
+from hapticd.usb import codec, frames
+from hapticd.usb.link import UsbLink
 
 
 def frame(seq: int = 0) -> "array[int]":

@@ -11,7 +11,7 @@ from machine import GROUP, Board, Looker, as_person, have_udev, in_own_network, 
 from packets import answers, opens
 
 from hapticd.core.errors import LinkAccess
-from hapticd.link.usb import UsbLink
+from hapticd.usb.link import UsbLink
 
 
 def test_rule_gives_the_board_to_the_group_and_to_nobody_else(board: Board) -> None:

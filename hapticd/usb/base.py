@@ -6,14 +6,14 @@ Real and simulated boards are twins below it: nobody above asks which.
 from abc import ABC, abstractmethod
 from array import array
 
-from hapticd.wire.frames import Request
+from hapticd.usb.frames import Request
 
 
 class Link(ABC):
     """One board, one owner. Every call returns within the link's time-out or raises a LinkError.
 
     `in_flight`: `write` returns before its frame has arrived, and a frame may be under way while
-    no call is (`link.flight`).
+    no call is (`usb.flight`).
     """
 
     in_flight = False

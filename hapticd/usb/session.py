@@ -22,8 +22,8 @@ from enum import Enum, auto
 from math import isfinite
 
 from hapticd.core.errors import ProtocolMismatch
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import HelloFrame
+from hapticd.usb import codec, frames
+from hapticd.usb.frames import HelloFrame
 
 SEQ_BITS = 16
 BOARD_TIME_BITS = 32
@@ -48,7 +48,7 @@ def greet(reply: bytes) -> HelloFrame:
 
 def check_hello(hello: HelloFrame) -> None:
     """Return if the host can work with this board, else ProtocolMismatch. What its device file
-    relies on is not looked at here (`link.agreement`).
+    relies on is not looked at here (`usb.agreement`).
     """
     _check_hash(hello.protocol_hash)
     board = f"board {hello.serial or 'without serial'}"

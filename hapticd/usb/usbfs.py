@@ -28,8 +28,8 @@ from collections.abc import Callable
 import usb.core
 
 from hapticd.core.units import NS_PER_S
-from hapticd.link.flight import End
-from hapticd.wire.frames import PACKET_BYTES
+from hapticd.usb.flight import End
+from hapticd.usb.frames import PACKET_BYTES
 
 PENDING = -1
 BULK = 3  # USBDEVFS_URB_TYPE_*

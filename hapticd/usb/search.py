@@ -17,9 +17,9 @@ from collections.abc import Callable
 
 from hapticd.core.errors import LinkError, ProtocolMismatch, WireError
 from hapticd.core.units import NS_PER_S
-from hapticd.link.base import backoff_s
-from hapticd.link.device import Device
-from hapticd.wire.frames import HelloFrame
+from hapticd.usb.base import backoff_s
+from hapticd.usb.device import Device
+from hapticd.usb.frames import HelloFrame
 
 MISMATCH_NS = 30 * NS_PER_S  # boot loaders wait for seconds, and flashing takes half a minute
 Tell = Callable[[str], None]

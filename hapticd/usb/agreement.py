@@ -27,8 +27,8 @@ from typing import NamedTuple
 
 from hapticd.core.params import MOST_CORRECTION, DeviceParams, ScaleParams
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
-from hapticd.wire.frames import PAIR_MAX, Capability, HelloFrame
+from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
+from hapticd.usb.frames import PAIR_MAX, Capability, HelloFrame
 
 TOLERANCE = 0.1  # of the device file's number, where nobody measured it
 

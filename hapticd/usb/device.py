@@ -37,10 +37,9 @@ from typing import NamedTuple
 
 from hapticd.core.errors import LinkStalled, LinkTimeout
 from hapticd.core.units import US_PER_S
-from hapticd.link.base import Link
-from hapticd.link.events import PinEvents
-from hapticd.wire import codec, frames, session
-from hapticd.wire.codec import (
+from hapticd.usb import codec, frames, session
+from hapticd.usb.base import Link
+from hapticd.usb.codec import (
     HEAD_AXIS,
     HEAD_BOARD_TIME,
     HEAD_CRC,
@@ -52,8 +51,9 @@ from hapticd.wire.codec import (
     HEAD_TORQUE_AGE,
     HEAD_TORQUE_SEQ,
 )
-from hapticd.wire.frames import Capability, HelloFrame, Request
-from hapticd.wire.session import BOARD_TIME_BITS
+from hapticd.usb.events import PinEvents
+from hapticd.usb.frames import Capability, HelloFrame, Request
+from hapticd.usb.session import BOARD_TIME_BITS
 
 # far above any number of lost samples: the link is given up long before
 SEED = 1 << 20

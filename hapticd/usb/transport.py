@@ -11,7 +11,7 @@ and 1.45 times as much at the 99th percentile. So room is left for 1.45 times th
 and 50 us of step, and the phase is the largest multiple of 1/16 of the period, up to 0.875, that
 leaves it. What the force loses by it is known: it acts (1 - phase) periods after its sample.
 
-With transfers in flight (`link.flight`) neither is waited for. What has to fit is
+With transfers in flight (`usb.flight`) neither is waited for. What has to fit is
 
     phase + way of an OUT to the board + way of its IN back + step  <=  period
 
@@ -34,9 +34,9 @@ from typing import NamedTuple
 from hapticd.core.clock import Clock
 from hapticd.core.errors import LinkTimeout
 from hapticd.core.units import NS_PER_US, US_PER_S
-from hapticd.link.device import Device
-from hapticd.wire import frames
-from hapticd.wire.frames import Capability, Request
+from hapticd.usb import frames
+from hapticd.usb.device import Device
+from hapticd.usb.frames import Capability, Request
 
 USUAL_PHASE = 0.875  # of a period: what a board has of itself (firmware_iface/PROTOCOL.md)
 PHASES = 16  # in a period

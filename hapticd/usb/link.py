@@ -38,9 +38,9 @@ from hapticd.core.errors import (
     LinkTimeout,
 )
 from hapticd.core.params import UsbParams
-from hapticd.link.base import Link
-from hapticd.link.flight import End, InFlight, OutFailed, Transfers
-from hapticd.wire.frames import Request
+from hapticd.usb.base import Link
+from hapticd.usb.flight import End, InFlight, OutFailed, Transfers
+from hapticd.usb.frames import Request
 
 
 class Failure(NamedTuple):
@@ -277,7 +277,7 @@ class UsbLink(Link):
         if not self._params.in_flight:
             return None
         if self._system is not None:
-            from hapticd.link.usbfs import UsbfsTransfers  # not for a simulated board
+            from hapticd.usb.usbfs import UsbfsTransfers  # not for a simulated board
 
             path = f"/dev/bus/usb/{device.bus:03d}/{device.address:03d}"
             return UsbfsTransfers(path, number, out, into)

@@ -18,8 +18,8 @@ from math import isfinite
 from typing import Any
 
 from hapticd.core.errors import FrameError
-from hapticd.wire import frames
-from hapticd.wire.frames import HelloFrame, InFrame, OutFrame
+from hapticd.usb import frames
+from hapticd.usb.frames import HelloFrame, InFrame, OutFrame
 
 # ends of a count: torque, perturbation, current, velocities and temperature are signed, the damping
 # scale factor is not

@@ -12,7 +12,7 @@ The time is that of the change, by the board's clock, as `board_us` is that of t
 need no clock of the host. An age that has reached the end of its 16 bits gives no time.
 """
 
-from hapticd.wire.codec import HEAD_EVENT_AGE, HEAD_EVENT_CODE, HEAD_EVENT_SEQ, U16_HIGHEST
+from hapticd.usb.codec import HEAD_EVENT_AGE, HEAD_EVENT_CODE, HEAD_EVENT_SEQ, U16_HIGHEST
 
 NUMBERS = 256
 NO_CODE = -1
