@@ -31,8 +31,8 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import BoardParams, ServoParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, State, Value
-from hapticd.plant.composed import POSITION
-from hapticd.plant.step import SUBSTEPS_PER_TICK
+from hapticd.model.composed import POSITION
+from hapticd.model.step import SUBSTEPS_PER_TICK
 from hapticd.servo.safety import GRANTED, LATCHED
 from hapticd.sim.axis import NEVER
 from hapticd.sim.injection import Injector

@@ -21,7 +21,7 @@ from hapticd.assembly.servo_main import simulated_backend
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_US
-from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
+from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import OutFlag
 from hapticd.usb.link import UsbLink

@@ -15,9 +15,9 @@ import numpy as np
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared, refused
-from hapticd.analysis.loop import derivatives, held
 from hapticd.analysis.search import Search, first_trials, next_trials, predicted_passive
 from hapticd.analysis.surrogate import Box, Observation
+from hapticd.model.loop import derivatives, held
 from hapticd.settings.scene import load_scene
 from hapticd.weir2008.future_work import SearchCheck, compared_with_grid
 from hapticd.weir2008.paper import LEVELS

@@ -10,8 +10,8 @@ import numpy as np
 
 from hapticd.core.environment import Environment
 from hapticd.engine.job import Group, Job, prepared, shared_torque
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose_device
+from hapticd.model.effects import (
     Coulomb,
     Coupling,
     Delay,
@@ -21,8 +21,8 @@ from hapticd.plant.effects import (
     Saturation,
     Viscous,
 )
-from hapticd.plant.model import Model
-from hapticd.plant.scene import DampingStep, Excitation
+from hapticd.model.model import Model
+from hapticd.model.scene import DampingStep, Excitation
 
 ROTOR_KG = 0.005
 SLIDER_KG = 0.003

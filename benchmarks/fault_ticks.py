@@ -42,7 +42,7 @@ from hapticd.core.params import (
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.layout import Command, Value
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.plant.composed import VELOCITY
+from hapticd.model.composed import VELOCITY
 from hapticd.servo.plan import SETTLED
 from hapticd.settings.build import board_params, servo_params
 from hapticd.sim.injection import Injector

@@ -28,9 +28,9 @@ from support.whole_tick import (
     radius,
 )
 
-from hapticd.analysis.coupled import shaking_hand
 from hapticd.core.environment import FilterParams
-from hapticd.plant.model import Model
+from hapticd.model.coupled import shaking_hand
+from hapticd.model.model import Model
 
 FURTHER = 1.05  # of K, B and M, from where nothing is rendered
 RANDOM_HANDS = 20

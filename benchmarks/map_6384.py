@@ -19,7 +19,7 @@ from benchmarks.figures import Figure, compared
 from benchmarks.spa_c import SpectraYard
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine.batch import workers
-from hapticd.plant.compose import compose
+from hapticd.model.compose import compose
 from hapticd.settings.scene import load_scene
 from hapticd.weir2008.run import AXES
 from hapticd.zwidth.executors import executor

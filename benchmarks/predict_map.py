@@ -13,12 +13,12 @@ import numpy as np
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import port_states
 from hapticd.analysis.passive_set import grid
-from hapticd.analysis.predict import coulomb, frequencies, predict
-from hapticd.plant.compose import compose
-from hapticd.plant.model import Model
+from hapticd.model.compose import compose
+from hapticd.model.linearise import Perturbation
+from hapticd.model.loop import port_states
+from hapticd.model.model import Model
+from hapticd.model.predict import coulomb, frequencies, predict
 from hapticd.settings.scene import load_scene
 
 TARGETS = targets.of("predict_map")

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
-from hapticd.plant.effects import Delay, Viscous
-from hapticd.plant.scene import Scene
+from hapticd.model.effects import Delay, Viscous
+from hapticd.model.scene import Scene
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.limits import ORIGIN, AxisLimit, LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions, Point

@@ -22,9 +22,9 @@ from benchmarks.worker import ROOT, BenchError, environment
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine import simulate
 from hapticd.engine.batch import workers
-from hapticd.plant.compose import compose
-from hapticd.plant.model import Model
-from hapticd.plant.scene import Scene
+from hapticd.model.compose import compose
+from hapticd.model.model import Model
+from hapticd.model.scene import Scene
 from hapticd.settings.scene import load_scene
 
 TARGETS = targets.of("trials")

@@ -22,7 +22,7 @@ from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_S
 from hapticd.engine import simulate
-from hapticd.plant.effects import ALWAYS, KINDS
+from hapticd.model.effects import ALWAYS, KINDS
 from hapticd.settings.scene import load_files, load_scene
 from hapticd.study.accuracy import GROUP
 from hapticd.zwidth.scenes import point

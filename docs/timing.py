@@ -6,8 +6,8 @@ sample (ADR 0076); with transfers in flight it can act after 0.25. Each row is o
 at both delays:
 
     law          b / (T/2 + delay + lags): the low-frequency bound, for K with B = 0
-    theorem      no friction, every input (analysis.theorem), stability included
-    prediction   white noise, friction linearised (analysis.predict), as trials record it
+    theorem      no friction, every input (model.theorem), stability included
+    prediction   white noise, friction linearised (model.predict), as trials record it
     trials       90 s of noise each, searched to 1 % (zwidth.limits), mean over SEEDS
 
 Nothing is fitted, and no bus is simulated: the delay is that of the model.
@@ -34,8 +34,8 @@ from benchmarks.timing import (  # noqa: E402
 )
 from hapticd.analysis.bases import Conditions, Theorem  # noqa: E402
 from hapticd.analysis.passive_set import axis_limit  # noqa: E402
-from hapticd.plant.effects import Amplifier, Delay, Smoothing, Viscous  # noqa: E402
-from hapticd.plant.scene import Scene  # noqa: E402
+from hapticd.model.effects import Amplifier, Delay, Smoothing, Viscous  # noqa: E402
+from hapticd.model.scene import Scene  # noqa: E402
 from hapticd.report.style import BLACK, BLUE, GREY, PREDICTED, WIDTH_IN, axes, styled  # noqa: E402
 from hapticd.settings.scene import load_scene  # noqa: E402
 from hapticd.zwidth.limits import ORIGIN, AxisLimit, predicted_limit  # noqa: E402

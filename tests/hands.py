@@ -20,8 +20,8 @@ from support.narrow_modes import directions, drawn, edge
 from support.passive_hands import random_hands
 
 from hapticd.analysis.bases import Conditions, Theorem
-from hapticd.analysis.coupled import GROWS, held_by
-from hapticd.analysis.loop import PAPER_FILTERS, radii, tick_of
+from hapticd.model.coupled import GROWS, held_by
+from hapticd.model.loop import PAPER_FILTERS, radii, tick_of
 
 INSIDE = 0.999  # of an edge
 EACH = 10  # environments of one device

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.core.units import unit_of
-from hapticd.plant.effects import ALWAYS, KINDS, PROVENANCE, Effect
+from hapticd.model.effects import ALWAYS, KINDS, PROVENANCE, Effect
 from pages.markdown import table
 from pages.settings import settings_page
 

@@ -11,7 +11,7 @@ code.
 
 import numpy as np
 
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
 from hapticd.report.envelope import envelope_figure
 from hapticd.report.trial import trial_figure
 from hapticd.settings.scene import load_scene

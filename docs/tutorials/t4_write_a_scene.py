@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 from hapticd.core.errors import ConfigError
-from hapticd.plant.compose import compose
+from hapticd.model.compose import compose
 from hapticd.report.study import scene_figure
 from hapticd.settings.scene import load_scene
 from hapticd.study.scene import plan_scene, run_scene

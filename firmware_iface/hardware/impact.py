@@ -15,8 +15,8 @@ from functools import cache
 
 from firmware_iface.hardware.device_file import NAME
 from hapticd.core.params import BoardParams
-from hapticd.plant.effects import AmplifierLimits, Effect, Load
-from hapticd.plant.step import SUBSTEPS_PER_TICK, Plant, make_plant
+from hapticd.model.effects import AmplifierLimits, Effect, Load
+from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
 from hapticd.settings.build import board_of, device_effects
 from hapticd.zwidth.scenes import device_file
 

@@ -8,7 +8,7 @@ Both recorded the same force r(i), the other one with a clock of its own, as row
 of its file: c the offset, e the difference of the clocks, and k whole numbers, for a file loses
 whole samples. A gap of s samples lets k fall by s.
 
-mark        c is found by the mark that the perturbation begins with (`plant.excitation`), a
+mark        c is found by the mark that the perturbation begins with (`model.excitation`), a
             sequence of 1023 signs that correlates with nothing but itself: with noise as strong as
             the force its coefficient is 0.7, anything else reaches 0.16 once in a million samples.
             A negative coefficient is an inverted sign.
@@ -35,7 +35,7 @@ from hapticd.analysis.gaps import Gap, find_gaps
 from hapticd.analysis.matching import coefficients, fraction
 from hapticd.core.arrays import Floats, Integers
 from hapticd.core.errors import AnalysisError
-from hapticd.plant.excitation import mark_signs
+from hapticd.model.excitation import mark_signs
 
 PIECE = 1024  # samples that are looked for at once
 LEAST = 0.25  # coefficient of a piece or a mark that was found: eight standard deviations of chance

@@ -27,24 +27,16 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import Filters, Tick, radii, tick_of
-from hapticd.analysis.predict import Prediction, predict
-from hapticd.analysis.rational import Rational, positive_everywhere, rational
-from hapticd.analysis.theorem import (
-    NOWHERE,
-    Lift,
-    Opened,
-    lift,
-    lifted_worst,
-    opened,
-    within,
-)
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Point
 from hapticd.core.params import MeasuredLevel, MeasuredParams, ModelParams, OutputParams
-from hapticd.plant.blueprint import StateVariable
-from hapticd.plant.model import InputColumns, Model, Output, Outputs, frozen
+from hapticd.model.blueprint import StateVariable
+from hapticd.model.linearise import Perturbation
+from hapticd.model.loop import Filters, Tick, radii, tick_of
+from hapticd.model.model import InputColumns, Model, Output, Outputs, frozen
+from hapticd.model.predict import Prediction, predict
+from hapticd.model.rational import Rational, positive_everywhere, rational
+from hapticd.model.theorem import NOWHERE, Lift, Opened, lift, lifted_worst, opened, within
 
 LEVELS = 16
 _KEPT = 4 * LEVELS  # of lifts, circles and ticks: levels, some delays, filters

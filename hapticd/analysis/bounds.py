@@ -15,7 +15,7 @@ from hapticd.analysis.displays import nothing_rendered
 from hapticd.core.environment import FilterParams
 from hapticd.core.params import GuardSetup
 from hapticd.mailbox.environment_limits import WIDEST
-from hapticd.plant.model import Model
+from hapticd.model.model import Model
 
 IDEAL_PERIODS = 0.0  # a force that acts at its sample: of the delay, the hold alone is left
 

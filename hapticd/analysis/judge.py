@@ -17,12 +17,9 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.angles import unresolved_hz
 from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.analysis.bounds import IDEAL_PERIODS, timing_cost
-from hapticd.analysis.coupled import GROWS, coupled_radius, shaking_hand
 from hapticd.analysis.displays import from_message, with_change
-from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.plane import plane
 from hapticd.analysis.policies import MODES, POLICIES, answer_change
 from hapticd.analysis.words import Verdicts, doubling, explained, in_words
@@ -30,6 +27,9 @@ from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import GuardSetup
 from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
+from hapticd.model.angles import unresolved_hz
+from hapticd.model.coupled import GROWS, coupled_radius, shaking_hand
+from hapticd.model.linearise import Perturbation
 
 _DELAYS = 8  # whose cost is kept
 _TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}

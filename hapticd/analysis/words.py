@@ -11,10 +11,10 @@ from typing import Any
 
 from hapticd.analysis.allowed import Judgement
 from hapticd.analysis.bases import Reading, cached_levels
-from hapticd.analysis.coupled import Hand
 from hapticd.core.environment import Environment
 from hapticd.core.params import GuardSetup
 from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
+from hapticd.model.coupled import Hand
 
 NOT_COVERED = ("contact switching", "varying delay")
 _NOTHING = Reading(None, None, None)

@@ -136,8 +136,8 @@ def scene_params(
     whether or not the scene asks for it. ConfigError as from `load_scene` and `compose`.
     """
     # imported here: a lock-step run by itself needs neither numpy nor pydantic
-    from hapticd.plant.compose import compose
-    from hapticd.plant.effects import sample_timing
+    from hapticd.model.compose import compose
+    from hapticd.model.effects import sample_timing
     from hapticd.settings.build import board_of, device_params, smoothing_hz
     from hapticd.settings.scene import build_scene, load_files
 

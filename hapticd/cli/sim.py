@@ -9,7 +9,7 @@ from hapticd.cli import terminal
 from hapticd.cli.terminal import progress
 
 if TYPE_CHECKING:
-    from hapticd.plant.scene import Scene
+    from hapticd.model.scene import Scene
     from hapticd.study.scene import SceneResult, SceneTrial
 
 QUESTIONS = (
@@ -117,8 +117,8 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     """
     import time
 
-    from hapticd.plant.compose import compose
-    from hapticd.plant.stability import explain
+    from hapticd.model.compose import compose
+    from hapticd.model.stability import explain
     from hapticd.report import study as words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene

@@ -28,8 +28,8 @@ from hapticd.client.words import (
 )
 from hapticd.core.errors import CommandError, HapticdError
 from hapticd.gateway.answers import GuardStatus, GuardVerdict, answer_of
-from hapticd.plant.excitation import Stream, band_noise, generator
-from hapticd.plant.scene import Excitation
+from hapticd.model.excitation import Stream, band_noise, generator
+from hapticd.model.scene import Excitation
 
 EXCITE = "excite"  # ours: noise as in a trial, repeated, until it is asked to end
 CHANGES = frozenset(("set", "damping", "enable", "disable", "reset", "zero", "home", EXCITE))

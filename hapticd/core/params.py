@@ -310,7 +310,7 @@ class Ends:
 class RotorForce:
     """A force F(x, v) on the rotor that is not linear, added on column `Inputs.rotor_force`.
 
-    `law` names it in both backends (`plant.composed`, `engine.source`); `numbers` are its
+    `law` names it in both backends (`model.composed`, `engine.source`); `numbers` are its
     parameters in SI units.
     """
 
@@ -322,7 +322,7 @@ class RotorForce:
 
 @dataclass(frozen=True, slots=True)
 class DriveLimits:
-    """Limits of current and voltage on the motor force, see `plant.drive`. `motor_force` and
+    """Limits of current and voltage on the motor force, see `model.drive`. `motor_force` and
     `velocity` are states.
     """
 
@@ -407,7 +407,7 @@ class PlantParams:
 
 @dataclass(frozen=True, slots=True)
 class HandParams:
-    """One touch of the simulated handle by a hand: it holds, pushes or strikes (`plant.touch`)."""
+    """One touch of the simulated handle by a hand: it holds, pushes or strikes (`model.touch`)."""
 
     kind: str  # "hold" | "push" | "strike"
     start_s: float = 0.0  # after the device's first movement in time, s
@@ -420,7 +420,7 @@ class HandParams:
 
 @dataclass(frozen=True, slots=True)
 class TouchParams:
-    """What touches the moving part of a simulated device beside its motor (`plant.touch`).
+    """What touches the moving part of a simulated device beside its motor (`model.touch`).
 
     The default is nothing.
     """
@@ -534,7 +534,7 @@ class LeaseParams:
 
 @dataclass(frozen=True, slots=True)
 class ModelParams:
-    """What a judgement needs of a composed device (`plant.model.Model`), n states, m inputs."""
+    """What a judgement needs of a composed device (`model.model.Model`), n states, m inputs."""
 
     name: str
     rate_hz: float

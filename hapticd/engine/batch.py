@@ -46,9 +46,9 @@ from hapticd.engine.job import (
 from hapticd.engine.numbers import Filters
 from hapticd.engine.records import Records, Sums, force_spectrum, spectral
 from hapticd.engine.shape import Shape
-from hapticd.plant.compose import compose
-from hapticd.plant.model import Array, Model
-from hapticd.plant.scene import DampingStep, Excitation, Scene
+from hapticd.model.compose import compose
+from hapticd.model.model import Array, Model
+from hapticd.model.scene import DampingStep, Excitation, Scene
 
 
 @dataclass(frozen=True, eq=False)

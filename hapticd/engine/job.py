@@ -47,10 +47,10 @@ from hapticd.engine.kernels import kernel
 from hapticd.engine.numbers import Filters, law_numbers, plant_numbers
 from hapticd.engine.shape import LANES_OF_RECORDS, Shape, reduced, shape_of
 from hapticd.engine.source import LAW_STATE, SCALARS
-from hapticd.plant.effects import copper_ohm
-from hapticd.plant.excitation import Stream, held_noise, torque_record
-from hapticd.plant.model import Array, Model, Winding
-from hapticd.plant.scene import DampingStep, Excitation
+from hapticd.model.effects import copper_ohm
+from hapticd.model.excitation import Stream, held_noise, torque_record
+from hapticd.model.model import Array, Model, Winding
+from hapticd.model.scene import DampingStep, Excitation
 
 CACHED = 4  # jobs, records: a few are compared, the rest would only fill memory
 KEEPS = ("summary", "spectra", "records", "ticks")

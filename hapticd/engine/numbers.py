@@ -1,7 +1,7 @@
 """The coefficients of a kernel: a model at a level of active damping, an environment and trials
 become numbers by the names that the text uses (`source`).
 
-Every map is exact (`plant.discrete`). The kernel picks what it has by name. What would break it: a
+Every map is exact (`model.discrete`). The kernel picks what it has by name. What would break it: a
 name here that the text does not use is ignored, one that it uses and that is missing here stays 0.
 """
 
@@ -13,9 +13,9 @@ from hapticd.core.environment import Environment, FilterParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine.shape import Shape, sample_point
 from hapticd.engine.source import ENDS, FILTERS, FURTHER_NAMES, ROTOR_LAWS, WALL
-from hapticd.plant.discrete import discretise
-from hapticd.plant.drive import reach, well_posed
-from hapticd.plant.model import Array, DriveLimits, Map, Model
+from hapticd.model.discrete import discretise
+from hapticd.model.drive import reach, well_posed
+from hapticd.model.model import Array, DriveLimits, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
 
 # of velocity and acceleration; None: none

@@ -32,8 +32,8 @@ from hapticd.engine.job import (
     shared_torque,
 )
 from hapticd.engine.source import SCALARS
-from hapticd.plant.excitation import Stream, generator
-from hapticd.plant.scene import Excitation
+from hapticd.model.excitation import Stream, generator
+from hapticd.model.scene import Excitation
 
 
 class Records:

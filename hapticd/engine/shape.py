@@ -36,7 +36,7 @@ import numpy.typing as npt
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.plant.model import Array, Contact, Ends, Model, Output, Outputs, RotorForce
+from hapticd.model.model import Array, Contact, Ends, Model, Output, Outputs, RotorForce
 
 LANES = {"f32": 64, "f64": 32}  # trials side by side in a kernel: four cache lines of each row
 # where records are kept: often of a few trials, for which most of a wide group would be empty

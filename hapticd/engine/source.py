@@ -32,7 +32,7 @@ One sub-step of one lane (`substep`): the exact map, then what is not linear.
     q  a body's velocity without its own friction   f  what friction takes from it [m/s]
     o  what limits of the amplifier add to the motor force [N]
 
-Friction is solved once, as in `plant.friction`, but without branches and in velocities, f = W times
+Friction is solved once, as in `model.friction`, but without branches and in velocities, f = W times
 the force: for one contact f = clamp(v, W Fc), and v - f is left, which is 0 exactly where it
 sticks; for two, f1 is first taken from the free solution of both and clamped, which decides its
 side because W is a P-matrix, then f0 and f1 follow by clamping once each. A body that stood at the
@@ -530,7 +530,7 @@ def _pulled(shape: Shape, row: Rows) -> Iterator[str]:
 
 
 def _limited(shape: Shape, drive: DriveStates, row: Rows) -> Iterator[str]:
-    """The motor force held inside what current and voltage reach (`plant.drive`)."""
+    """The motor force held inside what current and voltage reach (`model.drive`)."""
     force = f"n{drive.motor_force}"
     yield from clamped("o", force, row.c("MOST"))
     yield f"z = {row.c('KEEP')} * x{drive.motor_force} - {row.c('DRAG')} * x{drive.velocity}"

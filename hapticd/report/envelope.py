@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.envelope import Edge, Envelope, admittance, of_predicted
-from hapticd.analysis.predict import frequencies
 from hapticd.core.arrays import Floats
+from hapticd.model.predict import frequencies
 from hapticd.report.style import (
     BELOW,
     NORMAL,

@@ -18,8 +18,8 @@ import numpy as np
 
 from hapticd.analysis.verdict import DEFAULT_BAND_HZ
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.plant.scene import Scene
-from hapticd.plant.stability import AtLevel, Explanation
+from hapticd.model.scene import Scene
+from hapticd.model.stability import AtLevel, Explanation
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.report.style import (
     BELOW,

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.linearise import GAIN
-from hapticd.analysis.theorem import required_damping
 from hapticd.client.client import Client
 from hapticd.core.environment import Environment, FilterParams
 from hapticd.core.units import US_PER_S, percent
+from hapticd.model.linearise import GAIN
+from hapticd.model.theorem import required_damping
 from hapticd.rig.assumptions import MATTERS, assumptions, parting, scales_agree
 from hapticd.rig.balance import NAMES, Balance, balanced, parted
 from hapticd.rig.excitation import CENTRE, loudest_n, noise

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.spectra import spa
-from hapticd.analysis.theorem import required_damping
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import FrameError
+from hapticd.model.theorem import required_damping
 from hapticd.rig.result import Finding
 from hapticd.settings.toml import shipped
 from hapticd.usb import codec, frames

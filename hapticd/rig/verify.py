@@ -38,12 +38,12 @@ from typing import Any
 import numpy as np
 
 from hapticd.analysis.impedance import Impedance, impedance
-from hapticd.analysis.loop import derivatives, held
 from hapticd.analysis.spectra import DEFAULT_LAG, spa
 from hapticd.client.client import Client
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.environment import FilterParams
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S, percent
+from hapticd.model.loop import derivatives, held
 from hapticd.recording.calibrations import doubts
 from hapticd.rig import vectors
 from hapticd.rig.excitation import loudest_n, noise

@@ -25,7 +25,7 @@ from hapticd.core.params import (
     TouchParams,
     UsbParams,
 )
-from hapticd.plant.effects import (
+from hapticd.model.effects import (
     DampingDac,
     Delay,
     Effect,
@@ -217,8 +217,8 @@ def _rigid(device: DeviceFile) -> dict[str, Any]:
 def _composed(
     device: DeviceFile, rate_hz: float, effects: tuple[Effect, ...], exact_levels: tuple[float, ...]
 ) -> dict[str, Any]:
-    from hapticd.plant.compose import compose_device, refuse_unstable
-    from hapticd.plant.tables import board_fields
+    from hapticd.model.compose import compose_device, refuse_unstable
+    from hapticd.model.tables import board_fields
 
     model = compose_device(device.name, effects, rate_hz)
     refuse_unstable(model, (0.0, *exact_levels))

@@ -27,7 +27,7 @@ from hapticd.core.params import (
     ServoParams,
 )
 from hapticd.core.units import COPPER_PER_K
-from hapticd.plant.effects import Effect, Motor, WindingTemperature
+from hapticd.model.effects import Effect, Motor, WindingTemperature
 from hapticd.settings.build import device_effects, guard_params, rigid_effects
 from hapticd.settings.inputs import SETTINGS_BYTES, regular
 from hapticd.settings.load import Settings
@@ -96,7 +96,7 @@ def compensated(effects: tuple[Effect, ...], tolerance_ohm: float) -> tuple[Effe
 
 def model_params(name: str, effects: Iterable[Effect], rate_hz: float) -> ModelParams:
     """The device with these effects as numbers. ConfigError as `compose_device`."""
-    from hapticd.plant.compose import compose_device  # numpy: a servo never comes here
+    from hapticd.model.compose import compose_device  # numpy: a servo never comes here
 
     model = compose_device(name, effects, rate_hz)
     outputs = model.outputs

@@ -22,7 +22,7 @@ from pydantic import ValidationError
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import COPPER_PER_K, unit_of
-from hapticd.plant.effects import ALWAYS, BY_KEY
+from hapticd.model.effects import ALWAYS, BY_KEY
 from hapticd.render.winding import LEAST_LOOP_GAIN, least_residual_ohm, loop_gain, ohm
 from hapticd.settings.config import LONGEST_TIMEOUT_MS, Config
 from hapticd.settings.device import (

@@ -21,7 +21,7 @@ from pydantic import Field
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import RealtimeParams
-from hapticd.plant.scene import DampingStep, Excitation, Scene
+from hapticd.model.scene import DampingStep, Excitation, Scene
 from hapticd.settings.build import converter_effects, environment_params
 from hapticd.settings.config import Config, EnvironmentTable
 from hapticd.settings.device import DeviceFile, effects_of

@@ -31,8 +31,8 @@ from random import Random
 
 from hapticd.core.params import BoardParams
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.plant.composed import VELOCITY, State
-from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
+from hapticd.model.composed import VELOCITY, State
+from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.usb.frames import FIFO_DEPTH, OutFlag, StatusBit
 

@@ -27,7 +27,7 @@ from math import ceil, floor, inf
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
-from hapticd.plant.step import SUBSTEPS_PER_TICK
+from hapticd.model.step import SUBSTEPS_PER_TICK
 from hapticd.sim.axis import (
     CLAMPED,
     ENABLE,

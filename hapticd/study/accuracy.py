@@ -16,7 +16,7 @@ whose total error is within 10 % of the best one's: what costs more buys little,
 last of the sweep.
 
 Noise (`PhaseComparison`): phase of the impedance, rms over the band. The reference of a linear
-scene is its exact first harmonic (`analysis.loop`). Of any other it is simulated: a group of trials
+scene is its exact first harmonic (`model.loop`). Of any other it is simulated: a group of trials
 of the scene's length, each with a perturbation of its own, in double precision with 32 sub-steps
 per sample, their spectra added up under a window four times as long as the paper's. It is known to
 a third of the deviation of one trial, no better.
@@ -45,7 +45,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.core.arrays import Complexes, Floats
@@ -53,8 +52,9 @@ from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.engine import BatchResult, simulate
 from hapticd.engine.shape import LANES
-from hapticd.plant.excitation import Stream, torque_record
-from hapticd.plant.scene import Scene
+from hapticd.model.excitation import Stream, torque_record
+from hapticd.model.predict import predict, predicted_impedance
+from hapticd.model.scene import Scene
 from hapticd.zwidth.lockstep import LockStepTrial, run_lockstep
 from hapticd.zwidth.scenes import (
     SUBSTEPS,

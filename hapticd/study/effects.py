@@ -33,11 +33,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.predict import predicted_impedance
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.engine import simulate
-from hapticd.plant.scene import Scene
+from hapticd.model.predict import predicted_impedance
+from hapticd.model.scene import Scene
 from hapticd.study.accuracy import GROUP, Stopwatch, engine_cost
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions

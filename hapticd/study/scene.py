@@ -7,7 +7,7 @@ trials of growing length, since a trial gives it at its end.
 
 The largest active damping of the device, and the largest with the scene's environment around it,
 are edges of stability found by bisection on eigenvalues: of the open device in continuous time
-(`plant.stability`), and of the exact map of one servo tick (`analysis.loop`), Coulomb friction left
+(`model.stability`), and of the exact map of one servo tick (`model.loop`), Coulomb friction left
 out. Above the first the analog circuit oscillates whatever the servo does. The second is a range:
 too little damping can be unstable as well. What limits the device is its resistance compensation
 (Weir, Colgate and Peshkin 2008, section 5): a winding colder than it assumes leaves a ceiling of
@@ -39,19 +39,19 @@ import numpy as np
 import numpy.typing as npt
 from numpy.linalg import matrix_power
 
-from hapticd.analysis.loop import spectral_radius
 from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine import BatchResult, simulate
-from hapticd.plant.compose import compose, compose_device
-from hapticd.plant.discrete import expm
-from hapticd.plant.effects import WindingTemperature
-from hapticd.plant.model import Array, Model
-from hapticd.plant.scene import Scene
-from hapticd.plant.stability import damping_ceiling, edge, modes, stability
+from hapticd.model.compose import compose, compose_device
+from hapticd.model.discrete import expm
+from hapticd.model.effects import WindingTemperature
+from hapticd.model.loop import spectral_radius
+from hapticd.model.model import Array, Model
+from hapticd.model.scene import Scene
+from hapticd.model.stability import damping_ceiling, edge, modes, stability
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.zwidth.scenes import SUBSTEPS, filters, level, point
 from hapticd.zwidth.simulated import simulated

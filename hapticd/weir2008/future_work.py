@@ -42,8 +42,8 @@ it is what one grid can know of the boundary, the floor. The search has noise of
 wrong where the search, or the prediction alone, answers otherwise than the reference; shares are of
 the passive points.
 
-What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes (`analysis.theorem`
-refuses it); a level at which the damping circuit itself oscillates (`plant.stability`), or one that
+What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes (`model.theorem`
+refuses it); a level at which the damping circuit itself oscillates (`model.stability`), or one that
 no board can command.
 """
 
@@ -55,10 +55,10 @@ from hapticd.analysis.compare import mean_over_ln_f
 from hapticd.analysis.envelope import Edge
 from hapticd.analysis.passive_set import grid, open_ends, passive_set, volume
 from hapticd.analysis.search import predicted_passive
-from hapticd.analysis.theorem import lift, lifted_margin, lifted_passive, paper_equation_2
 from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
-from hapticd.plant.effects import ShapedDamping
+from hapticd.model.effects import ShapedDamping
+from hapticd.model.theorem import lift, lifted_margin, lifted_passive, paper_equation_2
 from hapticd.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.weir2008.run import AXES, FINE, Limit, conditions, limits_of, predicted_set
 from hapticd.zwidth.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit

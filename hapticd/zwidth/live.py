@@ -36,7 +36,7 @@ from hapticd.core.errors import AnalysisError, CommandError, DaemonDown
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.gateway.answers import Status
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
-from hapticd.plant.excitation import marked, torque_record
+from hapticd.model.excitation import marked, torque_record
 from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of
 from hapticd.zwidth.ending import EndReason, TrialEnd

@@ -28,10 +28,10 @@ import numpy as np
 
 from hapticd.analysis.envelope import Envelope
 from hapticd.analysis.passive_set import PassiveSet, ascending, grid, passive_set
-from hapticd.analysis.predict import Prediction
 from hapticd.analysis.verdict import Judged
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
+from hapticd.model.predict import Prediction
 from hapticd.zwidth.limits import LimitsResult
 from hapticd.zwidth.outcomes import (
     Conditions,

@@ -40,7 +40,6 @@ from hapticd.analysis.envelope import Envelope, accepted, merged, of_one
 from hapticd.analysis.findings import Energy, Finding, Record, escape_findings
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.low_lines import hinted, low_line
-from hapticd.analysis.predict import coulomb
 from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra
 from hapticd.analysis.verdict import (
@@ -56,7 +55,8 @@ from hapticd.core.arrays import Complexes, Flags, Floats, Values
 from hapticd.core.errors import AnalysisError
 from hapticd.engine import BatchResult, simulate
 from hapticd.engine.shape import LANES
-from hapticd.plant.scene import Excitation, Scene
+from hapticd.model.predict import coulomb
+from hapticd.model.scene import Excitation, Scene
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint

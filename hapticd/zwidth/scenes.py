@@ -16,23 +16,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import Filters
-from hapticd.analysis.predict import (
-    DEFAULT_BAND_HZ,
-    Prediction,
-    predict,
-    recorded_impedances,
-)
 from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.core.arrays import Complexes, Flags, Floats
 from hapticd.core.environment import Environment, FilterParams, WallParams
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.plant.compose import compose
-from hapticd.plant.effects import ALWAYS
-from hapticd.plant.model import Model
-from hapticd.plant.scene import Excitation, Scene
+from hapticd.model.compose import compose
+from hapticd.model.effects import ALWAYS
+from hapticd.model.linearise import Perturbation
+from hapticd.model.loop import Filters
+from hapticd.model.model import Model
+from hapticd.model.predict import DEFAULT_BAND_HZ, Prediction, predict, recorded_impedances
+from hapticd.model.scene import Excitation, Scene
 from hapticd.settings.build import device_effects, rigid_effects
 from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import find_config, find_device, validated

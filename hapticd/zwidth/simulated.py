@@ -15,8 +15,8 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.engine import BatchResult, simulate
-from hapticd.plant.compose import compose
-from hapticd.plant.scene import Scene
+from hapticd.model.compose import compose
+from hapticd.model.scene import Scene
 from hapticd.zwidth import scenes
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.scenes import SATURATED

@@ -23,7 +23,7 @@ import numpy as np
 from hapticd.core.arrays import Floats
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError
-from hapticd.plant.scene import Excitation, Scene
+from hapticd.model.scene import Excitation, Scene
 from hapticd.zwidth import scenes
 from hapticd.zwidth.store import Progress, TrialRecord
 from hapticd.zwidth.watch import Sentinel, Watch

@@ -41,7 +41,6 @@ import numpy as np
 from hapticd.analysis.channels import unit_findings
 from hapticd.analysis.findings import Finding, Record, examine, leakage_findings
 from hapticd.analysis.impedance import Estimator, Impedance, impedance
-from hapticd.analysis.loop import spectral_radius
 from hapticd.analysis.low_lines import low_line
 from hapticd.analysis.periodic import (
     CHANGING,
@@ -50,7 +49,6 @@ from hapticd.analysis.periodic import (
     periodic,
     periodic_findings,
 )
-from hapticd.analysis.predict import coulomb, predicted_impedance
 from hapticd.analysis.resolved import resolved
 from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, corrected, spa
 from hapticd.analysis.verdict import (
@@ -63,7 +61,9 @@ from hapticd.analysis.verdict import (
 from hapticd.core.arrays import Complexes
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.plant.scene import Excitation, Scene
+from hapticd.model.loop import spectral_radius
+from hapticd.model.predict import coulomb, predicted_impedance
+from hapticd.model.scene import Excitation, Scene
 from hapticd.zwidth.ending import EndReason, TrialEnd, end_of_plain
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import Display, display

@@ -10,7 +10,7 @@ renewed by requests alone.
     hapticd.virtual_board(hand=True)   with a hand that holds the handle and moves it
 
 The hand is a spring and a damper (500 N/m, 3 N s/m: a light grasp) to a point that wanders by
-1 mm rms, first order below 10 Hz, seeded (`plant.touch`).
+1 mm rms, first order below 10 Hz, seeded (`model.touch`).
 
 What would break it: a request that a thread sends, since the clock belongs to whoever asks.
 """

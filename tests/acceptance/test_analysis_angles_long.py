@@ -6,8 +6,8 @@ from support.narrow_modes import ClosedForm, directions, drawn, edge
 from support.passive_hands import random_hands
 
 from hapticd.analysis.bases import Conditions, Theorem
-from hapticd.analysis.coupled import GROUND, Network, coupled_radius
-from hapticd.analysis.loop import PAPER_FILTERS
+from hapticd.model.coupled import GROUND, Network, coupled_radius
+from hapticd.model.loop import PAPER_FILTERS
 
 DEVICES = 300
 HANDS = random_hands(DEVICES)

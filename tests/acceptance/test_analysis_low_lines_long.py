@@ -6,7 +6,7 @@ import pytest
 from support import analysis_devices
 from support.analysis_low_lines import DRY, HEAVY, display, named, trial_records, with_line
 
-from hapticd.plant.effects import Coulomb, Encoder, SensorNoise
+from hapticd.model.effects import Coulomb, Encoder, SensorNoise
 
 
 @pytest.mark.parametrize("line_hz", [3.0, 5.0, 8.0, 11.3])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.analysis_narrow import DENSE, DEVICES, GRID, drawn, resistance
 
-from hapticd.analysis.predict import predict
+from hapticd.model.predict import predict
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ device's is AC-coupled at 0.1 Hz.
 import numpy as np
 from support.analysis_predict_recorded import LEVEL, RIVAL, WHITE, both
 
-from hapticd.analysis.predict import DEFAULT_BAND_HZ, frequencies
+from hapticd.model.predict import DEFAULT_BAND_HZ, frequencies
 from hapticd.weir2008.run import POINTS, conditions
 
 

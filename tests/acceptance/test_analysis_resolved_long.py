@@ -20,10 +20,7 @@ from support.analysis_resolved import (
     outcomes,
 )
 
-from hapticd.plant.effects import (
-    Coulomb,
-    Encoder,
-)
+from hapticd.model.effects import Coulomb, Encoder
 
 
 @pytest.mark.slow

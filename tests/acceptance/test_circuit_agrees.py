@@ -19,7 +19,7 @@ from support.programs import program
 from firmware_iface.hardware import device_file
 from firmware_iface.hardware.netlist import deck, run
 from firmware_iface.hardware.studies import level_for
-from hapticd.plant.compose import compose_device
+from hapticd.model.compose import compose_device
 from hapticd.settings.scene import load_scene
 
 IMPEDANCE_PCT = 3.0

@@ -22,7 +22,7 @@ from firmware_iface.hardware.impact import delivered
 from firmware_iface.hardware.netlist import VALUES
 from firmware_iface.hardware.studies import K_F, driven
 from hapticd.assembly.lockstep import scene_params
-from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
+from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 
 LIMIT_N = K_F * VALUES["i_limit"].value
 FORCE_N = 0.02 * LIMIT_N

@@ -2,7 +2,7 @@
 and Hogan 1988).
 
 Not pair by pair: 1,701 environments in 1,000 hands are a minute of eigenvalues (made once,
-docs/adr/0035). Instead, as `analysis.coupled` says, a circle at each angle that no hand leaves (all
+docs/adr/0035). Instead, as `model.coupled` says, a circle at each angle that no hand leaves (all
 1,000 are tried, by the exact pulse transfer of device and hand), and which no called environment's
 -1/C enters (all are tried). Eigenvalues then check that this is so: of environments at the edge in
 all hands, and of random pairs, inside and outside. And it can fail: 5 % outside a hand shakes the
@@ -14,15 +14,11 @@ import pytest
 from support.analysis_devices import rigid
 from support.coupled_hands import HANDS, LEVEL, ROUNDING, called
 
-from hapticd.analysis.coupled import coupled_radius, held_by, reach, shaking_hand, withstands
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import (
-    PAPER_FILTERS,
-    pulse_transfer,
-    with_viscous,
-)
-from hapticd.analysis.predict import predict
-from hapticd.analysis.theorem import lift, lifted_passive
+from hapticd.model.coupled import coupled_radius, held_by, reach, shaking_hand, withstands
+from hapticd.model.linearise import Perturbation
+from hapticd.model.loop import PAPER_FILTERS, pulse_transfer, with_viscous
+from hapticd.model.predict import predict
+from hapticd.model.theorem import lift, lifted_passive
 from hapticd.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.weir2008.run import POINTS, SCENES, conditions
 

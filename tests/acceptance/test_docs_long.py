@@ -25,7 +25,7 @@ from hapticd.core.units import unit_of
 from hapticd.gateway.schemas import MODELS
 from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
-from hapticd.plant.effects import ALWAYS, KINDS, PROVENANCE
+from hapticd.model.effects import ALWAYS, KINDS, PROVENANCE
 from hapticd.settings.config import Hand, Simulation, Touch
 from hapticd.settings.load import load
 from hapticd.settings.scene import schema

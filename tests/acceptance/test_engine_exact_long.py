@@ -16,9 +16,9 @@ from support.engine_exact import TRIALS, largest_error
 from support.straight import Straight
 
 from hapticd.engine import simulate
-from hapticd.plant.effects import Coulomb, Delay, ForceDac, Multiplier
-from hapticd.plant.excitation import Stream, held_noise
-from hapticd.plant.model import Noise
+from hapticd.model.effects import Coulomb, Delay, ForceDac, Multiplier
+from hapticd.model.excitation import Stream, held_noise
+from hapticd.model.model import Noise
 
 
 @pytest.mark.parametrize(

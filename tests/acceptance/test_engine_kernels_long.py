@@ -12,7 +12,7 @@ from support.engine_kernels import ALL, WALL, shape
 from support.tree import ROOT, TESTS
 
 from hapticd.engine.source import kernel_source
-from hapticd.plant.effects import AntiAlias, Coulomb
+from hapticd.model.effects import AntiAlias, Coulomb
 
 LARGE = device(
     *STAR,

@@ -7,8 +7,8 @@ import pytest
 from support.devices import RIGID, device
 from support.engine_state import final
 
-from hapticd.plant.effects import Viscous
-from hapticd.plant.scene import Excitation
+from hapticd.model.effects import Viscous
+from hapticd.model.scene import Excitation
 
 DAY_S = 86_400.0
 PERIOD_S = 1.024

@@ -8,7 +8,7 @@ import pytest
 from support.engine_records import KEPT, PARAMS, WEIR, assert_alike, both
 
 from hapticd.engine import simulate
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
 
 

@@ -67,8 +67,8 @@ def exact_period_s() -> float:
 
 def test_page_touches_the_catalogue_once_and_each_backend_once() -> None:
     assert list(CODE) == [
-        "hapticd/plant/effects.py",
-        "hapticd/plant/composed.py",
+        "hapticd/model/effects.py",
+        "hapticd/model/composed.py",
         "hapticd/engine/source.py",
     ]
 
@@ -83,5 +83,5 @@ def test_effect_of_the_page_moves_as_physics_says(copy: Path) -> None:
 def test_effect_of_the_page_is_explained_and_in_the_schema(copy: Path) -> None:
     schema = run(copy, "-m", "hapticd", "config", "schema", "--device")
     assert '"doubling_m"' in schema
-    source = "from hapticd.plant.effects import KINDS; print([kind.key for kind in KINDS])"
+    source = "from hapticd.model.effects import KINDS; print([kind.key for kind in KINDS])"
     assert "'ends', 'flexure', 'coulomb'" in run(copy, "-c", source)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.plant_composed import EXACT, MODELS, board, forces
 
-from hapticd.plant.step import make_plant
+from hapticd.model.step import make_plant
 
 
 @pytest.mark.parametrize("level", [0.0, EXACT], ids=["undamped", "damped"])

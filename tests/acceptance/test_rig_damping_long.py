@@ -16,8 +16,8 @@ from hapticd.cli.rig import steps
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K
 from hapticd.gateway.view import as_records
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose_device
+from hapticd.model.effects import (
     Amplifier,
     Coulomb,
     DampingCircuit,
@@ -26,7 +26,7 @@ from hapticd.plant.effects import (
     Viscous,
     WindingTemperature,
 )
-from hapticd.plant.tables import board_fields
+from hapticd.model.tables import board_fields
 from hapticd.rig.damping import measure
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

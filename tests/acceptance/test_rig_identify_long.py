@@ -10,11 +10,11 @@ from support.models import device_params
 from support.rig_identify import COULOMB_N, MASS_KG, VISCOUS, bench, nothing
 from support.tree import ROOT
 
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import spectral_radius
-from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.assembly.lockstep import scene_params
-from hapticd.plant.compose import compose
+from hapticd.model.compose import compose
+from hapticd.model.linearise import Perturbation
+from hapticd.model.loop import spectral_radius
+from hapticd.model.predict import predict, predicted_impedance
 from hapticd.rig.device_file import write
 from hapticd.rig.identify import measure
 from hapticd.settings import build

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support.measured_scenes import DRY, scene, stopwatch
 
-from hapticd.analysis.predict import predicted_impedance
-from hapticd.plant.compose import compose
-from hapticd.plant.scene import Excitation
+from hapticd.model.compose import compose
+from hapticd.model.predict import predicted_impedance
+from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.study.accuracy import (
     GROUP,

@@ -5,9 +5,7 @@ from math import isnan
 
 from support.measured_scenes import MOTOR, PARTS, scene, stopwatch
 
-from hapticd.plant.effects import (
-    Coupling,
-)
+from hapticd.model.effects import Coupling
 from hapticd.study.effects import (
     EffectsParams,
     plan_effects,

@@ -10,11 +10,11 @@ import pytest
 from support.measured_scenes import DRY, scene
 from support.reproduced import future_work_by_prediction
 
-from hapticd.analysis.predict import predict
-from hapticd.analysis.theorem import lift, lifted_margin, paper_equation_2
 from hapticd.core.errors import AnalysisError
-from hapticd.plant.effects import Masses, Motor, Viscous
-from hapticd.plant.step import held_force_response
+from hapticd.model.effects import Masses, Motor, Viscous
+from hapticd.model.predict import predict
+from hapticd.model.step import held_force_response
+from hapticd.model.theorem import lift, lifted_margin, paper_equation_2
 from hapticd.weir2008 import future_work
 from hapticd.weir2008.future_work import (
     GRID,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.plant.effects import AmplifierLimits
+from hapticd.model.effects import AmplifierLimits
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.scenes import device_scene
 from hapticd.zwidth.simulated import engine_source

@@ -9,7 +9,7 @@ from support.foreign import MARK_AT, own, played, recorded, without
 from hapticd.analysis.alignment import align, find_marks
 from hapticd.analysis.matching import fitting, interpolated
 from hapticd.core.errors import AnalysisError
-from hapticd.plant.excitation import MARK_LEAD, mark_signs, marked
+from hapticd.model.excitation import MARK_LEAD, mark_signs, marked
 
 SECONDS = 12.0
 ROWS = 62_000

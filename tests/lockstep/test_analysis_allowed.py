@@ -16,8 +16,10 @@ from support.guard_device import (
 from hapticd.analysis.allowed import intervals
 from hapticd.analysis.bases import LEVELS, Conditions, Theorem, cached_levels, model_of
 from hapticd.analysis.judge import Judge
-from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
-from hapticd.analysis.theorem import (
+from hapticd.core.environment import Environment
+from hapticd.model.compose import compose
+from hapticd.model.loop import PAPER_FILTERS, spectral_radius
+from hapticd.model.theorem import (
     circles,
     lift,
     lifted_margin,
@@ -25,8 +27,6 @@ from hapticd.analysis.theorem import (
     required_damping,
     within,
 )
-from hapticd.core.environment import Environment
-from hapticd.plant.compose import compose
 from hapticd.zwidth.scenes import device_scene
 
 T_S = 1e-3

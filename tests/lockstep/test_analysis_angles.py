@@ -6,14 +6,14 @@ from support.guard_device import change, setup_of
 from support.narrow_modes import ClosedForm, Narrow, drawn
 
 from hapticd.analysis.allowed import Judgement, intervals
-from hapticd.analysis.angles import angles_of, least_between, unresolved_hz
 from hapticd.analysis.bases import Conditions, Theorem
-from hapticd.analysis.coupled import GROUND, Network, coupled_radius
 from hapticd.analysis.judge import Judge
-from hapticd.analysis.loop import PAPER_FILTERS
-from hapticd.analysis.theorem import Circles, within
 from hapticd.core.environment import Environment
-from hapticd.plant.effects import Coupling, Masses, Motor, Viscous
+from hapticd.model.angles import angles_of, least_between, unresolved_hz
+from hapticd.model.coupled import GROUND, Network, coupled_radius
+from hapticd.model.effects import Coupling, Masses, Motor, Viscous
+from hapticd.model.loop import PAPER_FILTERS
+from hapticd.model.theorem import Circles, within
 from hapticd.settings.guard import model_params
 
 LEAF = Narrow(0.0058, 0.002, 36.6, 0.01, 1.54, 0.25)

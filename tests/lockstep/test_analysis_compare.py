@@ -27,16 +27,16 @@ from hapticd.analysis.envelope import (
     of_trial,
 )
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.passive_set import (
     grid,
     passive_set,
     set_limits,
     volume,
 )
-from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.verdict import judge
 from hapticd.core.errors import AnalysisError
+from hapticd.model.linearise import Perturbation
+from hapticd.model.predict import predict, predicted_impedance
 
 
 def trial(name, z, coherence=0.99, estimator="h_force"):

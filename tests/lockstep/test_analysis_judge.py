@@ -7,11 +7,11 @@ import pytest
 from support.guard_device import FREE, change, rigid, rigid_judge, setup_of, shipped_judge
 
 from hapticd.analysis import policies
-from hapticd.analysis.coupled import coupled_radius, shaking_hand
 from hapticd.analysis.judge import Judge
 from hapticd.analysis.ways import POINTS
 from hapticd.analysis.words import doubling
 from hapticd.core.errors import AnalysisError
+from hapticd.model.coupled import coupled_radius, shaking_hand
 
 LEVEL = 1.74
 DAMPED = {"active_damping": LEVEL}

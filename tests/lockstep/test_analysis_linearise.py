@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.analysis_devices import display, rigid
 
-from hapticd.analysis.linearise import (
+from hapticd.model.linearise import (
     GAIN,
     LonePort,
     MovingPort,
@@ -15,11 +15,8 @@ from hapticd.analysis.linearise import (
     hung,
     port_admittance,
 )
-from hapticd.analysis.loop import (
-    close_loop,
-    with_viscous,
-)
-from hapticd.analysis.predict import predict
+from hapticd.model.loop import close_loop, with_viscous
+from hapticd.model.predict import predict
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
 WHITE = Perturbation(2.5e-5, 1700.0)

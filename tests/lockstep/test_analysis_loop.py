@@ -4,19 +4,10 @@ import numpy as np
 import pytest
 from support.analysis_devices import display, law_on_device, rigid
 
-from hapticd.analysis.loop import (
-    derivatives,
-    held,
-    pulse_transfer,
-    spectral_radius,
-)
-from hapticd.analysis.predict import predicted_impedance
-from hapticd.plant.effects import (
-    AntiAlias,
-    Load,
-    VelocityHighpass,
-)
-from hapticd.plant.step import held_force_response
+from hapticd.model.effects import AntiAlias, Load, VelocityHighpass
+from hapticd.model.loop import derivatives, held, pulse_transfer, spectral_radius
+from hapticd.model.predict import predicted_impedance
+from hapticd.model.step import held_force_response
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
 T = 1e-3

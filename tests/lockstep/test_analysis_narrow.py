@@ -5,10 +5,10 @@ import pytest
 from support.analysis_devices import display
 from support.analysis_narrow import DENSE, DEVICES, GRID, drawn, flexible, resistance
 
-from hapticd.analysis import predict as module
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.narrow import dip, mode_lines
-from hapticd.analysis.predict import predict
+from hapticd.model import predict as module
+from hapticd.model.linearise import Perturbation
+from hapticd.model.narrow import dip, mode_lines
+from hapticd.model.predict import predict
 
 
 def test_mode_between_two_lines_is_seen():

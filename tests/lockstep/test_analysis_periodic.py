@@ -21,14 +21,14 @@ from support.spectral_trials import mass_damper
 from hapticd.analysis.channels import channel_findings
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.periodic import periodic
-from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import judge, student_quantile
 from hapticd.core.errors import AnalysisError
 from hapticd.engine import simulate
-from hapticd.plant.effects import AntiAlias, Encoder
-from hapticd.plant.excitation import torque_record
-from hapticd.plant.scene import Excitation
+from hapticd.model.effects import AntiAlias, Encoder
+from hapticd.model.excitation import torque_record
+from hapticd.model.predict import predicted_impedance
+from hapticd.model.scene import Excitation
 
 # --- linear ---------------------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ import pytest
 from support.guard_device import VISCOUS_NS_PER_M, change, rigid_judge, setup_of, shipped_judge
 
 from hapticd.analysis.judge import Judge
-from hapticd.analysis.theorem import required_damping
+from hapticd.model.theorem import required_damping
 
 LEVEL = 1.74
 

@@ -5,12 +5,12 @@ against escape.
 import numpy as np
 import pytest
 
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import spectral_radius, with_viscous
-from hapticd.analysis.predict import predict, predicted_impedance
 from hapticd.analysis.prior import ModelPrior
 from hapticd.analysis.surrogate import Box
-from hapticd.plant.compose import compose
+from hapticd.model.compose import compose
+from hapticd.model.linearise import Perturbation
+from hapticd.model.loop import spectral_radius, with_viscous
+from hapticd.model.predict import predict, predicted_impedance
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.scenes import filters
 

@@ -7,15 +7,15 @@ import pytest
 from support.guard_device import rigid
 from support.narrow_modes import ClosedForm, Narrow, directions, drawn, edge
 
-from hapticd.analysis import rational as subject
-from hapticd.analysis.angles import FIXED
 from hapticd.analysis.bases import Conditions, Theorem, ends_of_line, model_of
-from hapticd.analysis.coupled import GROUND, Network, coupled_radius
-from hapticd.analysis.loop import PAPER_FILTERS
-from hapticd.analysis.rational import positive_everywhere, rational
-from hapticd.analysis.theorem import circles, lift, opened, within
 from hapticd.core.environment import FilterParams
-from hapticd.plant.compose import compose
+from hapticd.model import rational as subject
+from hapticd.model.angles import FIXED
+from hapticd.model.compose import compose
+from hapticd.model.coupled import GROUND, Network, coupled_radius
+from hapticd.model.loop import PAPER_FILTERS
+from hapticd.model.rational import positive_everywhere, rational
+from hapticd.model.theorem import circles, lift, opened, within
 from hapticd.zwidth.scenes import device_scene
 
 LEAF = Narrow(0.0058, 0.002, 36.6, 0.0005, 1.54, 0.25)

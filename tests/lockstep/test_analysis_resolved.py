@@ -26,10 +26,8 @@ from hapticd.analysis.verdict import DEFAULT_BAND_HZ as BAND
 from hapticd.analysis.verdict import Verdict, judge
 from hapticd.core.arrays import Floats
 from hapticd.engine import simulate
-from hapticd.plant.effects import (
-    SensorNoise,
-)
-from hapticd.plant.scene import Excitation, Scene
+from hapticd.model.effects import SensorNoise
+from hapticd.model.scene import Excitation, Scene
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from support.analysis_devices import display, rigid
 
-from hapticd.analysis.loop import PAPER_FILTERS, derivatives, held, pulse_transfer, responses
-from hapticd.analysis.theorem import (
+from hapticd.core.errors import AnalysisError
+from hapticd.model.loop import PAPER_FILTERS, derivatives, held, pulse_transfer, responses
+from hapticd.model.theorem import (
     lift,
     lifted_margin,
     lifted_passive,
     paper_equation_2,
     required_damping,
 )
-from hapticd.core.errors import AnalysisError
 
 PLAIN = (None, None)
 T = 1e-3

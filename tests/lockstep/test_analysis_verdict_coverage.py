@@ -12,11 +12,11 @@ from support.spectral_trials import mass_damper, record, with_phase_margin
 
 from hapticd.analysis.findings import coherence_findings, examine
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import judge
 from hapticd.engine import simulate
-from hapticd.plant.scene import Excitation
+from hapticd.model.predict import predicted_impedance
+from hapticd.model.scene import Excitation
 
 pytestmark = pytest.mark.slow
 

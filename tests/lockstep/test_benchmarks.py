@@ -36,7 +36,7 @@ from benchmarks.worker import BenchError
 from hapticd.core.environment import Environment
 from hapticd.core.errors import DaemonDown
 from hapticd.mailbox import layout
-from hapticd.plant.compose import compose
+from hapticd.model.compose import compose
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.scene import load_scene

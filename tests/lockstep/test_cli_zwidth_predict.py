@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from support.analysis_devices import rigid
 
-from hapticd.analysis.coupled import Hand, held_by
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
-from hapticd.analysis.outlook import outlook
-from hapticd.analysis.theorem import required_damping
 from hapticd.cli.app import main
+from hapticd.model.coupled import Hand, held_by
+from hapticd.model.linearise import Perturbation
+from hapticd.model.loop import PAPER_FILTERS, spectral_radius
+from hapticd.model.outlook import outlook
+from hapticd.model.theorem import required_damping
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.scenes import display
 

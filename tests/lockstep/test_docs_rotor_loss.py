@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.tree import ROOT
 
-from hapticd.analysis.predict import predicted_impedance
+from hapticd.model.predict import predicted_impedance
 from hapticd.weir2008.paper import MAIN
 from hapticd.weir2008.run import conditions
 

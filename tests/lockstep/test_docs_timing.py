@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.tree import ROOT
 
-from hapticd.analysis.theorem import required_damping
+from hapticd.model.theorem import required_damping
 
 PAGE = ROOT / "docs" / "timing.md"
 

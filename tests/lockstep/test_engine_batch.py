@@ -12,9 +12,9 @@ from support.engine_batch import PARAMS, SUMS, WEIR, same_bytes
 from hapticd.core.errors import ConfigError
 from hapticd.engine import simulate
 from hapticd.engine.source import VELOCITY_MAX_M_PER_S
-from hapticd.plant.effects import DampingDac, Masses, ProbeAdc
-from hapticd.plant.model import Noise
-from hapticd.plant.scene import DampingStep, Excitation, Scene
+from hapticd.model.effects import DampingDac, Masses, ProbeAdc
+from hapticd.model.model import Noise
+from hapticd.model.scene import DampingStep, Excitation, Scene
 
 
 @pytest.mark.parametrize("keep", ["summary", "spectra"])

@@ -7,8 +7,8 @@ from support.models import environment_tuple
 
 from hapticd.core.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.engine import simulate
-from hapticd.plant.effects import Saturation, Viscous
-from hapticd.plant.scene import Excitation
+from hapticd.model.effects import Saturation, Viscous
+from hapticd.model.scene import Excitation
 from hapticd.render.law import at_rest, design_coefficients, render
 
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [600.0, 0.5, -0.002], [5000.0, 8.0, 0.001]]

@@ -9,7 +9,7 @@ import pytest
 from support.devices import STAR, device, rigid
 
 from hapticd.engine import simulate
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
 
 
 @pytest.mark.parametrize("dtype", ["f32", "f64"])

@@ -1,7 +1,7 @@
 """The edge of stability: growth of simulated trials against the spectral radius of one tick, on
 both sides.
 
-Boundaries of Gil, Hulin and others for an isolated device come from the z-plane (`analysis.loop`,
+Boundaries of Gil, Hulin and others for an isolated device come from the z-plane (`model.loop`,
 no step of the engine in it): 1 % inside a trial must decay, 1 % outside it must grow.
 """
 
@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.devices import STAR, device, rigid
 
-from hapticd.analysis.loop import PAPER_FILTERS, spectral_radius
 from hapticd.engine import simulate
-from hapticd.plant.scene import Excitation
+from hapticd.model.loop import PAPER_FILTERS, spectral_radius
+from hapticd.model.scene import Excitation
 
 RAW = (None, None)
 STILL = Excitation("none")

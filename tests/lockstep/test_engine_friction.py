@@ -8,8 +8,8 @@ from support.engine_friction import BELOW_FRICTION_N, FIG4, RIGID_DRY
 from support.engine_state import final
 
 from hapticd.engine import simulate
-from hapticd.plant.effects import Coulomb, Encoder, Load, Masses, Saturation, Viscous
-from hapticd.plant.scene import Excitation
+from hapticd.model.effects import Coulomb, Encoder, Load, Masses, Saturation, Viscous
+from hapticd.model.scene import Excitation
 
 RAW = (None, None)
 STILL = Excitation("none")

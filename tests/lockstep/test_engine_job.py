@@ -8,7 +8,7 @@ from support.devices import MOTOR, WARMING, device
 
 from hapticd.core.units import COPPER_PER_K
 from hapticd.engine import simulate
-from hapticd.plant.effects import (
+from hapticd.model.effects import (
     Amplifier,
     DampingCircuit,
     Load,
@@ -16,7 +16,7 @@ from hapticd.plant.effects import (
     WindingTemperature,
     copper_ohm,
 )
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
 
 PER_N_PER_A = 1.65
 WARM = (

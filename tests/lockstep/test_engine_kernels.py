@@ -12,7 +12,7 @@ from hapticd.core.errors import ConfigError, MissingLibrary
 from hapticd.engine import kernels, simulate
 from hapticd.engine.kernels import cache_folder, kernel
 from hapticd.engine.source import kernel_source
-from hapticd.plant.effects import ForceDac
+from hapticd.model.effects import ForceDac
 
 
 @pytest.mark.parametrize(

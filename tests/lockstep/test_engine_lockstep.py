@@ -19,8 +19,8 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.engine import simulate
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.plant.effects import DampingDac, ForceDac, Saturation
-from hapticd.plant.tables import board_fields
+from hapticd.model.effects import DampingDac, ForceDac, Saturation
+from hapticd.model.tables import board_fields
 from hapticd.servo.safety import State
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from support.devices import rigid
 
-from hapticd.analysis.theorem import required_damping
 from hapticd.core.environment import FilterParams
 from hapticd.engine import simulate
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
+from hapticd.model.theorem import required_damping
 
 RAW = (None, None)
 RATE_HZ = 4000

@@ -10,8 +10,8 @@ from support.devices import COUNTS, DRY, STAR, device, rigid
 from support.engine_records import KEPT, PARAMS, WEIR, assert_alike, both
 
 from hapticd.engine import simulate
-from hapticd.plant.model import Noise
-from hapticd.plant.scene import Excitation
+from hapticd.model.model import Noise
+from hapticd.model.scene import Excitation
 
 
 def test_damping_switched_within_a_section_is_in_the_spectra():

@@ -11,7 +11,7 @@ from support.tree import TESTS
 
 from hapticd.analysis.impedance import impedance
 from hapticd.analysis.periodic import periodic
-from hapticd.analysis.theorem import PAPER_FILTERS, required_damping
+from hapticd.model.theorem import PAPER_FILTERS, required_damping
 
 ORACLES: dict[str, Any] = json.loads(
     (TESTS / "support" / "data" / "foreign_oracles.json").read_text()

@@ -9,7 +9,7 @@ from support.whole_tick import Display, Point, radius
 
 from benchmarks.guard_attack import SHIPPED, WEIR, attack, chunks, device, fly_one
 from benchmarks.guard_flown import flown
-from hapticd.analysis.loop import spectral_radius
+from hapticd.model.loop import spectral_radius
 
 POINTS = [(100.0, 1.0, 0.01), (500.0, 2.0, 0.0), (20.0, -0.3, -0.004), (900.0, 0.0, 0.008)]
 

@@ -13,7 +13,7 @@ def test_servo_of_a_real_board_loads_no_simulator() -> None:
         "import json, sys, hapticd.assembly.servo_main; print(json.dumps(sorted(sys.modules)))"
     )
     assert packages(modules) & NEVER_IN_SERVO == set()
-    assert not [name for name in modules if name.startswith(("hapticd.sim", "hapticd.plant"))]
+    assert not [name for name in modules if name.startswith(("hapticd.sim", "hapticd.model"))]
 
 
 def test_gateway_brings_no_compiler_and_no_board() -> None:

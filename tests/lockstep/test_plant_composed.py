@@ -15,9 +15,9 @@ from support.plant_devices import EFFECTS, N_PER_A, weir_device
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import from_plain, to_plain
-from hapticd.plant.composed import Lookup, RowTerms, composed_source, composed_step
-from hapticd.plant.discrete import discretise
-from hapticd.plant.effects import (
+from hapticd.model.composed import Lookup, RowTerms, composed_source, composed_step
+from hapticd.model.discrete import discretise
+from hapticd.model.effects import (
     Coulomb,
     MagnetCogging,
     Multiplier,
@@ -25,8 +25,8 @@ from hapticd.plant.effects import (
     WindingTemperature,
     WorkspaceEnds,
 )
-from hapticd.plant.step import make_plant
-from hapticd.plant.tables import board_fields, plant_params
+from hapticd.model.step import make_plant
+from hapticd.model.tables import board_fields, plant_params
 
 
 def test_stuck_body_stands_exactly_still():

@@ -14,8 +14,8 @@ from support.straight import Straight
 from hapticd.core.errors import ConfigError
 from hapticd.engine import simulate
 from hapticd.engine.shape import reduced
-from hapticd.plant.compose import compose
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose
+from hapticd.model.effects import (
     Crowbar,
     DampingCircuit,
     ShapedDamping,
@@ -24,7 +24,7 @@ from hapticd.plant.effects import (
     crowbar_nms_per_rad,
     lever_of_crowbar_m,
 )
-from hapticd.plant.stability import explain
+from hapticd.model.stability import explain
 from hapticd.settings.scene import load_scene
 
 LEVEL = 1.74

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from support.dry_friction import stop_time_s, turning_points_m
 from support.plant_devices import weir_device
 
-from hapticd.plant.discrete import discretise
-from hapticd.plant.effects import Coulomb, Load, Masses
-from hapticd.plant.friction import stick_one, stick_two
+from hapticd.model.discrete import discretise
+from hapticd.model.effects import Coulomb, Load, Masses
+from hapticd.model.friction import stick_one, stick_two
 
 LEVEL = 0.03
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.boards import board_params
 
-import hapticd.plant.step as plant_step
+import hapticd.model.step as plant_step
 from hapticd.core.errors import ConfigError
-from hapticd.plant.step import held_force_response, make_step, phi1, phi2, rest_state, step_source
+from hapticd.model.step import held_force_response, make_step, phi1, phi2, rest_state, step_source
 
 MASS_KG = 0.008
 DAMPINGS = (0.0, 1e-15, 1e-9, 1e-4, 0.36, 2.1, 10.36, 127.9, 128.1, 1e4)

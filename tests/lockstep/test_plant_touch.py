@@ -16,8 +16,8 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.params import Ends, HandParams, TouchParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
-from hapticd.plant.composed import POSITION, VELOCITY
-from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
+from hapticd.model.composed import POSITION, VELOCITY
+from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 H_S = 1e-3 / SUBSTEPS_PER_TICK

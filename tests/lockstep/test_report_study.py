@@ -13,7 +13,7 @@ import pytest
 from support.measured_scenes import scene
 
 from hapticd.core.errors import ConfigError, MissingLibrary
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
 from hapticd.report import style
 from hapticd.report.study import (
     accuracy_figure,

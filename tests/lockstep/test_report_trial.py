@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
 from hapticd.report.trial import trial_figure
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.ending import EndReason, TrialEnd

@@ -6,13 +6,13 @@ from support.analysis_resolved import T, display
 from support.spectral_trials import beside_mode, mass_damper, record
 
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.resolved import Resolved, resolved, unresolved
 from hapticd.analysis.spectra import spa
 from hapticd.analysis.verdict import judge
 from hapticd.engine import simulate
-from hapticd.plant.compose import compose
-from hapticd.plant.scene import Excitation
+from hapticd.model.compose import compose
+from hapticd.model.predict import predicted_impedance
+from hapticd.model.scene import Excitation
 
 BAND = (2.0, 500.0)
 

@@ -12,8 +12,8 @@ from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K
 from hapticd.gateway.view import as_records
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose_device
+from hapticd.model.effects import (
     Amplifier,
     Coulomb,
     DampingCircuit,
@@ -23,7 +23,7 @@ from hapticd.plant.effects import (
     WindingHeating,
     WindingTemperature,
 )
-from hapticd.plant.tables import board_fields
+from hapticd.model.tables import board_fields
 from hapticd.rig import audit, trim
 
 N_PER_A = 1.65

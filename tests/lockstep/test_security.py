@@ -32,7 +32,7 @@ def test_nothing_is_unpickled_by_the_way() -> None:
 
 def test_text_is_made_a_program_in_one_place() -> None:
     """Of numbers that a device file was read into, and of nothing in its own words."""
-    assert [place for place, _ in calls("eval", "exec")] == ["plant/composed.py"]
+    assert [place for place, _ in calls("eval", "exec")] == ["model/composed.py"]
 
 
 def test_no_shell_reads_what_a_program_is_started_with() -> None:

@@ -18,7 +18,7 @@ from hapticd.core.faults import BY_CODE, BY_NUMBER
 from hapticd.core.params import Ends, HandParams, InjectionParams, ScaleParams, TouchParams
 from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
-from hapticd.plant.composed import POSITION, VELOCITY
+from hapticd.model.composed import POSITION, VELOCITY
 from hapticd.servo.homing import FASTEST
 from hapticd.servo.plan import flatten, unflatten
 from hapticd.servo.safety import State

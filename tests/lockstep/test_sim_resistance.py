@@ -9,8 +9,8 @@ from support.boards import board_params as rigid_board
 from support.plant_devices import N_PER_A, alpha, weir_device
 
 from hapticd.core.params import BoardParams
-from hapticd.plant.effects import Coulomb, WindingHeating, WindingTemperature
-from hapticd.plant.tables import board_fields
+from hapticd.model.effects import Coulomb, WindingHeating, WindingTemperature
+from hapticd.model.tables import board_fields
 from hapticd.settings.build import board_params
 from hapticd.settings.load import Override, load
 from hapticd.sim.axis import Axis

@@ -10,13 +10,7 @@ from support.measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, sce
 
 from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.engine import BatchResult, simulate
-from hapticd.plant.effects import (
-    Amplifier,
-    Coupling,
-    Saturation,
-    Viscous,
-    WindingTemperature,
-)
+from hapticd.model.effects import Amplifier, Coupling, Saturation, Viscous, WindingTemperature
 from hapticd.settings.scene import load_scene
 from hapticd.study.effects import (
     PREDICTED,

@@ -10,14 +10,8 @@ import pytest
 from support.measured_scenes import MASS_KG, PARTS, VISCOUS_NS_PER_M, scene
 
 from hapticd.core.errors import ConfigError
-from hapticd.plant.effects import (
-    Amplifier,
-    Crowbar,
-    DampingCircuit,
-    WindingTemperature,
-    copper_ohm,
-)
-from hapticd.plant.scene import DampingStep, Excitation
+from hapticd.model.effects import Amplifier, Crowbar, DampingCircuit, WindingTemperature, copper_ohm
+from hapticd.model.scene import DampingStep, Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.study.scene import ceiling, compare_integrators, plan_scene, run_scene
 from hapticd.zwidth.scenes import without

@@ -19,7 +19,7 @@ from support.whole_tick import (
     radius,
 )
 
-from hapticd.analysis.coupled import coupled_radius
+from hapticd.model.coupled import coupled_radius
 
 T = 1e-3
 MASS = 0.008

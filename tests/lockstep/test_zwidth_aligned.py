@@ -20,7 +20,7 @@ from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import Command, Value
-from hapticd.plant.excitation import MARK_LEAD
+from hapticd.model.excitation import MARK_LEAD
 from hapticd.recording.file import open_recording
 from hapticd.recording.recorder import RecordingParams, record
 from hapticd.zwidth.aligned import read_aligned

@@ -28,7 +28,7 @@ from hapticd.core.errors import (
     SequenceError,
 )
 from hapticd.engine.batch import at_most, workers
-from hapticd.plant.effects import Masses, ProbeMass, Viscous
+from hapticd.model.effects import Masses, ProbeMass, Viscous
 from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.executors import executor, threads
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits

@@ -16,7 +16,7 @@ from hapticd.client.blocks import BlockDecoder
 from hapticd.core.errors import AnalysisError
 from hapticd.core.faults import BY_CODE
 from hapticd.gateway.answers import Status
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

@@ -10,7 +10,7 @@ from support.measured_scenes import RIGID
 
 from hapticd.assembly.lockstep import scene_params
 from hapticd.core.errors import AnalysisError
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench

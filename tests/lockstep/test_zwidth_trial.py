@@ -10,12 +10,12 @@ import pytest
 from support.measured_scenes import RIGID
 
 from hapticd.analysis.impedance import impedance
-from hapticd.analysis.predict import predicted_impedance
 from hapticd.analysis.spectra import spa
 from hapticd.assembly.lockstep import scene_params
 from hapticd.core.errors import AnalysisError, ConfigError, DaemonDown
-from hapticd.plant.compose import compose
-from hapticd.plant.scene import Excitation
+from hapticd.model.compose import compose
+from hapticd.model.predict import predicted_impedance
+from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source

@@ -5,9 +5,9 @@ display; and the tick law played on such a device.
 import numpy as np
 
 from hapticd.core.environment import Environment, FilterParams
-from hapticd.plant.compose import compose_device
-from hapticd.plant.discrete import discretise
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose_device
+from hapticd.model.discrete import discretise
+from hapticd.model.effects import (
     Amplifier,
     Coulomb,
     Coupling,
@@ -19,7 +19,7 @@ from hapticd.plant.effects import (
     Smoothing,
     Viscous,
 )
-from hapticd.plant.model import Model
+from hapticd.model.model import Model
 from hapticd.render.law import at_rest, design_coefficients, render
 from support.models import environment_tuple
 

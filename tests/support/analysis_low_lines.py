@@ -11,9 +11,9 @@ from hapticd.analysis.low_lines import low_line
 from hapticd.analysis.spectra import spa
 from hapticd.core.arrays import Floats
 from hapticd.engine import simulate
-from hapticd.plant.effects import Coulomb, Masses, ProbeMass, Viscous
-from hapticd.plant.model import Model
-from hapticd.plant.scene import Excitation, Scene
+from hapticd.model.effects import Coulomb, Masses, ProbeMass, Viscous
+from hapticd.model.model import Model
+from hapticd.model.scene import Excitation, Scene
 from support.measured_scenes import MOTOR, scene
 
 RATE_HZ = 4000.0

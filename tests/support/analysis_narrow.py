@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from hapticd.analysis.linearise import port_admittance
-from hapticd.analysis.loop import close_loop
-from hapticd.analysis.predict import frequencies
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import Coupling, Delay, Masses, Viscous
+from hapticd.model.compose import compose_device
+from hapticd.model.effects import Coupling, Delay, Masses, Viscous
+from hapticd.model.linearise import port_admittance
+from hapticd.model.loop import close_loop
+from hapticd.model.predict import frequencies
 from support.analysis_devices import MOTOR
 
 GRID = frequencies()

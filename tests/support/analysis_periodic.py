@@ -9,8 +9,8 @@ import numpy as np
 from hapticd.analysis.impedance import impedance, relative_sd
 from hapticd.analysis.verdict import student_quantile
 from hapticd.engine import simulate
-from hapticd.plant.excitation import generator, multisine
-from hapticd.plant.scene import Excitation
+from hapticd.model.excitation import generator, multisine
+from hapticd.model.scene import Excitation
 from support.spectral_trials import mass_damper
 
 RATE_HZ = 4000.0

@@ -4,8 +4,8 @@ device's is AC-coupled at 0.1 Hz.
 
 import pytest
 
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.predict import DEFAULT_BAND_HZ, predict
+from hapticd.model.linearise import Perturbation
+from hapticd.model.predict import DEFAULT_BAND_HZ, predict
 from hapticd.weir2008.paper import LEVELS
 from hapticd.weir2008.run import conditions
 

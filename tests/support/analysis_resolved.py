@@ -10,17 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hapticd.analysis.predict import predicted_impedance
-from hapticd.plant.compose import compose
-from hapticd.plant.effects import (
-    Coulomb,
-    Encoder,
-    Masses,
-    ProbeMass,
-    Saturation,
-    Viscous,
-)
-from hapticd.plant.scene import Excitation, Scene
+from hapticd.model.compose import compose
+from hapticd.model.effects import Coulomb, Encoder, Masses, ProbeMass, Saturation, Viscous
+from hapticd.model.predict import predicted_impedance
+from hapticd.model.scene import Excitation, Scene
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions, Outcome, run_trials
 from hapticd.zwidth.store import TrialStore

@@ -7,7 +7,7 @@ from math import copysign, pi, sin, sqrt
 from random import Random
 from typing import Any
 
-from hapticd.plant.composed import POSITION, VELOCITY
+from hapticd.model.composed import POSITION, VELOCITY
 from hapticd.rig.hand import Request
 
 GRAVITY_M_PER_S2 = 9.80665

@@ -13,8 +13,8 @@ from typing import Any
 from hapticd.core.clock import Clock
 from hapticd.core.params import BoardParams
 from hapticd.core.units import COPPER_PER_K, PROBE_RATE_HZ
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose_device
+from hapticd.model.effects import (
     Amplifier,
     Coulomb,
     Coupling,
@@ -29,8 +29,8 @@ from hapticd.plant.effects import (
     WindingTemperature,
     WorkspaceEnds,
 )
-from hapticd.plant.step import SUBSTEPS_PER_TICK, Plant, make_plant
-from hapticd.plant.tables import board_fields
+from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
+from hapticd.model.tables import board_fields
 from hapticd.sim.axis import Axis, Probe, i16_count
 from hapticd.sim.board import VENDOR_IN, BoardModel, hello
 from hapticd.sim.transport import make_backend

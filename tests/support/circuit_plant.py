@@ -17,7 +17,7 @@ from firmware_iface.hardware.studies import FULL_NS_PER_M, K_F, V_PER_V
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.core.params import BoardParams
 from hapticd.mailbox.layout import TELEMETRY, Command, Value
-from hapticd.plant.step import SUBSTEPS_PER_TICK, Plant, make_plant
+from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
 
 SETTLING_S = 0.04  # of relay and amplifier after power-up, before the board starts
 ENABLE_S = 0.02  # shorter than a person would have it: everything is in force before the kick

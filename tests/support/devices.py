@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose_device
+from hapticd.model.effects import (
     Amplifier,
     AmplifierLimits,
     Coulomb,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hapticd.plant.effects import Coulomb, Viscous
+from hapticd.model.effects import Coulomb, Viscous
 from support.devices import RIGID
 
 BELOW_FRICTION_N = 0.003 * np.random.default_rng(2).standard_normal(4000)

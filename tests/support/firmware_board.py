@@ -22,7 +22,7 @@ from typing import Any
 
 from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_S, NS_PER_US
-from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
+from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.sim.axis import EMERGENCY_STOP, READY, Amplifier, i16_count
 from hapticd.sim.board import ADVANCE_MAX_NS, VENDOR_OUT, compensates, control_replies, hello
 from hapticd.usb import codec, frames

@@ -6,8 +6,8 @@ these: nothing of what the package interpolates with.
 
 import numpy as np
 
-from hapticd.plant.excitation import MARK_LEAD, marked, torque_record
-from hapticd.plant.scene import Excitation
+from hapticd.model.excitation import MARK_LEAD, marked, torque_record
+from hapticd.model.scene import Excitation
 
 DENSE = 16
 SETTLE = 4000  # samples before the record begins

@@ -10,7 +10,7 @@ from hapticd.assembly import resolve
 from hapticd.core.environment import Environment
 from hapticd.core.params import GuardParams, GuardSetup, ModelParams, OutputParams, from_plain
 from hapticd.mailbox import files
-from hapticd.plant.effects import (
+from hapticd.model.effects import (
     DampingCircuit,
     Delay,
     Effect,

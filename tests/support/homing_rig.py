@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from hapticd.core.params import DeviceParams, HandParams, HomeParams, TouchParams
 from hapticd.mailbox.layout import Command
-from hapticd.plant.step import SUBSTEPS_PER_TICK, make_plant
+from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import State
 from hapticd.servo.step import initial_state, make_step

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.plant.step import SUBSTEPS_PER_TICK
+from hapticd.model.step import SUBSTEPS_PER_TICK
 from hapticd.sim.board import BoardModel, compensates
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import OutFlag, OutFrame, Request, StatusBit

@@ -6,8 +6,8 @@ import numpy as np
 
 from hapticd.core.environment import Environment, WallParams
 from hapticd.engine import BatchResult, simulate
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import AmplifierLimits
+from hapticd.model.compose import compose_device
+from hapticd.model.effects import AmplifierLimits
 from support.devices import LIMIT, STAR
 
 FULL_NS_PER_M = 9.9

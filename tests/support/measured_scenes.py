@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 from hapticd.core.environment import Environment
-from hapticd.plant.effects import Coulomb, Effect, Masses, Motor, Viscous
-from hapticd.plant.scene import DampingStep, Excitation, Scene
+from hapticd.model.effects import Coulomb, Effect, Masses, Motor, Viscous
+from hapticd.model.scene import DampingStep, Excitation, Scene
 
 MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
 # options of `zwidth map`: 27 points about the set of the calibrated display

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.loop import PAPER_FILTERS, derivatives
+from hapticd.model.loop import PAPER_FILTERS, derivatives
 from support.analysis_narrow import flexible
 
 PERIOD_S = 1e-3

@@ -7,7 +7,7 @@ alone.
 
 import numpy as np
 
-from hapticd.analysis.coupled import GROUND, Hand, Network
+from hapticd.model.coupled import GROUND, Hand, Network
 
 MASS_KG = (1e-5, 30.0)
 SPRING_N_PER_M = (1e-1, 1e6)

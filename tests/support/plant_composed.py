@@ -2,8 +2,8 @@
 nothing that it does not have.
 """
 
-from hapticd.plant.discrete import discretise
-from hapticd.plant.effects import (
+from hapticd.model.discrete import discretise
+from hapticd.model.effects import (
     AmplifierLimits,
     AntiAlias,
     Coulomb,
@@ -12,8 +12,8 @@ from hapticd.plant.effects import (
     PassiveHand,
     VelocityHighpass,
 )
-from hapticd.plant.friction import stick_one, stick_two
-from hapticd.plant.tables import plant_params
+from hapticd.model.friction import stick_one, stick_two
+from hapticd.model.tables import plant_params
 from support.boards import board_params
 from support.plant_devices import FULL, weir_device
 from support.straight import held_force

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose_device
+from hapticd.model.effects import (
     Amplifier,
     Coulomb,
     Coupling,
@@ -18,7 +18,7 @@ from hapticd.plant.effects import (
     Viscous,
     WindingTemperature,
 )
-from hapticd.plant.model import Model
+from hapticd.model.model import Model
 
 N_PER_A = 1.65  # 16.5 mNm/A over 10 mm
 

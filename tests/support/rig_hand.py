@@ -5,7 +5,7 @@ hangs masses from it. Steps see a client alone; the truth stays here.
 from dataclasses import replace
 from typing import Any
 
-from hapticd.plant.step import make_plant
+from hapticd.model.step import make_plant
 from hapticd.rig.hand import Request
 from hapticd.zwidth.lockstep import LockStepBench
 from support.boards import board_params

@@ -2,7 +2,7 @@
 own coordinates.
 
 Nothing is shared with the engine but the law and the definition of a tick: own matrix exponential,
-own order of sums, friction from `plant.friction`, one trial at a time.
+own order of sums, friction from `model.friction`, one trial at a time.
 """
 
 from math import floor, pi, sin
@@ -10,7 +10,7 @@ from math import floor, pi, sin
 import numpy as np
 
 from hapticd.core.environment import Environment
-from hapticd.plant.friction import stick_one, stick_two
+from hapticd.model.friction import stick_one, stick_two
 from hapticd.render.law import at_rest, design_coefficients, render
 from support.models import environment_tuple
 

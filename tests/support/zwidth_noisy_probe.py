@@ -5,8 +5,8 @@ The device is linear and narrow: some verdicts need the record, which is then ma
 
 import numpy as np
 
-from hapticd.plant.effects import Masses, ProbeMass, SensorNoise, Viscous
-from hapticd.plant.scene import Excitation
+from hapticd.model.effects import Masses, ProbeMass, SensorNoise, Viscous
+from hapticd.model.scene import Excitation
 from hapticd.zwidth.outcomes import Conditions
 from support.measured_scenes import MOTOR, scene
 

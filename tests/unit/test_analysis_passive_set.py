@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from support.analysis_devices import display
 
-from hapticd.analysis.linearise import Perturbation
 from hapticd.analysis.passive_set import (
     axis_limit,
     grid,
@@ -15,8 +14,9 @@ from hapticd.analysis.passive_set import (
     set_limits,
     volume,
 )
-from hapticd.analysis.predict import predict
 from hapticd.core.errors import AnalysisError
+from hapticd.model.linearise import Perturbation
+from hapticd.model.predict import predict
 
 AXES = (np.linspace(0, 1000, 21), np.linspace(-2, 6, 17), np.linspace(-0.02, 0.02, 9))
 

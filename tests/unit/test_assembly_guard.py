@@ -14,10 +14,10 @@ from support.guard_device import (
 
 from hapticd.analysis.bases import model_of
 from hapticd.analysis.judge import Judge
-from hapticd.analysis.loop import spectral_radius
 from hapticd.assembly.guard_main import answered
 from hapticd.core.params import GuardSetup, from_plain, to_plain
-from hapticd.plant.compose import compose
+from hapticd.model.compose import compose
+from hapticd.model.loop import spectral_radius
 from hapticd.zwidth.scenes import device_scene
 
 

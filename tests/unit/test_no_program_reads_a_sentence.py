@@ -19,7 +19,7 @@ from hapticd.core.params import ScaleParams
 from hapticd.doctor.checks import CheckResult
 from hapticd.explanation import Entry
 from hapticd.gateway.answers import GuardVerdict
-from hapticd.plant.effects import Effect
+from hapticd.model.effects import Effect
 from hapticd.recording.calibrations import CalibrationDoubt
 from hapticd.rig.result import Finding
 from hapticd.servo.host import Grant

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hapticd.plant.blueprint import Form
+from hapticd.model.blueprint import Form
 
 
 def test_arithmetic_is_by_symbol():

@@ -7,8 +7,8 @@ import pytest
 from support.plant_devices import EFFECTS, FULL, N_PER_A, weir_device
 
 from hapticd.core.errors import ConfigError
-from hapticd.plant.compose import compose_device
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose_device
+from hapticd.model.effects import (
     Amplifier,
     AntiAlias,
     Coulomb,

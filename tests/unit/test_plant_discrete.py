@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.plant_devices import FULL, weir_device
 
-from hapticd.plant.discrete import delay_steps, discretise, expm, late_command
-from hapticd.plant.effects import Amplifier, Coupling, DampingCircuit, Masses
-from hapticd.plant.step import held_force_response
+from hapticd.model.discrete import delay_steps, discretise, expm, late_command
+from hapticd.model.effects import Amplifier, Coupling, DampingCircuit, Masses
+from hapticd.model.step import held_force_response
 
 
 def decimal_expm(matrix):

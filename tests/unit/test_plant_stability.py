@@ -6,16 +6,16 @@ import pytest
 from support.plant_devices import EFFECTS, FULL, N_PER_A, weir_device
 
 from hapticd.core.errors import ConfigError
-from hapticd.plant.compose import compose
-from hapticd.plant.effects import (
+from hapticd.model.compose import compose
+from hapticd.model.effects import (
     Amplifier,
     DampingCircuit,
     InductanceError,
     Motor,
     WindingTemperature,
 )
-from hapticd.plant.scene import DampingStep, Scene
-from hapticd.plant.stability import damping_ceiling, explain, modes, stability
+from hapticd.model.scene import DampingStep, Scene
+from hapticd.model.stability import damping_ceiling, explain, modes, stability
 
 LEVEL = 1.74
 LOOP = ("probe", "coupling", "viscous", "smoothing", "amplifier", "damping_circuit")

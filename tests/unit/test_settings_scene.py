@@ -9,8 +9,8 @@ import pytest
 from support.plant_devices import alpha
 
 from hapticd.core.errors import ConfigError
-from hapticd.plant.compose import compose
-from hapticd.plant.effects import ALWAYS, KINDS, Coulomb, WindingTemperature
+from hapticd.model.compose import compose
+from hapticd.model.effects import ALWAYS, KINDS, Coulomb, WindingTemperature
 from hapticd.settings import build
 from hapticd.settings.load import load
 from hapticd.settings.scene import load_scene, scene_names

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 from support.boards import ENABLE, PERTURB, TICK_NS, board_params, exchange, out_packet
 
-from hapticd.plant.step import held_force_response
+from hapticd.model.step import held_force_response
 from hapticd.sim.axis import PAIRS_MAX, Axis, i16_count
 from hapticd.sim.board import BoardModel
 from hapticd.usb import codec

@@ -6,7 +6,7 @@ import pytest
 from support.boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, out_packet
 
 from hapticd.core.errors import ConfigError
-from hapticd.plant.step import held_force_response
+from hapticd.model.step import held_force_response
 from hapticd.sim.board import BoardModel, hello
 from hapticd.usb import codec
 from hapticd.usb.frames import OUT_BYTES, PROTOCOL_HASH, Capability, OutFlag, Request, StatusBit

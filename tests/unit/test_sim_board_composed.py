@@ -6,8 +6,8 @@ import pytest
 from support.boards import ENABLE, LATCH_NS, PERTURB, TICK_NS, board_params, exchange, out_packet
 from support.plant_devices import FULL, weir_device
 
-from hapticd.plant.discrete import discretise
-from hapticd.plant.effects import (
+from hapticd.model.discrete import discretise
+from hapticd.model.effects import (
     AntiAlias,
     SensorNoise,
     VelocityHighpass,
@@ -15,8 +15,8 @@ from hapticd.plant.effects import (
     WindingTemperature,
     WorkspaceEnds,
 )
-from hapticd.plant.model import Model
-from hapticd.plant.tables import board_fields
+from hapticd.model.model import Model
+from hapticd.model.tables import board_fields
 from hapticd.sim.axis import Axis, Probe
 from hapticd.sim.board import BoardModel
 from hapticd.usb.frames import StatusBit

@@ -18,7 +18,7 @@ from hapticd.cli import terminal
 from hapticd.core.errors import HapticdError
 
 if TYPE_CHECKING:
-    from hapticd.plant.scene import Scene
+    from hapticd.model.scene import Scene
     from hapticd.settings.device import DeviceFile
     from hapticd.zwidth.outcomes import Conditions, Outcome
     from hapticd.zwidth.scenes import Display

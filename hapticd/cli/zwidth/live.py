@@ -17,7 +17,7 @@ from hapticd.core.units import US_PER_S
 
 if TYPE_CHECKING:
     from hapticd.client import Client
-    from hapticd.plant.scene import Scene
+    from hapticd.model.scene import Scene
     from hapticd.zwidth.sources import Trial
 
 

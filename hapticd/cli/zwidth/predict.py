@@ -9,10 +9,10 @@ from hapticd.cli import terminal
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.analysis.coupled import Hand
-    from hapticd.analysis.linearise import Perturbation
-    from hapticd.analysis.outlook import Outlook
-    from hapticd.analysis.predict import Prediction
+    from hapticd.model.coupled import Hand
+    from hapticd.model.linearise import Perturbation
+    from hapticd.model.outlook import Outlook
+    from hapticd.model.predict import Prediction
 
 DEVICE_OF = "fig4"  # where no scene is named
 LEFT_OUT = "What is not given; without it the device of fig4, and 0."
@@ -36,7 +36,7 @@ def command(
     fades as the motion grows. Where the theorem finds damping missing, the passive hand that shakes
     the display is built and tried. K < 0 is always refused.
     """
-    from hapticd.analysis.outlook import outlook
+    from hapticd.model.outlook import outlook
     from hapticd.zwidth import scenes
     from hapticd.zwidth.sources import given
 

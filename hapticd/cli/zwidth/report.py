@@ -20,7 +20,7 @@ from hapticd.cli.zwidth.trial import draw_trial
 
 if TYPE_CHECKING:
     from hapticd.analysis.verdict import Judged
-    from hapticd.plant.scene import Scene
+    from hapticd.model.scene import Scene
     from hapticd.zwidth.limits import LimitsResult
     from hapticd.zwidth.map import MapParams, MapResult
     from hapticd.zwidth.store import Progress

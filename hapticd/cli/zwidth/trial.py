@@ -22,7 +22,7 @@ from hapticd.cli.zwidth.live import announce, open_rig
 
 if TYPE_CHECKING:
     from hapticd.analysis.impedance import Estimator
-    from hapticd.plant.scene import Excitation, Scene
+    from hapticd.model.scene import Excitation, Scene
     from hapticd.zwidth.sources import Source, Trial
     from hapticd.zwidth.stepped_sine import ReferenceSines
     from hapticd.zwidth.store import Progress, TrialRecord

@@ -10,7 +10,7 @@ not built: no state, no instruction, no time.
 from dataclasses import dataclass, field
 
 from hapticd.core.environment import Environment
-from hapticd.plant.effects import Effect
+from hapticd.model.effects import Effect
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,9 +22,9 @@ from math import inf, tau
 
 import numpy as np
 
-from hapticd.plant.blueprint import Note, StateVariable
-from hapticd.plant.model import Array, Model
-from hapticd.plant.reach import computable
+from hapticd.model.blueprint import Note, StateVariable
+from hapticd.model.model import Array, Model
+from hapticd.model.reach import computable
 
 GROWTH_PER_S = 1e-6  # below this is rounding: e-fold in 11 days
 HALVINGS = 80  # of an interval, until its ends are neighbours

@@ -45,19 +45,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.angles import angles_of, least_between, vertices
-from hapticd.analysis.loop import (
-    PAPER_FILTERS,
-    Filters,
-    derivatives,
-    held,
-    pulse_transfer,
-    responses,
-)
-from hapticd.analysis.predict import environments
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
-from hapticd.plant.model import Model
+from hapticd.model.angles import angles_of, least_between, vertices
+from hapticd.model.loop import PAPER_FILTERS, Filters, derivatives, held, pulse_transfer, responses
+from hapticd.model.model import Model
+from hapticd.model.predict import environments
 
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
 _IMAGES = 24  # harmonics on each side

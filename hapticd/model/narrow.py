@@ -26,9 +26,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.angles import held_poles
 from hapticd.core.arrays import Complexes, Floats, Integers
-from hapticd.plant.model import Model
+from hapticd.model.angles import held_poles
+from hapticd.model.model import Model
 
 At = Callable[[Integers, Floats], Complexes]  # Z (n,) of environments (n,) at their own frequencies
 

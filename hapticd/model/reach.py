@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from hapticd.core.errors import ConfigError
-from hapticd.plant.model import Array
+from hapticd.model.model import Array
 
 
 @contextmanager

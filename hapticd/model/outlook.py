@@ -20,13 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.coupled import GROWS, Hand, coupled_radius, shaking_hand, withstands
-from hapticd.analysis.linearise import Perturbation
-from hapticd.analysis.loop import Filters, spectral_radius
-from hapticd.analysis.predict import Prediction, environments, predict
-from hapticd.analysis.rational import positive_everywhere, rational
-from hapticd.analysis.theorem import lift, lifted_margin
-from hapticd.plant.model import Model
+from hapticd.model.coupled import GROWS, Hand, coupled_radius, shaking_hand, withstands
+from hapticd.model.linearise import Perturbation
+from hapticd.model.loop import Filters, spectral_radius
+from hapticd.model.model import Model
+from hapticd.model.predict import Prediction, environments, predict
+from hapticd.model.rational import positive_everywhere, rational
+from hapticd.model.theorem import lift, lifted_margin
 
 
 @dataclass(frozen=True, eq=False)

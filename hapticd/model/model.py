@@ -32,7 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.core.params import Contact, DriveLimits, Ends, Noise, RotorForce
-from hapticd.plant.blueprint import InputColumns, Note, StateVariable
+from hapticd.model.blueprint import InputColumns, Note, StateVariable
 
 __all__ = [
     "Array", "Contact", "DriveLimits", "Ends", "InputColumns", "Map", "Model", "Noise", "Note",

@@ -44,8 +44,8 @@ from hapticd.core.params import (
     RotorForce,
 )
 from hapticd.core.units import COPPER_PER_K
-from hapticd.plant.drive import reach
-from hapticd.plant.friction import stick_two
+from hapticd.model.drive import reach
+from hapticd.model.friction import stick_two
 
 Row = tuple[float, ...]
 Rows = tuple[Row, ...]  # [Phi Gamma] of a piece, a row for each state
@@ -55,7 +55,7 @@ State = tuple[float, ...]  # what a step takes and gives; only the plant underst
 POSITION: Final = 0
 VELOCITY: Final = 1
 WINDING: Final = -1
-Step = Callable[[State, float, float, float, int], State]  # as `plant.step.make_step` returns it
+Step = Callable[[State, float, float, float, int], State]  # as `model.step.make_step` returns it
 View = Callable[[State, float, float], float]  # of (state, force_n, active_damping_ns_per_m)
 
 TOLERANCE_OHM = 1e-4  # drift of the winding before its maps are loaded anew: 0.02 K of 1.6 ohm
@@ -263,7 +263,7 @@ def composed_source(terms: RowTerms, substep_s: float, torque_constant_n_per_a: 
     """Text of `bind(coefficients, gauss, sin, stick_two)`, which returns the step, and for a
     winding that heats up `compensate(trim_ohm)`, else None.
 
-    The step is that of `plant.step.make_step`. The cells of the closure are the coefficients; only
+    The step is that of `model.step.make_step`. The cells of the closure are the coefficients; only
     a change of the level (or a drift of the winding, or of its compensation) loads them anew.
     """
     heat = terms.params.heating
@@ -576,7 +576,7 @@ def _warmed(
 
 
 class Composed(NamedTuple):
-    """The step of a composed device, as `plant.step.make_step` describes it."""
+    """The step of a composed device, as `model.step.make_step` describes it."""
 
     step: Step
     terms: RowTerms

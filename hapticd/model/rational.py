@@ -44,11 +44,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.angles import held_poles
-from hapticd.analysis.loop import Filters, biquad_of, port_states
-from hapticd.analysis.theorem import NOWHERE, Circles, circles, lift, opened, terms_of
 from hapticd.core.arrays import Complexes, Flags, Floats
-from hapticd.plant.model import Model
+from hapticd.model.angles import held_poles
+from hapticd.model.loop import Filters, biquad_of, port_states
+from hapticd.model.model import Model
+from hapticd.model.theorem import NOWHERE, Circles, circles, lift, opened, terms_of
 
 __all__ = ["Rational", "positive_everywhere", "rational"]
 

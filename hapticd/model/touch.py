@@ -37,7 +37,7 @@ from typing import NamedTuple
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import HandParams, TouchParams
-from hapticd.plant.composed import POSITION, VELOCITY, State, Step
+from hapticd.model.composed import POSITION, VELOCITY, State, Step
 
 TREMOR_HZ = 10.0  # physiological tremor of a hand: 8 to 12 Hz
 HAND_KINDS = ("hold", "push", "strike")

@@ -16,9 +16,9 @@ Limitations: a mode whose width is below the resolution of the arithmetic (`unre
 
 import numpy as np
 
-from hapticd.analysis.loop import port_states
 from hapticd.core.arrays import Complexes, Floats, Integers
-from hapticd.plant.model import Model
+from hapticd.model.loop import port_states
+from hapticd.model.model import Model
 
 __all__ = ["FIXED", "angles_of", "held_poles", "least_between", "unresolved_hz", "vertices"]
 

@@ -35,7 +35,7 @@ from typing import NamedTuple
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import BoardParams, PlantParams, TouchParams
-from hapticd.plant.composed import (
+from hapticd.model.composed import (
     POSITION,
     VELOCITY,
     WINDING,
@@ -48,8 +48,8 @@ from hapticd.plant.composed import (
     rotor_response,
     viewer,
 )
-from hapticd.plant.touch import Response as TouchResponse
-from hapticd.plant.touch import touched_step
+from hapticd.model.touch import Response as TouchResponse
+from hapticd.model.touch import touched_step
 
 # plain, not named: the generated step unpacks it in every piece
 Response = tuple[float, float, float, float]

@@ -65,7 +65,7 @@ from math import floor, sqrt, tau
 from typing import Any, ClassVar, NamedTuple
 
 from hapticd.core.units import COPPER_PER_K, unit_of
-from hapticd.plant.blueprint import (
+from hapticd.model.blueprint import (
     AmplifierRange,
     Blueprint,
     Copper,
@@ -382,7 +382,7 @@ class Amplifier(Effect):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AmplifierLimits(Effect):
-    """Limits of current and voltage on command and active damping together (`plant.drive`)."""
+    """Limits of current and voltage on command and active damping together (`model.drive`)."""
 
     key: ClassVar[str] = "amplifier_limits"
     why: ClassVar[str] = (

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.params import HeatingParams, OutputParams, PlantParams
-from hapticd.plant.discrete import discretise
-from hapticd.plant.drive import well_posed
-from hapticd.plant.effects import copper_ohm
-from hapticd.plant.model import Model, Output
-from hapticd.plant.step import SUBSTEPS_PER_TICK
+from hapticd.model.discrete import discretise
+from hapticd.model.drive import well_posed
+from hapticd.model.effects import copper_ohm
+from hapticd.model.model import Model, Output
+from hapticd.model.step import SUBSTEPS_PER_TICK
 
 GRID = 21  # damping levels from 0 to the highest
 RESIDUALS = 9  # residual resistances, when the winding heats up

@@ -23,8 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.loop import Loop
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
+from hapticd.model.loop import Loop
 
 GAIN = float(np.sqrt(2.0 / np.pi))
 BURSTS = (1.2, 1.5, 2.0, 2.5, 3.0)

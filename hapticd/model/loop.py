@@ -37,8 +37,8 @@ import numpy as np
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.environment import FilterParams
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.plant.discrete import delay_steps, discretise, late_command
-from hapticd.plant.model import Model
+from hapticd.model.discrete import delay_steps, discretise, late_command
+from hapticd.model.model import Model
 from hapticd.render.filters import Biquad, design
 
 # of velocity and acceleration; None leaves one out

@@ -25,7 +25,9 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.linearise import (
+from hapticd.core.arrays import Complexes, Flags, Floats, Integers
+from hapticd.core.errors import AnalysisError
+from hapticd.model.linearise import (
     Linearised,
     Perturbation,
     hung,
@@ -34,7 +36,7 @@ from hapticd.analysis.linearise import (
     port_admittance,
     recorded_impedance,
 )
-from hapticd.analysis.loop import (
+from hapticd.model.loop import (
     PAPER_FILTERS,
     Filters,
     Loop,
@@ -43,10 +45,8 @@ from hapticd.analysis.loop import (
     spectral_radius,
     with_viscous,
 )
-from hapticd.analysis.narrow import Bottom, bottom, mode_lines
-from hapticd.core.arrays import Complexes, Flags, Floats, Integers
-from hapticd.core.errors import AnalysisError
-from hapticd.plant.model import Model
+from hapticd.model.model import Model
+from hapticd.model.narrow import Bottom, bottom, mode_lines
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
 _TOGETHER = 1024  # environments at once: their spectra stay in the cache

@@ -27,8 +27,8 @@ from math import ceil, floor, log2
 
 import numpy as np
 
-from hapticd.plant.model import Array, Map, Model, frozen
-from hapticd.plant.reach import computable, require_finite
+from hapticd.model.model import Array, Map, Model, frozen
+from hapticd.model.reach import computable, require_finite
 
 TERMS = 25
 LARGEST_NORM = 0.5

@@ -32,9 +32,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hapticd.core.errors import ConfigError
-from hapticd.plant.blueprint import ZERO, Blueprint, Form
-from hapticd.plant.effects import Amplifier, DampingCircuit, Effect, ShapedDamping, in_order, shaped
-from hapticd.plant.model import (
+from hapticd.model.blueprint import ZERO, Blueprint, Form
+from hapticd.model.effects import Amplifier, DampingCircuit, Effect, ShapedDamping, in_order, shaped
+from hapticd.model.model import (
     Array,
     Contact,
     DriveLimits,
@@ -48,9 +48,9 @@ from hapticd.plant.model import (
     Winding,
     frozen,
 )
-from hapticd.plant.reach import computable, require_finite
-from hapticd.plant.scene import Scene
-from hapticd.plant.stability import stability
+from hapticd.model.reach import computable, require_finite
+from hapticd.model.scene import Scene
+from hapticd.model.stability import stability
 
 
 def drive(plan: Blueprint) -> None:

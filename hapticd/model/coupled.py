@@ -44,14 +44,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.angles import least_between
-from hapticd.analysis.loop import PAPER_FILTERS, Filters, held, responses, spectral_radius
-from hapticd.analysis.predict import environments
-from hapticd.analysis.theorem import Lift, lift
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
-from hapticd.plant.blueprint import StateVariable
-from hapticd.plant.model import Model, Output, Outputs
+from hapticd.model.angles import least_between
+from hapticd.model.blueprint import StateVariable
+from hapticd.model.loop import PAPER_FILTERS, Filters, held, responses, spectral_radius
+from hapticd.model.model import Model, Output, Outputs
+from hapticd.model.predict import environments
+from hapticd.model.theorem import Lift, lift
 
 GROUND = -1  # number of the node that is the wall
 GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss

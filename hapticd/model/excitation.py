@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.plant.scene import Excitation
+from hapticd.model.scene import Excitation
 
 Floats = npt.NDArray[np.float64]
 NOISE_SAMPLES_MAX = 1 << 26  # of one record: half a gigabyte, 4.7 hours
