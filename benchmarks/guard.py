@@ -32,7 +32,7 @@ from benchmarks.figures import Figure, compared
 from benchmarks.worker import ROOT, Worker, environment
 from hapticd.assembly.resolve import write
 from hapticd.core.units import NS_PER_MS
-from hapticd.gateway.worker import LENGTH
+from hapticd.guard.worker import LENGTH
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped
 
@@ -126,7 +126,7 @@ def _receive(line: socket.socket) -> Any:
 def _guard(folder: Path) -> Iterator[socket.socket]:
     """The worker's line, after its hello."""
     ours, theirs = socket.socketpair()
-    command = [sys.executable, "-m", "hapticd.assembly.guard_main", str(folder)]
+    command = [sys.executable, "-m", "hapticd.guard.main", str(folder)]
     process = subprocess.Popen(
         [*command, "--fd", str(theirs.fileno()), "--parent", str(os.getpid())],
         pass_fds=(theirs.fileno(),),

@@ -17,9 +17,9 @@ from hapticd.core.errors import HapticdError
 from hapticd.core.params import GuardParams
 from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import ServoView, as_records
+from hapticd.guard.status import Guard
 
 UNIX_NS = 1_800_000_000_000_000_000
 CLIENT = b"client"

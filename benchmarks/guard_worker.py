@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.worker import serve
-from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.displays import from_message
-from hapticd.analysis.judge import Judge
-from hapticd.analysis.ways import Leg, sampled
 from hapticd.core.params import GuardSetup, RealtimeParams, from_plain
+from hapticd.guard.allowed import Judgement
+from hapticd.guard.displays import from_message
+from hapticd.guard.judge import Judge
+from hapticd.guard.ways import Leg, sampled
 from hapticd.mailbox.files import GUARD_JSON
 
 POINTS = 20

@@ -32,8 +32,8 @@ from benchmarks.timing import (  # noqa: E402
     rigid,
     tried_limit,
 )
-from hapticd.analysis.bases import Conditions, Theorem  # noqa: E402
 from hapticd.analysis.passive_set import axis_limit  # noqa: E402
+from hapticd.guard.bases import Conditions, Theorem  # noqa: E402
 from hapticd.model.effects import Amplifier, Delay, Smoothing, Viscous  # noqa: E402
 from hapticd.model.scene import Scene  # noqa: E402
 from hapticd.report.style import BLACK, BLUE, GREY, PREDICTED, WIDTH_IN, axes, styled  # noqa: E402

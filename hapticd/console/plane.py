@@ -1,6 +1,6 @@
 """The K-B plane for the page, computed by a process of its own and shown as long as it holds.
 
-It is the guard's own judgement (`analysis.judge`) on the model in the daemon's guard.json, asked
+It is the guard's own judgement (`guard.judge`) on the model in the daemon's guard.json, asked
 again when basis, margin, delay, mass, filters or the level of active damping change. It takes up to
 seconds, so it must not run where telemetry and STOP go: `python -m hapticd.console.plane_worker`
 reads the question and writes the answer, at low priority. The live point is the page's.

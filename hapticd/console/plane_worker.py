@@ -9,9 +9,9 @@ import os
 import sys
 from pathlib import Path
 
-from hapticd.analysis.judge import Judge
 from hapticd.core.params import GuardSetup, from_plain
 from hapticd.core.process import die_with_parent
+from hapticd.guard.judge import Judge
 
 NICENESS = 10
 

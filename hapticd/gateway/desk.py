@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.case import Case, changes_environment, concerns, damping_by
 from hapticd.gateway.codec import (
     Encoding,
     RequestId,
@@ -43,8 +42,6 @@ from hapticd.gateway.commands import (
     receipt,
     refusal,
 )
-from hapticd.gateway.guard import Guard
-from hapticd.gateway.guarded import Guarded
 from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.gateway.lease_desk import LeaseDesk
 from hapticd.gateway.leases import ENVIRONMENT
@@ -59,9 +56,12 @@ from hapticd.gateway.schemas import (
     Request,
     json_schema,
 )
-from hapticd.gateway.stages import Told
 from hapticd.gateway.view import ServoView
 from hapticd.gateway.waveform import Waveform
+from hapticd.guard.case import Case, changes_environment, concerns, damping_by
+from hapticd.guard.guarded import Guarded
+from hapticd.guard.stages import Told
+from hapticd.guard.status import Guard
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, Result, values_of
 from hapticd.mailbox.stop_word import press_stop

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.gateway.keys import server_pair
-from hapticd.gateway.worker import Worker
+from hapticd.guard.worker import Worker
 
 MODULE = "hapticd.gateway.relay"
 

@@ -17,9 +17,7 @@ from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS, Fault
 from hapticd.core.params import GatewaySetup
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.gateway.codec import finite
-from hapticd.gateway.delivered import Delivered
 from hapticd.gateway.flight import FlightRecorder, flights_folder
-from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.late import LateCounts
 from hapticd.gateway.leases import Leases
@@ -38,6 +36,8 @@ from hapticd.gateway.telemetry import (
 )
 from hapticd.gateway.view import STATES, Records, ServoView
 from hapticd.gateway.winding import compensation
+from hapticd.guard.delivered import Delivered
+from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Command, Flag, Value, Watched, values_of
 
 RECORD_FIELDS_SHOWN = (

@@ -1,6 +1,6 @@
 """What is commanded against what is delivered: active damping and force, while a hand moves.
 
-Damping is that of `gateway.delivered`, which `hapticd status` shows all the time: what the motor
+Damping is that of `guard.delivered`, which `hapticd status` shows all the time: what the motor
 does at equal force by the velocity of the encoder, over the last four seconds. Force is the slope
 of what the motor makes by its current on what is commanded, at equal velocity. Both need the force
 of an ampere, which `rig motor --winding` measures.
@@ -18,7 +18,7 @@ from hapticd.analysis.delivered import CALIBRATION, Estimate
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.params import ServoParams, from_plain
-from hapticd.gateway.delivered import Delivered
+from hapticd.guard.delivered import Delivered
 from hapticd.rig.damping import undamped
 from hapticd.rig.glide import least_squares
 from hapticd.rig.hand import Ask

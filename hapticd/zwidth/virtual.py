@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 
 import msgpack
 
-from hapticd.analysis.judge import Judge
 from hapticd.assembly.resolve import resolve
 from hapticd.client.client import Client
 from hapticd.client.conversation import accepted
@@ -42,10 +41,11 @@ from hapticd.core.params import (
 from hapticd.gateway.answers import Receipt
 from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.guard import MOST_RECORDS, Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.publisher import state_map
 from hapticd.gateway.view import ServoView
+from hapticd.guard.judge import Judge
+from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox import files
 from hapticd.settings.build import board_params
 from hapticd.settings.load import load

@@ -5,7 +5,7 @@ import pytest
 from support.narrow_modes import ClosedForm, directions, drawn, edge
 from support.passive_hands import random_hands
 
-from hapticd.analysis.bases import Conditions, Theorem
+from hapticd.guard.bases import Conditions, Theorem
 from hapticd.model.coupled import GROUND, Network, coupled_radius
 from hapticd.model.loop import PAPER_FILTERS
 

@@ -12,7 +12,7 @@ from support.gateway_rig import DeskRig, packed
 from support.guard_stub import StubWorker, stage, verdict
 
 from hapticd.core.units import NS_PER_MS
-from hapticd.gateway.guard import MOST_RECORDS
+from hapticd.guard.status import MOST_RECORDS
 from hapticd.mailbox.layout import State
 
 CLIENTS = st.sampled_from([b"a", b"b"])

@@ -13,10 +13,10 @@ from support.guard_device import (
     with_hidden_growth,
 )
 
-from hapticd.analysis.allowed import intervals
-from hapticd.analysis.bases import LEVELS, Conditions, Theorem, cached_levels, model_of
-from hapticd.analysis.judge import Judge
 from hapticd.core.environment import Environment
+from hapticd.guard.allowed import intervals
+from hapticd.guard.bases import LEVELS, Conditions, Theorem, cached_levels, model_of
+from hapticd.guard.judge import Judge
 from hapticd.model.compose import compose
 from hapticd.model.loop import PAPER_FILTERS, spectral_radius
 from hapticd.model.theorem import (

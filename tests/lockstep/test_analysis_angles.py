@@ -5,10 +5,10 @@ import pytest
 from support.guard_device import change, setup_of
 from support.narrow_modes import ClosedForm, Narrow, drawn
 
-from hapticd.analysis.allowed import Judgement, intervals
-from hapticd.analysis.bases import Conditions, Theorem
-from hapticd.analysis.judge import Judge
 from hapticd.core.environment import Environment
+from hapticd.guard.allowed import Judgement, intervals
+from hapticd.guard.bases import Conditions, Theorem
+from hapticd.guard.judge import Judge
 from hapticd.model.angles import angles_of, least_between, unresolved_hz
 from hapticd.model.coupled import GROUND, Network, coupled_radius
 from hapticd.model.effects import Coupling, Masses, Motor, Viscous

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.analysis.bounds import passive_ranges
 from hapticd.assembly import resolve
 from hapticd.cli.app import main
+from hapticd.guard.bounds import passive_ranges
 from hapticd.mailbox import files
 from hapticd.mailbox.environment_limits import STATED, environment_limits
 from hapticd.settings.load import Override, load

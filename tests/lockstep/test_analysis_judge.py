@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from support.guard_device import FREE, change, rigid, rigid_judge, setup_of, shipped_judge
 
-from hapticd.analysis import policies
-from hapticd.analysis.judge import Judge
-from hapticd.analysis.ways import POINTS
-from hapticd.analysis.words import doubling
 from hapticd.core.errors import AnalysisError
+from hapticd.guard import policies
+from hapticd.guard.judge import Judge
+from hapticd.guard.ways import POINTS
+from hapticd.guard.words import doubling
 from hapticd.model.coupled import coupled_radius, shaking_hand
 
 LEVEL = 1.74

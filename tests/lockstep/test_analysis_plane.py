@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.guard_device import VISCOUS_NS_PER_M, change, rigid_judge, setup_of, shipped_judge
 
-from hapticd.analysis.judge import Judge
+from hapticd.guard.judge import Judge
 from hapticd.model.theorem import required_damping
 
 LEVEL = 1.74

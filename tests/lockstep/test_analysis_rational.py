@@ -7,8 +7,8 @@ import pytest
 from support.guard_device import rigid
 from support.narrow_modes import ClosedForm, Narrow, directions, drawn, edge
 
-from hapticd.analysis.bases import Conditions, Theorem, ends_of_line, model_of
 from hapticd.core.environment import FilterParams
+from hapticd.guard.bases import Conditions, Theorem, ends_of_line, model_of
 from hapticd.model import rational as subject
 from hapticd.model.angles import FIXED
 from hapticd.model.compose import compose

@@ -20,10 +20,10 @@ from hapticd.core.errors import CommandError
 from hapticd.core.units import UNITS
 from hapticd.gateway import answers
 from hapticd.gateway.answers import GuardStatus, Hello, LeaseHeld, Receipt, Status, answer_of
-from hapticd.gateway.delivered import Estimate
 from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.schemas import ANSWERS, json_schema
 from hapticd.gateway.telemetry import PERCENTILES
+from hapticd.guard.delivered import Estimate
 
 NUMBERS_WITHOUT_UNIT = {
     *("actor", "actors", "revision", "epoch", "tick", "slot", "first_tick", "ramp_end_tick"),

@@ -17,7 +17,6 @@ from support.models import device_params, servo_params
 from support.recorded import RecordedFlight
 from support.tree import ROOT
 
-from hapticd.analysis.judge import Judge
 from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import (
@@ -28,8 +27,9 @@ from hapticd.core.params import (
     ServoParams,
     TouchParams,
 )
-from hapticd.gateway.delivered import Delivered, Estimate, Low
 from hapticd.gateway.view import Records, as_records
+from hapticd.guard.delivered import Delivered, Estimate, Low
+from hapticd.guard.judge import Judge
 from hapticd.mailbox.layout import Command, State, Value
 
 LEVEL = 1.74

@@ -17,8 +17,8 @@ from support.models import servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import MailboxError
 from hapticd.core.units import NS_PER_MS
-from hapticd.gateway import terms
-from hapticd.gateway.guard import MOST_RECORDS
+from hapticd.guard import terms
+from hapticd.guard.status import MOST_RECORDS
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import Command, Result, State, Value, values_of
 

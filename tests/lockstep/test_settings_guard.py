@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from support.guard_device import change, setup_of, shipped_setup
 
-from hapticd.analysis.judge import Judge
 from hapticd.core.params import GuardSetup, MeasuredParams, ServoParams
+from hapticd.guard.judge import Judge
 from hapticd.settings.build import servo_params
 from hapticd.settings.guard import measured_params
 from hapticd.settings.load import load

@@ -5,10 +5,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from hapticd.analysis.judge import Judge
 from hapticd.assembly import resolve
 from hapticd.core.environment import Environment
 from hapticd.core.params import GuardParams, GuardSetup, ModelParams, OutputParams, from_plain
+from hapticd.guard.judge import Judge
 from hapticd.mailbox import files
 from hapticd.model.effects import (
     DampingCircuit,

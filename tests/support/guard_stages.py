@@ -6,14 +6,14 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hapticd.analysis.judge import Judge
 from hapticd.assembly.lockstep import LockStep
 from hapticd.assembly.resolve import resolve
 from hapticd.core.params import GuardParams, GuardSetup, from_plain
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.guard import MOST_RECORDS, Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import Records, ServoView, as_records
+from hapticd.guard.judge import Judge
+from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox import files
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load

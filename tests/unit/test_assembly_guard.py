@@ -12,10 +12,10 @@ from support.guard_device import (
     shipped_setup,
 )
 
-from hapticd.analysis.bases import model_of
-from hapticd.analysis.judge import Judge
-from hapticd.assembly.guard_main import answered
 from hapticd.core.params import GuardSetup, from_plain, to_plain
+from hapticd.guard.bases import model_of
+from hapticd.guard.judge import Judge
+from hapticd.guard.main import answered
 from hapticd.model.compose import compose
 from hapticd.model.loop import spectral_radius
 from hapticd.zwidth.scenes import device_scene

@@ -11,7 +11,7 @@ from support.gateway_rig import DeskRig, packed
 from support.guard_stub import StubWorker
 
 from hapticd.core.params import GuardParams
-from hapticd.gateway.terms import Terms, keep, kept, no_laxer
+from hapticd.guard.terms import Terms, keep, kept, no_laxer
 from hapticd.mailbox.files import GUARD_TERMS
 
 

@@ -15,9 +15,9 @@ from support.models import device_params, servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import GuardParams
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.guard import Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import Records, ServoView, as_records
+from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Flag, State, Watched
 
 HOLDER = b"holder"

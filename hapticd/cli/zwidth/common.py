@@ -207,8 +207,8 @@ def device_of(name: str) -> "DeviceFile":
 
 def require_within(name: str, shown: "Display", asked: dict[str, float]) -> None:
     """BadParameter for what a daemon would refuse to render on this device."""
-    from hapticd.analysis.bounds import passive_ranges
     from hapticd.gateway.limits import CommandLimits
+    from hapticd.guard.bounds import passive_ranges
     from hapticd.mailbox.environment_limits import UNKNOWN, environment_limits
     from hapticd.zwidth.scenes import filters
 

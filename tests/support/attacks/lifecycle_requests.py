@@ -5,7 +5,7 @@ their deadline, their terms. `lifecycle` says what each attack is.
 from random import Random
 from typing import Any
 
-from hapticd.gateway.guard import MOST_RECORDS
+from hapticd.guard.status import MOST_RECORDS
 from hapticd.mailbox.layout import Command, values_of
 from support.attacks.stand import (
     ANSWERS,

@@ -43,7 +43,7 @@ PROCESSES = ("servo", "gateway", "guard", "console")
 MODULES = {
     b"hapticd.assembly.servo_main": "servo",
     b"hapticd.assembly.gateway_main": "gateway",
-    b"hapticd.assembly.guard_main": "guard",
+    b"hapticd.guard.main": "guard",
     b"hapticd.console.main": "console",
 }
 

@@ -16,9 +16,9 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import GuardParams, InjectionParams, SafetyParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.guard import MOST_RECORDS, Guard
 from hapticd.gateway.journal import Journal
 from hapticd.gateway.view import ServoView
+from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox.client_side import GatewayMailbox
 from support.boards import board_params
 from support.gateway_rig import UNIX_NS, decoded, packed

@@ -16,10 +16,10 @@ from itertools import product
 
 import numpy as np
 
-from hapticd.analysis.bases import Basis, Conditions, Reading
-from hapticd.analysis.displays import AXES
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment, Point
+from hapticd.guard.bases import Basis, Conditions, Reading
+from hapticd.guard.displays import AXES
 
 _GRID = 40  # distances at which an axis is looked at, on either side
 _FINER = 9  # values between the last that holds and the first that does not, three times

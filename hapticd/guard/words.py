@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from math import inf, log
 from typing import Any
 
-from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.bases import Reading, cached_levels
 from hapticd.core.environment import Environment
 from hapticd.core.params import GuardSetup
 from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
+from hapticd.guard.allowed import Judgement
+from hapticd.guard.bases import Reading, cached_levels
 from hapticd.model.coupled import Hand
 
 NOT_COVERED = ("contact switching", "varying delay")

@@ -9,11 +9,11 @@ What would break it: a device that renders nothing of one axis alone and much of
 from dataclasses import replace
 from typing import Any
 
-from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.bases import Theorem, model_of
-from hapticd.analysis.displays import nothing_rendered
 from hapticd.core.environment import FilterParams
 from hapticd.core.params import GuardSetup
+from hapticd.guard.allowed import Judgement
+from hapticd.guard.bases import Theorem, model_of
+from hapticd.guard.displays import nothing_rendered
 from hapticd.mailbox.environment_limits import WIDEST
 from hapticd.model.model import Model
 

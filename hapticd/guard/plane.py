@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.allowed import Judgement
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment
+from hapticd.guard.allowed import Judgement
 
 _COLUMNS = 60  # values of K
 _ROWS = 41  # values of B

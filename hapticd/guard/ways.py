@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.displays import AXES, between, kept_level, mixed, with_change
 from hapticd.core.environment import Environment
+from hapticd.guard.displays import AXES, between, kept_level, mixed, with_change
 
 POINTS = 20  # of a whole way
 

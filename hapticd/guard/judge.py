@@ -16,17 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.allowed import Judgement
-from hapticd.analysis.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
-from hapticd.analysis.bounds import IDEAL_PERIODS, timing_cost
-from hapticd.analysis.displays import from_message, with_change
-from hapticd.analysis.plane import plane
-from hapticd.analysis.policies import MODES, POLICIES, answer_change
-from hapticd.analysis.words import Verdicts, doubling, explained, in_words
 from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import GuardSetup
 from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
+from hapticd.guard.allowed import Judgement
+from hapticd.guard.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
+from hapticd.guard.bounds import IDEAL_PERIODS, timing_cost
+from hapticd.guard.displays import from_message, with_change
+from hapticd.guard.plane import plane
+from hapticd.guard.policies import MODES, POLICIES, answer_change
+from hapticd.guard.words import Verdicts, doubling, explained, in_words
 from hapticd.model.angles import unresolved_hz
 from hapticd.model.coupled import GROWS, coupled_radius, shaking_hand
 from hapticd.model.linearise import Perturbation

@@ -1,8 +1,8 @@
-"""The guard's worker: `python -m hapticd.assembly.guard_main FOLDER --fd N [--parent PID]`.
+"""The guard's worker: `python -m hapticd.guard.main FOLDER --fd N [--parent PID]`.
 
-It judges displays on the model in FOLDER/guard.json (`analysis.judge.Judge`) for the gateway,
+It judges displays on the model in FOLDER/guard.json (`guard.judge.Judge`) for the gateway,
 which keeps the other end of the socket N. Messages both ways are msgpack maps, each behind its
-length (`gateway.worker`). The first one tells whom it judges for; then every request gets one
+length (`guard.worker`). The first one tells whom it judges for; then every request gets one
 answer. What goes wrong with one request becomes {"n": .., "error": text}, and the worker goes on.
 While nobody asks, it prepares the levels of damping that it will be asked about.
 
@@ -29,11 +29,11 @@ from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import GuardSetup, from_plain
 from hapticd.core.process import die_with_parent, on_stop
 from hapticd.gateway.codec import MAX_MESSAGE_BYTES
-from hapticd.gateway.worker import LENGTH
+from hapticd.guard.worker import LENGTH
 from hapticd.mailbox.files import GUARD_JSON
 
 if TYPE_CHECKING:
-    from hapticd.analysis.judge import Judge
+    from hapticd.guard.judge import Judge
 
 
 def main(arguments: list[str]) -> int:
@@ -47,7 +47,7 @@ def main(arguments: list[str]) -> int:
     die_with_parent(asked.parent)
     _be_a_batch()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy loads; threads only wait
-    from hapticd.analysis.judge import Judge
+    from hapticd.guard.judge import Judge
 
     try:
         judge = Judge(_read(asked.folder / GUARD_JSON))
