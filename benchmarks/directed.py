@@ -15,10 +15,10 @@ import numpy as np
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared, refused
-from hapticd.analysis.search import Search, first_trials, next_trials, predicted_passive
-from hapticd.analysis.surrogate import Box, Observation
 from hapticd.model.loop import derivatives, held
 from hapticd.settings.scene import load_scene
+from hapticd.signal.search import Search, first_trials, next_trials, predicted_passive
+from hapticd.signal.surrogate import Box, Observation
 from hapticd.weir2008.future_work import SearchCheck, compared_with_grid
 from hapticd.weir2008.paper import LEVELS
 from hapticd.zwidth.outcomes import Conditions

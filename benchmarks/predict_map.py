@@ -13,13 +13,13 @@ import numpy as np
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
-from hapticd.analysis.passive_set import grid
 from hapticd.model.compose import compose
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import port_states
 from hapticd.model.model import Model
 from hapticd.model.predict import coulomb, frequencies, predict
 from hapticd.settings.scene import load_scene
+from hapticd.signal.passive_set import grid
 
 TARGETS = targets.of("predict_map")
 AXES = (np.linspace(0.0, 1100.0, 12), np.linspace(-1.0, 8.0, 19), np.linspace(-0.024, 0.03, 28))

@@ -13,8 +13,8 @@ from benchmarks import targets
 from benchmarks.figures import Figure, compared, refused
 from benchmarks.spa_c import SpaReference
 from benchmarks.worker import BenchError
-from hapticd.analysis.kernels import kernels
-from hapticd.analysis.spectra import Spectra, spa
+from hapticd.signal.kernels import kernels
+from hapticd.signal.spectra import Spectra, spa
 
 TARGETS = targets.of("spa")
 N_SAMPLES = 360_000
@@ -98,7 +98,7 @@ def _check_same(theirs: np.ndarray, ours: Spectra) -> None:
     for mine, other in zip((ours.velocity, ours.force, ours.cross), theirs, strict=True):
         if np.max(np.abs(mine - other)) > 1e-9 * np.max(np.abs(mine)):
             raise BenchError(
-                "spa_reference.c computes other spectra than hapticd.analysis.spectra; correct it"
+                "spa_reference.c computes other spectra than hapticd.signal.spectra; correct it"
             )
 
 

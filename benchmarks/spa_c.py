@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.engine_c import compiled
 from benchmarks.worker import BenchError
-from hapticd.analysis.spectra import DEFAULT_LAG as LAG
-from hapticd.analysis.spectra import spa
 from hapticd.engine.batch import workers
+from hapticd.signal.spectra import DEFAULT_LAG as LAG
+from hapticd.signal.spectra import spa
 
 SOURCE = Path(__file__).with_name("spa_reference.c")
 OPTIONS = [
@@ -88,7 +88,7 @@ class SpectraYard:
         for own, other in zip((mine.velocity, mine.cross), theirs, strict=True):
             if np.max(np.abs(own - other)) > AGREEMENT * np.max(np.abs(own)):
                 raise BenchError(
-                    "spa_reference.c computes other shared spectra than hapticd.analysis.spectra;"
+                    "spa_reference.c computes other shared spectra than hapticd.signal.spectra;"
                     " correct it"
                 )
 

@@ -1,7 +1,7 @@
 """Live impedance from the probe stream: a running estimate while something excites the device.
 
 Force and velocity of the last WINDOW_S seconds go through the same estimator as those of a trial
-(`analysis.spectra`, `analysis.impedance`), with a wider window, twice a second, in a thread of its
+(`signal.spectra`, `signal.impedance`), with a wider window, twice a second, in a thread of its
 own with a client of its own. While nothing excites the device nobody asks for the probe. It says
 what is seen now; it is no verdict: the time is short, parameters may change within it, and nobody
 has judged the record.
@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.spectra import spa
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
 from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.signal.impedance import impedance
+from hapticd.signal.spectra import spa
 
 PROBE = "probe"
 WINDOW_S = 5.0

@@ -26,8 +26,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.spectra import DEFAULT_LAG as LAG
-from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.core.arrays import Complexes, Floats, Values
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
@@ -49,6 +47,8 @@ from hapticd.engine.shape import Shape
 from hapticd.model.compose import compose
 from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation, Scene
+from hapticd.signal.spectra import DEFAULT_LAG as LAG
+from hapticd.signal.spectra import Spectra, grid_frequencies
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class BatchResult:
     # (n,) share of its ticks in which the amplifier was at a limit, where it has limits
     limited: Values | None = None
     winding_c: Values | None = None  # (n,) temperature at the end, where the winding heats up
-    # (F,) or (n, F) [N^2], with keep="spectra", at k 4000/4096 Hz; as `analysis.spectra.spa`
+    # (F,) or (n, F) [N^2], with keep="spectra", at k 4000/4096 Hz; as `signal.spectra.spa`
     force_spectrum: Floats | None = None
     velocity_spectrum: Floats | None = None  # (n, F) [(m/s)^2]
     cross_spectrum: Complexes | None = None  # (n, F) [N m/s]
@@ -216,7 +216,7 @@ def simulate(
     substeps     per 4 kHz sample; only friction, ends, cogging and limits of the amplifier need
                  them, without those there is one
     dtype        "f64" | "f32"
-    keep         "summary" | "spectra" as `analysis.spectra` | "records" at 4 kHz |
+    keep         "summary" | "spectra" as `signal.spectra` | "records" at 4 kHz |
                  "ticks": also position and force of every tick
     own_torque   a record of its own for every trial instead of a shared one, and noise of the probe
                  by its place among them; otherwise by its K, B and M

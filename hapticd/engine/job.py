@@ -38,7 +38,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hapticd.analysis.spectra import DEFAULT_LAG as LAG
 from hapticd.core.arrays import Flags, Values, aligned
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
@@ -51,6 +50,7 @@ from hapticd.model.effects import copper_ohm
 from hapticd.model.excitation import Stream, held_noise, torque_record
 from hapticd.model.model import Array, Model, Winding
 from hapticd.model.scene import DampingStep, Excitation
+from hapticd.signal.spectra import DEFAULT_LAG as LAG
 
 CACHED = 4  # jobs, records: a few are compared, the rest would only fill memory
 KEEPS = ("summary", "spectra", "records", "ticks")

@@ -1,7 +1,7 @@
 """What is kept of a group: its blocks of output become rows of records, or spectra at once.
 
 keep = "spectra": a section of 2,048 samples of all lanes is 0.6 MB; spectra take it while it is
-still in the cache (`analysis.batch_spectra`), so nothing of a trial is stored but six sums a
+still in the cache (`signal.batch_spectra`), so nothing of a trial is stored but six sums a
 frequency. That needs one torque record for all trials and a velocity that is recorded as it is;
 where trials have their own torque, or the probe adds noise or counts, the group's records are kept
 until its end and analysed one by one, which gives the same spectra more slowly.
@@ -16,9 +16,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.batch_spectra import BatchSections, SharedForce, shared_force
-from hapticd.analysis.spectra import DEFAULT_LAG as LAG
-from hapticd.analysis.spectra import spa
 from hapticd.core.arrays import CACHE_LINE, Complexes, Floats, Values, aligned
 from hapticd.engine.job import (
     BLOCK_TICKS,
@@ -34,6 +31,9 @@ from hapticd.engine.job import (
 from hapticd.engine.source import SCALARS
 from hapticd.model.excitation import Stream, generator
 from hapticd.model.scene import Excitation
+from hapticd.signal.batch_spectra import BatchSections, SharedForce, shared_force
+from hapticd.signal.spectra import DEFAULT_LAG as LAG
+from hapticd.signal.spectra import spa
 
 
 class Records:

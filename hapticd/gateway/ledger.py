@@ -1,6 +1,6 @@
 """Tick records into the energy ledger: sums by cause, from the first record on.
 
-`analysis.ledger` says what each cause means; here its samples are read off the records. A record
+`signal.ledger` says what each cause means; here its samples are read off the records. A record
 without a fresh sample adds nothing, the next one takes the whole way since the last: a NaN or a
 fault erases nothing. What was sent is the record's `force_n`; what of it the law, its limit, and a
 push that is not of the law had asked for follows from the parts beside it. What is in effect is
@@ -14,11 +14,11 @@ known of the motion across it).
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.analysis.ledger import BOOKED, LONGEST, SAMPLE, Table, book
 from hapticd.core.params import ServoParams
 from hapticd.core.units import US_PER_S
 from hapticd.gateway.view import Records, joined
 from hapticd.mailbox.layout import Flag
+from hapticd.signal.ledger import BOOKED, LONGEST, SAMPLE, Table, book
 from hapticd.usb.codec import TORQUE_SEQUENCES
 from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS, StatusBit
 

@@ -1,7 +1,7 @@
 """Follows how much active damping the board really delivers, and says when it is too little.
 
 The records of the last 4 s are kept in 16 blocks of sums of products, from which
-`analysis.delivered` makes an estimate with an interval. Only samples count that the board latched
+`signal.delivered` makes an estimate with an interval. Only samples count that the board latched
 itself, inside its converters and while it grants torque; only one level of damping at a time; and a
 block that tells nothing takes its place too, so what is known gets old.
 
@@ -18,7 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.analysis.delivered import (
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
+from hapticd.gateway.ledger import CONTEXT, samples
+from hapticd.gateway.view import Records, joined
+from hapticd.mailbox.layout import Flag
+from hapticd.signal.delivered import (
     ACCELERATION,
     COLUMNS,
     FORCE,
@@ -35,12 +40,7 @@ from hapticd.analysis.delivered import (
     Estimate,
     estimate,
 )
-from hapticd.analysis.ledger import Table, smoothed
-from hapticd.core.arrays import Flags, Floats
-from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
-from hapticd.gateway.ledger import CONTEXT, samples
-from hapticd.gateway.view import Records, joined
-from hapticd.mailbox.layout import Flag
+from hapticd.signal.ledger import Table, smoothed
 from hapticd.usb.codec import I16_HIGHEST
 from hapticd.usb.frames import StatusBit
 

@@ -9,7 +9,7 @@ rms = sqrt(S x band) plus the taper: 2.5e-5 N^2/Hz to 1.7 kHz is 0.21 N.
 
 A mark is a maximum-length sequence of 1023 signs, a sample each (Golomb, "Shift Register
 Sequences", 1967): by it a record of another system is found to belong to a trial, and where it
-begins (`analysis.alignment`). It is as strong as the rms of the perturbation in whose place it
+begins (`signal.alignment`). It is as strong as the rms of the perturbation in whose place it
 stands, so it is inside of every limit that the perturbation is inside of.
 
 What would break it: drawing a stream in pieces (a record is made whole, then cut).

@@ -7,7 +7,7 @@ samples, in which the device moves by dx, saw both:
     dW = dx (f_1 + d (f_2 - f_1))       0 <= d < 1; one sample earlier for every whole period
 
 Motion between samples is taken as straight; sums by cause are made from the records instead
-(`analysis.ledger`). A display whose elements were ideal would give nothing away: its work would be
+(`signal.ledger`). A display whose elements were ideal would give nothing away: its work would be
 what its springs, walls and virtual mass lose, or what its physical damping takes in the end. What
 goes beyond is
 

@@ -9,10 +9,6 @@ from textwrap import fill
 
 import numpy as np
 
-from hapticd.analysis.compare import widths_db
-from hapticd.analysis.envelope import Envelope
-from hapticd.analysis.passive_set import AXES
-from hapticd.analysis.verdict import Judged
 from hapticd.core.errors import AnalysisError
 from hapticd.report.envelope import edges
 from hapticd.report.style import (
@@ -32,6 +28,10 @@ from hapticd.report.style import (
     styled,
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, table
+from hapticd.signal.compare import widths_db
+from hapticd.signal.envelope import Envelope
+from hapticd.signal.passive_set import AXES
+from hapticd.signal.verdict import Judged
 from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
 
 LINE_WIDTH = 100  # characters of a title

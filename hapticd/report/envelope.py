@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.envelope import Edge, Envelope, admittance, of_predicted
 from hapticd.core.arrays import Floats
 from hapticd.model.predict import frequencies
 from hapticd.report.style import (
@@ -42,6 +41,7 @@ from hapticd.report.style import (
     tint,
 )  # fmt: skip
 from hapticd.report.trial import ADMITTANCE, IMPEDANCE, View, dress, interval
+from hapticd.signal.envelope import Edge, Envelope, admittance, of_predicted
 from hapticd.zwidth.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
 
 Levels = Sequence[tuple[float, Sequence[Outcome]]]

@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.passive_set import PassiveSet
-from hapticd.analysis.verdict import Judged
 from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.report.style import (
     ANSWERS,
@@ -41,6 +39,8 @@ from hapticd.report.style import (
     styled,
     tint,
 )  # fmt: skip
+from hapticd.signal.passive_set import PassiveSet
+from hapticd.signal.verdict import Judged
 from hapticd.zwidth.limits import AxisLimit, LimitsResult
 from hapticd.zwidth.map import LevelMap, MapResult
 from hapticd.zwidth.outcomes import Conditions

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.verdict import DEFAULT_BAND_HZ
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.scene import Scene
 from hapticd.model.stability import AtLevel, Explanation
@@ -50,6 +49,7 @@ from hapticd.report.style import (
 )  # fmt: skip
 from hapticd.report.table import Cell, Table, changed, duration, shown, table
 from hapticd.report.trial import Curve, Trace, draw, draw_traces, dress
+from hapticd.signal.verdict import DEFAULT_BAND_HZ
 from hapticd.study.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
 from hapticd.study.effects import EffectsResult, LeftOut
 from hapticd.study.scene import Ceiling, Integrators, SceneResult, SceneTrial

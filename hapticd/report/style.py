@@ -28,11 +28,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
+from hapticd.signal.verdict import student_quantile
 from hapticd.zwidth.store import FIGURE_KINDS
 
 if TYPE_CHECKING:

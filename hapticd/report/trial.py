@@ -16,9 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.impedance import Impedance, relative_sd
-from hapticd.analysis.periodic import PeriodicSpectra
-from hapticd.analysis.verdict import student_quantile
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.recording.replay import ReplayResult
 from hapticd.report.style import (
@@ -44,6 +41,9 @@ from hapticd.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
+from hapticd.signal.impedance import Impedance, relative_sd
+from hapticd.signal.periodic import PeriodicSpectra
+from hapticd.signal.verdict import student_quantile
 from hapticd.zwidth.ending import EndReason
 from hapticd.zwidth.stepped_sine import ReferenceSines
 from hapticd.zwidth.trial import TrialResult

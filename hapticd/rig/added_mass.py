@@ -29,11 +29,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.rig.result import UPPER_END
 from hapticd.rig.shaken import LINES_HZ, Lines, Recording, amplitudes, lines
+from hapticd.signal.verdict import student_quantile
 
 UNEVEN = 2.0  # of a variance: what a fit leaves is rather of its model, and not alike at all lines
 PART_SD = 0.3  # of a share that is anything between 0 and 1

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.delivered import CALIBRATION, Estimate
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.params import ServoParams, from_plain
@@ -24,6 +23,7 @@ from hapticd.rig.glide import least_squares
 from hapticd.rig.hand import Ask
 from hapticd.rig.moved import Means, joined, means_of, moved, raw_of, ready_to_move
 from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.signal.delivered import CALIBRATION, Estimate
 
 SECONDS = 6.0
 LOW = 0.8  # of what is commanded

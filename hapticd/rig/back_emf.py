@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.core.arrays import Floats
 from hapticd.core.units import US_PER_S
@@ -32,6 +31,7 @@ from hapticd.rig.result import (
     change_of,
     relative_half,
 )
+from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST
 
 BLOCKS = 10

@@ -39,7 +39,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
@@ -47,6 +46,7 @@ from hapticd.rig.balance_terms import BLOCK, EDGE, Handle, Terms, commanded, hun
 from hapticd.rig.jackknife import Solution, lines, solved
 from hapticd.rig.played import Played
 from hapticd.rig.probe_clock import H_S, Clock, clocked
+from hapticd.signal.verdict import student_quantile
 
 LEAST_BLOCKS = 8
 LOW_HZ = 5.0

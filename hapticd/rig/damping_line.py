@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.core.arrays import Floats
 from hapticd.core.units import percent
 from hapticd.render.winding import LEAST_LOOP_GAIN
@@ -37,6 +36,7 @@ from hapticd.rig.result import (
     rounded,
     settled,
 )
+from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 
 LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit

@@ -18,7 +18,6 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
@@ -29,6 +28,7 @@ from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
+from hapticd.signal.verdict import student_quantile
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import Capability, StatusBit
 

@@ -37,12 +37,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.core.arrays import Floats
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import US_PER_S
 from hapticd.rig.result import UPPER_END
+from hapticd.signal.verdict import student_quantile
 
 STILL_COUNTS = 6.0  # peak to peak at rest, beside the noise
 REST_S = 0.05  # at either end of a record

@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
@@ -35,6 +34,7 @@ from hapticd.gateway.answers import Status
 from hapticd.rig import watchdog
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
+from hapticd.signal.verdict import student_quantile
 from hapticd.usb.frames import Capability
 
 SECONDS = 10.0

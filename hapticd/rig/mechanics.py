@@ -19,12 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.core.environment import FilterParams
 from hapticd.core.units import US_PER_S
 from hapticd.rig.balance import NAMES, Balance
 from hapticd.rig.played import Played
 from hapticd.rig.result import UPPER_END, Value
+from hapticd.signal.verdict import student_quantile
 
 MASS_SHARE = 1e-3  # what the balance itself may be wrong by
 FRICTION_SHARE = 5e-3

@@ -28,7 +28,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
@@ -49,6 +48,7 @@ from hapticd.rig.result import (
     settled,
 )
 from hapticd.settings.device import signs_hash
+from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST
 
 PUSH_S = 0.02

@@ -5,7 +5,7 @@ ahead of it, so what is proportional to one is told from what is proportional to
 pushes by itself: a handle that is let go comes to rest.
 
 The signals are means over WINDOW periods, by Simpson's rule; that of the velocity is exact, as the
-encoder's difference (see `analysis.delivered`). At the few hertz of a hand, delays and lags of a
+encoder's difference (see `signal.delivered`). At the few hertz of a hand, delays and lags of a
 millisecond turn a force by a hundredth.
 
 What would break it: a hand that does not move (there is nothing to see then), a board whose spring
@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.delivered import SIMPSON, WINDOW
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
@@ -26,6 +25,7 @@ from hapticd.rig.hand import Ask, Request
 from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import ready
 from hapticd.rig.records import collect
+from hapticd.signal.delivered import SIMPSON, WINDOW
 
 STIFFNESS_N_PER_M = 100.0
 DAMPING_NS_PER_M = 0.5

@@ -25,10 +25,10 @@ from math import cos, pi, sin, sqrt
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.core.arrays import Floats
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.rig.result import UPPER_END, Change, Finding, Value, rounded
+from hapticd.signal.verdict import student_quantile
 
 SECONDS = 30.0
 BAND_HZ = (0.8, 200.0)

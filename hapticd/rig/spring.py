@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.units import percent
@@ -42,6 +41,7 @@ from hapticd.rig.motor import (
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
+from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST
 
 LEVELS = 3

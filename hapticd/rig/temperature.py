@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
@@ -35,6 +34,7 @@ from hapticd.rig.link import require_disabled
 from hapticd.rig.plausible import FACTOR
 from hapticd.rig.records import collect, raw_counts
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
+from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
 REST_S = 10.0

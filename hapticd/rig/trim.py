@@ -26,7 +26,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.delivered import LAG_S
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.rig.damping import undamped
@@ -35,6 +34,7 @@ from hapticd.rig.glide import Fitted, least_squares
 from hapticd.rig.hand import Ask
 from hapticd.rig.moved import Means, joined, means_of, moved, raw_of, ready_to_move
 from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.signal.delivered import LAG_S
 from hapticd.usb.frames import Capability
 
 SECONDS = 20.0

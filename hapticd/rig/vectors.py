@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.spectra import spa
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import FrameError
 from hapticd.model.theorem import required_damping
 from hapticd.rig.result import Finding
 from hapticd.settings.toml import shipped
+from hapticd.signal.spectra import spa
 from hapticd.usb import codec, frames
 
 RATE_HZ = 1000.0

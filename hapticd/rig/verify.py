@@ -37,8 +37,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.impedance import Impedance, impedance
-from hapticd.analysis.spectra import DEFAULT_LAG, spa
 from hapticd.client.client import Client
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.environment import FilterParams
@@ -53,6 +51,8 @@ from hapticd.rig.link import MOST_SPREAD, RARE, require_disabled, require_verifi
 from hapticd.rig.mechanics import UNKNOWN_SHARE
 from hapticd.rig.played import Played, play
 from hapticd.rig.result import Finding, StepResult, Value, Verdict, relative_half
+from hapticd.signal.impedance import Impedance, impedance
+from hapticd.signal.spectra import DEFAULT_LAG, spa
 
 LOW_HZ = 8.0
 HIGH_HZ = 120.0

@@ -39,7 +39,6 @@ import numpy as np
 import numpy.typing as npt
 from numpy.linalg import matrix_power
 
-from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
@@ -53,6 +52,7 @@ from hapticd.model.model import Array, Model
 from hapticd.model.scene import Scene
 from hapticd.model.stability import damping_ceiling, edge, modes, stability
 from hapticd.render.winding import LEAST_LOOP_GAIN
+from hapticd.signal.spectra import DEFAULT_LAG
 from hapticd.zwidth.scenes import SUBSTEPS, filters, level, point
 from hapticd.zwidth.simulated import simulated
 from hapticd.zwidth.sources import Trial

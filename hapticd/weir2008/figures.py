@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.passive_set import open_ends, passive_set
 from hapticd.report.envelope import SHOWN_HZ, Drawn, envelopes_figure
 from hapticd.report.passive_set import draw_predicted
 from hapticd.report.style import (
@@ -47,6 +46,7 @@ from hapticd.report.style import (
     simulated,
 )
 from hapticd.report.trial import Curve, draw, dress, interval
+from hapticd.signal.passive_set import open_ends, passive_set
 from hapticd.weir2008.paper import (
     FIG_4,
     FIG_7,

@@ -17,7 +17,6 @@ is predicted.
 from collections.abc import Sequence
 from typing import Any
 
-from hapticd.analysis.envelope import Edge
 from hapticd.core.arrays import Floats
 from hapticd.report.envelope import keys, strip, weightiest
 from hapticd.report.style import (
@@ -47,6 +46,7 @@ from hapticd.report.style import (
     plain_axis,
     simulated,
 )
+from hapticd.signal.envelope import Edge
 from hapticd.weir2008.future_work import (
     LOW_HZ,
     Bounds,

@@ -28,13 +28,13 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.impedance import Impedance
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import COPPER_PER_K
 from hapticd.model.effects import Motor, crowbar_nms_per_rad, lever_of_crowbar_m
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.theorem import required_damping
 from hapticd.settings.scene import load_scene
+from hapticd.signal.impedance import Impedance
 from hapticd.weir2008.paper import (
     ADDED_NS_PER_M,
     CROWBAR_NMS,

@@ -2,7 +2,7 @@
 sample beside it.
 
 The daemon's own record says what was rendered in every tick, what the largest command was, and
-which slots were lost; the other one has the better sensors. `analysis.alignment` finds where the
+which slots were lost; the other one has the better sensors. `signal.alignment` finds where the
 file begins, how its clock runs and what it lost, by a mark that the perturbation began with. Its
 channels are then taken at the times of the daemon's samples, so that sample i of the result is
 sample `first_sample` + i of the own record; what the file lost is filled in and counted as in a
@@ -20,20 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hapticd.analysis.alignment import (
-    FASTEST,
-    LEAST,
-    NO_MARK,
-    Mark,
-    Track,
-    align,
-    find_marks,
-)
-from hapticd.analysis.gaps import Gap
-from hapticd.analysis.matching import fitting, interpolated
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.signal.alignment import FASTEST, LEAST, NO_MARK, Mark, Track, align, find_marks
+from hapticd.signal.gaps import Gap
+from hapticd.signal.matching import fitting, interpolated
 from hapticd.zwidth.recorded import ForeignSamples, read_file, read_foreign
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord
 from hapticd.zwidth.watch import Filler, in_even_time

@@ -20,11 +20,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hapticd.analysis.impedance import relative_sd, spread_of
-from hapticd.analysis.verdict import sidak, student_quantile
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
+from hapticd.signal.impedance import relative_sd, spread_of
+from hapticd.signal.verdict import sidak, student_quantile
 from hapticd.zwidth.trial import TrialResult
 
 __all__ = ["Format", "frequency_response", "write_response"]

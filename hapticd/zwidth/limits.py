@@ -30,9 +30,9 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.passive_set import AXES, axis_limit
-from hapticd.analysis.verdict import NOTHING_JUDGED, Judged
 from hapticd.core.arrays import Floats
+from hapticd.signal.passive_set import AXES, axis_limit
+from hapticd.signal.verdict import NOTHING_JUDGED, Judged
 from hapticd.zwidth.outcomes import (
     Conditions,
     Outcome,

@@ -27,7 +27,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.alignment import find_marks
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
@@ -39,6 +38,7 @@ from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.model.excitation import marked, torque_record
 from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of
+from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, Progress, TrialRecord, silent

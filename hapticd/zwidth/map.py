@@ -7,7 +7,7 @@ neighbour is predicted otherwise. The rest keeps its prediction, marked so; `eve
 trial, there with one sub-step, which is enough to tell what is far from the boundary. `refine` then
 halves the grid: a trial is made in the middle of two neighbours along an axis whose answers are
 unlike; every other new point gets the mean of its neighbours' margins, so where both pass it passes
-too. That is the same linear margin between corners that counts volumes (`analysis.passive_set`).
+too. That is the same linear margin between corners that counts volumes (`signal.passive_set`).
 
 Outcomes go to an append-only store, keyed by all that they depend on; a map that was interrupted,
 or is asked again with a wider grid, makes only the trials that are missing. Tasks run on any
@@ -26,12 +26,12 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.envelope import Envelope
-from hapticd.analysis.passive_set import PassiveSet, ascending, grid, passive_set
-from hapticd.analysis.verdict import Judged
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.model.predict import Prediction
+from hapticd.signal.envelope import Envelope
+from hapticd.signal.passive_set import PassiveSet, ascending, grid, passive_set
+from hapticd.signal.verdict import Judged
 from hapticd.zwidth.limits import LimitsResult
 from hapticd.zwidth.outcomes import (
     Conditions,

@@ -36,13 +36,19 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hapticd import __version__
-from hapticd.analysis.envelope import Envelope, accepted, merged, of_one
-from hapticd.analysis.findings import Energy, Finding, Record, escape_findings
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.low_lines import hinted, low_line
-from hapticd.analysis.resolved import resolved
-from hapticd.analysis.spectra import DEFAULT_LAG, Spectra
-from hapticd.analysis.verdict import (
+from hapticd.core.arrays import Complexes, Flags, Floats, Values
+from hapticd.core.errors import AnalysisError
+from hapticd.engine import BatchResult, simulate
+from hapticd.engine.shape import LANES
+from hapticd.model.predict import coulomb
+from hapticd.model.scene import Excitation, Scene
+from hapticd.signal.envelope import Envelope, accepted, merged, of_one
+from hapticd.signal.findings import Energy, Finding, Record, escape_findings
+from hapticd.signal.impedance import impedance
+from hapticd.signal.low_lines import hinted, low_line
+from hapticd.signal.resolved import resolved
+from hapticd.signal.spectra import DEFAULT_LAG, Spectra
+from hapticd.signal.verdict import (
     DEFAULT_BAND_HZ,
     NEAR_HZ,
     NOTHING_JUDGED,
@@ -51,12 +57,6 @@ from hapticd.analysis.verdict import (
     judge,
     lines_to_resolve,
 )
-from hapticd.core.arrays import Complexes, Flags, Floats, Values
-from hapticd.core.errors import AnalysisError
-from hapticd.engine import BatchResult, simulate
-from hapticd.engine.shape import LANES
-from hapticd.model.predict import coulomb
-from hapticd.model.scene import Excitation, Scene
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint

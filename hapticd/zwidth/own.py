@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.alignment import find_marks
 from hapticd.core.arrays import Integers
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError
@@ -34,6 +33,7 @@ from hapticd.recording.stretch import (
     Stretch,
     stretch,
 )
+from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord, to_json
 from hapticd.zwidth.watch import in_even_time
 

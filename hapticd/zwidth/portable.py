@@ -10,7 +10,7 @@ had changed since.
 moves. Numbers of two displays are comparable where they were asked for in one way: band, judged
 frequencies, perturbation, length of a trial, confidence, port and estimator. What is unlike is
 refused by name unless it was allowed, and an allowed difference is named with the result. The
-perturbation counts as alike if its force is the same, or the same per mass (`analysis.compare`).
+perturbation counts as alike if its force is the same, or the same per mass (`signal.compare`).
 
 What would break it: a device file that was edited without a new name, which the hash shows only to
 those who have the older file.
@@ -26,7 +26,11 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.compare import (
+from hapticd.core.errors import AnalysisError, ConfigError
+from hapticd.settings.inputs import SAMPLES_BYTES, regular
+from hapticd.settings.load import find_device
+from hapticd.settings.toml import read, shipped
+from hapticd.signal.compare import (
     EnvelopeConditions,
     check_alike,
     normalised,
@@ -34,13 +38,9 @@ from hapticd.analysis.compare import (
     stiffness_rate,
     zero_mass_bandwidth_hz,
 )
-from hapticd.analysis.envelope import Edge, Envelope
-from hapticd.analysis.passive_set import AXES
-from hapticd.analysis.verdict import Judged
-from hapticd.core.errors import AnalysisError, ConfigError
-from hapticd.settings.inputs import SAMPLES_BYTES, regular
-from hapticd.settings.load import find_device
-from hapticd.settings.toml import read, shipped
+from hapticd.signal.envelope import Edge, Envelope
+from hapticd.signal.passive_set import AXES
+from hapticd.signal.verdict import Judged
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.map import LevelMap
 from hapticd.zwidth.scenes import Display, filters
@@ -112,7 +112,7 @@ def numbers_of(level: LevelMap, display: Display) -> dict[str, float]:
 
 
 def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, Any]:
-    """Under which all of it was found, as `analysis.compare` asks for it."""
+    """Under which all of it was found, as `signal.compare` asks for it."""
     model = conditions.display.model
     return {
         "seconds": conditions.seconds,

@@ -11,7 +11,7 @@ column of seconds, or the counter that the user names, shows to be missing are f
 counted, as those that a live trial loses are (`watch`). No column counts as a counter by its name.
 
 What would break it: channels that were not sampled together, or in other units that are not far
-enough off to be suspected (`analysis.channels`).
+enough off to be suspected (`signal.channels`).
 """
 
 import csv

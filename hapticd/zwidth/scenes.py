@@ -2,7 +2,7 @@
 effect, its impedance; and the device in it, composed once, with all that is predicted of it
 (`Display`).
 
-Z is measured as the paper does it (noise at the probe, `analysis.spectra`) and taken on frequencies
+Z is measured as the paper does it (noise at the probe, `signal.spectra`) and taken on frequencies
 that are evenly spaced in ln f. They lie on the grid of the paper's window, so that a longer window
 has them on its grid too.
 
@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from hapticd.analysis.spectra import DEFAULT_LAG
 from hapticd.core.arrays import Complexes, Flags, Floats
 from hapticd.core.environment import Environment, FilterParams, WallParams
 from hapticd.core.errors import ConfigError
@@ -32,6 +31,7 @@ from hapticd.settings.build import device_effects, rigid_effects
 from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import find_config, find_device, validated
 from hapticd.settings.toml import Document, read, shipped
+from hapticd.signal.spectra import DEFAULT_LAG
 
 TRIAL_S = 90.0
 NOISE = Excitation("noise")  # the paper's perturbation

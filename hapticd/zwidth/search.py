@@ -1,8 +1,8 @@
 """The search for the boundary of the passive set with few simulated trials, each where it says most
 about that boundary.
 
-`analysis.search` learns from the trials and chooses the next; here its oracle is a simulated trial
-with its intervals as weights. The prior is the device's model (`analysis.prior`): the trials teach
+`signal.search` learns from the trials and chooses the next; here its oracle is a simulated trial
+with its intervals as weights. The prior is the device's model (`signal.prior`): the trials teach
 how Re Z differs from the prediction, and how near to its friction's end the loop may come in a
 trial before it escapes. Trials are made a few at a time, each with noise of its own (seed, seed +
 1, ..), as in a laboratory: with one noise for all, what is chance would be learnt as if it were the
@@ -22,7 +22,7 @@ Each trial is also a check: what was expected of it before it was learnt is kept
 predicted before the first trial.
 
 What would break it: a device whose Re Z differs from the prediction in a way that changes faster
-than the surrogate's correlation lengths (`analysis.surrogate`); no later trial then corrects it.
+than the surrogate's correlation lengths (`signal.surrogate`); no later trial then corrects it.
 """
 
 from collections.abc import Callable
@@ -32,21 +32,21 @@ from functools import partial
 
 import numpy as np
 
-from hapticd.analysis.passive_set import PassiveSet, grid, halved, open_ends, passive_set
-from hapticd.analysis.prior import ModelPrior
-from hapticd.analysis.search import (
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.signal.passive_set import PassiveSet, grid, halved, open_ends, passive_set
+from hapticd.signal.prior import ModelPrior
+from hapticd.signal.search import (
     Search,
     doubtful_share,
     first_trials,
     next_trials,
     predicted_passive,
 )
-from hapticd.analysis.spectra import DEFAULT_LAG
-from hapticd.analysis.surrogate import Box, Observation, margin
-from hapticd.analysis.verdict import Judged
-from hapticd.core.arrays import Flags, Floats
-from hapticd.core.errors import AnalysisError
-from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.signal.spectra import DEFAULT_LAG
+from hapticd.signal.surrogate import Box, Observation, margin
+from hapticd.signal.verdict import Judged
 from hapticd.zwidth.limits import predicted_limit
 from hapticd.zwidth.outcomes import (
     Conditions,

@@ -15,7 +15,7 @@ kHz).
 
 For a device without friction 2 s of it know Z better than 90 s of noise. Friction distorts, the
 same way in every period: only more realisations average that, and only they show how much it is
-(`analysis.periodic`).
+(`signal.periodic`).
 
 The record holds the realisations one after the other, each from rest and with the period in which
 it settles. A realisation whose force did not repeat, because a stalled host let the board run out
@@ -38,32 +38,20 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.channels import unit_findings
-from hapticd.analysis.findings import Finding, Record, examine, leakage_findings
-from hapticd.analysis.impedance import Estimator, Impedance, impedance
-from hapticd.analysis.low_lines import low_line
-from hapticd.analysis.periodic import (
-    CHANGING,
-    PeriodicSpectra,
-    changing,
-    periodic,
-    periodic_findings,
-)
-from hapticd.analysis.resolved import resolved
-from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, corrected, spa
-from hapticd.analysis.verdict import (
-    DEFAULT_BAND_HZ,
-    LEAST_FREEDOM,
-    Verdict,
-    judge,
-    lines_to_resolve,
-)
 from hapticd.core.arrays import Complexes
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import coulomb, predicted_impedance
 from hapticd.model.scene import Excitation, Scene
+from hapticd.signal.channels import unit_findings
+from hapticd.signal.findings import Finding, Record, examine, leakage_findings
+from hapticd.signal.impedance import Estimator, Impedance, impedance
+from hapticd.signal.low_lines import low_line
+from hapticd.signal.periodic import CHANGING, PeriodicSpectra, changing, periodic, periodic_findings
+from hapticd.signal.resolved import resolved
+from hapticd.signal.spectra import DEFAULT_LAG, Spectra, corrected, spa
+from hapticd.signal.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, Verdict, judge, lines_to_resolve
 from hapticd.zwidth.ending import EndReason, TrialEnd, end_of_plain
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import Display, display

@@ -3,7 +3,7 @@
 The sentinel watches a trial while it runs and ends it for
 
     escape        the velocity of a second is four times that of the calm ones, it grew faster
-                  than noise makes a ring grow (the rules of `analysis.findings`), and the force
+                  than noise makes a ring grow (the rules of `signal.findings`), and the force
                   did not grow with it; or faster than the device's own limit, where that is
                   known; or the commanded force reached its limit in a motion that the
                   perturbation does not explain, as a loop that ran away before the record began.
@@ -15,7 +15,7 @@ The sentinel watches a trial while it runs and ends it for
     travel        the device stands at an end of its travel: what is measured there is the stop
     heat          the winding is hotter than asked
     decided       asked to stop when the verdict stands (`until_decided`), it does: one that only
-                  the whole record can confirm (`analysis.resolved`) does not stand yet
+                  the whole record can confirm (`signal.resolved`) does not stand yet
 
 and says at any time how many seconds would buy the confidence that was asked for. It looks at whole
 seconds, so a record that it ends holds the second that was wrong: the verdict on that record says
@@ -52,12 +52,12 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.findings import ESCAPE_RATIO, Finding, outgrows_walk
-from hapticd.analysis.impedance import Estimator
-from hapticd.analysis.spectra import DEFAULT_LAG, Spectra, SpectralStream
-from hapticd.analysis.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
 from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.core.units import percent
+from hapticd.signal.findings import ESCAPE_RATIO, Finding, outgrows_walk
+from hapticd.signal.impedance import Estimator
+from hapticd.signal.spectra import DEFAULT_LAG, Spectra, SpectralStream
+from hapticd.signal.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.store import LOSSES_BY, TrialRecord
 

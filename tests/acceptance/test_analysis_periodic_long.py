@@ -17,8 +17,8 @@ from support.analysis_periodic import (
     simulated,
 )
 
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.periodic import periodic, periodic_findings
+from hapticd.signal.impedance import impedance
+from hapticd.signal.periodic import periodic, periodic_findings
 
 
 @pytest.fixture(scope="module")

@@ -6,16 +6,8 @@ import numpy as np
 import pytest
 from support.analysis_search import BOX, INSIDE, SAMPLES, Oracle, W, directed_search, error
 
-from hapticd.analysis.search import (
-    Search,
-    doubtful_share,
-    predicted_passive,
-)
-from hapticd.analysis.surrogate import (
-    margin,
-    margin_sd,
-    resistance,
-)
+from hapticd.signal.search import Search, doubtful_share, predicted_passive
+from hapticd.signal.surrogate import margin, margin_sd, resistance
 
 
 @pytest.mark.slow

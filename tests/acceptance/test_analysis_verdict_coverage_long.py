@@ -9,8 +9,8 @@ import pytest
 from support.analysis_verdict_coverage import answers
 from support.spectral_trials import mass_damper, record, with_phase_margin
 
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.spectra import spa
+from hapticd.signal.impedance import impedance
+from hapticd.signal.spectra import spa
 
 pytestmark = pytest.mark.slow
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support import reproduced
 
-from hapticd.analysis.envelope import Edge
 from hapticd.report.envelope import NOBODY, Drawn, weighty
+from hapticd.signal.envelope import Edge
 from hapticd.weir2008.figures import drawn
 from hapticd.weir2008.run import ReproduceResult
 

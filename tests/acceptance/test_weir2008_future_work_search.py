@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hapticd.analysis.passive_set import grid
 from hapticd.settings.scene import load_scene
+from hapticd.signal.passive_set import grid
 from hapticd.weir2008 import future_work
 from hapticd.weir2008.future_work import SearchCheck, compared_with_grid
 from hapticd.zwidth.map import MapParams, plan_map

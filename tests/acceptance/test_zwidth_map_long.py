@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.zwidth_map import conditions
 
-from hapticd.analysis.passive_set import grid
-from hapticd.analysis.search import first_trials, predicted_passive
-from hapticd.analysis.surrogate import Box
 from hapticd.settings.scene import load_scene
+from hapticd.signal.passive_set import grid
+from hapticd.signal.search import first_trials, predicted_passive
+from hapticd.signal.surrogate import Box
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import (

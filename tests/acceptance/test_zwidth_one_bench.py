@@ -113,11 +113,11 @@ def test_one_implementation(name: str) -> None:
 
 PLANTED = {
     "judge": (
-        "from hapticd.analysis.verdict import judge as rule\n\ndef passes(trial):\n    return"
+        "from hapticd.signal.verdict import judge as rule\n\ndef passes(trial):\n    return"
         " rule(trial).within_90_deg\n"
     ),
     "axis_limit": (
-        "from hapticd.analysis import passive_set\n\ndef searched(flown):\n    return"
+        "from hapticd.signal import passive_set\n\ndef searched(flown):\n    return"
         " passive_set.axis_limit(flown, 0, 2e4)\n"
     ),
     "run_trials": (

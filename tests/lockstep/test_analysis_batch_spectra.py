@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hapticd.analysis import batch_spectra
-from hapticd.analysis.batch_spectra import LAG, BatchSections, shared_force
-from hapticd.analysis.spectra import spa
 from hapticd.core.arrays import aligned
+from hapticd.signal import batch_spectra
+from hapticd.signal.batch_spectra import LAG, BatchSections, shared_force
+from hapticd.signal.spectra import spa
 
 COUNTS = {np.float32: 32, np.float64: 16}  # two vectors of each
 WIDTH = 3  # vectors between samples hold something else

@@ -8,7 +8,10 @@ import pytest
 from support.analysis_devices import display, rigid
 from support.spectral_trials import exact_trial, mass_damper
 
-from hapticd.analysis.compare import (
+from hapticd.core.errors import AnalysisError
+from hapticd.model.linearise import Perturbation
+from hapticd.model.predict import predict, predicted_impedance
+from hapticd.signal.compare import (
     EnvelopeConditions,
     check_alike,
     differences,
@@ -20,23 +23,10 @@ from hapticd.analysis.compare import (
     widths_db,
     zero_mass_bandwidth_hz,
 )
-from hapticd.analysis.envelope import (
-    EnvelopeTrial,
-    admittance,
-    envelope,
-    of_trial,
-)
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.passive_set import (
-    grid,
-    passive_set,
-    set_limits,
-    volume,
-)
-from hapticd.analysis.verdict import judge
-from hapticd.core.errors import AnalysisError
-from hapticd.model.linearise import Perturbation
-from hapticd.model.predict import predict, predicted_impedance
+from hapticd.signal.envelope import EnvelopeTrial, admittance, envelope, of_trial
+from hapticd.signal.impedance import impedance
+from hapticd.signal.passive_set import grid, passive_set, set_limits, volume
+from hapticd.signal.verdict import judge
 
 
 def trial(name, z, coherence=0.99, estimator="h_force"):

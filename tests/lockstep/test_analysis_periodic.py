@@ -18,17 +18,17 @@ from support.analysis_periodic import (
 )
 from support.spectral_trials import mass_damper
 
-from hapticd.analysis.channels import channel_findings
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.periodic import periodic
-from hapticd.analysis.spectra import spa
-from hapticd.analysis.verdict import judge, student_quantile
 from hapticd.core.errors import AnalysisError
 from hapticd.engine import simulate
 from hapticd.model.effects import AntiAlias, Encoder
 from hapticd.model.excitation import torque_record
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
+from hapticd.signal.channels import channel_findings
+from hapticd.signal.impedance import impedance
+from hapticd.signal.periodic import periodic
+from hapticd.signal.spectra import spa
+from hapticd.signal.verdict import judge, student_quantile
 
 # --- linear ---------------------------------------------------------------------------------------
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from support.analysis_devices import display, law_on_device
 
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.passive_set import axis_limit
-from hapticd.analysis.spectra import spa
 from hapticd.core.errors import AnalysisError
 from hapticd.model.effects import Multiplier, PassiveHand, WindingTemperature
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import predict, predicted_impedance
+from hapticd.signal.impedance import impedance
+from hapticd.signal.passive_set import axis_limit
+from hapticd.signal.spectra import spa
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
 T = 1e-3

@@ -5,13 +5,13 @@ against escape.
 import numpy as np
 import pytest
 
-from hapticd.analysis.prior import ModelPrior
-from hapticd.analysis.surrogate import Box
 from hapticd.model.compose import compose
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import spectral_radius, with_viscous
 from hapticd.model.predict import predict, predicted_impedance
 from hapticd.settings.scene import load_scene
+from hapticd.signal.prior import ModelPrior
+from hapticd.signal.surrogate import Box
 from hapticd.zwidth.scenes import filters
 
 F = np.array([2.9296875, 8.7890625, 40.0390625, 90.8203125, 250.0, 499.0234375])

@@ -17,22 +17,16 @@ from support.analysis_search import (
     error,
 )
 
-from hapticd.analysis.passive_set import boundary
-from hapticd.analysis.search import (
+from hapticd.core.errors import AnalysisError
+from hapticd.signal.passive_set import boundary
+from hapticd.signal.search import (
     Search,
     first_trials,
     least_headroom,
     next_trials,
     predicted_passive,
 )
-from hapticd.analysis.surrogate import (
-    Observation,
-    fit,
-    log_chance,
-    margin,
-    resistance,
-)
-from hapticd.core.errors import AnalysisError
+from hapticd.signal.surrogate import Observation, fit, log_chance, margin, resistance
 
 
 def test_passive_set_fills_a_fifth_of_the_box():

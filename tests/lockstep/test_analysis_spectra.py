@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from support.octave.run import GOLDEN, record, spa_by_octave
 from support.programs import octave_with_signal
 
-from hapticd.analysis import covariances, spectra
-from hapticd.analysis import kernels as kernel_module
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.spectra import SpectralStream, corrected
-from hapticd.analysis.spectra import spa as estimate
 from hapticd.core.errors import AnalysisError
+from hapticd.signal import covariances, spectra
+from hapticd.signal import kernels as kernel_module
+from hapticd.signal.impedance import impedance
+from hapticd.signal.spectra import SpectralStream, corrected
+from hapticd.signal.spectra import spa as estimate
 
 RATE_HZ = 4000.0
 
@@ -88,8 +88,8 @@ def test_plain_kernels_equal_the_compiled_ones(monkeypatch):
 
 
 def test_without_numba_the_plain_kernels_are_used(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "hapticd.analysis.compiled", None)
-    monkeypatch.delattr("hapticd.analysis.compiled", raising=False)
+    monkeypatch.setitem(__import__("sys").modules, "hapticd.signal.compiled", None)
+    monkeypatch.delattr("hapticd.signal.compiled", raising=False)
     assert kernel_module.kernels.__wrapped__() is kernel_module.PLAIN
 
 

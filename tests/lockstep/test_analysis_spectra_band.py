@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from support.spectral_trials import exact_trial, mass_damper, record, with_phase_margin
 
-from hapticd.analysis.covariances import Covariances
-from hapticd.analysis.periodic import periodic
-from hapticd.analysis.spectra import SpectralStream, corrected, spa, spectra
-from hapticd.analysis.verdict import half_width, judge
 from hapticd.core.errors import AnalysisError
+from hapticd.signal.covariances import Covariances
+from hapticd.signal.periodic import periodic
+from hapticd.signal.spectra import SpectralStream, corrected, spa, spectra
+from hapticd.signal.verdict import half_width, judge
 
 CHANNELS = ("velocity", "force", "cross")
 

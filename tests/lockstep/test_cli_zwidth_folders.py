@@ -65,8 +65,8 @@ def test_interrupted_drawing_says_that_the_result_is_kept(
 def test_impedance_is_written_for_other_programs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from hapticd.analysis.impedance import impedance
-    from hapticd.analysis.spectra import spa
+    from hapticd.signal.impedance import impedance
+    from hapticd.signal.spectra import spa
     from hapticd.zwidth.recorded import read_file
 
     assert run(["trial", "--seconds", "8", "--out", str(tmp_path)], capsys)[0] == 0

@@ -14,9 +14,6 @@ from support.cli_zwidth_trial import LINEAR, MULTISINE, run
 from support.spectral_trials import exact_trial, mass_damper, record
 from typer.main import get_command
 
-from hapticd.analysis.findings import Finding
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.verdict import judge, two_digits
 from hapticd.cli import change
 from hapticd.cli.app import command_line, main
 from hapticd.cli.zwidth.trial import compared, needed
@@ -24,6 +21,9 @@ from hapticd.core.params import InjectionParams
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
+from hapticd.signal.findings import Finding
+from hapticd.signal.impedance import impedance
+from hapticd.signal.verdict import judge, two_digits
 from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.scenes import device_scene, scene_of_device
 from hapticd.zwidth.sources import Trial

@@ -211,7 +211,7 @@ def test_every_module_that_is_named_anywhere_exists() -> None:
 @pytest.mark.parametrize(
     ("line", "missing"),
     [
-        ("from `hapticd.analysis.spa`", ["analysis.spa"]),
+        ("from `hapticd.signal.spa`", ["analysis.spa"]),
         ("| `hapticd.zwidth.trial`, `.limits`, `.campaign` | |", ["zwidth.campaign"]),
         ("see `measure.trial` and `zwidth.trial`", ["measure.trial"]),
         ("`plant.stability.damping_floor`", ["plant.stability.damping_floor"]),

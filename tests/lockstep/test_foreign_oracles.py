@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.tree import TESTS
 
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.periodic import periodic
 from hapticd.model.theorem import PAPER_FILTERS, required_damping
+from hapticd.signal.impedance import impedance
+from hapticd.signal.periodic import periodic
 
 ORACLES: dict[str, Any] = json.loads(
     (TESTS / "support" / "data" / "foreign_oracles.json").read_text()

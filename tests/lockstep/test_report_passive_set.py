@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from hapticd.analysis.passive_set import PassiveSet
 from hapticd.report.passive_set import area, draw_predicted, slice_masses, slices, walls_figure
 from hapticd.report.style import (
     ON,
@@ -11,6 +10,7 @@ from hapticd.report.style import (
     styled,
 )
 from hapticd.settings.scene import load_scene
+from hapticd.signal.passive_set import PassiveSet
 from hapticd.zwidth.map import LevelMap, MapResult
 from hapticd.zwidth.walls import WallLine, WallMapParams, WallResult, plan_walls
 

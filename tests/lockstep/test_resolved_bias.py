@@ -5,14 +5,14 @@ import pytest
 from support.analysis_resolved import T, display
 from support.spectral_trials import beside_mode, mass_damper, record
 
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.resolved import Resolved, resolved, unresolved
-from hapticd.analysis.spectra import spa
-from hapticd.analysis.verdict import judge
 from hapticd.engine import simulate
 from hapticd.model.compose import compose
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
+from hapticd.signal.impedance import impedance
+from hapticd.signal.resolved import Resolved, resolved, unresolved
+from hapticd.signal.spectra import spa
+from hapticd.signal.verdict import judge
 
 BAND = (2.0, 500.0)
 

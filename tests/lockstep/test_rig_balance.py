@@ -7,7 +7,6 @@ import pytest
 from support.rig_balance import FACTS, runs_of
 from support.shaken_handle import Truth, shaken
 
-from hapticd.analysis.verdict import student_quantile
 from hapticd.core.errors import AnalysisError
 from hapticd.rig import balance, identify
 from hapticd.rig.balance import RIGID, balanced
@@ -16,6 +15,7 @@ from hapticd.rig.excitation import noise
 from hapticd.rig.identify import concluded
 from hapticd.rig.played import Played
 from hapticd.rig.probe_clock import Clock, clocked
+from hapticd.signal.verdict import student_quantile
 
 
 def contradicted(truth):

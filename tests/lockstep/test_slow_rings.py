@@ -9,8 +9,8 @@ from dataclasses import replace
 import pytest
 from support.analysis_resolved import NOISE, T, display, outcomes
 
-from hapticd.analysis.verdict import Verdict
 from hapticd.model.scene import Scene
+from hapticd.signal.verdict import Verdict
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial

@@ -11,7 +11,6 @@ from support.foreign import BEFORE, SETTLE, played, recorded, without
 from support.measured_scenes import RIGID
 from support.recorded import RecordedFlight, Source, room
 
-from hapticd.analysis.alignment import find_marks
 from hapticd.assembly.lockstep import scene_params
 from hapticd.cli.app import main
 from hapticd.client.blocks import BlockDecoder
@@ -23,6 +22,7 @@ from hapticd.mailbox.layout import Command, Value
 from hapticd.model.excitation import MARK_LEAD
 from hapticd.recording.file import open_recording
 from hapticd.recording.recorder import RecordingParams, record
+from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.aligned import read_aligned
 from hapticd.zwidth.live import daemon_source, signals
 from hapticd.zwidth.lockstep import LockStepBench

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from support.measured_scenes import RIGID
 
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.spectra import spa
 from hapticd.assembly.lockstep import scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.core.errors import AnalysisError
@@ -20,6 +18,8 @@ from hapticd.model.scene import Excitation
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
+from hapticd.signal.impedance import impedance
+from hapticd.signal.spectra import spa
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import _gone, daemon_source
 from hapticd.zwidth.lockstep import LockStepBench

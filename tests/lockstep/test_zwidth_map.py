@@ -11,10 +11,10 @@ import pytest
 from support.stand_in import StandIn
 from support.zwidth_map import conditions
 
-from hapticd.analysis.passive_set import grid, open_ends, passive_set, set_limits
-from hapticd.analysis.surrogate import Box
 from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.settings.scene import load_scene
+from hapticd.signal.passive_set import grid, open_ends, passive_set, set_limits
+from hapticd.signal.surrogate import Box
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, kept_map, plan_map, run_map
 from hapticd.zwidth.outcomes import (

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from support.measured_scenes import RIGID
 
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.spectra import spa
 from hapticd.assembly.lockstep import scene_params
 from hapticd.core.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.model.compose import compose
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
+from hapticd.signal.impedance import impedance
+from hapticd.signal.spectra import spa
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench

@@ -5,16 +5,8 @@ without noise and a prior.
 import numpy as np
 from scipy import signal
 
-from hapticd.analysis.search import (
-    doubtful_share,
-    first_trials,
-    next_trials,
-    predicted_passive,
-)
-from hapticd.analysis.surrogate import (
-    Box,
-    Observation,
-)
+from hapticd.signal.search import doubtful_share, first_trials, next_trials, predicted_passive
+from hapticd.signal.surrogate import Box, Observation
 
 T = 1e-3
 MASS = 0.008

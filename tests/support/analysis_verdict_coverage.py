@@ -4,8 +4,8 @@ Trials of 90 s are scaled down where only N / M matters: the sample rate with th
 with the frequencies.
 """
 
-from hapticd.analysis.spectra import spa
-from hapticd.analysis.verdict import judge
+from hapticd.signal.spectra import spa
+from hapticd.signal.verdict import judge
 from support.spectral_trials import record
 
 

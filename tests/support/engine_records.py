@@ -4,8 +4,8 @@ spread.
 
 import numpy as np
 
-from hapticd.analysis.spectra import spa
 from hapticd.engine import simulate
+from hapticd.signal.spectra import spa
 from support.devices import COUNTS, DRY, LIMIT, STAR, device
 
 WEIR = device(*STAR, DRY, COUNTS, LIMIT)

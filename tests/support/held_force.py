@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.ledger import SAMPLE
+from hapticd.signal.ledger import SAMPLE
 
 Floats = npt.NDArray[np.float64]
 T = 1e-3

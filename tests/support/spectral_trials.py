@@ -4,7 +4,7 @@ under noise.
 
 import numpy as np
 
-from hapticd.analysis.spectra import Spectra
+from hapticd.signal.spectra import Spectra
 
 RATE_HZ = 4000.0
 N_SAMPLES = 360_000

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support.spectral_trials import exact_trial, mass_damper, record
 
-from hapticd.analysis.channels import MODES_SKEW_S, channel_findings, high_pass, skew
-from hapticd.analysis.spectra import corrected, spa
-from hapticd.analysis.verdict import judge
+from hapticd.signal.channels import MODES_SKEW_S, channel_findings, high_pass, skew
+from hapticd.signal.spectra import corrected, spa
+from hapticd.signal.verdict import judge
 
 RATE_HZ = 4000.0
 SECONDS = 20

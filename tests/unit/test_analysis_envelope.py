@@ -7,18 +7,11 @@ import numpy as np
 import pytest
 from support.spectral_trials import exact_trial, mass_damper
 
-from hapticd.analysis.envelope import (
-    EnvelopeTrial,
-    accepted,
-    admittance,
-    envelope,
-    of_trial,
-    widened,
-)
-from hapticd.analysis.findings import Finding
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.verdict import LOST_EDGE, judge
 from hapticd.core.errors import AnalysisError
+from hapticd.signal.envelope import EnvelopeTrial, accepted, admittance, envelope, of_trial, widened
+from hapticd.signal.findings import Finding
+from hapticd.signal.impedance import impedance
+from hapticd.signal.verdict import LOST_EDGE, judge
 
 
 def trial(name, z, coherence=0.99, estimator="h_force"):

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from support.spectral_trials import exact_trial, mass_damper, record
 
-from hapticd.analysis.findings import (
+from hapticd.core.errors import AnalysisError
+from hapticd.signal.findings import (
     ESCAPE_RATIO,
     coherence_findings,
     escape_findings,
     examine,
     outgrows_walk,
 )
-from hapticd.analysis.spectra import spa
-from hapticd.analysis.verdict import judge
-from hapticd.core.errors import AnalysisError
+from hapticd.signal.spectra import spa
+from hapticd.signal.verdict import judge
 
 RATE_HZ = 4000.0
 SECONDS = 20

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from support.spectral_trials import LAG, RATE_HZ, mass_damper
 
-from hapticd.analysis.covariances import Covariances
-from hapticd.analysis.findings import leakage_findings, shrinkage
-from hapticd.analysis.impedance import impedance
-from hapticd.analysis.spectra import Spectra, spa, spectra
+from hapticd.signal.covariances import Covariances
+from hapticd.signal.findings import leakage_findings, shrinkage
+from hapticd.signal.impedance import impedance
+from hapticd.signal.spectra import Spectra, spa, spectra
 
 BAND = (2.0, 500.0)
 N = 360_000

@@ -6,17 +6,10 @@ import numpy as np
 import pytest
 from support.analysis_devices import display
 
-from hapticd.analysis.passive_set import (
-    axis_limit,
-    grid,
-    open_ends,
-    passive_set,
-    set_limits,
-    volume,
-)
 from hapticd.core.errors import AnalysisError
 from hapticd.model.linearise import Perturbation
 from hapticd.model.predict import predict
+from hapticd.signal.passive_set import axis_limit, grid, open_ends, passive_set, set_limits, volume
 
 AXES = (np.linspace(0, 1000, 21), np.linspace(-2, 6, 17), np.linspace(-0.02, 0.02, 9))
 

@@ -8,11 +8,11 @@ import pytest
 from scipy import stats
 from support.spectral_trials import exact_trial, mass_damper, record, with_phase_margin
 
-from hapticd.analysis.findings import Finding, energy, examine
-from hapticd.analysis.spectra import spa
-from hapticd.analysis.verdict import Judged, judge, sidak, student_quantile
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import percent
+from hapticd.signal.findings import Finding, energy, examine
+from hapticd.signal.spectra import spa
+from hapticd.signal.verdict import Judged, judge, sidak, student_quantile
 
 NU = 2 * 360_000 / 1536 - 2
 LINE_HZ = 4000.0 / 4096

@@ -11,7 +11,6 @@ from typing import Any, get_type_hints
 import pytest
 from support.tree import ROOT
 
-from hapticd.analysis import findings
 from hapticd.client.sequence import StepReceipt
 from hapticd.core.errors import MailboxError
 from hapticd.core.faults import Fault
@@ -23,6 +22,7 @@ from hapticd.model.effects import Effect
 from hapticd.recording.calibrations import CalibrationDoubt
 from hapticd.rig.result import Finding
 from hapticd.servo.host import Grant
+from hapticd.signal import findings
 from hapticd.zwidth.ending import TrialEnd
 from hapticd.zwidth.store import TrialRecord
 from hapticd.zwidth.trial import TrialResult

@@ -10,7 +10,6 @@ import pytest
 from support.rig_hand import Hand
 from support.rig_verify import EMF, FREE, SHORT, nothing, verified
 
-from hapticd.analysis.impedance import Impedance
 from hapticd.cli.rig import steps
 from hapticd.core.environment import FilterParams
 from hapticd.core.errors import AnalysisError
@@ -20,6 +19,7 @@ from hapticd.rig.result import Value
 from hapticd.rig.verify import Rendering, changed, expected, judged, measure, seen
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
+from hapticd.signal.impedance import Impedance
 
 WAY = Rendering(1000.0, 125.0, 0.0, (FilterParams(100.0), FilterParams(72.0)))
 F_HZ = np.linspace(8.0, 150.0, 50)

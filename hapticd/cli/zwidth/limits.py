@@ -68,9 +68,9 @@ def command(
     Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
     new outcome is a line, with its limit, amplitude and seed, and the last line is the result.
     """
-    from hapticd.analysis.passive_set import AXES
     from hapticd.report import style
     from hapticd.report.passive_set import limits_figure
+    from hapticd.signal.passive_set import AXES
     from hapticd.zwidth.executors import executor
     from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
     from hapticd.zwidth.store import TrialStore

@@ -172,8 +172,8 @@ class _Redrawn:
 
 def _level(level: "LevelMap") -> dict[str, Any]:
     """What was found at one level of active damping, for run.json, JSON and the table."""
-    from hapticd.analysis.compare import widths_db
-    from hapticd.analysis.passive_set import open_ends, set_limits, volume
+    from hapticd.signal.compare import widths_db
+    from hapticd.signal.passive_set import open_ends, set_limits, volume
     from hapticd.zwidth.outcomes import judged
 
     found: dict[str, Any] = {

@@ -19,8 +19,8 @@ from hapticd.cli.zwidth.map import draw_map
 from hapticd.cli.zwidth.trial import draw_trial
 
 if TYPE_CHECKING:
-    from hapticd.analysis.verdict import Judged
     from hapticd.model.scene import Scene
+    from hapticd.signal.verdict import Judged
     from hapticd.zwidth.limits import LimitsResult
     from hapticd.zwidth.map import MapParams, MapResult
     from hapticd.zwidth.store import Progress

@@ -90,7 +90,7 @@ def command(
 
 def _level(result: "SearchResult") -> dict[str, Any]:
     """What the search found at one level, for run.json, JSON and the table."""
-    from hapticd.analysis.passive_set import set_limits, volume
+    from hapticd.signal.passive_set import set_limits, volume
 
     return {
         "judged": result.judged,

@@ -21,8 +21,8 @@ from hapticd.cli.zwidth import common
 from hapticd.cli.zwidth.live import announce, open_rig
 
 if TYPE_CHECKING:
-    from hapticd.analysis.impedance import Estimator
     from hapticd.model.scene import Excitation, Scene
+    from hapticd.signal.impedance import Estimator
     from hapticd.zwidth.sources import Source, Trial
     from hapticd.zwidth.stepped_sine import ReferenceSines
     from hapticd.zwidth.store import Progress, TrialRecord
@@ -460,7 +460,7 @@ def needed(result: "TrialResult") -> str:
     """What would decide, as far as it can be said."""
     from math import ceil
 
-    from hapticd.analysis import verdict as outlook
+    from hapticd.signal import verdict as outlook
 
     verdict = result.verdict
     layout = result.plan.params.multisine

@@ -20,10 +20,10 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.impedance import Impedance
-from hapticd.analysis.verdict import Verdict
 from hapticd.core.arrays import Complexes, Floats, Integers
 from hapticd.core.errors import AnalysisError
+from hapticd.signal.impedance import Impedance
+from hapticd.signal.verdict import Verdict
 
 Accept = Literal["judged", "within_90_deg"]
 

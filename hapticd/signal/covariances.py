@@ -24,9 +24,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from hapticd.analysis.kernels import kernels
 from hapticd.core.arrays import Floats, once
 from hapticd.core.errors import AnalysisError
+from hapticd.signal.kernels import kernels
 
 TOGETHER = 32_768  # samples transformed together: their spectra stay in the second-level cache
 

@@ -31,11 +31,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.gaps import Gap, find_gaps
-from hapticd.analysis.matching import coefficients, fraction
 from hapticd.core.arrays import Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.model.excitation import mark_signs
+from hapticd.signal.gaps import Gap, find_gaps
+from hapticd.signal.matching import coefficients, fraction
 
 PIECE = 1024  # samples that are looked for at once
 LEAST = 0.25  # coefficient of a piece or a mark that was found: eight standard deviations of chance

@@ -25,13 +25,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hapticd.analysis.passive_set import grid
-from hapticd.analysis.surrogate import Box
 from hapticd.core.arrays import Floats
 from hapticd.model.linearise import BURSTS, Linearised, Perturbation, linearise, recorded_impedance
 from hapticd.model.loop import Filters, close_loop, spectral_radius
 from hapticd.model.model import Model
 from hapticd.model.predict import NOMINAL_NS_PER_M, chunks, coulomb, frequencies, rubbed
+from hapticd.signal.passive_set import grid
+from hapticd.signal.surrogate import Box
 
 SHAPE = (20, 12, 14)  # of the grid of b_c
 SHARES = (  # of the friction at rest, at which stability is looked at

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.matching import coefficients, interpolated
 from hapticd.core.arrays import Flags, Floats, Integers
+from hapticd.signal.matching import coefficients, interpolated
 
 INNER = 256  # samples, of a stretch that shows a k between two others
 SHORTEST = 64  # samples for which a k holds

@@ -33,11 +33,11 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial.legendre import legvander
 
-from hapticd.analysis.covariances import detrended, same_length
-from hapticd.analysis.findings import LINE_WIDTH, SMALL_LINE, Finding, line_finding
-from hapticd.analysis.kernels import TINY
-from hapticd.analysis.spectra import Spectra
 from hapticd.core.arrays import Complexes, Floats
+from hapticd.signal.covariances import detrended, same_length
+from hapticd.signal.findings import LINE_WIDTH, SMALL_LINE, Finding, line_finding
+from hapticd.signal.kernels import TINY
+from hapticd.signal.spectra import Spectra
 
 FIRST_SHOWN = 2 * LINE_WIDTH  # of the window's own lines, which shows what is unexplained
 HINT = 2.0  # of a line over those beyond the window's width

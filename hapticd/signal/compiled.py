@@ -28,8 +28,8 @@ from math import comb
 import numba
 import numpy as np
 
-from hapticd.analysis.kernels import ORDER, RIDGE, TERMS, TINY, Fit, Transforms
 from hapticd.core.arrays import Integers
+from hapticd.signal.kernels import ORDER, RIDGE, TERMS, TINY, Fit, Transforms
 
 # what LLVM may do to a sum; NaN and infinity keep their meaning
 _SUMS = {"contract", "reassoc", "nsz"}

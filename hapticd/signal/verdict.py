@@ -47,9 +47,12 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.channels import channel_findings
-from hapticd.analysis.findings import SWELLS, Energy, Finding, Record, coherence_findings
-from hapticd.analysis.impedance import (
+from hapticd.core.arrays import Complexes, Flags, Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import percent
+from hapticd.signal.channels import channel_findings
+from hapticd.signal.findings import SWELLS, Energy, Finding, Record, coherence_findings
+from hapticd.signal.impedance import (
     Estimator,
     Impedance,
     impedance,
@@ -57,11 +60,8 @@ from hapticd.analysis.impedance import (
     relative_sd,
     spread_of,
 )
-from hapticd.analysis.resolved import Resolved, unresolved
-from hapticd.analysis.spectra import Spectra, lines_beside
-from hapticd.core.arrays import Complexes, Flags, Floats
-from hapticd.core.errors import AnalysisError
-from hapticd.core.units import percent
+from hapticd.signal.resolved import Resolved, unresolved
+from hapticd.signal.spectra import Spectra, lines_beside
 
 Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]

@@ -35,12 +35,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.covariances import same_length
-from hapticd.analysis.findings import LINE_WIDTH, leakage_findings, line_of
-from hapticd.analysis.impedance import Estimator, impedance
-from hapticd.analysis.kernels import TERMS, TINY, Fit, Transforms, kernels
-from hapticd.analysis.spectra import Spectra
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
+from hapticd.signal.covariances import same_length
+from hapticd.signal.findings import LINE_WIDTH, leakage_findings, line_of
+from hapticd.signal.impedance import Estimator, impedance
+from hapticd.signal.kernels import TERMS, TINY, Fit, Transforms, kernels
+from hapticd.signal.spectra import Spectra
 
 WIDTH = 3.0  # times 1/(M T): a parabola through the middle then has the variance of the window
 NARROWER = 0.5  # times the width, of the fit that tells the bias

@@ -42,8 +42,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.passive_set import boundary, distance, samples
-from hapticd.analysis.surrogate import (
+from hapticd.core.arrays import Flags, Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.signal.passive_set import boundary, distance, samples
+from hapticd.signal.surrogate import (
     Box,
     Observation,
     Prior,
@@ -53,8 +55,6 @@ from hapticd.analysis.surrogate import (
     margin,
     margin_sd,
 )
-from hapticd.core.arrays import Flags, Floats
-from hapticd.core.errors import AnalysisError
 
 Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
 

@@ -27,10 +27,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.findings import Finding
-from hapticd.analysis.impedance import impedance, relative_sd
-from hapticd.analysis.spectra import Spectra
 from hapticd.core.arrays import Complexes, Floats, Integers
+from hapticd.signal.findings import Finding
+from hapticd.signal.impedance import impedance, relative_sd
+from hapticd.signal.spectra import Spectra
 
 SKEW_BAND = (0.06, 0.4)  # of the sample rate: above what K, B and M do, below the sensors' filters
 SEGMENT = 1.08  # ratio of the ends of a stretch of frequencies

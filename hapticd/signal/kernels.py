@@ -143,7 +143,7 @@ class Kernels:
 def kernels() -> Kernels:
     """The compiled loops, or those in numpy where numba is not installed."""
     try:
-        from hapticd.analysis import compiled
+        from hapticd.signal import compiled
     except ImportError:
         return PLAIN
     return Kernels(

@@ -71,12 +71,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.analysis.covariances import detrended, same_length
-from hapticd.analysis.impedance import Estimator, impedance
-from hapticd.analysis.spectra import Spectra
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import percent
+from hapticd.signal.covariances import detrended, same_length
+from hapticd.signal.impedance import Estimator, impedance
+from hapticd.signal.spectra import Spectra
 
 FLAT_SHARE = 1e-4  # of all samples, at the end value
 FLAT_BELOW = 0.02  # of the end value: so far below it others are counted

@@ -27,11 +27,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.findings import Finding
-from hapticd.analysis.spectra import Spectra, grid_frequencies
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import percent
+from hapticd.signal.findings import Finding
+from hapticd.signal.spectra import Spectra, grid_frequencies
 
 LEAST_POWER = 1e-9  # of a harmonic's force over the strongest one: below, it is not excited
 CHANGING = (

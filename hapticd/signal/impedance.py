@@ -19,9 +19,9 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.analysis.spectra import Spectra
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
+from hapticd.signal.spectra import Spectra
 
 Estimator = Literal["spa", "h_force"]
 

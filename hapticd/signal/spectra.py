@@ -40,7 +40,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.covariances import (
+from hapticd.core.arrays import Complexes, Flags, Floats, Integers, once
+from hapticd.core.errors import AnalysisError
+from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.signal.covariances import (
     NO_SAMPLES,
     TOGETHER,
     Covariances,
@@ -48,10 +51,7 @@ from hapticd.analysis.covariances import (
     line_products,
     same_length,
 )
-from hapticd.analysis.kernels import kernels
-from hapticd.core.arrays import Complexes, Flags, Floats, Integers, once
-from hapticd.core.errors import AnalysisError
-from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.signal.kernels import kernels
 
 NEAR = 1e-6  # of the spacing of the lines: what is closer to a line is that line
 LEFT = 0.5  # of the lesser power of two lines: a smooth spectrum has that much left between them

@@ -23,9 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.analysis.covariances import NO_SAMPLES, Moments, Sections, line_products
-from hapticd.analysis.spectra import DEFAULT_LAG as LAG
-from hapticd.analysis.spectra import on_the_grid
 from hapticd.core.arrays import (
     CACHE_LINE,
     Complexes,
@@ -35,6 +32,9 @@ from hapticd.core.arrays import (
     aligned,
     alternating,
 )
+from hapticd.signal.covariances import NO_SAMPLES, Moments, Sections, line_products
+from hapticd.signal.spectra import DEFAULT_LAG as LAG
+from hapticd.signal.spectra import on_the_grid
 
 TOGETHER = 8  # sections that wait, 4 MB: a vector's sums are brought into the cache once for all
 
@@ -86,7 +86,7 @@ class BatchSections:
     """
 
     def __init__(self, force: SharedForce, count: int, scalar: type[np.floating[Any]]) -> None:
-        from hapticd.analysis import batch_fft as compiled
+        from hapticd.signal import batch_fft as compiled
 
         self._force = force
         self._scalar = scalar
@@ -216,7 +216,7 @@ def _cut(signal: Floats, count: int) -> Floats:
 
 @cache
 def _bins() -> Integers:
-    from hapticd.analysis.batch_fft import pair_order
+    from hapticd.signal.batch_fft import pair_order
 
     return np.asarray(pair_order()[1])
 

@@ -27,10 +27,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from hapticd.analysis.envelope import Edge, Envelope
-from hapticd.analysis.passive_set import PassiveSet
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
+from hapticd.signal.envelope import Edge, Envelope
+from hapticd.signal.passive_set import PassiveSet
 
 BANDS_HZ = ((2.0, 10.0), (10.0, 50.0), (50.0, 200.0), (200.0, 500.0))
 CLOSE = 0.02  # relative difference of numbers that counts as none
