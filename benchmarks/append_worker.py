@@ -12,8 +12,8 @@ import time
 
 import numpy as np
 
-from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
+from hapticd.protocol.telemetry import PROBE_DTYPE as PROBE
 from hapticd.recording.live import CHUNK_ROWS
 from hapticd.recording.recorder import FLUSH_PERIOD_S
 

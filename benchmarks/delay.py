@@ -20,8 +20,8 @@ from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import BusParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result
+from hapticd.protocol.view import as_records
 from hapticd.settings.build import board_params, servo_params
 from hapticd.sim.bus import BAND
 

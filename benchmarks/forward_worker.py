@@ -15,8 +15,8 @@ import msgpack
 import zmq
 
 from hapticd.core.params import GatewayParams
-from hapticd.gateway.telemetry import TICK_DESCR
 from hapticd.mailbox import files, layout
+from hapticd.protocol.telemetry import TICK_DESCR
 
 PAUSE_S = 0.01  # as the gateway's
 TOPIC = b"servo.raw"

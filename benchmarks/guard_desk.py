@@ -15,11 +15,11 @@ from benchmarks.guard_requests import Answering
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import GuardParams
-from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.journal import Journal
-from hapticd.gateway.view import ServoView, as_records
 from hapticd.guard.status import Guard
+from hapticd.protocol.codec import Encoding, encode
+from hapticd.protocol.journal import Journal
+from hapticd.protocol.view import ServoView, as_records
 
 UNIX_NS = 1_800_000_000_000_000_000
 CLIENT = b"client"

@@ -28,10 +28,10 @@ from support.whole_tick import Point
 from hapticd.core.environment import Environment
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import ServoParams
-from hapticd.gateway.commands import posting
-from hapticd.gateway.limits import CommandLimits
-from hapticd.gateway.schemas import parse
 from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
+from hapticd.protocol.commands import posting
+from hapticd.protocol.limits import CommandLimits
+from hapticd.protocol.schemas import parse
 from hapticd.servo.commands import Now, apply_settings, obey
 from hapticd.servo.plan import (
     NEVER,

@@ -19,8 +19,8 @@ from benchmarks.telemetry import cpu_s
 from benchmarks.worker import ROOT, BenchError, environment, next_json, started
 from hapticd.client import Client
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.gateway.telemetry import PROBE_DTYPE as PROBE
 from hapticd.mailbox.layout import RECORD
+from hapticd.protocol.telemetry import PROBE_DTYPE as PROBE
 from hapticd.recording.file import open_recording
 from hapticd.recording.pack import pack
 from hapticd.recording.recorder import RecordingParams

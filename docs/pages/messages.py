@@ -1,13 +1,13 @@
 """Commands and telemetry over ZeroMQ, with the limits of the simulated device."""
 
 from hapticd.gateway.addresses import MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, REPLIES_QUEUED
-from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.gateway.desk import MOST_QUEUED
-from hapticd.gateway.limits import CommandLimits
 from hapticd.gateway.peers import MOST_PEERS, QUEUED_BYTES
-from hapticd.gateway.schemas import json_schema
-from hapticd.gateway.telemetry import TOPICS
 from hapticd.gateway.zmtp import MOST_PARTS
+from hapticd.protocol.codec import MAX_MESSAGE_BYTES
+from hapticd.protocol.limits import CommandLimits
+from hapticd.protocol.schemas import json_schema
+from hapticd.protocol.telemetry import TOPICS
 from hapticd.settings.build import servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

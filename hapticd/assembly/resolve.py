@@ -12,9 +12,9 @@ from typing import Any
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import EnvironmentLimits, GatewaySetup, GuardSetup, ServoParams, to_plain
-from hapticd.gateway.limits import CommandLimits
 from hapticd.mailbox import files
 from hapticd.mailbox.environment_limits import UNKNOWN, WIDEST, environment_limits
+from hapticd.protocol.limits import CommandLimits
 from hapticd.settings.build import (
     board_params,
     gateway_params,

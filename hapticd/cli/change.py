@@ -14,7 +14,7 @@ from hapticd.cli import terminal
 from hapticd.cli.numbers import number, unknown
 from hapticd.client.words import objection_lines, receipt_text, refusal_lines
 from hapticd.core.errors import CommandError
-from hapticd.gateway.limits import PLACES
+from hapticd.protocol.limits import PLACES
 
 if TYPE_CHECKING:
     from hapticd.client import Client, GuardVerdict, Receipt

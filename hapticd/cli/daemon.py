@@ -21,7 +21,7 @@ from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.words import board_words, late_words, parameters, receipt_text, timing_words
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
-from hapticd.gateway.answers import Compensation, Delivered, StageTimes, Status, answer_of
+from hapticd.protocol.answers import Compensation, Delivered, StageTimes, Status, answer_of
 
 if TYPE_CHECKING:
     from hapticd.assembly.supervisor import ProcessEvent

@@ -12,7 +12,7 @@ from hapticd.core import params
 
 if TYPE_CHECKING:
     from hapticd.client import Client
-    from hapticd.gateway.answers import GuardStatus
+    from hapticd.protocol.answers import GuardStatus
 
 Policy = Annotated[
     params.Policy | None,

@@ -39,7 +39,7 @@ def server(folder: Folder, as_json: terminal.Json = False) -> None:
     """The server's pair in a new FOLDER: server.key to hand out, server.key_secret for
     the gateway alone.
     """
-    from hapticd.gateway.keys import make_keys
+    from hapticd.protocol.keys import make_keys
 
     files = make_keys(folder)
     if as_json:
@@ -56,7 +56,7 @@ def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json =
     """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to
     be brought to the listener.
     """
-    from hapticd.gateway.keys import make_client
+    from hapticd.protocol.keys import make_client
 
     files = make_client(folder, name, out or Path())
     if as_json:

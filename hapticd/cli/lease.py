@@ -8,7 +8,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.core import params
-from hapticd.gateway.answers import LeaseHeld
+from hapticd.protocol.answers import LeaseHeld
 
 lease_app = typer.Typer(
     no_args_is_help=True,

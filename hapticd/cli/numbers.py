@@ -12,8 +12,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-from hapticd.gateway.limits import PLACES
 from hapticd.mailbox.layout import VALUE_LIMITS
+from hapticd.protocol.limits import PLACES
 
 SYMBOLS = {  # what people call a parameter
     "stiffness": "K",

@@ -266,8 +266,8 @@ def replay(
 
 
 def _instead(words: list[str]) -> "dict[Value, float]":
-    from hapticd.gateway.limits import PLACES, flat
     from hapticd.mailbox.layout import Value
+    from hapticd.protocol.limits import PLACES, flat
 
     found = {PLACES[name]: float(value) for name, value in flat(changes(words))}
     if Value.ACTIVE_DAMPING in found:

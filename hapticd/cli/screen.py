@@ -24,8 +24,8 @@ from rich.text import Text
 from hapticd.client.words import guard_line, margin_words
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.units import NS_PER_S, percent
-from hapticd.gateway.answers import Delivered, GuardStatus, answer_of
 from hapticd.mailbox.layout import COMMISSIONING, Flag, State, Watched
+from hapticd.protocol.answers import Delivered, GuardStatus, answer_of
 
 if TYPE_CHECKING:
     from hapticd.client import Block

@@ -42,8 +42,8 @@ def check_config(
     good.
     """
     from hapticd.assembly.resolve import resolve
-    from hapticd.gateway import auth
     from hapticd.mailbox.files import SERVO_JSON
+    from hapticd.protocol import auth
     from hapticd.recording.calibrations import doubts
     from hapticd.settings.build import gateway_params
     from hapticd.settings.load import MoreRules, load
@@ -72,7 +72,7 @@ def check_config(
 def _simulation_and_network_rules(config: "Config") -> "Iterator[Mistake]":
     """Injections that no simulated board knows, and telemetry in the clear."""
     from hapticd.core.params import GatewayParams
-    from hapticd.gateway import auth
+    from hapticd.protocol import auth
     from hapticd.settings.load import Mistake
     from hapticd.sim.injection import KINDS
 
@@ -271,7 +271,7 @@ def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
     from hapticd.cli.daemon import delay_words
     from hapticd.client.words import late_words, timing_words
     from hapticd.doctor import checks, late
-    from hapticd.gateway.answers import Status, answer_of
+    from hapticd.protocol.answers import Status, answer_of
 
     if status is None:
         return []

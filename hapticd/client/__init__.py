@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from hapticd.client.listener import Listener
     from hapticd.client.sequence import Step, StepReceipt, step
     from hapticd.core.errors import CommandError, DaemonDown, GuardWarning, SequenceError
-    from hapticd.gateway.answers import GuardVerdict, Receipt
+    from hapticd.protocol.answers import GuardVerdict, Receipt
 
 __all__ = [
     "AsyncClient",
@@ -62,10 +62,10 @@ __getattr__, __dir__ = lazily(
         "ClientLease": "hapticd.client.lease",
         "CommandError": "hapticd.core.errors",
         "DaemonDown": "hapticd.core.errors",
-        "GuardVerdict": "hapticd.gateway.answers",
+        "GuardVerdict": "hapticd.protocol.answers",
         "GuardWarning": "hapticd.core.errors",
         "Listener": "hapticd.client.listener",
-        "Receipt": "hapticd.gateway.answers",
+        "Receipt": "hapticd.protocol.answers",
         "SequenceError": "hapticd.core.errors",
         "Step": "hapticd.client.sequence",
         "StepReceipt": "hapticd.client.sequence",

@@ -56,9 +56,9 @@ from hapticd.client.verdict import GuardWarnings
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.core.params import AtEnd, Leased
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
+from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 
 Answer = dict[str, Any]
 

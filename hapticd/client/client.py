@@ -42,9 +42,9 @@ from hapticd.client.verdict import GuardWarnings
 from hapticd.client.watching import Line, Watching
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
+from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,10 +14,10 @@ import msgpack
 
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, MailboxError
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.answers import Receipt, answer_of, verdict_of
-from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.mailbox.daemons import down, instance_of
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.protocol.answers import Receipt, answer_of, verdict_of
+from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 PROTOCOL_VERSION = 1
 STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off may not wait for a gateway
@@ -158,7 +158,7 @@ def not_reached(wanted: str, found: str, timeout_s: float) -> CommandError:
 
 def check_topic(topic: str) -> None:
     """ConfigError: no daemon publishes `topic`."""
-    from hapticd.gateway.telemetry import NAMES  # numpy, which a verb at the shell does without
+    from hapticd.protocol.telemetry import NAMES  # numpy, which a verb at the shell does without
 
     if topic not in NAMES:
         raise ConfigError(f"topic {topic!r} is unknown; topics are {', '.join(sorted(NAMES))}")

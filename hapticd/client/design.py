@@ -32,7 +32,7 @@ import numpy as np
 
 from hapticd.client.blocks import Records
 from hapticd.core.errors import ConfigError
-from hapticd.gateway.answers import Receipt
+from hapticd.protocol.answers import Receipt
 
 IN_FORCE = ("K", "B", "M", "active_damping")
 TICKS = ("revision", "first_tick", "ramp_end_tick")

@@ -22,7 +22,7 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from hapticd.core.errors import CommandError, HapticdError
-from hapticd.gateway.answers import LeaseHeld, LeaseReleased, answer_of
+from hapticd.protocol.answers import LeaseHeld, LeaseReleased, answer_of
 
 RENEWALS = 3  # in the time after which it would end
 KEPT_ALIVE = ("environment", "active_damping")

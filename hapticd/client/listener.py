@@ -16,8 +16,8 @@ import zmq
 
 from hapticd.client.watching import Line, Watching
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
-from hapticd.gateway import monitored
-from hapticd.gateway.keys import SERVER_PUBLIC, public_key, secret_pair
+from hapticd.protocol import monitored
+from hapticd.protocol.keys import SERVER_PUBLIC, public_key, secret_pair
 
 EVENTS = (
     zmq.EVENT_CONNECTED

@@ -39,14 +39,7 @@ from typing import Any, Literal, NamedTuple
 from hapticd.client.conversation import receipt_of
 from hapticd.client.verbs import POLL_S
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
-from hapticd.gateway.answers import (
-    GuardVerdict,
-    Hello,
-    Receipt,
-    Status,
-    answer_of,
-    verdict_of,
-)
+from hapticd.protocol.answers import GuardVerdict, Hello, Receipt, Status, answer_of, verdict_of
 
 AtRefusal = Literal["disable", "stop", "hold"]
 
@@ -366,7 +359,7 @@ def _reply(answer: Any) -> Any:
 
 def _check(steps: Sequence[Step], hello: Hello, status: Status) -> None:
     """CommandError `invalid` with a line for each step that cannot be done; nothing was sent."""
-    from hapticd.gateway.limits import CommandLimits
+    from hapticd.protocol.limits import CommandLimits
 
     limits = CommandLimits.announced(hello.servo)
     state = status.state
@@ -390,7 +383,7 @@ def _ticks(one: Step, rate_hz: float) -> int:
 
 def _unlike(one: Step, limits: Any) -> str:
     """What is wrong with its command and fields."""
-    from hapticd.gateway.schemas import parse
+    from hapticd.protocol.schemas import parse
 
     if one.cmd not in STEPS:
         return f"{one.cmd!r} is no step of a sequence; these are: {', '.join(STEPS)}"
@@ -418,7 +411,7 @@ def _mistimed(one: Step, tick: int) -> str:
 
 def _barred(one: Step, state: str) -> str:
     """Why a servo in that state would refuse it."""
-    from hapticd.gateway.commands import ALLOWED
+    from hapticd.protocol.commands import ALLOWED
 
     allowed = [each.name.lower() for each in ALLOWED.get(one.cmd, ())]
     if not allowed or state in allowed or one.fields.get("action") == "stop":

@@ -8,7 +8,7 @@ What would break it: a verb that needs two replies; it belongs into the clients.
 
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
-from hapticd.gateway.answers import GuardStatus, GuardVerdict, Hello, Status
+from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Status
 
 if TYPE_CHECKING:
     from hapticd.core.params import BasisName, DampingMode, Policy
@@ -41,7 +41,7 @@ class Verbs(Generic[R, H, S, G, D]):
         raise NotImplementedError
 
     def _answer(self, kind: type[Any], cmd: str, **fields: Any) -> Any:
-        """The answer to a question, as a dataclass `kind` of `gateway.answers`."""
+        """The answer to a question, as a dataclass `kind` of `protocol.answers`."""
         raise NotImplementedError
 
     def _change(self, cmd: str, **fields: Any) -> R:

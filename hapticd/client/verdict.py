@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 from hapticd.client.words import verdict_lines
 from hapticd.core.errors import GuardWarning
-from hapticd.explanation import Explanation
-from hapticd.gateway.answers import GuardVerdict, Receipt
+from hapticd.protocol.answers import GuardVerdict, Receipt
+from hapticd.protocol.explanation import Explanation
 
 if TYPE_CHECKING:
     from hapticd.client.sequence import StepReceipt

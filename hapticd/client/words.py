@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from hapticd.core.environment import FIELDS
-from hapticd.explanation import Explanation
-from hapticd.gateway.answers import (
+from hapticd.mailbox.layout import VALUE_LIMITS, Value
+from hapticd.protocol.answers import (
     GuardStatus,
     GuardVerdict,
     LateTicks,
@@ -16,8 +16,8 @@ from hapticd.gateway.answers import (
     Timing,
     TimingCost,
 )
-from hapticd.gateway.limits import PLACES, flat
-from hapticd.mailbox.layout import VALUE_LIMITS, Value
+from hapticd.protocol.explanation import Explanation
+from hapticd.protocol.limits import PLACES, flat
 
 if TYPE_CHECKING:
     from hapticd.core.errors import CommandError

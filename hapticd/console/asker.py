@@ -27,9 +27,9 @@ from hapticd.client.words import (
     refusal_lines,
 )
 from hapticd.core.errors import CommandError, HapticdError
-from hapticd.gateway.answers import GuardStatus, GuardVerdict, answer_of
 from hapticd.model.excitation import Stream, band_noise, generator
 from hapticd.model.scene import Excitation
+from hapticd.protocol.answers import GuardStatus, GuardVerdict, answer_of
 
 EXCITE = "excite"  # ours: noise as in a trial, repeated, until it is asked to end
 CHANGES = frozenset(("set", "damping", "enable", "disable", "reset", "zero", "home", EXCITE))

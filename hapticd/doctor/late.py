@@ -5,9 +5,9 @@ some are late. Each cause has its remedy.
 from typing import NamedTuple
 
 from hapticd.doctor.checks import CheckResult, ok, warn
-from hapticd.gateway.answers import Status
-from hapticd.gateway.room import Room
 from hapticd.mailbox.layout import LateCause
+from hapticd.protocol.answers import Status
+from hapticd.protocol.room import Room
 
 NAME = "late ticks"
 RARE = 1e-4  # share of the ticks; what a quiet computer without isolated cores keeps to

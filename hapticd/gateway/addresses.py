@@ -20,8 +20,6 @@ from typing import TYPE_CHECKING, Any
 
 from hapticd.core.errors import ConfigError, MailboxError
 from hapticd.core.params import GatewayParams, GatewaySetup
-from hapticd.gateway import auth
-from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.gateway.peers import Port
 from hapticd.mailbox.files import (
     COMMAND_SOCKET,
@@ -31,6 +29,8 @@ from hapticd.mailbox.files import (
     remove,
     write_whole,
 )
+from hapticd.protocol import auth
+from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 if TYPE_CHECKING:
     from hapticd.gateway.outside import Outside

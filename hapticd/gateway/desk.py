@@ -21,7 +21,16 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.codec import (
+from hapticd.gateway.lease_desk import LeaseDesk
+from hapticd.gateway.waveform import Waveform
+from hapticd.guard.case import Case, changes_environment, concerns, damping_by
+from hapticd.guard.guarded import Guarded
+from hapticd.guard.stages import Told
+from hapticd.guard.status import Guard
+from hapticd.mailbox.client_side import Answer
+from hapticd.mailbox.layout import Command, Result, values_of
+from hapticd.mailbox.stop_word import press_stop
+from hapticd.protocol.codec import (
     Encoding,
     RequestId,
     decode,
@@ -30,7 +39,7 @@ from hapticd.gateway.codec import (
     encoding_of,
     malformed,
 )
-from hapticd.gateway.commands import (
+from hapticd.protocol.commands import (
     ACCEPTED,
     AskedRequest,
     Posting,
@@ -42,11 +51,10 @@ from hapticd.gateway.commands import (
     receipt,
     refusal,
 )
-from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
-from hapticd.gateway.lease_desk import LeaseDesk
-from hapticd.gateway.leases import ENVIRONMENT
-from hapticd.gateway.limits import CommandLimits
-from hapticd.gateway.schemas import (
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
+from hapticd.protocol.leases import ENVIRONMENT
+from hapticd.protocol.limits import CommandLimits
+from hapticd.protocol.schemas import (
     Change,
     GuardRequest,
     Hello,
@@ -56,15 +64,7 @@ from hapticd.gateway.schemas import (
     Request,
     json_schema,
 )
-from hapticd.gateway.view import ServoView
-from hapticd.gateway.waveform import Waveform
-from hapticd.guard.case import Case, changes_environment, concerns, damping_by
-from hapticd.guard.guarded import Guarded
-from hapticd.guard.stages import Told
-from hapticd.guard.status import Guard
-from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Result, values_of
-from hapticd.mailbox.stop_word import press_stop
+from hapticd.protocol.view import ServoView
 
 
 class RequestMessage(NamedTuple):

@@ -3,8 +3,8 @@
 from typing import Any
 
 from hapticd.core.units import NS_PER_S, NS_PER_US
-from hapticd.gateway.view import Records
 from hapticd.mailbox.layout import LateCause
+from hapticd.protocol.view import Records
 
 CAUSES = [cause for cause in LateCause if cause]
 

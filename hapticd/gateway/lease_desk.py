@@ -25,8 +25,10 @@ from typing import Any
 from hapticd.core.environment import STRENGTHS
 from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.journal import GATEWAY_ACTOR, Actors, Journal
-from hapticd.gateway.leases import (
+from hapticd.mailbox.client_side import Answer
+from hapticd.mailbox.layout import Command, Value, Watched, values_of
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
+from hapticd.protocol.leases import (
     DAMPING,
     ENVIRONMENT,
     GONE,
@@ -39,11 +41,9 @@ from hapticd.gateway.leases import (
     Lease,
     Leases,
 )
-from hapticd.gateway.limits import PLACES
-from hapticd.gateway.schemas import LeaseRequest
-from hapticd.gateway.view import ServoView
-from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Value, Watched, values_of
+from hapticd.protocol.limits import PLACES
+from hapticd.protocol.schemas import LeaseRequest
+from hapticd.protocol.view import ServoView
 
 FORMER = "a client of the gateway before this one"
 UNANSWERED_NS = NS_PER_S  # after which the servo is told again

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hapticd.gateway.keys import server_pair
 from hapticd.guard.worker import Worker
+from hapticd.protocol.keys import server_pair
 
 MODULE = "hapticd.gateway.relay"
 

@@ -16,14 +16,18 @@ import numpy as np
 from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS, Fault
 from hapticd.core.params import GatewaySetup
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway.codec import finite
-from hapticd.gateway.flight import FlightRecorder, flights_folder
-from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.late import LateCounts
-from hapticd.gateway.leases import Leases
-from hapticd.gateway.ledger import Ledger
-from hapticd.gateway.room import ENOUGH, Room, room_of
-from hapticd.gateway.telemetry import (
+from hapticd.gateway.winding import compensation
+from hapticd.guard.delivered import Delivered
+from hapticd.guard.status import Guard
+from hapticd.mailbox.layout import Command, Flag, Value, Watched, values_of
+from hapticd.protocol.codec import finite
+from hapticd.protocol.flight import FlightRecorder, flights_folder
+from hapticd.protocol.journal import Actors, Journal
+from hapticd.protocol.leases import Leases
+from hapticd.protocol.ledger import Ledger
+from hapticd.protocol.room import ENOUGH, Room, room_of
+from hapticd.protocol.telemetry import (
     BY_NAME,
     Feed,
     Origin,
@@ -34,11 +38,7 @@ from hapticd.gateway.telemetry import (
     raw_message,
     servo_messages,
 )
-from hapticd.gateway.view import STATES, Records, ServoView
-from hapticd.gateway.winding import compensation
-from hapticd.guard.delivered import Delivered
-from hapticd.guard.status import Guard
-from hapticd.mailbox.layout import Command, Flag, Value, Watched, values_of
+from hapticd.protocol.view import STATES, Records, ServoView
 
 RECORD_FIELDS_SHOWN = (
     "tick",

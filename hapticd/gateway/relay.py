@@ -36,10 +36,10 @@ from zmq.utils import z85
 
 from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_MS
-from hapticd.gateway import monitored
-from hapticd.gateway.keys import Clients, server_pair
 from hapticd.gateway.peers import HANDSHAKE_NS, MOST_PEERS, PROBE_S, SILENCE_S
 from hapticd.guard.worker import LENGTH
+from hapticd.protocol import monitored
+from hapticd.protocol.keys import Clients, server_pair
 
 MOST_DESCRIPTORS = MOST_PEERS + 32  # connections, and what the process itself needs
 MOST_MEMORY = 256 << 20  # bytes of data; at rest it has some 60 MB, threads' stacks included

@@ -35,15 +35,15 @@ from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.gateway import zmtp
 from hapticd.gateway.addresses import Sockets
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.journal import Journal
 from hapticd.gateway.publisher import Publisher
-from hapticd.gateway.schemas import PROTOCOL_VERSION
-from hapticd.gateway.telemetry import TOPICS
-from hapticd.gateway.view import ServoView
 from hapticd.guard.status import Guard
 from hapticd.guard.worker import Start, Worker
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import LAYOUT_HASH
+from hapticd.protocol.journal import Journal
+from hapticd.protocol.schemas import PROTOCOL_VERSION
+from hapticd.protocol.telemetry import TOPICS
+from hapticd.protocol.view import ServoView
 
 DRAIN_MS = 10
 PEEK_NS = 250 * NS_PER_US  # between looks for an outstanding answer

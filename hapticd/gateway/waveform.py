@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from hapticd.core.errors import CommandError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.gateway.limits import CommandLimits
-from hapticd.gateway.schemas import Perturb, invalid
-from hapticd.gateway.view import ServoView
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES
+from hapticd.protocol.limits import CommandLimits
+from hapticd.protocol.schemas import Perturb, invalid
+from hapticd.protocol.view import ServoView
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
 

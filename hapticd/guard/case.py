@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from hapticd.core.environment import JUDGED, SLOTS, Environment
-from hapticd.gateway.limits import PLACES, flat
-from hapticd.gateway.schemas import Damping, Enable, GuardRequest, Judged, Request, Set
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
+from hapticd.protocol.limits import PLACES, flat
+from hapticd.protocol.schemas import Damping, Enable, GuardRequest, Judged, Request, Set
 
 TABLES = tuple(name for name in JUDGED if name not in SLOTS)
 

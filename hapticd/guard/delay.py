@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.core.units import NS_PER_S, US_PER_S
-from hapticd.gateway.view import Records
+from hapticd.protocol.view import Records
 
 STEPS = 16  # of a period
 MOST_PERIODS = 16

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.params import DeviceParams, ScaleParams, ServoParams
-from hapticd.gateway.ledger import CONTEXT, samples
-from hapticd.gateway.view import Records, joined
 from hapticd.mailbox.layout import Flag
+from hapticd.protocol.ledger import CONTEXT, samples
+from hapticd.protocol.view import Records, joined
 from hapticd.signal.delivered import (
     ACCELERATION,
     COLUMNS,

@@ -32,16 +32,23 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because, explanation_of
-from hapticd.gateway.commands import posting, receipt, refusal
-from hapticd.gateway.journal import GATEWAY_ACTOR, Actors
-from hapticd.gateway.schemas import Damping, Enable
-from hapticd.gateway.view import ServoView
 from hapticd.guard.case import Case, Stage, auto_of, change_of, ends_force, stages_of, until_tick
 from hapticd.guard.stages import Post, Stages, Told, ramp_s
 from hapticd.guard.status import VERDICT_NS, Guard, Unsafe
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
+from hapticd.protocol.commands import posting, receipt, refusal
+from hapticd.protocol.explanation import (
+    Explanation,
+    Outcome,
+    Reason,
+    Remedy,
+    because,
+    explanation_of,
+)
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors
+from hapticd.protocol.schemas import Damping, Enable
+from hapticd.protocol.view import ServoView
 
 MOST_WAITING = 64
 WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.environment import FIELDS, Environment
-from hapticd.gateway.commands import rendered
-from hapticd.gateway.view import ServoView
 from hapticd.mailbox.layout import Flag, Value, newer
+from hapticd.protocol.commands import rendered
+from hapticd.protocol.view import ServoView
 
 IN_MOTION = Flag.RAMPING | Flag.EASED | Flag.PAUSED
 # columns that hold what acts; of a side and of active damping the record tells less

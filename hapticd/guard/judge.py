@@ -19,7 +19,6 @@ import numpy as np
 from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import GuardSetup
-from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
 from hapticd.guard.allowed import Judgement
 from hapticd.guard.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.guard.bounds import IDEAL_PERIODS, timing_cost
@@ -30,6 +29,7 @@ from hapticd.guard.words import Verdicts, doubling, explained, in_words
 from hapticd.model.angles import unresolved_hz
 from hapticd.model.coupled import GROWS, coupled_radius, shaking_hand
 from hapticd.model.linearise import Perturbation
+from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 _DELAYS = 8  # whose cost is kept
 _TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}

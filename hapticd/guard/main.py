@@ -28,9 +28,9 @@ import msgpack
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import GuardSetup, from_plain
 from hapticd.core.process import die_with_parent, on_stop
-from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.guard.worker import LENGTH
 from hapticd.mailbox.files import GUARD_JSON
+from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 if TYPE_CHECKING:
     from hapticd.guard.judge import Judge

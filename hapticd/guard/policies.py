@@ -29,11 +29,11 @@ import numpy as np
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES, DampingMode, Policy
-from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
 from hapticd.guard.allowed import Judgement
 from hapticd.guard.displays import between, environment_of, from_message, with_change
 from hapticd.guard.ways import POINTS, Leg, Plan, Request, Stage, Ways, groups, sampled
 from hapticd.guard.words import Verdicts, explained
+from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
 POLICIES: tuple[str, ...] = get_args(Policy)

@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.commands import Posting, parameters, values_given
-from hapticd.gateway.schemas import Enable, Request, Set
-from hapticd.gateway.view import ServoView
 from hapticd.guard.case import Case
 from hapticd.guard.in_force import IN_MOTION
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, State, Value, values_of
+from hapticd.protocol.commands import Posting, parameters, values_given
+from hapticd.protocol.schemas import Enable, Request, Set
+from hapticd.protocol.view import ServoView
 
 UNJUDGED = (
     "ramp_s",

@@ -23,14 +23,14 @@ from typing import Any, NamedTuple, Protocol
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES, GuardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.explanation import Outcome, Reason, because
-from hapticd.gateway.journal import Journal
-from hapticd.gateway.schemas import GuardRequest
-from hapticd.gateway.view import ServoView
 from hapticd.guard.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.guard.in_force import InForce
 from hapticd.guard.terms import Terms, TermsKeeper
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
+from hapticd.protocol.explanation import Outcome, Reason, because
+from hapticd.protocol.journal import Journal
+from hapticd.protocol.schemas import GuardRequest
+from hapticd.protocol.view import ServoView
 
 VERDICT_NS = 500 * NS_PER_MS  # that a request waits for its verdict
 # after which a worker without an answer hangs; one that sees a delay for the first time takes

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, get_args
 from hapticd.core.errors import MailboxError
 from hapticd.core.params import STRICT_POLICIES, BasisName, Policy
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.journal import Journal
-from hapticd.gateway.view import ServoView
 from hapticd.mailbox.files import GUARD_TERMS, write_whole
+from hapticd.protocol.journal import Journal
+from hapticd.protocol.view import ServoView
 
 RETRY_NS = NS_PER_S  # after terms that could not be kept
 LAXEST_FIRST = ("off", "warn")  # then those of STRICT_POLICIES, which are all as strict

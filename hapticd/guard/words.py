@@ -11,10 +11,10 @@ from typing import Any
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import GuardSetup
-from hapticd.explanation import Explanation, Outcome, Reason, Remedy, because
 from hapticd.guard.allowed import Judgement
 from hapticd.guard.bases import Reading, cached_levels
 from hapticd.model.coupled import Hand
+from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 NOT_COVERED = ("contact switching", "varying delay")
 _NOTHING = Reading(None, None, None)

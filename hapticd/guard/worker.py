@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import msgpack
 
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.codec import MAX_MESSAGE_BYTES
+from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 RESTART_NS = 2 * NS_PER_S
 READ_BYTES = 4 * MAX_MESSAGE_BYTES  # in one pass

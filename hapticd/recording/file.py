@@ -27,9 +27,9 @@ from hapticd.assembly.replay import Segment
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import ScaleParams, ServoParams, from_plain
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
-from hapticd.gateway import flight
-from hapticd.gateway.view import RECORD_DTYPE, Records
 from hapticd.mailbox.client_side import Noted
+from hapticd.protocol import flight
+from hapticd.protocol.view import RECORD_DTYPE, Records
 from hapticd.recording.live import (
     FLUSHED,
     GROUPS,

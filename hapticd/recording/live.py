@@ -30,10 +30,10 @@ from numpy.typing import NDArray
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_S, unit_of
-from hapticd.gateway.telemetry import PROBE_DESCR as PROBE
-from hapticd.gateway.telemetry import TICK_DESCR as TICKS
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import COMMAND_VALUES, VALUE_LIMITS, Command, Value
+from hapticd.protocol.telemetry import PROBE_DESCR as PROBE
+from hapticd.protocol.telemetry import TICK_DESCR as TICKS
 
 Columns = dict[str, NDArray[Any]]
 LEFT_OUT = "tail"  # repeats the tick, for readers of the ring

@@ -24,7 +24,7 @@ from typing import Any
 
 import hapticd
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.answers import Hello, Status
+from hapticd.protocol.answers import Hello, Status
 from hapticd.recording.calibrations import doubts
 from hapticd.recording.certificate import certificate_of
 

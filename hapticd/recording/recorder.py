@@ -26,7 +26,7 @@ from hapticd.client.client import Client
 from hapticd.core.clock import Clock, MonotonicClock
 from hapticd.core.errors import ConfigError, DaemonDown, HapticdError
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.answers import Hello, Status
+from hapticd.protocol.answers import Hello, Status
 from hapticd.recording import live, pack
 from hapticd.recording.live import TOPICS, Writer
 from hapticd.recording.provenance import of_recording

@@ -30,7 +30,7 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.core.units import NS_PER_US, US_PER_S
-from hapticd.gateway.answers import Status
+from hapticd.protocol.answers import Status
 from hapticd.rig import watchdog
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict

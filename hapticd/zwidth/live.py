@@ -33,9 +33,9 @@ from hapticd.client.lease import ClientLease
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError, CommandError, DaemonDown
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.gateway.answers import Status
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.model.excitation import marked, torque_record
+from hapticd.protocol.answers import Status
 from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of
 from hapticd.signal.alignment import find_marks

@@ -30,14 +30,14 @@ from hapticd.core.errors import AnalysisError, CommandError, ConfigError, LinkEr
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.params import BoardParams, ServoParams, to_plain
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.gateway.answers import Receipt
-from hapticd.gateway.commands import ACCEPTED, Posting, posting, receipt
-from hapticd.gateway.leases import MEASURING
-from hapticd.gateway.schemas import ADAPTER, LeaseRequest
-from hapticd.gateway.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
-from hapticd.gateway.view import Records, as_records, configured
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import PERTURBATION_SAMPLES, RECORD, Command, Flag, Result, State, Value
+from hapticd.protocol.answers import Receipt
+from hapticd.protocol.commands import ACCEPTED, Posting, posting, receipt
+from hapticd.protocol.leases import MEASURING
+from hapticd.protocol.schemas import ADAPTER, LeaseRequest
+from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
+from hapticd.protocol.view import Records, as_records, configured
 from hapticd.servo.plan import masked_places
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.zwidth.live import signals

@@ -38,15 +38,15 @@ from hapticd.core.params import (
     from_plain,
     to_plain,
 )
-from hapticd.gateway.answers import Receipt
-from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.journal import Journal
 from hapticd.gateway.publisher import state_map
-from hapticd.gateway.view import ServoView
 from hapticd.guard.judge import Judge
 from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox import files
+from hapticd.protocol.answers import Receipt
+from hapticd.protocol.codec import Encoding, encode
+from hapticd.protocol.journal import Journal
+from hapticd.protocol.view import ServoView
 from hapticd.settings.build import board_params
 from hapticd.settings.load import load
 from hapticd.zwidth.lockstep import LockStepBench

@@ -22,10 +22,10 @@ from hapticd.cli.app import command_line
 from hapticd.client import Client
 from hapticd.core.faults import BY_CODE
 from hapticd.core.units import unit_of
-from hapticd.gateway.schemas import MODELS
-from hapticd.gateway.telemetry import TOPICS
 from hapticd.mailbox.layout import TELEMETRY
 from hapticd.model.effects import ALWAYS, KINDS, PROVENANCE
+from hapticd.protocol.schemas import MODELS
+from hapticd.protocol.telemetry import TOPICS
 from hapticd.settings.config import Hand, Simulation, Touch
 from hapticd.settings.load import load
 from hapticd.settings.scene import schema

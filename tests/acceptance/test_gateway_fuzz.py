@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from support.attacks.commands import CODES as EVERY_CODE
 from support.gateway_rig import DeskRig, decoded
 
-from hapticd.gateway.schemas import MODELS
 from hapticd.mailbox.layout import Value, value_limits
+from hapticd.protocol.schemas import MODELS
 
 CODES = EVERY_CODE - {"leased", "unsafe"}  # nobody holds a lease here, and nothing is judged
 FIELDS = [

@@ -99,5 +99,5 @@ def test_engine_renders_the_parameter_as_the_law_does(copy: Path) -> None:
 
 def test_parameter_is_in_the_schemas_of_the_copy(copy: Path) -> None:
     assert '"cubic_stiffness_n_per_m3"' in run(copy, "-m", "hapticd", "config", "schema")
-    source = "from hapticd.gateway.schemas import ADAPTER; print(ADAPTER.json_schema())"
+    source = "from hapticd.protocol.schemas import ADAPTER; print(ADAPTER.json_schema())"
     assert "'K3'" in run(copy, "-c", source)

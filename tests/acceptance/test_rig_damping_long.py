@@ -15,7 +15,6 @@ from hapticd.cli.app import main
 from hapticd.cli.rig import steps
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K
-from hapticd.gateway.view import as_records
 from hapticd.model.compose import compose_device
 from hapticd.model.effects import (
     Amplifier,
@@ -27,6 +26,7 @@ from hapticd.model.effects import (
     WindingTemperature,
 )
 from hapticd.model.tables import board_fields
+from hapticd.protocol.view import as_records
 from hapticd.rig.damping import measure
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

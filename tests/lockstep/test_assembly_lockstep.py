@@ -16,10 +16,10 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import LinkLost, MailboxError
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import HomeParams, InjectionParams, RealtimeParams, UsbParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.protocol.view import as_records
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.safety import State
 from hapticd.usb import codec

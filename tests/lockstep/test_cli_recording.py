@@ -16,7 +16,7 @@ from hapticd.core import process
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import InjectionParams
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.flight import flights_folder
+from hapticd.protocol.flight import flights_folder
 from hapticd.recording import recorder
 
 

@@ -18,10 +18,10 @@ from hapticd.client import Client, Receipt
 from hapticd.client.conversation import Conversation, TimedOut, accepted, receipt_of
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.schemas import PROTOCOL_VERSION
-from hapticd.gateway.view import RECORD_DTYPE
 from hapticd.mailbox.layout import Command, State
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.protocol.schemas import PROTOCOL_VERSION
+from hapticd.protocol.view import RECORD_DTYPE
 
 
 def ask(

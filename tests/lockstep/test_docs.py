@@ -17,7 +17,7 @@ from support.tree import ROOT, path_of_test
 
 import hapticd
 from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS
-from hapticd.gateway.telemetry import TOPICS
+from hapticd.protocol.telemetry import TOPICS
 from hapticd.settings.load import load
 from hapticd.settings.tables import leaves
 

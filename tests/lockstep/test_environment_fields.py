@@ -18,8 +18,8 @@ from benchmarks.guard_desk import GuardedStack
 from hapticd.assembly.lockstep import LockStep
 from hapticd.cli.change import changes
 from hapticd.core.environment import FIELDS, Environment, EnvironmentField, WorkspaceParams
-from hapticd.gateway.limits import CommandLimits
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
+from hapticd.protocol.limits import CommandLimits
 from hapticd.recording.file import open_recording
 from hapticd.render.ramp import constant
 from hapticd.servo.plan import environment_of

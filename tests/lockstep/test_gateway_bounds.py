@@ -11,10 +11,10 @@ from support.gateway_rig import GatewayRig, decoded, packed
 from support.raw_peer import PING, RawPeer, short
 
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway import flight
 from hapticd.gateway.peers import HANDSHAKE_NS, MOST_PEERS
 from hapticd.gateway.server import PASS_NS, SUBSCRIPTIONS_PER_PASS
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD
+from hapticd.protocol import flight
 
 COST_NS = 90 * NS_PER_MS  # of a request in these tests, on virtual time
 PATIENCE_NS = NS_PER_S  # of the servo with the heartbeat

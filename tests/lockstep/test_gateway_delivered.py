@@ -27,10 +27,10 @@ from hapticd.core.params import (
     ServoParams,
     TouchParams,
 )
-from hapticd.gateway.view import Records, as_records
 from hapticd.guard.delivered import Delivered, Estimate, Low
 from hapticd.guard.judge import Judge
 from hapticd.mailbox.layout import Command, State, Value
+from hapticd.protocol.view import Records, as_records
 
 LEVEL = 1.74
 GAIN = 1.0 + 0.05820105820105820  # of the multiplier of weir2008

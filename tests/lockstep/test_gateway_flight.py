@@ -14,10 +14,10 @@ from support.recorded import RecordedFlight
 from hapticd.assembly import replay
 from hapticd.core.errors import CommandError, ConfigError
 from hapticd.core.params import InjectionParams
-from hapticd.gateway import flight
-from hapticd.gateway.flight import FILES_KEPT, Flight, flights_folder
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import Command
+from hapticd.protocol import flight
+from hapticd.protocol.flight import FILES_KEPT, Flight, flights_folder
 from hapticd.recording.file import open_recording
 
 

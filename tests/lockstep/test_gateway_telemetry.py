@@ -18,7 +18,10 @@ from support.gateway_stand_in import StandInServo
 from hapticd.client.blocks import BlockDecoder
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.publisher import Publisher
-from hapticd.gateway.telemetry import (
+from hapticd.mailbox import layout
+from hapticd.mailbox.layout import STAGES, Flag
+from hapticd.mailbox.stop_word import press_stop
+from hapticd.protocol.telemetry import (
     COLUMNS,
     EDGES_NS,
     ENERGIES,
@@ -28,10 +31,7 @@ from hapticd.gateway.telemetry import (
     Subscriptions,
     wanted_by,
 )
-from hapticd.gateway.view import RECORD_DTYPE
-from hapticd.mailbox import layout
-from hapticd.mailbox.layout import STAGES, Flag
-from hapticd.mailbox.stop_word import press_stop
+from hapticd.protocol.view import RECORD_DTYPE
 
 
 class FeedRig(DeskRig):

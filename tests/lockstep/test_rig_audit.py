@@ -11,7 +11,6 @@ from support.rig_hand import Hand
 from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K
-from hapticd.gateway.view import as_records
 from hapticd.model.compose import compose_device
 from hapticd.model.effects import (
     Amplifier,
@@ -24,6 +23,7 @@ from hapticd.model.effects import (
     WindingTemperature,
 )
 from hapticd.model.tables import board_fields
+from hapticd.protocol.view import as_records
 from hapticd.rig import audit, trim
 
 N_PER_A = 1.65

@@ -12,7 +12,7 @@ from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams
-from hapticd.gateway.view import as_records
+from hapticd.protocol.view import as_records
 from hapticd.rig.damping import measure
 from hapticd.rig.damping_line import concluded
 from hapticd.rig.glide import Row, balance, row_of

@@ -12,7 +12,7 @@ from support.tree import ROOT
 
 from hapticd.core.errors import AnalysisError, CommandError, HapticdError
 from hapticd.core.params import ScaleParams, TouchParams
-from hapticd.gateway.view import as_records
+from hapticd.protocol.view import as_records
 from hapticd.rig.device_file import write
 from hapticd.rig.motor import (
     Masses,

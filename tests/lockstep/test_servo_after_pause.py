@@ -10,8 +10,8 @@ from benchmarks.thermal import device as heated_device
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, SafetyParams, ScaleParams, TouchParams
 from hapticd.core.units import NS_PER_MS
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.protocol.view import as_records
 from hapticd.servo.compensation import UNKNOWN_S
 from hapticd.servo.plan import SETTLED
 

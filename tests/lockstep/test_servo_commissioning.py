@@ -15,9 +15,9 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.core.environment import Environment, WorkspaceParams
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import HomeParams, ScaleParams
-from hapticd.gateway.limits import CommandLimits
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import COMMISSIONING, Command, Result, State, Value
+from hapticd.protocol.limits import CommandLimits
+from hapticd.protocol.view import as_records
 from hapticd.servo.commissioning import Push, followed, push_ended
 from hapticd.servo.plan import flatten, unflatten
 

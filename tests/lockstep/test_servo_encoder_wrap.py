@@ -9,8 +9,8 @@ from support.models import COUNT_M, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, InjectionParams, TouchParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.protocol.view import as_records
 from hapticd.servo.safety import State
 from hapticd.usb import codec
 

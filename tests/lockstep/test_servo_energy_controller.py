@@ -30,8 +30,8 @@ from support.servo_energy_controller import (
 from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import ENERGY_LIMIT_J, HandParams, SafetyParams, TouchParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.protocol.view import as_records
 from hapticd.render.energy import EXCESS, at_rest
 from hapticd.render.ramp import Ramp
 from hapticd.servo.energy_controller import SHARE, halved, lag

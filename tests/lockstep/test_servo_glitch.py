@@ -16,8 +16,8 @@ from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.protocol.view import as_records
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import State
 

@@ -9,8 +9,8 @@ from support.models import COUNT_M, device_params, servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams, TouchParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result
+from hapticd.protocol.view import as_records
 from hapticd.servo.safety import State
 
 STOP_M = -0.004

@@ -11,8 +11,8 @@ from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import UsbParams
-from hapticd.gateway.view import Records, as_records
 from hapticd.mailbox.layout import STAGES, Command, LateCause, Value
+from hapticd.protocol.view import Records, as_records
 from hapticd.sim.bus import BAND, Bus, Passed
 
 pytestmark = pytest.mark.usefixtures("either_way")

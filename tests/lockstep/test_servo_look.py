@@ -14,9 +14,9 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams
 from hapticd.core.units import NS_PER_MS
-from hapticd.gateway.view import as_records
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.protocol.view import as_records
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.errors import usb_error

@@ -12,9 +12,9 @@ from hapticd.assembly import replay
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.environment import FilterParams
 from hapticd.core.faults import BY_NUMBER
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, State, Value, Watched
 from hapticd.model.theorem import required_damping
+from hapticd.protocol.view import as_records
 from hapticd.render.energy import EMPTY, EXCESS, book
 from hapticd.render.law import at_rest, design_coefficients, render
 from hapticd.servo.monitors import bounds

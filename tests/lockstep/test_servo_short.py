@@ -8,8 +8,8 @@ from support.models import servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams, SafetyParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.protocol.view import as_records
 from hapticd.servo.safety import State
 
 BEGIN = 700

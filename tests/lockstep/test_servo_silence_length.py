@@ -7,8 +7,8 @@ from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import RealtimeParams, UsbParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.protocol.view import as_records
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

@@ -7,8 +7,8 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
+from hapticd.protocol.view import as_records
 from hapticd.servo.plan import in_slots
 
 OURS = 7.0

@@ -16,8 +16,8 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams, SafetyParams, UsbParams
 from hapticd.core.units import NS_PER_MS
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result, Value
+from hapticd.protocol.view import as_records
 from hapticd.servo.safety import State
 
 pytestmark = pytest.mark.usefixtures("either_way")

@@ -8,8 +8,8 @@ from support.models import COUNT_M, device_params, servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, InjectionParams, TouchParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result
+from hapticd.protocol.view import as_records
 
 AT_REST = TouchParams()
 DRAWN = TouchParams(hands=(HandParams("push", 0.01, 0.1, 0.05),))  # away, by 10 mm and more

@@ -12,8 +12,8 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import ConfigError
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Result
+from hapticd.protocol.view import as_records
 from hapticd.settings.build import device_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

@@ -13,8 +13,8 @@ from hapticd.assembly.lockstep import scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.core.errors import AnalysisError
 from hapticd.core.faults import BY_CODE
-from hapticd.gateway.answers import Status
 from hapticd.model.scene import Excitation
+from hapticd.protocol.answers import Status
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

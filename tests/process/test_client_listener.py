@@ -15,7 +15,7 @@ from support.relay_rig import RelayRig
 from hapticd.cli.app import main
 from hapticd.client import CommandError, DaemonDown, Listener
 from hapticd.core.errors import ConfigError
-from hapticd.gateway.keys import SERVER_PUBLIC
+from hapticd.protocol.keys import SERVER_PUBLIC
 
 pytestmark = pytest.mark.process
 

@@ -15,8 +15,8 @@ from support.raw_peer import HELLO
 from support.relay_rig import RelayRig
 
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.keys import SERVER_PUBLIC
 from hapticd.gateway.relay import MOST_DESCRIPTORS, MOST_REASONS, Connections, address_of
+from hapticd.protocol.keys import SERVER_PUBLIC
 
 pytestmark = pytest.mark.process
 

@@ -4,7 +4,7 @@ from typing import Any, Self
 
 from hapticd.client import Receipt
 from hapticd.core.errors import HapticdError
-from hapticd.gateway.answers import Status, answer_of
+from hapticd.protocol.answers import Status, answer_of
 
 EFFECTIVE = {
     "K": 100.0,

@@ -15,13 +15,13 @@ import zmq
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway.codec import Encoding, encode
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.journal import Journal
 from hapticd.gateway.server import GatewayServer
-from hapticd.gateway.view import ServoView
 from hapticd.guard.status import Guard, Line
 from hapticd.guard.worker import Start
+from hapticd.protocol.codec import Encoding, encode
+from hapticd.protocol.journal import Journal
+from hapticd.protocol.view import ServoView
 from support.gateway_stand_in import StandInServo, setup
 
 START_NS = 1000 * NS_PER_S

@@ -24,10 +24,10 @@ from hapticd.core.params import (
     UsbParams,
 )
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.view import configured
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.protocol.view import configured
 from hapticd.usb.codec import encode_in
 from hapticd.usb.frames import InFrame
 

@@ -21,12 +21,12 @@ from hapticd.core.params import (
     to_plain,
 )
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway.answers import Hello, Status
-from hapticd.gateway.journal import Actors, Journal
 from hapticd.gateway.publisher import Publisher
-from hapticd.gateway.view import Records, ServoView, as_records
 from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Command, Value
+from hapticd.protocol.answers import Hello, Status
+from hapticd.protocol.journal import Actors, Journal
+from hapticd.protocol.view import Records, ServoView, as_records
 from hapticd.recording.recorder import RecordingParams, record
 from support.boards import board_params
 from support.guard_stub import StubWorker

@@ -8,7 +8,7 @@ import zmq
 import zmq.auth
 
 from hapticd.cli.app import main
-from hapticd.gateway.keys import SERVER_PUBLIC
+from hapticd.protocol.keys import SERVER_PUBLIC
 from support.gateway_rig import PATIENCE, GatewayRig
 
 

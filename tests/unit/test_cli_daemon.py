@@ -16,7 +16,7 @@ from hapticd.cli import change, daemon, lease, system, terminal
 from hapticd.cli.app import main
 from hapticd.client import fast_stop
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError, RealtimeError
-from hapticd.gateway.answers import LeaseHeld, answer_of
+from hapticd.protocol.answers import LeaseHeld, answer_of
 from hapticd.settings.toml import shipped
 
 

@@ -18,7 +18,7 @@ from hapticd.cli.app import main
 from hapticd.client import GuardVerdict, Receipt
 from hapticd.client.words import guard_line, objection_lines, receipt_text, timing_words
 from hapticd.core.errors import CommandError, GuardWarning
-from hapticd.gateway.answers import GuardStatus, Timing, answer_of, verdict_of
+from hapticd.protocol.answers import GuardStatus, Timing, answer_of, verdict_of
 
 VERDICT = {
     "safe": False,

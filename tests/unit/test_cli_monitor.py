@@ -17,9 +17,9 @@ from hapticd.client import fast_stop
 from hapticd.core.clock import VirtualClock
 from hapticd.core.faults import BY_CODE
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway.answers import Hello, Status
-from hapticd.gateway.telemetry import Origin, RingBlock, raw_message
 from hapticd.mailbox.layout import TELEMETRY, Flag, State
+from hapticd.protocol.answers import Hello, Status
+from hapticd.protocol.telemetry import Origin, RingBlock, raw_message
 
 DELIVERED = {"estimate_ns_per_m": 1.7, "low": 1.6, "high": 1.8, "commanded": 1.74}
 

@@ -8,7 +8,7 @@ from support.client_double import ClientDouble
 
 from hapticd.cli import change, daemon, guard
 from hapticd.cli.app import main
-from hapticd.gateway.answers import GuardStatus
+from hapticd.protocol.answers import GuardStatus
 
 
 @pytest.fixture

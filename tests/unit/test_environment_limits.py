@@ -7,9 +7,9 @@ from support.gateway_stand_in import setup
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import EnvironmentLimits, ServoParams, from_plain, to_plain
-from hapticd.gateway.limits import CommandLimits
-from hapticd.gateway.schemas import json_schema, parse
 from hapticd.mailbox.environment_limits import UNKNOWN, WIDEST, environment_limits
+from hapticd.protocol.limits import CommandLimits
+from hapticd.protocol.schemas import json_schema, parse
 
 WEIR = {"K": [0.0, 1958.8], "B": [-11.03, 32.54], "M": [-0.0814, 0.14153]}
 STATED = EnvironmentLimits((-1e3, -50.0, -0.5), (5e4, 200.0, 1.0))

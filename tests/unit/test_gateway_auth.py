@@ -13,8 +13,8 @@ from hapticd.cli.app import main
 from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import GatewayParams
-from hapticd.gateway import auth
 from hapticd.gateway.server import GatewayServer
+from hapticd.protocol import auth
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import msgpack
 import pytest
 
 from hapticd.core.errors import CommandError
-from hapticd.gateway.codec import Encoding, decode, echo_id, encode, encoding_of, shown
+from hapticd.protocol.codec import Encoding, decode, echo_id, encode, encoding_of, shown
 
 HUGE_ARRAY = b"\x81\xa3cmd\xdd\xff\xff\xff\xff"
 HUGE_MAP = b"\xdf\xff\xff\xff\xff"

@@ -9,11 +9,11 @@ from support.gateway_rig import DeskRig
 from support.gateway_stand_in import NEXT_STATE
 
 from hapticd.core.errors import CommandError
-from hapticd.gateway import commands
-from hapticd.gateway.commands import ALLOWED
-from hapticd.gateway.journal import RESERVED
 from hapticd.mailbox.layout import Command, Result, State
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD
+from hapticd.protocol import commands
+from hapticd.protocol.commands import ALLOWED
+from hapticd.protocol.journal import RESERVED
 from hapticd.servo import safety
 
 TABLED = (

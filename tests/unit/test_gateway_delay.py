@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.view import RECORD_DTYPE
 from hapticd.guard.delay import LEAST_RECORDS, SHORTER_S, DelayHistogram
+from hapticd.protocol.view import RECORD_DTYPE
 
 
 def delayed_records(delay_us: "np.ndarray | list[int]", second: float = 0.0) -> np.ndarray:

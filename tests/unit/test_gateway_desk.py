@@ -14,8 +14,6 @@ from support.gateway_stand_in import StandInServo
 
 from hapticd.client.events import event_words
 from hapticd.core.faults import BY_CODE
-from hapticd.gateway.commands import refusal
-from hapticd.gateway.journal import Actors
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import (
@@ -26,6 +24,8 @@ from hapticd.mailbox.layout import (
     State,
     Value,
 )
+from hapticd.protocol.commands import refusal
+from hapticd.protocol.journal import Actors
 from hapticd.usb.frames import StatusBit
 
 

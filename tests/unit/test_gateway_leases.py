@@ -12,10 +12,10 @@ from support.guard_stub import StubWorker, stage, verdict
 from hapticd.core.errors import CommandError
 from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway.leases import LATE_NS, Leases
 from hapticd.guard.status import MOST_RECORDS
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, State, Value
+from hapticd.protocol.leases import LATE_NS, Leases
 
 A = b"a"
 B = b"b"

@@ -3,8 +3,8 @@
 import pytest
 
 from hapticd.doctor.late import judge_room
-from hapticd.gateway.room import ENOUGH, room_of
 from hapticd.mailbox.layout import STAGES
+from hapticd.protocol.room import ENOUGH, room_of
 
 
 def stages(tick_us: float, count: int = ENOUGH) -> dict[str, dict[str, float]]:

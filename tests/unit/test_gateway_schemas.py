@@ -6,9 +6,9 @@ import pytest
 from support.gateway_stand_in import setup
 
 from hapticd.core.errors import CommandError
-from hapticd.gateway.limits import PLACES, CommandLimits, flat
-from hapticd.gateway.schemas import MODELS, json_schema, parse
 from hapticd.mailbox.layout import VALUE_LIMITS
+from hapticd.protocol.limits import PLACES, CommandLimits, flat
+from hapticd.protocol.schemas import MODELS, json_schema, parse
 
 LIMITS = CommandLimits(setup().servo)
 LIST = "the command `schema` lists what is allowed"

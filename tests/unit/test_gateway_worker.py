@@ -10,8 +10,8 @@ import msgpack
 import pytest
 
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.codec import MAX_MESSAGE_BYTES
 from hapticd.guard.worker import RESTART_NS, Worker
+from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 HASH = "c" * 64
 HELLO = {"hello": {"model": True, "model_hash": "m", "config_hash": HASH, "pid": 7}}

@@ -15,10 +15,10 @@ from support.models import device_params, servo_params
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import GuardParams
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.journal import Journal
-from hapticd.gateway.view import Records, ServoView, as_records
 from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Flag, State, Watched
+from hapticd.protocol.journal import Journal
+from hapticd.protocol.view import Records, ServoView, as_records
 
 HOLDER = b"holder"
 OTHER = b"other"

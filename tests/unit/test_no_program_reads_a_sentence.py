@@ -16,9 +16,9 @@ from hapticd.core.errors import MailboxError
 from hapticd.core.faults import Fault
 from hapticd.core.params import ScaleParams
 from hapticd.doctor.checks import CheckResult
-from hapticd.explanation import Entry
-from hapticd.gateway.answers import GuardVerdict
 from hapticd.model.effects import Effect
+from hapticd.protocol.answers import GuardVerdict
+from hapticd.protocol.explanation import Entry
 from hapticd.recording.calibrations import CalibrationDoubt
 from hapticd.rig.result import Finding
 from hapticd.servo.host import Grant

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from hapticd.gateway.answers import Hello, LeaseHeld, Status
+from hapticd.protocol.answers import Hello, LeaseHeld, Status
 from hapticd.recording import provenance
 from hapticd.recording.file import open_recording
 

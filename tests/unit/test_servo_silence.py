@@ -6,8 +6,8 @@ from support.models import servo_params
 
 from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import UsbParams
-from hapticd.gateway.view import as_records
 from hapticd.mailbox.layout import Command, Flag, Result, State, Value
+from hapticd.protocol.view import as_records
 from hapticd.servo.plan import SETTLED, flatten, unflatten
 from hapticd.usb.frames import StatusBit
 

@@ -10,7 +10,7 @@ import pytest
 
 from hapticd.cli.app import main
 from hapticd.core.errors import ConfigError
-from hapticd.gateway.flight import SUFFIX
+from hapticd.protocol.flight import SUFFIX
 from hapticd.recording.file import open_recording
 from hapticd.settings.inputs import MIB, SETTINGS_BYTES, regular
 from hapticd.settings.load import find_config, load

@@ -10,8 +10,8 @@ from benchmarks.guard_attack import shipped_judge
 from hapticd.console.asker import EXCITE, Asker
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
-from hapticd.gateway.commands import values_given
-from hapticd.gateway.limits import CommandLimits
+from hapticd.protocol.commands import values_given
+from hapticd.protocol.limits import CommandLimits
 
 STRANGE: list[dict[str, Any]] = [{"k": 1.0}, {"damping": 1.0}, {"wall": {"stiffness": 1.0}}]
 

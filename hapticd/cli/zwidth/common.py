@@ -207,9 +207,9 @@ def device_of(name: str) -> "DeviceFile":
 
 def require_within(name: str, shown: "Display", asked: dict[str, float]) -> None:
     """BadParameter for what a daemon would refuse to render on this device."""
-    from hapticd.gateway.limits import CommandLimits
     from hapticd.guard.bounds import passive_ranges
     from hapticd.mailbox.environment_limits import UNKNOWN, environment_limits
+    from hapticd.protocol.limits import CommandLimits
     from hapticd.zwidth.scenes import filters
 
     device = device_of(name)

@@ -16,10 +16,10 @@ from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import GuardParams, InjectionParams, SafetyParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.desk import Desk
-from hapticd.gateway.journal import Journal
-from hapticd.gateway.view import ServoView
 from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox.client_side import GatewayMailbox
+from hapticd.protocol.journal import Journal
+from hapticd.protocol.view import ServoView
 from support.boards import board_params
 from support.gateway_rig import UNIX_NS, decoded, packed
 from support.guard_stub import StubWorker

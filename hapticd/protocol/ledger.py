@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from hapticd.core.params import ServoParams
 from hapticd.core.units import US_PER_S
-from hapticd.gateway.view import Records, joined
 from hapticd.mailbox.layout import Flag
+from hapticd.protocol.view import Records, joined
 from hapticd.signal.ledger import BOOKED, LONGEST, SAMPLE, Table, book
 from hapticd.usb.codec import TORQUE_SEQUENCES
 from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS, StatusBit

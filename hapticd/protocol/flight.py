@@ -35,13 +35,13 @@ from hapticd.core.errors import CommandError, ConfigError
 from hapticd.core.faults import BY_NUMBER, FAULTS
 from hapticd.core.params import GatewaySetup, to_plain
 from hapticd.core.units import NS_PER_S
-from hapticd.gateway.journal import Journal
-from hapticd.gateway.leases import Leases
-from hapticd.gateway.telemetry import TICK_DESCR, Origin, RingBlock
-from hapticd.gateway.view import Records, ServoView
 from hapticd.mailbox.client_side import Checkpoint, Noted
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.mailbox.layout import State
+from hapticd.protocol.journal import Journal
+from hapticd.protocol.leases import Leases
+from hapticd.protocol.telemetry import TICK_DESCR, Origin, RingBlock
+from hapticd.protocol.view import Records, ServoView
 
 SUFFIX = ".flight"
 _MAGIC = b"hapticd-flight/1\n"

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field, fields
 from functools import partial
 from typing import Any, TypeVar
 
-from hapticd.explanation import Entry
-from hapticd.gateway.room import Room
+from hapticd.protocol.explanation import Entry
+from hapticd.protocol.room import Room
 
 __all__ = [
     "Compensation",

@@ -34,10 +34,10 @@ from hapticd.core.params import (
     Leased,
     Policy,
 )
-from hapticd.gateway import answers
-from hapticd.gateway.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
-from hapticd.gateway.limits import CommandLimits, quantity
 from hapticd.mailbox.layout import LONGEST_SILENCE_S
+from hapticd.protocol import answers
+from hapticd.protocol.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
+from hapticd.protocol.limits import CommandLimits, quantity
 
 PROTOCOL_VERSION = 1
 _ID_SCHEMA = {

@@ -41,9 +41,9 @@ from numpy.typing import NDArray
 
 from hapticd.core.params import DeviceParams, ScaleParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, PROBE_RATE_HZ
-from hapticd.gateway.ledger import NAMES as LEDGER
-from hapticd.gateway.view import Records, ServoView, as_records, joined, last_torn
 from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, STAGES, TELEMETRY, Flag
+from hapticd.protocol.ledger import NAMES as LEDGER
+from hapticd.protocol.view import Records, ServoView, as_records, joined, last_torn
 from hapticd.usb import frames
 from hapticd.usb.session import PROBE_INDEX_BITS, unwrap
 

@@ -24,10 +24,12 @@ from typing import Any, NamedTuple
 from hapticd.core.environment import JUDGED, Environment
 from hapticd.core.errors import CommandError
 from hapticd.core.faults import BY_NUMBER, FAULTS, Fault
-from hapticd.gateway.journal import Actors
-from hapticd.gateway.leases import DAMPING, ENVIRONMENT, PERTURBATION, Leases
-from hapticd.gateway.limits import PLACES, CommandLimits, flat
-from hapticd.gateway.schemas import (
+from hapticd.mailbox.client_side import Answer
+from hapticd.mailbox.layout import Command, Result, State, Value, values_of
+from hapticd.protocol.journal import Actors
+from hapticd.protocol.leases import DAMPING, ENVIRONMENT, PERTURBATION, Leases
+from hapticd.protocol.limits import PLACES, CommandLimits, flat
+from hapticd.protocol.schemas import (
     Change,
     Damping,
     GuardRequest,
@@ -37,9 +39,7 @@ from hapticd.gateway.schemas import (
     Withhold,
     parse,
 )
-from hapticd.gateway.view import ServoView
-from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Result, State, Value, values_of
+from hapticd.protocol.view import ServoView
 from hapticd.usb.frames import StatusBit
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
