@@ -36,7 +36,6 @@ from benchmarks import targets
 from benchmarks.attack_watch import DTYPE, Given, Violation, Watch
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import (
     BoardParams,
     HandParams,
@@ -49,6 +48,7 @@ from hapticd.core.params import (
 )
 from hapticd.mailbox.layout import Command, State, Value, values_of
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import board_params, servo_params
 
 TARGETS = targets.of("attack")

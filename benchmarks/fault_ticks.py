@@ -29,7 +29,6 @@ from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from benchmarks.worker import BenchError
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE, BY_NUMBER
 from hapticd.core.params import (
     BoardParams,
@@ -43,6 +42,7 @@ from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.layout import Command, Value
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.model.composed import VELOCITY
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.settings.build import board_params, servo_params
 from hapticd.sim.injection import Injector

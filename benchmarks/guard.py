@@ -30,9 +30,9 @@ from benchmarks.blocks import median_quantile
 from benchmarks.echo import echo_ns, echoing
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import ROOT, Worker, environment
-from hapticd.assembly.resolve import write
 from hapticd.core.units import NS_PER_MS
 from hapticd.guard.worker import LENGTH
+from hapticd.run.resolve import write
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped
 

@@ -12,7 +12,6 @@ from typing import Any
 import msgpack
 
 from benchmarks.guard_requests import Answering
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import GuardParams
 from hapticd.gateway.desk import Desk
@@ -20,6 +19,7 @@ from hapticd.guard.status import Guard
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import ServoView, as_records
+from hapticd.run.lockstep import LockStep
 
 UNIX_NS = 1_800_000_000_000_000_000
 CLIENT = b"client"

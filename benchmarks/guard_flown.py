@@ -30,8 +30,8 @@ from benchmarks.guard_flight import (
 )
 from benchmarks.guard_requests import PLAIN, POLICIES, Answering, fly, request
 from benchmarks.guard_verdict import FURTHER, Bench, grows
-from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox.layout import State
+from hapticd.run.lockstep import LockStep
 
 REQUESTS = 8
 QUIET_TICKS = 300  # after the last request, without the person

@@ -6,8 +6,8 @@ import sys
 
 from benchmarks.bench_servo import BenchServo, read_parameters
 from benchmarks.worker import serve
-from hapticd.assembly.servo_main import simulated_backend
 from hapticd.core.clock import MonotonicClock
+from hapticd.run.servo_main import simulated_backend
 from hapticd.usb.link import UsbLink
 
 

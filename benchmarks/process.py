@@ -15,11 +15,11 @@ from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.stand import settings
 from benchmarks.worker import ROOT, BenchError, environment
-from hapticd.assembly.resolve import write
-from hapticd.assembly.supervisor import mailbox_served
 from hapticd.mailbox import files
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
+from hapticd.run.resolve import write
+from hapticd.run.supervisor import mailbox_served
 
 TARGETS = targets.of("process")
 RATE_HZ = 8000
@@ -100,7 +100,7 @@ def _servo(instance: str) -> Iterator[tuple["subprocess.Popen[bytes]", GatewayMa
     command = [
         sys.executable,
         "-m",
-        "hapticd.assembly.servo_main",
+        "hapticd.run.servo_main",
         str(paths[files.SERVO_JSON]),
         str(paths[files.BOARD_JSON]),
     ]

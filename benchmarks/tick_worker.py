@@ -16,10 +16,10 @@ from benchmarks.records import place
 from benchmarks.tick_c import CReference, check_same_work
 from benchmarks.tick_reference import yardstick
 from benchmarks.worker import serve
-from hapticd.assembly.servo_main import simulated_backend
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.params import BoardParams, ServoParams
 from hapticd.mailbox import layout
+from hapticd.run.servo_main import simulated_backend
 from hapticd.servo.loop import first_deadline
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import OutFrame

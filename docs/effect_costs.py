@@ -18,11 +18,11 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_S
 from hapticd.engine import simulate
 from hapticd.model.effects import ALWAYS, KINDS
+from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.settings.scene import load_files, load_scene
 from hapticd.study.accuracy import GROUP
 from hapticd.zwidth.scenes import point

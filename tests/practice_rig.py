@@ -39,8 +39,6 @@ from support.blind_rig import EDITS, TEMPLATE, BlindRig
 from support.blind_truth import NOMINAL, BlindBoard, drawn
 
 import hapticd.cli
-from hapticd.assembly import servo_main
-from hapticd.assembly.supervisor import Supervisor, spawn
 from hapticd.cli.app import main as hapticd_main
 from hapticd.client import Client
 from hapticd.core.clock import MonotonicClock
@@ -50,6 +48,8 @@ from hapticd.core.process import die_with_parent, on_stop
 from hapticd.mailbox.files import runtime_folder
 from hapticd.rig.hand import Action, Request
 from hapticd.rig.machine_hand import asked_at
+from hapticd.run import servo_main
+from hapticd.run.supervisor import Supervisor, spawn
 from hapticd.settings.load import load
 
 CONFIG = """\
@@ -116,7 +116,7 @@ A practice rig in {folder}. In another terminal:
 
 def _practised(command, folder: Path) -> list[str]:
     """The servo's process is this file, with the rig in it."""
-    if command[0] != "hapticd.assembly.servo_main":
+    if command[0] != "hapticd.run.servo_main":
         return list(command)
     own = str(Path(__file__).resolve().parent)
     os.environ["PYTHONPATH"] = os.pathsep.join(

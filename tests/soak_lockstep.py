@@ -29,11 +29,11 @@ from support.boards import board_params
 from support.models import servo_params
 
 from benchmarks.attack import Operator
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.params import InjectionParams
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import State
+from hapticd.run.lockstep import LockStep
 
 RESULT = ROOT / "build" / "soak_lockstep.json"
 AT_ONCE = 100  # ticks between two looks of the operator

@@ -24,8 +24,8 @@ from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.protocol.answers import Compensation, Delivered, StageTimes, Status, answer_of
 
 if TYPE_CHECKING:
-    from hapticd.assembly.supervisor import ProcessEvent
     from hapticd.core.params import GuardParams
+    from hapticd.run.supervisor import ProcessEvent
     from hapticd.settings.load import Settings
 
 
@@ -44,10 +44,10 @@ def run(
     """Start the daemon in the foreground, with the operators' page. Ctrl-C ends it: force fades to
     0. A second Ctrl-C kills it.
     """
-    from hapticd.assembly.supervisor import Supervisor
     from hapticd.core.clock import MonotonicClock
     from hapticd.core.process import on_stop
     from hapticd.mailbox.files import runtime_folder
+    from hapticd.run.supervisor import Supervisor
     from hapticd.settings.load import Override, load
 
     overrides = (
@@ -95,7 +95,7 @@ def _follow_events(instance: str) -> "subprocess.Popen[bytes]":
     """`hapticd events` in this terminal, from a process of its own: the one that looks after servo
     and gateway has no threads and no sockets.
     """
-    from hapticd.assembly.supervisor import launch
+    from hapticd.run.supervisor import launch
 
     return launch("hapticd", "events", "--instance", instance, "--parent", str(os.getpid()))
 

@@ -21,7 +21,7 @@ TEMPLATE_SERIAL = "CHANGE-ME"  # of config/devices/example-board.toml
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from hapticd.doctor.checks import CheckResult, Requirements
+    from hapticd.run.doctor.checks import CheckResult, Requirements
     from hapticd.settings.config import Config
     from hapticd.settings.device import DeviceFile
     from hapticd.settings.load import Mistake
@@ -41,10 +41,10 @@ def check_config(
     the daemon would. Calibrations that cannot be relied on are named, and leave the configuration
     good.
     """
-    from hapticd.assembly.resolve import resolve
     from hapticd.mailbox.files import SERVO_JSON
     from hapticd.protocol import auth
     from hapticd.recording.calibrations import doubts
+    from hapticd.run.resolve import resolve
     from hapticd.settings.build import gateway_params
     from hapticd.settings.load import MoreRules, load
 
@@ -164,8 +164,8 @@ def resolve_config(
     """Write servo.json, board.json, gateway.json and guard.json into the runtime folder, as
     `hapticd run` does.
     """
-    from hapticd.assembly.resolve import write
     from hapticd.mailbox.files import runtime_folder
+    from hapticd.run.resolve import write
     from hapticd.settings.load import load
 
     settings = load(config)
@@ -212,9 +212,9 @@ def doctor(
     """Check rights, processor, kernel, USB, disk and folders, and measure how late this
     machine wakes. Changes nothing.
     """
-    from hapticd.doctor import interpreter
-    from hapticd.doctor.checks import examine, requirements
-    from hapticd.doctor.machine import this_machine
+    from hapticd.run.doctor import interpreter
+    from hapticd.run.doctor.checks import examine, requirements
+    from hapticd.run.doctor.machine import this_machine
     from hapticd.settings.load import load
 
     asked = requirements(load(config), instance)
@@ -230,7 +230,7 @@ def doctor(
         findings.append(finding)
     failed = [finding.name for finding in findings if finding.level == "fail"]
     if report is not None:
-        from hapticd.doctor.report import report_of, write_report
+        from hapticd.run.doctor.report import report_of, write_report
 
         write_report(report, report_of(machine, asked, findings, measured, status))
         terminal.talk(f"hapticd: {report}: attach this file to a question; read it before")
@@ -270,8 +270,8 @@ def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
     """The delay from sample to force that the daemon measures, its cost in K, and the ticks."""
     from hapticd.cli.daemon import delay_words
     from hapticd.client.words import late_words, timing_words
-    from hapticd.doctor import checks, late
     from hapticd.protocol.answers import Status, answer_of
+    from hapticd.run.doctor import checks, late
 
     if status is None:
         return []
@@ -289,7 +289,7 @@ def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
 
 
 def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str, Any]]":
-    from hapticd.doctor import checks, wake
+    from hapticd.run.doctor import checks, wake
 
     try:
         measured = wake.measure(seconds, asked.realtime.core)
@@ -329,12 +329,7 @@ def install_system(
     """Write systemd units, udev rule, service user, folders and limits below a root, or
     show them. Applies nothing.
     """
-    from hapticd.assembly.system_files import (
-        NEXT_STEPS,
-        hidden_interpreter,
-        system_files,
-        write_below,
-    )
+    from hapticd.run.system_files import NEXT_STEPS, hidden_interpreter, system_files, write_below
     from hapticd.settings.build import servo_params
     from hapticd.settings.load import load
 

@@ -23,7 +23,6 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.assembly.replay import Segment
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import ScaleParams, ServoParams, from_plain
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
@@ -49,6 +48,7 @@ from hapticd.recording.live import (
 )
 from hapticd.recording.provenance import SCHEMA
 from hapticd.recording.superblock import Unattended
+from hapticd.run.replay import Segment
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 
 TEXT = "checkpoint_text"

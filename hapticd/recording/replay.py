@@ -1,7 +1,7 @@
 """Replay of a whole recording, one segment after the other, and what came out.
 
 A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint on; within
-one, `assembly.replay` runs the servo's own step on the recorded samples. The motion stays the
+one, `run.replay` runs the servo's own step on the recorded samples. The motion stays the
 recorded one: with settings held at other values a replay shows what the tick law would have
 commanded, not how the display would have moved.
 
@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.assembly.replay import Difference, Records, difference, replay
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import Value
 from hapticd.recording.file import Recording
+from hapticd.run.replay import Difference, Records, difference, replay
 
 
 @dataclass(frozen=True, eq=False)

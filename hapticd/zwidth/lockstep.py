@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
@@ -38,6 +37,7 @@ from hapticd.protocol.leases import MEASURING
 from hapticd.protocol.schemas import ADAPTER, LeaseRequest
 from hapticd.protocol.telemetry import Origin, ProbeDecoder, RingBlock, raw_message
 from hapticd.protocol.view import Records, as_records, configured
+from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.servo.plan import masked_places
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.zwidth.live import signals

@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 
 import msgpack
 
-from hapticd.assembly.resolve import resolve
 from hapticd.client.client import Client
 from hapticd.client.conversation import accepted
 from hapticd.client.lease import ClientLease
@@ -47,6 +46,7 @@ from hapticd.protocol.answers import Receipt
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import ServoView
+from hapticd.run.resolve import resolve
 from hapticd.settings.build import board_params
 from hapticd.settings.load import load
 from hapticd.zwidth.lockstep import LockStepBench

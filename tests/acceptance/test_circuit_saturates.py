@@ -21,8 +21,8 @@ from support.programs import program
 from firmware_iface.hardware.impact import delivered
 from firmware_iface.hardware.netlist import VALUES
 from firmware_iface.hardware.studies import K_F, driven
-from hapticd.assembly.lockstep import scene_params
 from hapticd.model.step import SUBSTEPS_PER_TICK, make_plant
+from hapticd.run.lockstep import scene_params
 
 LIMIT_N = K_F * VALUES["i_limit"].value
 FORCE_N = 0.02 * LIMIT_N

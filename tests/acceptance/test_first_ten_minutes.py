@@ -191,7 +191,7 @@ def reset_at(page: object) -> bool:
 def gateway_comes_back(checkout: Checkout) -> None:
     """kill -9 of the gateway: a new one answers beside the same servo."""
     before = checkout.status()
-    pattern = f"hapticd.assembly.gateway_main.*{checkout.environment['XDG_RUNTIME_DIR']}"
+    pattern = f"hapticd.run.gateway_main.*{checkout.environment['XDG_RUNTIME_DIR']}"
     (killed,) = checkout.do(f"pgrep -f '{pattern}'")[1].split()
     os.kill(int(killed), signal.SIGKILL)
 

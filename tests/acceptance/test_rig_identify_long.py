@@ -10,13 +10,13 @@ from support.models import device_params
 from support.rig_identify import COULOMB_N, MASS_KG, VISCOUS, bench, nothing
 from support.tree import ROOT
 
-from hapticd.assembly.lockstep import scene_params
 from hapticd.model.compose import compose
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import predict, predicted_impedance
 from hapticd.rig.device_file import write
 from hapticd.rig.identify import measure
+from hapticd.run.lockstep import scene_params
 from hapticd.settings import build
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.lockstep import LockStepBench

@@ -9,9 +9,9 @@ import pytest
 from support.servo_compensation import Warm, copper, params
 
 from benchmarks.thermal import DAMPING_NS_PER_M, RECORD, deviation_pct, device, flown
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import (
     SETTLED,
 )

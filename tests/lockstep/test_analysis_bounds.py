@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.assembly import resolve
 from hapticd.cli.app import main
 from hapticd.guard.bounds import passive_ranges
 from hapticd.mailbox import files
 from hapticd.mailbox.environment_limits import STATED, environment_limits
+from hapticd.run import resolve
 from hapticd.settings.load import Override, load
 from hapticd.settings.scene import load_scene
 from hapticd.settings.toml import shipped

@@ -10,11 +10,11 @@ import pytest
 from support.boards import board_params
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HomeParams, InjectionParams, RealtimeParams, ScaleParams, UsbParams
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import DEVICE_DIFFERS
 from hapticd.servo.safety import State
 from hapticd.sim.board import hello

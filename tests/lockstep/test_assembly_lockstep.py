@@ -12,7 +12,6 @@ import pytest
 from support.boards import board_params
 from support.models import COUNT_M, COUNT_NS_PER_M, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import LinkLost, MailboxError
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import HomeParams, InjectionParams, RealtimeParams, UsbParams
@@ -20,6 +19,7 @@ from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.loop import ServoLoop
 from hapticd.servo.safety import State
 from hapticd.usb import codec

@@ -10,9 +10,9 @@ from support.models import servo_params
 
 from benchmarks.attack import KINDS, RARE, TRAITS, fly
 from benchmarks.attack_watch import DTYPE, Given, Watch
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Result, Value, values_of
+from hapticd.run.lockstep import LockStep
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
 
 SPRING = {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 2.0, Value.RAMP_S: 0.0}

@@ -16,9 +16,9 @@ from hapticd.cli.app import main
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.core.units import NS_PER_S, NS_PER_US
-from hapticd.doctor import checks, machine, wake
-from hapticd.doctor.checks import CHECKS, CheckResult, Requirements, examine, requirements
-from hapticd.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Machine, cores_in
+from hapticd.run.doctor import checks, machine, wake
+from hapticd.run.doctor.checks import CHECKS, CheckResult, Requirements, examine, requirements
+from hapticd.run.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Machine, cores_in
 from hapticd.servo.loop import virtual_wait
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
@@ -706,8 +706,8 @@ def find_only(monkeypatch: pytest.MonkeyPatch, *found: CheckResult) -> None:
     """`hapticd doctor` finds this; the last is that of the interpreter."""
     *others, last = found
     checks = tuple(lambda m, a, item=item: item for item in others)
-    monkeypatch.setattr("hapticd.doctor.checks.CHECKS", checks)
-    monkeypatch.setattr("hapticd.doctor.interpreter.judge", lambda build: last)
+    monkeypatch.setattr("hapticd.run.doctor.checks.CHECKS", checks)
+    monkeypatch.setattr("hapticd.run.doctor.interpreter.judge", lambda build: last)
 
 
 @pytest.fixture

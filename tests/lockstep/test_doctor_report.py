@@ -12,9 +12,9 @@ from test_doctor import HUB_FILES, asked, make  # noqa: F401  # a fixture
 from hapticd.cli import system
 from hapticd.cli.app import main
 from hapticd.core.errors import ConfigError
-from hapticd.doctor.checks import CheckResult
-from hapticd.doctor.machine import Machine
-from hapticd.doctor.report import report_of, usb_devices, write_report
+from hapticd.run.doctor.checks import CheckResult
+from hapticd.run.doctor.machine import Machine
+from hapticd.run.doctor.report import report_of, usb_devices, write_report
 
 HOME = "/home/ada.lovelace"
 SECRET = "s3cr3t-k3y"
@@ -116,7 +116,7 @@ def test_written_file_parses_and_has_no_secret_of_the_runtime_folder(
     client = ClientDouble()
     client.states = [STATUS]
     monkeypatch.setattr(system, "connect", lambda instance: client)
-    monkeypatch.setattr("hapticd.doctor.checks.requirements", lambda *given: wanted)
+    monkeypatch.setattr("hapticd.run.doctor.checks.requirements", lambda *given: wanted)
     file = tmp_path / "report.json"
     assert main(["doctor", "--seconds", "0", "--report", str(file)]) == 0
     text = file.read_text()

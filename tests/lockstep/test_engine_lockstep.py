@@ -14,13 +14,13 @@ from support.boards import board_params
 from support.devices import COUNTS, DRY, STAR, device
 from support.models import COUNT_N, servo_params
 
-from hapticd.assembly import lockstep
-from hapticd.assembly.lockstep import LockStep
 from hapticd.engine import simulate
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.model.effects import DampingDac, ForceDac, Saturation
 from hapticd.model.tables import board_fields
+from hapticd.run import lockstep
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel

@@ -15,13 +15,13 @@ from support.recorded import RecordedFlight, recorded_into
 
 from benchmarks.guard_attack import shipped_judge
 from benchmarks.guard_desk import GuardedStack
-from hapticd.assembly.lockstep import LockStep
 from hapticd.cli.change import changes
 from hapticd.core.environment import FIELDS, Environment, EnvironmentField, WorkspaceParams
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.protocol.limits import CommandLimits
 from hapticd.recording.file import open_recording
 from hapticd.render.ramp import constant
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import environment_of
 
 FIXED = {"workspace", "velocity_filter.mapping", "acceleration_filter.mapping"}

@@ -8,11 +8,11 @@ from support.boards import BOARD, board_params
 from support.flight import HEALTHY, Flight
 from support.models import COUNT_M, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import HandParams, HomeParams, InjectionParams, ScaleParams, TouchParams
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import AMPLIFIER_TOLD
 from hapticd.servo.safety import State
 from hapticd.usb.frames import StatusBit

@@ -17,7 +17,6 @@ from support.models import device_params, servo_params
 from support.recorded import RecordedFlight
 from support.tree import ROOT
 
-from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import (
     BoardParams,
@@ -31,6 +30,7 @@ from hapticd.guard.delivered import Delivered, Estimate, Low
 from hapticd.guard.judge import Judge
 from hapticd.mailbox.layout import Command, State, Value
 from hapticd.protocol.view import Records, as_records
+from hapticd.run.lockstep import LockStep, scene_params
 
 LEVEL = 1.74
 GAIN = 1.0 + 0.05820105820105820  # of the multiplier of weir2008

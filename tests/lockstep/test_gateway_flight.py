@@ -11,7 +11,6 @@ import pytest
 from support.boards import board_params
 from support.recorded import RecordedFlight
 
-from hapticd.assembly import replay
 from hapticd.core.errors import CommandError, ConfigError
 from hapticd.core.params import InjectionParams
 from hapticd.mailbox.client_side import Noted
@@ -19,6 +18,7 @@ from hapticd.mailbox.layout import Command
 from hapticd.protocol import flight
 from hapticd.protocol.flight import FILES_KEPT, Flight, flights_folder
 from hapticd.recording.file import open_recording
+from hapticd.run import replay
 
 
 @pytest.fixture

@@ -14,13 +14,13 @@ from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
 from support.guard_stub import StubWorker, refuses, stage, verdict
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import MailboxError
 from hapticd.core.units import NS_PER_MS
 from hapticd.guard import terms
 from hapticd.guard.status import MOST_RECORDS
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.mailbox.layout import Command, Result, State, Value, values_of
+from hapticd.run.lockstep import LockStep
 
 STRICT = ("clamp", "refuse", "follow")
 

@@ -10,7 +10,7 @@ NEVER_IN_GATEWAY = {"numba", "scipy", "usb", "typer", "rich", "tomllib"}
 def test_servo_of_a_real_board_loads_no_simulator() -> None:
     """Importing the process is what a servo of a real board does; a simulated one imports more."""
     modules = modules_after(
-        "import json, sys, hapticd.assembly.servo_main; print(json.dumps(sorted(sys.modules)))"
+        "import json, sys, hapticd.run.servo_main; print(json.dumps(sorted(sys.modules)))"
     )
     assert packages(modules) & NEVER_IN_SERVO == set()
     assert not [name for name in modules if name.startswith(("hapticd.sim", "hapticd.model"))]
@@ -18,7 +18,7 @@ def test_servo_of_a_real_board_loads_no_simulator() -> None:
 
 def test_gateway_brings_no_compiler_and_no_board() -> None:
     modules = modules_after(
-        "import json, sys, hapticd.assembly.gateway_main; print(json.dumps(sorted(sys.modules)))"
+        "import json, sys, hapticd.run.gateway_main; print(json.dumps(sorted(sys.modules)))"
     )
     assert packages(modules) & NEVER_IN_GATEWAY == set()
     assert not [

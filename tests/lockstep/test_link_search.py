@@ -15,9 +15,6 @@ from support.gateway_rig import GatewayRig, running
 from support.gateway_stand_in import setup
 from support.models import servo_params
 
-from hapticd.assembly import servo_main
-from hapticd.assembly.lockstep import LockStep
-from hapticd.assembly.servo_main import Servo
 from hapticd.cli.app import main
 from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import DaemonDown, MailboxError, ProtocolMismatch
@@ -28,6 +25,9 @@ from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import State
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import StopWord, press_stop, servo_lives
+from hapticd.run import servo_main
+from hapticd.run.lockstep import LockStep
+from hapticd.run.servo_main import Servo
 from hapticd.sim.backend import READY, Handle, SimulatedBackend, Unready
 from hapticd.sim.board import BoardModel, hello
 from hapticd.usb import codec

@@ -14,11 +14,11 @@ from support.gateway_rig import START_NS, GatewayRig, packed
 from support.gateway_stand_in import StandInServo, setup
 from support.models import device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import GatewaySetup, ScaleParams
 from hapticd.gateway.server import GatewayServer, run
 from hapticd.mailbox.layout import GATEWAY_BEAT_WORD, TELEMETRY, Command, Result, Value
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.inbox import Streamer
 from hapticd.usb import codec
 from hapticd.usb.frames import StatusBit

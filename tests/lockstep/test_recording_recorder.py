@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from support.recorded import RecordedFlight, Source, recorded_into, room
 
-from hapticd.assembly import replay
 from hapticd.client.blocks import BlockDecoder
 from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import ConfigError, DaemonDown, HapticdError
@@ -17,6 +16,7 @@ from hapticd.recording import pack, recorder
 from hapticd.recording.file import open_recording
 from hapticd.recording.live import Writer
 from hapticd.recording.recorder import RecordingParams, record
+from hapticd.run import replay
 
 
 def test_seconds_are_recorded_time(recorded_run: RecordedFlight, tmp_path: Path) -> None:

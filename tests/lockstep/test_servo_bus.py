@@ -6,11 +6,11 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly import lockstep
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import InjectionParams, UsbParams
 from hapticd.mailbox.layout import Command, Result
 from hapticd.protocol.view import as_records
+from hapticd.run import lockstep
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 from hapticd.sim.bus import Passed
 from hapticd.sim.errors import usb_error

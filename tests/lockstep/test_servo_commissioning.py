@@ -11,13 +11,13 @@ from support.boards import board_params
 from support.flight import Flight
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.environment import Environment, WorkspaceParams
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import HomeParams, ScaleParams
 from hapticd.mailbox.layout import COMMISSIONING, Command, Result, State, Value
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.commissioning import Push, followed, push_ended
 from hapticd.servo.plan import flatten, unflatten
 

@@ -16,12 +16,12 @@ from support.servo_compensation import ABLE, CEILING, COUNT_A, COUNT_OHM, Warm, 
 from support.winding_table import TABLE
 
 from benchmarks.thermal import DAMPING_NS_PER_M, RECORD, deviation_pct, device, flown
-from hapticd.assembly.lockstep import LockStep
-from hapticd.assembly.replay import Segment, replay
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams, ScaleParams
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Value
+from hapticd.run.lockstep import LockStep
+from hapticd.run.replay import Segment, replay
 from hapticd.servo.board_check import uncompensated
 from hapticd.servo.compensation import compensated
 from hapticd.servo.plan import (

@@ -10,11 +10,11 @@ from support.boards import board_params
 from support.flight import Flight, enabled, masked
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import SafetyParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.render.ramp import constant
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State
 
 FAR = 38_000  # counts = 19 mm

@@ -7,10 +7,10 @@ import pytest
 from support.boards import board_params
 from support.models import COUNT_M, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 from hapticd.usb import codec
 

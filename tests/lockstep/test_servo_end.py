@@ -10,12 +10,12 @@ import pytest
 from support.boards import board_params
 from support.models import COUNT_NS_PER_M, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import LinkLost
 from hapticd.core.params import SafetyParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.layout import Command, Result, State, Value
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.sim.axis import DAMPING_HOLD_S, DAMPING_RELEASE_S
 from hapticd.usb import codec

@@ -27,13 +27,13 @@ from support.servo_energy_controller import (
     wall,
 )
 
-from hapticd.assembly import replay
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import ENERGY_LIMIT_J, HandParams, SafetyParams, TouchParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.protocol.view import as_records
 from hapticd.render.energy import EXCESS, at_rest
 from hapticd.render.ramp import Ramp
+from hapticd.run import replay
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.energy_controller import SHARE, halved, lag
 from hapticd.servo.plan import GATEWAY_ALIVE, SETTLED, Control, flatten, unflatten
 from hapticd.servo.safety import State

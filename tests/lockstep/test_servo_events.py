@@ -5,9 +5,9 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import InjectionParams, UsbParams
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import LINK_UP
 from hapticd.usb.events import NO_CODE, NO_TIME_US
 from hapticd.usb.frames import EVENT_DEPTH

@@ -13,12 +13,12 @@ from support.flight import HEALTHY
 from support.homing_rig import HOME, Rig
 from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.core.faults import BY_CODE, BY_NUMBER
 from hapticd.core.params import Ends, HandParams, InjectionParams, ScaleParams, TouchParams
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.model.composed import POSITION, VELOCITY
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.servo.homing import FASTEST
 from hapticd.servo.plan import flatten, unflatten
 from hapticd.servo.safety import State

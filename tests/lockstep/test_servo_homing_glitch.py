@@ -6,11 +6,11 @@ from support.boards import board_params
 from support.homing_rig import HOME
 from support.models import COUNT_M, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Result
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 
 STOP_M = -0.004

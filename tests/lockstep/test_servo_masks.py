@@ -6,10 +6,10 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 
 NO_MASKS = (nan, inf, -inf, -1.0, 1e300, float(1 << layout.COMMAND_VALUES))

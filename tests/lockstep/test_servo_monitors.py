@@ -8,8 +8,6 @@ from support.boards import board_params
 from support.flight import Flight
 from support.models import COUNT_M, device_params, servo_params
 
-from hapticd.assembly import replay
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.environment import FilterParams
 from hapticd.core.faults import BY_NUMBER
 from hapticd.mailbox.layout import Command, Flag, State, Value, Watched
@@ -17,6 +15,8 @@ from hapticd.model.theorem import required_damping
 from hapticd.protocol.view import as_records
 from hapticd.render.energy import EMPTY, EXCESS, book
 from hapticd.render.law import at_rest, design_coefficients, render
+from hapticd.run import replay
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.monitors import bounds
 
 T = 1e-3

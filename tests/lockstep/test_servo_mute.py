@@ -6,10 +6,10 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import InjectionParams, RealtimeParams
 from hapticd.mailbox.layout import Command, Result, Value, values_of
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 from hapticd.sim.axis import Probe
 from hapticd.usb import codec

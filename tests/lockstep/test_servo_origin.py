@@ -8,10 +8,10 @@ from support.boards import board_params
 from support.homing_rig import HOME, Rig
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 
 AWAY = TouchParams(hands=(HandParams("push", 0.01, 0.1, 0.05),))

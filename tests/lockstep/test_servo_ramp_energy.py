@@ -12,9 +12,9 @@ from support.models import COUNT_M, device_params, servo_params
 from support.pump import HeldFlight, toggled
 from support.recorded import RecordedFlight
 
-from hapticd.assembly import replay
 from hapticd.core.params import RAMP_ENERGY_J, SafetyParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
+from hapticd.run import replay
 from hapticd.servo.plan import Booking, flatten, unflatten
 from hapticd.servo.ramp_energy import spring_energy
 from hapticd.servo.safety import FAULT_EVENT, State

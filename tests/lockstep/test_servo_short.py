@@ -5,11 +5,11 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams, SafetyParams
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 
 BEGIN = 700

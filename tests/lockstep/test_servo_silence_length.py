@@ -5,10 +5,10 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.mailbox.layout import Command, Flag, Result, Value
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 
 pytestmark = pytest.mark.usefixtures("either_way")
 

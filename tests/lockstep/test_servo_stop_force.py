@@ -9,11 +9,11 @@ from support.boards import board_params
 from support.flight import Flight, enabled
 from support.models import COUNT_N, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import HomeParams, SafetyParams, ScaleParams
 from hapticd.mailbox.layout import Command, Value
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.run.lockstep import LockStep
 from hapticd.servo import safety
 from hapticd.servo.plan import SETTLED
 from hapticd.servo.safety import FAULT_EVENT, LATCHED, State

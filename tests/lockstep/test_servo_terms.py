@@ -6,9 +6,9 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import in_slots
 
 OURS = 7.0

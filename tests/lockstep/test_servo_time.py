@@ -11,13 +11,13 @@ from support.models import device_params, servo_params
 from support.recorded import RecordedFlight
 from usb.core import USBTimeoutError
 
-from hapticd.assembly import replay
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams, SafetyParams, UsbParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.protocol.view import as_records
+from hapticd.run import replay
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
 
 pytestmark = pytest.mark.usefixtures("either_way")

@@ -6,10 +6,10 @@ import pytest
 from support.boards import board_params
 from support.models import COUNT_M, device_params, servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, InjectionParams, TouchParams
 from hapticd.mailbox.layout import Command, Result
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 
 AT_REST = TouchParams()
 DRAWN = TouchParams(hands=(HandParams("push", 0.01, 0.1, 0.05),))  # away, by 10 mm and more

@@ -7,10 +7,10 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import device_params
 from hapticd.settings.device import signs_hash
 from hapticd.settings.load import load_device

@@ -8,12 +8,12 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import ConfigError
 from hapticd.core.faults import BY_CODE
 from hapticd.core.params import InjectionParams
 from hapticd.mailbox.layout import Command, Result
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.settings.build import device_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

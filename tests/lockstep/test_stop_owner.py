@@ -6,10 +6,10 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox import files
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.run.lockstep import LockStep
 
 A, B, STOP_PAGE = 16, 17, 2
 FADE_TICKS = 21  # after which the word is taken back

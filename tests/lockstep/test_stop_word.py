@@ -15,8 +15,6 @@ from support.boards import board_params
 from support.gateway_rig import GatewayRig
 from support.models import servo_params
 
-from hapticd.assembly import resolve
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.errors import MailboxError
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import Command, Result, State, Value
@@ -29,6 +27,8 @@ from hapticd.mailbox.stop_word import (
     servo_lives,
     stop_taken,
 )
+from hapticd.run import resolve
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

@@ -17,8 +17,6 @@ from support.programs import program
 from support.systemd import DEADLINE_S, Service
 from support.tree import ROOT
 
-from hapticd.assembly import system_files, watchdog
-from hapticd.assembly.supervisor import PATIENCE_NS, RESTARTS_MAX, WINDOW_NS
 from hapticd.cli.app import main
 from hapticd.core import process
 from hapticd.core.clock import VirtualClock
@@ -28,6 +26,8 @@ from hapticd.core.units import NS_PER_S
 from hapticd.mailbox import files
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.run import system_files, watchdog
+from hapticd.run.supervisor import PATIENCE_NS, RESTARTS_MAX, WINDOW_NS
 from hapticd.settings.config import Safety
 from hapticd.settings.toml import shipped
 
@@ -406,7 +406,7 @@ def test_feeder_without_a_ring_says_so(tmp_path: Path, capfd: pytest.CaptureFixt
     arguments = [
         sys.executable,
         "-m",
-        "hapticd.assembly.watchdog",
+        "hapticd.run.watchdog",
         str(tmp_path),
         "--parent",
         str(os.getpid()),

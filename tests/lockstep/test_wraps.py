@@ -16,9 +16,9 @@ from support.boards import board_params
 from support.gateway_rig import DeskRig
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import BoardParams, InjectionParams
 from hapticd.mailbox.layout import TELEMETRY, Command, Result, Value
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED
 from hapticd.usb import codec
 

@@ -11,7 +11,6 @@ from support.foreign import BEFORE, SETTLE, played, recorded, without
 from support.measured_scenes import RIGID
 from support.recorded import RecordedFlight, Source, room
 
-from hapticd.assembly.lockstep import scene_params
 from hapticd.cli.app import main
 from hapticd.client.blocks import BlockDecoder
 from hapticd.core.clock import VirtualClock
@@ -22,6 +21,7 @@ from hapticd.mailbox.layout import Command, Value
 from hapticd.model.excitation import MARK_LEAD
 from hapticd.recording.file import open_recording
 from hapticd.recording.recorder import RecordingParams, record
+from hapticd.run.lockstep import scene_params
 from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.aligned import read_aligned
 from hapticd.zwidth.live import daemon_source, signals

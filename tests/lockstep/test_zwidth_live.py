@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hapticd.assembly.lockstep import scene_params
 from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
+from hapticd.run.lockstep import scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from support.measured_scenes import RIGID
 
-from hapticd.assembly.lockstep import scene_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.core.errors import AnalysisError
 from hapticd.core.faults import BY_CODE
 from hapticd.model.scene import Excitation
 from hapticd.protocol.answers import Status
+from hapticd.run.lockstep import scene_params
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from support.measured_scenes import RIGID
 
-from hapticd.assembly.lockstep import scene_params
 from hapticd.core.errors import AnalysisError
 from hapticd.model.scene import Excitation
+from hapticd.run.lockstep import scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from support.measured_scenes import RIGID
 
-from hapticd.assembly.lockstep import scene_params
 from hapticd.core.errors import AnalysisError, ConfigError, DaemonDown
 from hapticd.model.compose import compose
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
+from hapticd.run.lockstep import scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa

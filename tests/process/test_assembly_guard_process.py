@@ -16,8 +16,8 @@ import pytest
 from support.assembly_guard import REQUEST
 from support.tree import ROOT
 
-from hapticd.assembly import resolve
 from hapticd.mailbox import files
+from hapticd.run import resolve
 from hapticd.settings.load import load
 
 LENGTH = struct.Struct("<I")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hapticd.doctor import wake
+from hapticd.run.doctor import wake
 
 
 @pytest.mark.process

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from support.layers import NEVER_IN_SERVO, modules_after, packages
 
-from hapticd.assembly import resolve
+from hapticd.run import resolve
 from hapticd.settings.load import load
 
 FLY_AND_TELL = """
 import json, os, signal, sys
-from hapticd.assembly.servo_main import main
+from hapticd.run.servo_main import main
 
 def look(*_):
     global threads

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from support.systemd import DEADLINE_S, Service
 
-from hapticd.assembly import resolve
 from hapticd.mailbox import files, layout
+from hapticd.run import resolve
 from hapticd.settings.load import Override, load
 from hapticd.settings.toml import shipped
 
@@ -42,7 +42,7 @@ def servo_process(
     command = [
         sys.executable,
         "-m",
-        "hapticd.assembly.servo_main",
+        "hapticd.run.servo_main",
         *(str(written[name]) for name in (files.SERVO_JSON, files.BOARD_JSON)),
     ]
     child = subprocess.Popen(command, env={**os.environ, **environment})

@@ -26,7 +26,6 @@ from unittest.mock import patch
 
 import tomlkit
 
-from hapticd.assembly import lockstep
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import BoardParams
 from hapticd.core.units import COPPER_PER_K
@@ -45,6 +44,7 @@ from hapticd.rig import (
 from hapticd.rig.one_signal import Judged
 from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.run import lockstep
 from hapticd.settings.build import commissioning, servo_params
 from hapticd.settings.load import Settings, load
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST

@@ -14,10 +14,10 @@ import support.firmware_board as firmware_board
 from firmware_iface.hardware.netlist import deck
 from firmware_iface.hardware.shared import Transient
 from firmware_iface.hardware.studies import FULL_NS_PER_M, K_F, V_PER_V
-from hapticd.assembly.lockstep import LockStep, scene_params
 from hapticd.core.params import BoardParams
 from hapticd.mailbox.layout import TELEMETRY, Command, Value
 from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
+from hapticd.run.lockstep import LockStep, scene_params
 
 SETTLING_S = 0.04  # of relay and amplifier after power-up, before the board starts
 ENABLE_S = 0.02  # shorter than a person would have it: everything is in force before the kick

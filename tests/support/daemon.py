@@ -105,7 +105,7 @@ class Daemon:
                 found |= {
                     name: int(child)
                     for name in ("servo", "gateway")
-                    if f"hapticd.assembly.{name}_main".encode() in words
+                    if f"hapticd.run.{name}_main".encode() in words
                 }
         self.seen |= set(found.values())
         return found

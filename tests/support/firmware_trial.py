@@ -1,6 +1,6 @@
 """One trial by the whole stack in lock-step, on whatever board the simulation is given."""
 
-from hapticd.assembly.lockstep import scene_params
+from hapticd.run.lockstep import scene_params
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.lockstep import LockStepBench

@@ -5,7 +5,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from hapticd.assembly import resolve
 from hapticd.core.environment import Environment
 from hapticd.core.params import GuardParams, GuardSetup, ModelParams, OutputParams, from_plain
 from hapticd.guard.judge import Judge
@@ -20,6 +19,7 @@ from hapticd.model.effects import (
     Viscous,
     WindingTemperature,
 )
+from hapticd.run import resolve
 from hapticd.settings.guard import model_params
 from hapticd.settings.load import load
 

@@ -18,7 +18,7 @@ from benchmarks.guard_flight import (
     rigid_board,
     striking,
 )
-from hapticd.assembly.lockstep import LockStep
+from hapticd.run.lockstep import LockStep
 
 STIFFNESS = 500.0
 DAMPING = 2.0

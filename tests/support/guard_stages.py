@@ -6,8 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-from hapticd.assembly.lockstep import LockStep
-from hapticd.assembly.resolve import resolve
 from hapticd.core.params import GuardParams, GuardSetup, from_plain
 from hapticd.gateway.desk import Desk
 from hapticd.guard.judge import Judge
@@ -15,6 +13,8 @@ from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox import files
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import Records, ServoView, as_records
+from hapticd.run.lockstep import LockStep
+from hapticd.run.resolve import resolve
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from support.gateway_rig import UNIX_NS, decoded, packed

@@ -5,8 +5,8 @@ both, while pages that the kernel took back before may return once.
 
 import numpy as np
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.mailbox.layout import Command, Value
+from hapticd.run.lockstep import LockStep
 from support.boards import board_params
 from support.models import servo_params
 

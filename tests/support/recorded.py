@@ -9,8 +9,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from hapticd.assembly import replay
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import (
     BoardParams,
@@ -28,6 +26,8 @@ from hapticd.protocol.answers import Hello, Status
 from hapticd.protocol.journal import Actors, Journal
 from hapticd.protocol.view import Records, ServoView, as_records
 from hapticd.recording.recorder import RecordingParams, record
+from hapticd.run import replay
+from hapticd.run.lockstep import LockStep
 from support.boards import board_params
 from support.guard_stub import StubWorker
 from support.models import servo_params

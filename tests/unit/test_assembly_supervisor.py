@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hapticd.assembly import resolve
-from hapticd.assembly.supervisor import ProcessEvent, Restarts, Supervisor, mailbox_served
 from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import ConfigError, HapticdError, MailboxError
 from hapticd.core.params import BoardParams, GatewaySetup, GuardSetup, ServoParams, from_plain
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.run import resolve
+from hapticd.run.supervisor import ProcessEvent, Restarts, Supervisor, mailbox_served
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 

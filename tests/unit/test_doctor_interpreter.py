@@ -2,7 +2,7 @@
 
 import pytest
 
-from hapticd.doctor.interpreter import Build, judge, this_build
+from hapticd.run.doctor.interpreter import Build, judge, this_build
 
 PYENV = Build("3.11.7", "/home/ada/.pyenv", "'--enable-shared'", "-DNDEBUG -g -O3 -Wall", False)
 QUICK = "'--enable-optimizations' '--with-lto'"

@@ -2,9 +2,9 @@
 
 import pytest
 
-from hapticd.doctor.late import judge_room
 from hapticd.mailbox.layout import STAGES
 from hapticd.protocol.room import ENOUGH, room_of
+from hapticd.run.doctor.late import judge_room
 
 
 def stages(tick_us: float, count: int = ENOUGH) -> dict[str, dict[str, float]]:

@@ -15,12 +15,12 @@ from hapticd.client.sequence import StepReceipt
 from hapticd.core.errors import MailboxError
 from hapticd.core.faults import Fault
 from hapticd.core.params import ScaleParams
-from hapticd.doctor.checks import CheckResult
 from hapticd.model.effects import Effect
 from hapticd.protocol.answers import GuardVerdict
 from hapticd.protocol.explanation import Entry
 from hapticd.recording.calibrations import CalibrationDoubt
 from hapticd.rig.result import Finding
+from hapticd.run.doctor.checks import CheckResult
 from hapticd.servo.host import Grant
 from hapticd.signal import findings
 from hapticd.zwidth.ending import TrialEnd

@@ -4,10 +4,10 @@ import pytest
 from support.boards import board_params
 from support.models import servo_params
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import UsbParams
 from hapticd.mailbox.layout import Command, Flag, Result, State, Value
 from hapticd.protocol.view import as_records
+from hapticd.run.lockstep import LockStep
 from hapticd.servo.plan import SETTLED, flatten, unflatten
 from hapticd.usb.frames import StatusBit
 

@@ -391,7 +391,7 @@ def _refuse_beyond(name: str, scene: "Scene", trial: "Trial") -> None:
 
 def _simulated(asked: TrialOptions, scene: "Scene", stack: ExitStack) -> "Source":
     """The batch engine, or the whole stack on virtual time for as long as `stack` is open."""
-    from hapticd.assembly.lockstep import scene_params
+    from hapticd.run.lockstep import scene_params
     from hapticd.zwidth.live import daemon_source
     from hapticd.zwidth.lockstep import LockStepBench
     from hapticd.zwidth.simulated import engine_source

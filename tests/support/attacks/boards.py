@@ -9,10 +9,10 @@ the force away and keep the damping for as long as docs/safety.md promises.
 from random import Random
 
 from benchmarks.attack import fly
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
 from hapticd.model.step import SUBSTEPS_PER_TICK
+from hapticd.run.lockstep import LockStep
 from hapticd.sim.axis import DAMPING_HOLD_S, DAMPING_RELEASE_S
 from support.attacks.rows import Losses, Outcome
 from support.boards import board_params

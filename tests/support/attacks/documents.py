@@ -17,13 +17,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
 
-from hapticd.assembly.lockstep import scene_params
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import InjectionParams, to_plain
 from hapticd.recording import pack
 from hapticd.recording.file import open_recording
 from hapticd.recording.live import Writer
 from hapticd.recording.provenance import SCHEMA
+from hapticd.run.lockstep import scene_params
 from hapticd.settings.build import board_params, gateway_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

@@ -41,8 +41,8 @@ NEAR_TICKS = 30
 PATIENCE_S = 60.0
 PROCESSES = ("servo", "gateway", "guard", "console")
 MODULES = {
-    b"hapticd.assembly.servo_main": "servo",
-    b"hapticd.assembly.gateway_main": "gateway",
+    b"hapticd.run.servo_main": "servo",
+    b"hapticd.run.gateway_main": "gateway",
     b"hapticd.guard.main": "guard",
     b"hapticd.console.main": "console",
 }

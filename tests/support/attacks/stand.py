@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-from hapticd.assembly.lockstep import LockStep
 from hapticd.core.params import GuardParams, InjectionParams, SafetyParams
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.desk import Desk
@@ -20,6 +19,7 @@ from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import ServoView
+from hapticd.run.lockstep import LockStep
 from support.boards import board_params
 from support.gateway_rig import UNIX_NS, decoded, packed
 from support.guard_stub import StubWorker

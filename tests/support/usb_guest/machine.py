@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from hapticd.assembly.system_files import system_files
 from hapticd.core.params import UsbParams
+from hapticd.run.system_files import system_files
 
 VHCI = Path("/sys/devices/platform/vhci_hcd.0")
 DEVICES = Path("/sys/bus/usb/devices")

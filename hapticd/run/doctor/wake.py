@@ -1,6 +1,6 @@
 """How late this machine wakes a process that has the servo's rights.
 
-    python -m hapticd.doctor.wake SECONDS PRIORITY [CORE]
+    python -m hapticd.run.doctor.wake SECONDS PRIORITY [CORE]
 
 The same question as `cyclictest -m -p PRIORITY -i 1000`: locked memory, SCHED_FIFO, one core,
 absolute deadlines, and the time from deadline to waking in whole microseconds. No spin here; the
@@ -18,7 +18,7 @@ from typing import Any
 
 from hapticd.core.params import RealtimeParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
-from hapticd.doctor.checks import CheckResult, Requirements, fail, ok, warn
+from hapticd.run.doctor.checks import CheckResult, Requirements, fail, ok, warn
 from hapticd.servo import host
 from hapticd.servo.loop import Wait, first_deadline, spinning_wait
 

@@ -11,5 +11,5 @@ For scripts:
     system_files  what a machine needs to run hapticd as a service
     process       die_with_parent, on_stop, notify: the end of a process, words to systemd
 
-`servo_main`, `gateway_main` and `watchdog` are processes: `python -m hapticd.assembly.NAME`.
+`servo_main`, `gateway_main` and `watchdog` are processes: `python -m hapticd.run.NAME`.
 """

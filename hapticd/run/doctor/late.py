@@ -4,10 +4,10 @@ some are late. Each cause has its remedy.
 
 from typing import NamedTuple
 
-from hapticd.doctor.checks import CheckResult, ok, warn
 from hapticd.mailbox.layout import LateCause
 from hapticd.protocol.answers import Status
 from hapticd.protocol.room import Room
+from hapticd.run.doctor.checks import CheckResult, ok, warn
 
 NAME = "late ticks"
 RARE = 1e-4  # share of the ticks; what a quiet computer without isolated cores keeps to

@@ -12,7 +12,7 @@ import sys
 import sysconfig
 from typing import NamedTuple
 
-from hapticd.doctor.checks import CheckResult, ok, warn
+from hapticd.run.doctor.checks import CheckResult, ok, warn
 
 NAME = "interpreter"
 DISTRIBUTION = "/usr"  # the prefix of its interpreter

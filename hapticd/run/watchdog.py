@@ -1,4 +1,4 @@
-"""The servo's watchdog feeder: `python -m hapticd.assembly.watchdog FOLDER --parent PID`.
+"""The servo's watchdog feeder: `python -m hapticd.run.watchdog FOLDER --parent PID`.
 
 It is a small process in the servo's unit. systemd takes WATCHDOG=1 from processes of the unit
 alone, so the gateway cannot send it; the servo's only thread may not, for a datagram costs more

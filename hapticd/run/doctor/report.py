@@ -22,8 +22,8 @@ from typing import Any
 
 import hapticd
 from hapticd.core.errors import ConfigError
-from hapticd.doctor.checks import CheckResult, Requirements, board_path, hubs_above
-from hapticd.doctor.machine import Machine
+from hapticd.run.doctor.checks import CheckResult, Requirements, board_path, hubs_above
+from hapticd.run.doctor.machine import Machine
 
 __all__ = ["report_of", "write_report"]
 

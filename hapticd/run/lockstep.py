@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from hapticd.assembly.servo_main import simulated_backend
 from hapticd.core.clock import VirtualClock
 from hapticd.core.errors import MailboxError
 from hapticd.core.params import BoardParams, RealtimeParams, SafetyParams, ServoParams, UsbParams
@@ -21,6 +20,7 @@ from hapticd.mailbox import layout
 from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.layout import Command, Value
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.run.servo_main import simulated_backend
 from hapticd.servo.loop import ServoLoop, virtual_wait
 from hapticd.usb.device import Device
 from hapticd.usb.link import UsbLink

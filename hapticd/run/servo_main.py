@@ -1,4 +1,4 @@
-"""The servo process: `python -m hapticd.assembly.servo_main SERVO_JSON [BOARD_JSON]`.
+"""The servo process: `python -m hapticd.run.servo_main SERVO_JSON [BOARD_JSON]`.
 
 `--parent PID` names the supervisor that it ends with.
 
@@ -22,7 +22,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hapticd.assembly.watchdog import start_feeder
 from hapticd.core.clock import Clock, MonotonicClock
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import BoardParams, ServoParams, from_plain
@@ -30,6 +29,7 @@ from hapticd.core.process import die_with_parent, notify, on_stop
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.run.watchdog import start_feeder
 from hapticd.servo import host
 from hapticd.servo.loop import ServoLoop, spinning_wait
 from hapticd.usb.device import Device

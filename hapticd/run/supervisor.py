@@ -32,12 +32,12 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import hapticd
-from hapticd.assembly import resolve
 from hapticd.core.clock import Clock
 from hapticd.core.errors import ConfigError, HapticdError, MailboxError
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import console_place
+from hapticd.run import resolve
 from hapticd.settings.load import Settings
 
 SUPERVISOR_LOCK = "supervisor.lock"
@@ -220,9 +220,9 @@ class Supervisor:
         self._instance = instance
         names = [files.SERVO_JSON, files.BOARD_JSON][: 2 if settings.device.simulated else 1]
         paths = [str(folder / name) for name in names]
-        self.servo = Child("servo", ["hapticd.assembly.servo_main", *paths], start, Restarts())
+        self.servo = Child("servo", ["hapticd.run.servo_main", *paths], start, Restarts())
         self.gateway = Child(
-            "gateway", ["hapticd.assembly.gateway_main", str(folder)], start, Restarts(None)
+            "gateway", ["hapticd.run.gateway_main", str(folder)], start, Restarts(None)
         )
         self.console = (
             Child("console", [console, instance], start, Restarts(None)) if console else None

@@ -1,4 +1,4 @@
-"""The gateway process: `python -m hapticd.assembly.gateway_main FOLDER`.
+"""The gateway process: `python -m hapticd.run.gateway_main FOLDER`.
 
 It serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM
 or SIGINT, and starts the worker of its guard (`guard_main`), which ends with it. `--parent PID`

@@ -20,10 +20,10 @@ from typing import NamedTuple
 
 from hapticd.core.errors import MailboxError
 from hapticd.core.params import RealtimeParams, UsbParams
-from hapticd.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, Machine, cores_in
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import believe, looked_for
 from hapticd.mailbox.files import DEFAULT_INSTANCE
+from hapticd.run.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, Machine, cores_in
 from hapticd.settings.build import gateway_params, servo_params
 from hapticd.settings.load import Settings
 
