@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pages.reproduction import filled
 
-from hapticd.weir2008.table import from_json
+from hapticd.studies.weir2008.table import from_json
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "reproduction.md"

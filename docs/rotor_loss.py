@@ -29,8 +29,8 @@ from hapticd.model.blueprint import StateVariable
 from hapticd.model.model import Array, Model, Output, Outputs, frozen
 from hapticd.signal.envelope import accepted
 from hapticd.signal.verdict import judge
-from hapticd.weir2008.paper import LEVELS, MAIN, PAPER
-from hapticd.weir2008.run import conditions
+from hapticd.studies.weir2008.paper import LEVELS, MAIN, PAPER
+from hapticd.studies.weir2008.run import conditions
 from hapticd.zwidth.limits import ORIGIN, predicted_limit
 from hapticd.zwidth.scenes import SATURATED, Display
 

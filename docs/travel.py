@@ -18,8 +18,8 @@ from pages.markdown import replaced, table
 from hapticd.core.arrays import Floats
 from hapticd.engine import simulate
 from hapticd.settings.toml import shipped
-from hapticd.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
-from hapticd.weir2008.run import conditions
+from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from hapticd.studies.weir2008.run import conditions
 from hapticd.zwidth.limits import predicted_limit
 from hapticd.zwidth.outcomes import Point
 

@@ -13,8 +13,8 @@ import re
 from collections.abc import Iterable
 
 from hapticd.core.errors import ConfigError
-from hapticd.weir2008.page import parts, table_part
-from hapticd.weir2008.rows import PaperRow, by_quantity
+from hapticd.studies.weir2008.page import parts, table_part
+from hapticd.studies.weir2008.rows import PaperRow, by_quantity
 
 TABLE = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 NUMBER = re.compile(

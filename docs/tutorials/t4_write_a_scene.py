@@ -11,9 +11,9 @@ from pathlib import Path
 
 from hapticd.core.errors import ConfigError
 from hapticd.model.compose import compose
-from hapticd.report.study import scene_figure
 from hapticd.settings.scene import load_scene
-from hapticd.study.scene import plan_scene, run_scene
+from hapticd.studies.report import scene_figure
+from hapticd.studies.scene import plan_scene, run_scene
 
 folder = Path(tempfile.mkdtemp(prefix="scenes-"))
 

@@ -10,7 +10,7 @@ from hapticd.cli.terminal import progress
 
 if TYPE_CHECKING:
     from hapticd.model.scene import Scene
-    from hapticd.study.scene import SceneResult, SceneTrial
+    from hapticd.studies.scene import SceneResult, SceneTrial
 
 QUESTIONS = (
     "limits: passive K, B, M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."
@@ -57,10 +57,10 @@ def sim_run(
     """Simulate a scene with and without its active damping: traces, and impedance and
     verdict where noise moves it.
     """
-    from hapticd.report.study import scene_figure, scene_table
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
-    from hapticd.study.scene import plan_scene, run_scene
+    from hapticd.studies.report import scene_figure, scene_table
+    from hapticd.studies.scene import plan_scene, run_scene
 
     terminal.need_engine()
     terminal.need_figures(plot)
@@ -97,7 +97,7 @@ def _about(scene: "Scene") -> dict[str, Any]:
 
 
 def _trial_json(trial: "SceneTrial") -> dict[str, Any]:
-    from hapticd.report.study import impedance_rows
+    from hapticd.studies.report import impedance_rows
     from hapticd.zwidth.store import to_json
 
     found = {
@@ -119,10 +119,10 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
 
     from hapticd.model.compose import compose
     from hapticd.model.stability import explain
-    from hapticd.report import study as words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
-    from hapticd.study.accuracy import cost
+    from hapticd.studies import report as words
+    from hapticd.studies.accuracy import cost
     from hapticd.zwidth.scenes import SUBSTEPS
     from hapticd.zwidth.store import to_json
 
@@ -162,10 +162,10 @@ def sim_effects(
     """
     import time
 
-    from hapticd.report.study import effects_figure, effects_table, effects_words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
-    from hapticd.study.effects import EffectsParams, plan_effects, run_effects
+    from hapticd.studies.effects import EffectsParams, plan_effects, run_effects
+    from hapticd.studies.report import effects_figure, effects_table, effects_words
     from hapticd.zwidth.store import to_json
 
     terminal.need_engine()
@@ -204,10 +204,10 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     """Say the largest stable active damping: of the device alone, with the scene's
     environment, and hot or cold.
     """
-    from hapticd.report.study import ceiling_table, ceiling_words
     from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
-    from hapticd.study.scene import ceiling
+    from hapticd.studies.report import ceiling_table, ceiling_words
+    from hapticd.studies.scene import ceiling
     from hapticd.zwidth.store import to_json
 
     loaded = load_scene(scene)
@@ -238,16 +238,16 @@ def accuracy(
     """
     import time
 
-    from hapticd.report.study import (
+    from hapticd.report.table import text
+    from hapticd.settings.scene import load_scene
+    from hapticd.studies.accuracy import plan_accuracy, run_accuracy
+    from hapticd.studies.report import (
         accuracy_figure,
         accuracy_table,
         accuracy_words,
         integrators_figure,
     )
-    from hapticd.report.table import text
-    from hapticd.settings.scene import load_scene
-    from hapticd.study.accuracy import plan_accuracy, run_accuracy
-    from hapticd.study.scene import compare_integrators
+    from hapticd.studies.scene import compare_integrators
     from hapticd.zwidth.store import to_json
 
     terminal.need_engine()

@@ -6,7 +6,7 @@ import numpy as np
 from support.analysis_predict_recorded import LEVEL, RIVAL, WHITE, both
 
 from hapticd.model.predict import DEFAULT_BAND_HZ, frequencies
-from hapticd.weir2008.run import POINTS, conditions
+from hapticd.studies.weir2008.run import POINTS, conditions
 
 
 @LEVEL

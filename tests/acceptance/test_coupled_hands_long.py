@@ -19,8 +19,8 @@ from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import PAPER_FILTERS, pulse_transfer, with_viscous
 from hapticd.model.predict import predict
 from hapticd.model.theorem import lift, lifted_passive
-from hapticd.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
-from hapticd.weir2008.run import POINTS, SCENES, conditions
+from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from hapticd.studies.weir2008.run import POINTS, SCENES, conditions
 
 DEVICES = [
     (name, level)

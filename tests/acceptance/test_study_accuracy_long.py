@@ -10,7 +10,7 @@ from hapticd.model.compose import compose
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
-from hapticd.study.accuracy import (
+from hapticd.studies.accuracy import (
     GROUP,
     REFERENCE,
     PhaseComparison,

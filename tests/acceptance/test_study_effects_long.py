@@ -6,11 +6,7 @@ from math import isnan
 from support.measured_scenes import MOTOR, PARTS, scene, stopwatch
 
 from hapticd.model.effects import Coupling
-from hapticd.study.effects import (
-    EffectsParams,
-    plan_effects,
-    run_effects,
-)
+from hapticd.studies.effects import EffectsParams, plan_effects, run_effects
 
 
 def test_question_without_an_answer_keeps_everything() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hapticd.settings.scene import load_scene
-from hapticd.study.scene import plan_scene, run_scene
+from hapticd.studies.scene import plan_scene, run_scene
 
 
 @pytest.mark.slow

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hapticd.settings.scene import load_scene
-from hapticd.weir2008 import run
-from hapticd.weir2008.paper import HIGH_PASS
+from hapticd.studies.weir2008 import run
+from hapticd.studies.weir2008.paper import HIGH_PASS
 from hapticd.zwidth import search
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map

@@ -8,8 +8,8 @@ from support import reproduced
 
 from hapticd.report.envelope import NOBODY, Drawn, weighty
 from hapticd.signal.envelope import Edge
-from hapticd.weir2008.figures import drawn
-from hapticd.weir2008.run import ReproduceResult
+from hapticd.studies.weir2008.figures import drawn
+from hapticd.studies.weir2008.run import ReproduceResult
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import pytest
 from support.reproduced import future_work_by_prediction
 
 from hapticd.report import style
-from hapticd.weir2008.future_page import PART, restored
-from hapticd.weir2008.future_page import future_sections as sections
+from hapticd.studies.weir2008.future_page import PART, restored
+from hapticd.studies.weir2008.future_page import future_sections as sections
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,8 @@ from hapticd.model.effects import Masses, Motor, Viscous
 from hapticd.model.predict import predict
 from hapticd.model.step import held_force_response
 from hapticd.model.theorem import lift, lifted_margin, paper_equation_2
-from hapticd.weir2008 import future_work
-from hapticd.weir2008.future_work import (
+from hapticd.studies.weir2008 import future_work
+from hapticd.studies.weir2008.future_work import (
     GRID,
     LOW_HZ,
     Bench,
@@ -34,7 +34,7 @@ from hapticd.weir2008.future_work import (
     shown_hz,
     sizes,
 )
-from hapticd.weir2008.run import AXES, FINE
+from hapticd.studies.weir2008.run import AXES, FINE
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.limits import REACH
 from hapticd.zwidth.outcomes import Conditions, Outcome, kept_frequencies

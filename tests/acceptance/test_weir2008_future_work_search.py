@@ -9,8 +9,8 @@ import pytest
 
 from hapticd.settings.scene import load_scene
 from hapticd.signal.passive_set import grid
-from hapticd.weir2008 import future_work
-from hapticd.weir2008.future_work import SearchCheck, compared_with_grid
+from hapticd.studies.weir2008 import future_work
+from hapticd.studies.weir2008.future_work import SearchCheck, compared_with_grid
 from hapticd.zwidth.map import MapParams, plan_map
 from hapticd.zwidth.outcomes import Conditions
 from hapticd.zwidth.scenes import noise

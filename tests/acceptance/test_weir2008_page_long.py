@@ -13,9 +13,9 @@ from support import reproduced
 from support.tree import ROOT
 
 from hapticd.cli.app import main
-from hapticd.weir2008.page import Drawing, Section, keep, page, parts, sections, terminal
-from hapticd.weir2008.rows import PaperRow, rows
-from hapticd.weir2008.run import SCENES, ReproduceResult
+from hapticd.studies.weir2008.page import Drawing, Section, keep, page, parts, sections, terminal
+from hapticd.studies.weir2008.rows import PaperRow, rows
+from hapticd.studies.weir2008.run import SCENES, ReproduceResult
 
 DOCS = ROOT / "docs"
 AXIS_LIMITS = {"K_max": "N/m", "B_max": "Ns/m", "M_min": "kg"}
@@ -28,7 +28,7 @@ FIGURES = {"fig03", "fig04", "fig07", "fig08", "fig09", "fig10", "fig11", "limit
 @pytest.fixture
 def flown(monkeypatch: pytest.MonkeyPatch) -> None:
     """The verb finds the run already done."""
-    from hapticd.weir2008 import future_work, run
+    from hapticd.studies.weir2008 import future_work, run
 
     monkeypatch.setattr(run, "run_reproduce", lambda plan, tell: reproduced.by_prediction())
     monkeypatch.setattr(

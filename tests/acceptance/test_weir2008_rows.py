@@ -11,13 +11,10 @@ import pytest
 from support import reproduced
 from support.tree import ROOT
 
-from hapticd.weir2008.paper import MAIN, PAPER
-from hapticd.weir2008.rows import PaperRow, arithmetic, by_quantity, rows
-from hapticd.weir2008.run import (  # fmt: skip
-    SCENES,
-    ReproduceResult,
-)
-from hapticd.weir2008.table import from_json
+from hapticd.studies.weir2008.paper import MAIN, PAPER
+from hapticd.studies.weir2008.rows import PaperRow, arithmetic, by_quantity, rows
+from hapticd.studies.weir2008.run import SCENES, ReproduceResult
+from hapticd.studies.weir2008.table import from_json
 
 DOCS = ROOT / "docs"
 

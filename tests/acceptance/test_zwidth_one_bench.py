@@ -10,7 +10,7 @@ import pytest
 
 import hapticd
 from hapticd.cli.zwidth import common
-from hapticd.weir2008.run import SCENES, SECONDS, conditions
+from hapticd.studies.weir2008.run import SCENES, SECONDS, conditions
 from hapticd.zwidth.store import fingerprint
 
 PACKAGE = Path(hapticd.__file__).parent

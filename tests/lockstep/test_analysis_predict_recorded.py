@@ -9,8 +9,8 @@ from support.analysis_predict_recorded import LEVEL, RIVAL, WHITE, both
 
 from hapticd.model.effects import VelocityHighpass
 from hapticd.model.predict import predict, predicted_impedance
-from hapticd.weir2008.paper import LEVELS, MAIN
-from hapticd.weir2008.run import EDGES_HZ, POINTS, TOP_HZ, conditions
+from hapticd.studies.weir2008.paper import LEVELS, MAIN
+from hapticd.studies.weir2008.run import EDGES_HZ, POINTS, TOP_HZ, conditions
 from hapticd.zwidth.limits import predicted_limit
 
 

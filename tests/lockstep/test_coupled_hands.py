@@ -20,8 +20,8 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.coupled import Hand, coupled_radius, held_by, withstands
 from hapticd.model.loop import responses, spectral_radius
 from hapticd.model.theorem import lift
-from hapticd.weir2008.paper import ADDED_NS_PER_M, MAIN
-from hapticd.weir2008.run import conditions
+from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, MAIN
+from hapticd.studies.weir2008.run import conditions
 
 
 def test_random_hands_are_positive_real():

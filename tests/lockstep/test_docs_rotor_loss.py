@@ -10,8 +10,8 @@ import pytest
 from support.tree import ROOT
 
 from hapticd.model.predict import predicted_impedance
-from hapticd.weir2008.paper import MAIN
-from hapticd.weir2008.run import conditions
+from hapticd.studies.weir2008.paper import MAIN
+from hapticd.studies.weir2008.run import conditions
 
 PAGE = ROOT / "docs" / "reproduction.md"
 FREE = (0.0, 0.0, 0.0)

@@ -15,7 +15,10 @@ from support.measured_scenes import scene
 from hapticd.core.errors import ConfigError, MissingLibrary
 from hapticd.model.scene import Excitation
 from hapticd.report import style
-from hapticd.report.study import (
+from hapticd.report.table import text
+from hapticd.studies.accuracy import AccuracyResult, AccuracyRow, plan_accuracy
+from hapticd.studies.effects import EffectsParams, EffectsResult, LeftOut, plan_effects
+from hapticd.studies.report import (
     accuracy_figure,
     accuracy_table,
     accuracy_words,
@@ -27,10 +30,7 @@ from hapticd.report.study import (
     scene_figure,
     scene_table,
 )
-from hapticd.report.table import text
-from hapticd.study.accuracy import AccuracyResult, AccuracyRow, plan_accuracy
-from hapticd.study.effects import EffectsParams, EffectsResult, LeftOut, plan_effects
-from hapticd.study.scene import SceneResult, compare_integrators, plan_scene, run_scene
+from hapticd.studies.scene import SceneResult, compare_integrators, plan_scene, run_scene
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

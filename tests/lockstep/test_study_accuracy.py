@@ -8,12 +8,7 @@ from support.study_accuracy import row
 
 from hapticd.core.errors import AnalysisError
 from hapticd.settings.scene import load_scene
-from hapticd.study.accuracy import (
-    PositionComparison,
-    Setting,
-    cheapest_near_best,
-    mark_knees,
-)
+from hapticd.studies.accuracy import PositionComparison, Setting, cheapest_near_best, mark_knees
 
 
 def test_knee_is_cheapest_within_ten_percent_of_best() -> None:

@@ -12,7 +12,7 @@ from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.engine import BatchResult, simulate
 from hapticd.model.effects import Amplifier, Coupling, Saturation, Viscous, WindingTemperature
 from hapticd.settings.scene import load_scene
-from hapticd.study.effects import (
+from hapticd.studies.effects import (
     PREDICTED,
     QUESTIONS,
     SIMULATED,

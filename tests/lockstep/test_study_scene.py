@@ -13,7 +13,7 @@ from hapticd.core.errors import ConfigError
 from hapticd.model.effects import Amplifier, Crowbar, DampingCircuit, WindingTemperature, copper_ohm
 from hapticd.model.scene import DampingStep, Excitation
 from hapticd.settings.scene import load_scene
-from hapticd.study.scene import ceiling, compare_integrators, plan_scene, run_scene
+from hapticd.studies.scene import ceiling, compare_integrators, plan_scene, run_scene
 from hapticd.zwidth.scenes import without
 
 CIRCUIT = (*PARTS, Amplifier(bandwidth_hz=5000.0), DampingCircuit(bandwidth_hz=1000.0))

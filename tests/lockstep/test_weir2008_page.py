@@ -15,9 +15,9 @@ from support.tree import ROOT
 from hapticd.cli.app import main
 from hapticd.cli.zwidth import report as verb
 from hapticd.core.errors import ConfigError
-from hapticd.weir2008.page import keep
-from hapticd.weir2008.rows import PaperRow
-from hapticd.weir2008.table import from_json
+from hapticd.studies.weir2008.page import keep
+from hapticd.studies.weir2008.rows import PaperRow
+from hapticd.studies.weir2008.table import from_json
 
 DOCS = ROOT / "docs"
 
@@ -38,7 +38,7 @@ def pages() -> ModuleType:
 def test_interrupted_run_keeps_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapticd.weir2008 import run
+    from hapticd.studies.weir2008 import run
 
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt

@@ -6,9 +6,7 @@ import pytest
 from hapticd.core.errors import AnalysisError
 from hapticd.engine import simulate
 from hapticd.settings.scene import load_scene
-from hapticd.study.accuracy import (
-    phase_rms,
-)
+from hapticd.studies.accuracy import phase_rms
 from hapticd.zwidth.lockstep import MOST_S, run_lockstep
 from hapticd.zwidth.scenes import frequencies
 from hapticd.zwidth.simulated import spectra_on

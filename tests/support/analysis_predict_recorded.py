@@ -6,8 +6,8 @@ import pytest
 
 from hapticd.model.linearise import Perturbation
 from hapticd.model.predict import DEFAULT_BAND_HZ, predict
-from hapticd.weir2008.paper import LEVELS
-from hapticd.weir2008.run import conditions
+from hapticd.studies.weir2008.paper import LEVELS
+from hapticd.studies.weir2008.run import conditions
 
 WHITE = Perturbation()
 RIVAL = "weir2008_probe_hp"

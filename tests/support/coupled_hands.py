@@ -13,8 +13,8 @@ import pytest
 
 from hapticd.model.loop import spectral_radius
 from hapticd.model.theorem import lift, lifted_passive
-from hapticd.weir2008.paper import LEVELS
-from hapticd.weir2008.run import POINTS, conditions
+from hapticd.studies.weir2008.paper import LEVELS
+from hapticd.studies.weir2008.run import POINTS, conditions
 from support.passive_hands import random_hands
 
 HANDS = random_hands(1000)

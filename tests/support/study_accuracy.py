@@ -2,9 +2,7 @@
 
 from math import nan
 
-from hapticd.study.accuracy import (
-    AccuracyRow,
-)
+from hapticd.studies.accuracy import AccuracyRow
 
 # --- the knee -------------------------------------------------------------------------------------
 

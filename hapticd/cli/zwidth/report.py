@@ -101,7 +101,7 @@ def _named(what: str) -> "Scene":
 
 
 def _instead(folder: Path) -> str:
-    from hapticd.weir2008.page import TABLE_JSON
+    from hapticd.studies.weir2008.page import TABLE_JSON
 
     if (folder / TABLE_JSON).is_file():
         return (
@@ -250,12 +250,12 @@ def reproduce(
     Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG, PDF); with --json
     only if --out names a folder. Ctrl-C is safe: the folder holds the files of one run, or none.
     """
-    from hapticd.weir2008.future_page import future_sections
-    from hapticd.weir2008.future_work import plan_future_work, run_future_work
-    from hapticd.weir2008.page import keep, sections
-    from hapticd.weir2008.page import terminal as terminal_text
-    from hapticd.weir2008.run import plan_reproduce, run_reproduce
-    from hapticd.weir2008.table import as_json as table_json
+    from hapticd.studies.weir2008.future_page import future_sections
+    from hapticd.studies.weir2008.future_work import plan_future_work, run_future_work
+    from hapticd.studies.weir2008.page import keep, sections
+    from hapticd.studies.weir2008.page import terminal as terminal_text
+    from hapticd.studies.weir2008.run import plan_reproduce, run_reproduce
+    from hapticd.studies.weir2008.table import as_json as table_json
 
     terminal.need_engine()
     terminal.need_figures(out is not None or not as_json)

@@ -27,7 +27,7 @@ from hapticd.report import style
 from hapticd.report.passive_set import walls_figure
 from hapticd.report.style import Figure
 from hapticd.report.table import Table, text
-from hapticd.weir2008.figures import (  # fmt: skip
+from hapticd.studies.weir2008.figures import (  # fmt: skip
     LABELS,
     edges_figure,
     envelope_figure,
@@ -35,9 +35,9 @@ from hapticd.weir2008.figures import (  # fmt: skip
     passive_figure,
     single_figure,
 )
-from hapticd.weir2008.rows import PaperRow, rows
-from hapticd.weir2008.run import ReproduceResult
-from hapticd.weir2008.table import as_json, markdown, notes, paper_table, readings_table
+from hapticd.studies.weir2008.rows import PaperRow, rows
+from hapticd.studies.weir2008.run import ReproduceResult
+from hapticd.studies.weir2008.table import as_json, markdown, notes, paper_table, readings_table
 from hapticd.zwidth.store import FIGURE_KINDS, Progress, Steps, silent
 
 WORDED = {

@@ -35,7 +35,7 @@ from hapticd.model.predict import predicted_impedance
 from hapticd.model.theorem import required_damping
 from hapticd.settings.scene import load_scene
 from hapticd.signal.impedance import Impedance
-from hapticd.weir2008.paper import (
+from hapticd.studies.weir2008.paper import (
     ADDED_NS_PER_M,
     CROWBAR_NMS,
     CROWBAR_NS,
@@ -53,7 +53,7 @@ from hapticd.weir2008.paper import (
     WARMER_K,
     WARMER_PERCENT,
 )
-from hapticd.weir2008.run import (
+from hapticd.studies.weir2008.run import (
     SCENES,
     WINDOW_HZ,
     GridResult,

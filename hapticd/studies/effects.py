@@ -38,7 +38,7 @@ from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.engine import simulate
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Scene
-from hapticd.study.accuracy import GROUP, Stopwatch, engine_cost
+from hapticd.studies.accuracy import GROUP, Stopwatch, engine_cost
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions
 from hapticd.zwidth.scenes import (

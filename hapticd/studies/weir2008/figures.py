@@ -47,17 +47,9 @@ from hapticd.report.style import (
 )
 from hapticd.report.trial import Curve, draw, dress, interval
 from hapticd.signal.passive_set import open_ends, passive_set
-from hapticd.weir2008.paper import (
-    FIG_4,
-    FIG_7,
-    LEVELS,
-    MAIN,
-    MODES,
-    NAMES,
-    PAPER,
-)
-from hapticd.weir2008.rows import MIDDLE_HZ, TOLERANCE, compared, predicted
-from hapticd.weir2008.run import (
+from hapticd.studies.weir2008.paper import FIG_4, FIG_7, LEVELS, MAIN, MODES, NAMES, PAPER
+from hapticd.studies.weir2008.rows import MIDDLE_HZ, TOLERANCE, compared, predicted
+from hapticd.studies.weir2008.run import (
     AXES,
     EDGE_SEEDS,
     EDGES_HZ,

@@ -50,9 +50,9 @@ from hapticd.report.style import (
 from hapticd.report.table import Cell, Table, changed, duration, shown, table
 from hapticd.report.trial import Curve, Trace, draw, draw_traces, dress
 from hapticd.signal.verdict import DEFAULT_BAND_HZ
-from hapticd.study.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
-from hapticd.study.effects import EffectsResult, LeftOut
-from hapticd.study.scene import Ceiling, Integrators, SceneResult, SceneTrial
+from hapticd.studies.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
+from hapticd.studies.effects import EffectsResult, LeftOut
+from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
 from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies, point
 
 STYLES = (OFF, ON)

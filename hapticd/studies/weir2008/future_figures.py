@@ -47,7 +47,7 @@ from hapticd.report.style import (
     simulated,
 )
 from hapticd.signal.envelope import Edge
-from hapticd.weir2008.future_work import (
+from hapticd.studies.weir2008.future_work import (
     LOW_HZ,
     Bounds,
     Corner,
@@ -57,14 +57,8 @@ from hapticd.weir2008.future_work import (
     mean_sd,
     shown_hz,
 )
-from hapticd.weir2008.paper import (
-    ADDED_NS_PER_M,
-    LEVELS,
-    MAIN,
-)
-from hapticd.weir2008.run import (
-    SECONDS,
-)
+from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from hapticd.studies.weir2008.run import SECONDS
 
 NEGATIVE: Look = {"color": FOREST, "linestyle": "-", "linewidth": 1.6}
 WITH_MASS: Look = {"color": PURPLE, "linestyle": "-", "linewidth": 2.2}  # B < 0 and M < 0

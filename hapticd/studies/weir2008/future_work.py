@@ -59,8 +59,8 @@ from hapticd.signal.compare import mean_over_ln_f
 from hapticd.signal.envelope import Edge
 from hapticd.signal.passive_set import grid, open_ends, passive_set, volume
 from hapticd.signal.search import predicted_passive
-from hapticd.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
-from hapticd.weir2008.run import AXES, FINE, Limit, conditions, limits_of, predicted_set
+from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from hapticd.studies.weir2008.run import AXES, FINE, Limit, conditions, limits_of, predicted_set
 from hapticd.zwidth.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit
 from hapticd.zwidth.map import Axes, MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import (

@@ -18,8 +18,13 @@ import numpy as np
 
 from hapticd.core.arrays import Floats
 from hapticd.report.passive_set import search_figure
-from hapticd.weir2008.future_figures import edge_figure, free_figure, levels_figure, shape_figure
-from hapticd.weir2008.future_work import (
+from hapticd.studies.weir2008.future_figures import (
+    edge_figure,
+    free_figure,
+    levels_figure,
+    shape_figure,
+)
+from hapticd.studies.weir2008.future_work import (
     TRIED_LEVELS,
     Bounds,
     FutureWorkResult,
@@ -27,9 +32,9 @@ from hapticd.weir2008.future_work import (
     mean_sd,
     shown_hz,
 )
-from hapticd.weir2008.page import Drawing, Section
-from hapticd.weir2008.paper import ADDED_NS_PER_M, MAIN, MODES, NAMES, UNITS
-from hapticd.weir2008.rows import PaperRow
+from hapticd.studies.weir2008.page import Drawing, Section
+from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, MAIN, MODES, NAMES, UNITS
+from hapticd.studies.weir2008.rows import PaperRow
 
 PART = "beyond"  # of these rows in table.json
 PREDICTED = np.empty(0)  # values by trials: there are none

@@ -3,7 +3,7 @@
 A study asks about the simulation itself, not about a display: how many sub-steps, which precision,
 what length of a trial and which effects an answer needs. Every study is a procedure of a frozen
 plan: `plan_...` checks what is asked, `run_...` simulates and returns numbers; figures and tables
-of them are in `hapticd.report.study`.
+of them are in `hapticd.studies.report`.
 
 For scripts:
 
