@@ -22,8 +22,8 @@ import numpy as np
 from benchmarks.engine_scene import Lanes
 from benchmarks.worker import BenchError
 from hapticd.core.arrays import aligned
-from hapticd.engine.batch import workers
-from hapticd.engine.shape import Shape
+from hapticd.zwidth.engine.batch import workers
+from hapticd.zwidth.engine.shape import Shape
 
 SOURCE = Path(__file__).with_name("engine_reference.c")
 OPTIONS = (

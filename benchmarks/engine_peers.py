@@ -14,9 +14,9 @@ import numpy as np
 from benchmarks import engine_scene as scene
 from benchmarks.worker import BenchError
 from hapticd.core.environment import FilterParams
-from hapticd.engine.kernels import kernel
-from hapticd.engine.source import LAW_STATE
 from hapticd.render.law import at_rest, design_coefficients, render
+from hapticd.zwidth.engine.kernels import kernel
+from hapticd.zwidth.engine.source import LAW_STATE
 
 STEP_S = 0.00025
 SAMPLES = 4

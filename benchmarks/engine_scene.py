@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.environment import Environment
-from hapticd.engine.job import Group, Job, prepared, shared_torque
 from hapticd.model.compose import compose_device
 from hapticd.model.effects import (
     Coulomb,
@@ -23,6 +22,7 @@ from hapticd.model.effects import (
 )
 from hapticd.model.model import Model
 from hapticd.model.scene import DampingStep, Excitation
+from hapticd.zwidth.engine.job import Group, Job, prepared, shared_torque
 
 ROTOR_KG = 0.005
 SLIDER_KG = 0.003

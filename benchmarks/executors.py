@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks import targets
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import BenchError
-from hapticd.engine.batch import workers
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
 from hapticd.zwidth.map import MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import TOGETHER, Conditions

@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.engine_c import compiled
 from benchmarks.worker import BenchError
-from hapticd.engine.batch import workers
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.signal.spectra import spa
+from hapticd.zwidth.engine.batch import workers
 
 SOURCE = Path(__file__).with_name("spa_reference.c")
 OPTIONS = [

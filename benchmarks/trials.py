@@ -20,12 +20,12 @@ from benchmarks.engine_scene import Lanes, environments, model
 from benchmarks.figures import Figure, compared
 from benchmarks.worker import ROOT, BenchError, environment
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.engine import simulate
-from hapticd.engine.batch import workers
 from hapticd.model.compose import compose
 from hapticd.model.model import Model
 from hapticd.model.scene import Scene
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import workers
 
 TARGETS = targets.of("trials")
 SCENE = "fig7"

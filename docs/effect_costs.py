@@ -20,11 +20,11 @@ from typing import Any
 
 from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_S
-from hapticd.engine import simulate
 from hapticd.model.effects import ALWAYS, KINDS
 from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.settings.scene import load_files, load_scene
 from hapticd.studies.accuracy import GROUP
+from hapticd.zwidth.engine import simulate
 from hapticd.zwidth.scenes import point
 
 COSTS = Path(__file__).parent / "figures" / "effect-costs.json"

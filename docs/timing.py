@@ -35,11 +35,11 @@ from benchmarks.timing import (  # noqa: E402
 from hapticd.guard.bases import Conditions, Theorem  # noqa: E402
 from hapticd.model.effects import Amplifier, Delay, Smoothing, Viscous  # noqa: E402
 from hapticd.model.scene import Scene  # noqa: E402
-from hapticd.report.style import BLACK, BLUE, GREY, PREDICTED, WIDTH_IN, axes, styled  # noqa: E402
 from hapticd.settings.scene import load_scene  # noqa: E402
 from hapticd.signal.passive_set import axis_limit  # noqa: E402
 from hapticd.zwidth.limits import ORIGIN, AxisLimit, predicted_limit  # noqa: E402
 from hapticd.zwidth.outcomes import Point  # noqa: E402
+from hapticd.zwidth.report.style import BLACK, BLUE, GREY, PREDICTED, WIDTH_IN, axes, styled  # noqa: E402
 from hapticd.zwidth.scenes import display  # noqa: E402
 
 PAGE = DOCS / "timing.md"

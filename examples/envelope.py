@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hapticd.report.envelope import envelope_figure
-from hapticd.report.style import save
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.outcomes import Conditions, run_trials
+from hapticd.zwidth.report.envelope import envelope_figure
+from hapticd.zwidth.report.style import save
 
 
 def main(folder: Path, trials: int = 200, seconds: float = 90.0) -> int:

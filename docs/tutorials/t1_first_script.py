@@ -19,8 +19,8 @@ during a recording, so this page needs no daemon. Everything else is the same li
 
 import numpy as np
 
-from hapticd.report.style import BLUE, ORANGE, WIDTH_IN, axes, styled
 from hapticd.settings.load import load
+from hapticd.zwidth.report.style import BLUE, ORANGE, WIDTH_IN, axes, styled
 from hapticd.zwidth.virtual import virtual_board
 
 device = virtual_board()  # live: device = Client()

@@ -12,9 +12,9 @@ damping it renders about 100 N/m, with 1.74 N s/m about 600.
 import numpy as np
 
 from hapticd.core.faults import BY_NUMBER
-from hapticd.report.style import BLUE, OFF, ON, WIDTH_IN, axes, styled
 from hapticd.run.lockstep import scene_params
 from hapticd.zwidth.lockstep import LockStepBench
+from hapticd.zwidth.report.style import BLUE, OFF, ON, WIDTH_IN, axes, styled
 
 device = LockStepBench(*scene_params("fig7"))  # live: device = Client()
 

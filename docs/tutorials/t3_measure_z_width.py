@@ -12,11 +12,11 @@ code.
 import numpy as np
 
 from hapticd.model.scene import Excitation
-from hapticd.report.envelope import envelope_figure
-from hapticd.report.trial import trial_figure
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.limits import AXES, predicted_limit
 from hapticd.zwidth.outcomes import Conditions, run_trials
+from hapticd.zwidth.report.envelope import envelope_figure
+from hapticd.zwidth.report.trial import trial_figure
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial

@@ -278,8 +278,8 @@ def _instead(words: list[str]) -> "dict[Value, float]":
 def _drawn(
     result: "ReplayResult", path: Path, title: str, changed: str, width_mm: float | None
 ) -> list[str]:
-    from hapticd.report.style import save
-    from hapticd.report.trial import replay_figure
+    from hapticd.zwidth.report.style import save
+    from hapticd.zwidth.report.trial import replay_figure
     from hapticd.zwidth.store import FIGURE_KINDS
 
     figure = replay_figure(result, title, changed or "replayed")

@@ -57,10 +57,10 @@ def sim_run(
     """Simulate a scene with and without its active damping: traces, and impedance and
     verdict where noise moves it.
     """
-    from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
     from hapticd.studies.report import scene_figure, scene_table
     from hapticd.studies.scene import plan_scene, run_scene
+    from hapticd.zwidth.report.table import text
 
     terminal.need_engine()
     terminal.need_figures(plot)
@@ -119,10 +119,10 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
 
     from hapticd.model.compose import compose
     from hapticd.model.stability import explain
-    from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
     from hapticd.studies import report as words
     from hapticd.studies.accuracy import cost
+    from hapticd.zwidth.report.table import text
     from hapticd.zwidth.scenes import SUBSTEPS
     from hapticd.zwidth.store import to_json
 
@@ -162,10 +162,10 @@ def sim_effects(
     """
     import time
 
-    from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
     from hapticd.studies.effects import EffectsParams, plan_effects, run_effects
     from hapticd.studies.report import effects_figure, effects_table, effects_words
+    from hapticd.zwidth.report.table import text
     from hapticd.zwidth.store import to_json
 
     terminal.need_engine()
@@ -204,10 +204,10 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     """Say the largest stable active damping: of the device alone, with the scene's
     environment, and hot or cold.
     """
-    from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
     from hapticd.studies.report import ceiling_table, ceiling_words
     from hapticd.studies.scene import ceiling
+    from hapticd.zwidth.report.table import text
     from hapticd.zwidth.store import to_json
 
     loaded = load_scene(scene)
@@ -238,7 +238,6 @@ def accuracy(
     """
     import time
 
-    from hapticd.report.table import text
     from hapticd.settings.scene import load_scene
     from hapticd.studies.accuracy import plan_accuracy, run_accuracy
     from hapticd.studies.report import (
@@ -248,6 +247,7 @@ def accuracy(
         integrators_figure,
     )
     from hapticd.studies.scene import compare_integrators
+    from hapticd.zwidth.report.table import text
     from hapticd.zwidth.store import to_json
 
     terminal.need_engine()

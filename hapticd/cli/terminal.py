@@ -299,7 +299,7 @@ def need_engine() -> None:
 
 def figure_width_mm(text: str) -> float:
     """The width [mm] in the text of --figure-width. BadParameter for others."""
-    from hapticd.report.paper import width_mm
+    from hapticd.zwidth.report.paper import width_mm
 
     try:
         return width_mm(text)
@@ -322,7 +322,7 @@ def save_figure(
     figure: "Figure", folder: Path, name: str, width_mm: float | None, as_json: bool
 ) -> list[str]:
     """Save the figure's files and say where; the paths."""
-    from hapticd.report import style
+    from hapticd.zwidth.report import style
 
     paths = [str(path) for path in style.save(figure, folder, name, width_mm)]
     if not as_json:

@@ -310,7 +310,7 @@ class Ends:
 class RotorForce:
     """A force F(x, v) on the rotor that is not linear, added on column `Inputs.rotor_force`.
 
-    `law` names it in both backends (`model.composed`, `engine.source`); `numbers` are its
+    `law` names it in both backends (`model.composed`, `zwidth.engine.source`); `numbers` are its
     parameters in SI units.
     """
 

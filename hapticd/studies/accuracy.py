@@ -48,13 +48,13 @@ import numpy as np
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
-from hapticd.engine import BatchResult, simulate
-from hapticd.engine.shape import LANES
 from hapticd.model.excitation import Stream, torque_record
 from hapticd.model.predict import predict, predicted_impedance
 from hapticd.model.scene import Scene
 from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
+from hapticd.zwidth.engine import BatchResult, simulate
+from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.lockstep import LockStepTrial, run_lockstep
 from hapticd.zwidth.scenes import (
     SUBSTEPS,

@@ -35,10 +35,10 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError, ConfigError
-from hapticd.engine import simulate
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Scene
 from hapticd.studies.accuracy import GROUP, Stopwatch, engine_cost
+from hapticd.zwidth.engine import simulate
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions
 from hapticd.zwidth.scenes import (

@@ -3,7 +3,7 @@ is simulated and why, which effects a question needs, what accuracy costs in tim
 explicit methods blow up.
 
 One section a study: figure, table and sentences of the same result stand together. Lines and
-colours are those of `report.style`: with active damping solid, without it dashed.
+colours are those of `zwidth.report.style`: with active damping solid, without it dashed.
 
 What would break it: an error of 0 on a logarithmic axis. Those that are none are drawn below all
 others and called exact; a change that is out of range is drawn at the end of its axis.
@@ -20,7 +20,11 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.scene import Scene
 from hapticd.model.stability import AtLevel, Explanation
 from hapticd.render.winding import LEAST_LOOP_GAIN
-from hapticd.report.style import (
+from hapticd.signal.verdict import DEFAULT_BAND_HZ
+from hapticd.studies.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
+from hapticd.studies.effects import EffectsResult, LeftOut
+from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
+from hapticd.zwidth.report.style import (
     BELOW,
     BLACK,
     BLUE,
@@ -47,12 +51,8 @@ from hapticd.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
-from hapticd.report.table import Cell, Table, changed, duration, shown, table
-from hapticd.report.trial import Curve, Trace, draw, draw_traces, dress
-from hapticd.signal.verdict import DEFAULT_BAND_HZ
-from hapticd.studies.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
-from hapticd.studies.effects import EffectsResult, LeftOut
-from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
+from hapticd.zwidth.report.table import Cell, Table, changed, duration, shown, table
+from hapticd.zwidth.report.trial import Curve, Trace, draw, draw_traces, dress
 from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies, point
 
 STYLES = (OFF, ON)

@@ -43,7 +43,6 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.engine import BatchResult, simulate
 from hapticd.model.compose import compose, compose_device
 from hapticd.model.discrete import expm
 from hapticd.model.effects import WindingTemperature
@@ -53,6 +52,7 @@ from hapticd.model.scene import Scene
 from hapticd.model.stability import damping_ceiling, edge, modes, stability
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.spectra import DEFAULT_LAG
+from hapticd.zwidth.engine import BatchResult, simulate
 from hapticd.zwidth.scenes import SUBSTEPS, filters, level, point
 from hapticd.zwidth.simulated import simulated
 from hapticd.zwidth.sources import Trial

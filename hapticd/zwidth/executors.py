@@ -36,7 +36,7 @@ from urllib.parse import urlsplit
 
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.extras import need
-from hapticd.engine.batch import at_most, workers
+from hapticd.zwidth.engine.batch import at_most, workers
 
 PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
 GREETING_MOST = 1 << 20  # bytes

@@ -38,8 +38,6 @@ import numpy as np
 from hapticd import __version__
 from hapticd.core.arrays import Complexes, Flags, Floats, Values
 from hapticd.core.errors import AnalysisError
-from hapticd.engine import BatchResult, simulate
-from hapticd.engine.shape import LANES
 from hapticd.model.predict import coulomb
 from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.envelope import Envelope, accepted, merged, of_one
@@ -57,6 +55,8 @@ from hapticd.signal.verdict import (
     judge,
     lines_to_resolve,
 )
+from hapticd.zwidth.engine import BatchResult, simulate
+from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint

@@ -13,12 +13,12 @@ import numpy.typing as npt
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.engine import BatchResult, simulate
 from hapticd.model.compose import compose
 from hapticd.model.scene import Scene
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.zwidth import scenes
 from hapticd.zwidth.ending import EndReason, TrialEnd
+from hapticd.zwidth.engine import BatchResult, simulate
 from hapticd.zwidth.scenes import SATURATED
 from hapticd.zwidth.sources import Source, Trial, watched
 from hapticd.zwidth.store import Progress, TrialRecord, silent

@@ -24,10 +24,10 @@ import numpy as np
 
 from hapticd.core.arrays import Values
 from hapticd.core.errors import AnalysisError
-from hapticd.engine import simulate
 from hapticd.model.compose import compose
 from hapticd.model.model import Model
 from hapticd.model.scene import Scene
+from hapticd.zwidth.engine import simulate
 from hapticd.zwidth.store import Progress, Steps, silent
 
 FINER = 6  # steps between the last stable and the first unstable wall

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.engine_batch import PARAMS, SUMS, WEIR, same_bytes
 
-from hapticd.engine import batch, simulate
+from hapticd.zwidth.engine import batch, simulate
 
 
 class Inline(Executor):

@@ -15,10 +15,10 @@ from support.devices import (
 from support.engine_exact import TRIALS, largest_error
 from support.straight import Straight
 
-from hapticd.engine import simulate
 from hapticd.model.effects import Coulomb, Delay, ForceDac, Multiplier
 from hapticd.model.excitation import Stream, held_noise
 from hapticd.model.model import Noise
+from hapticd.zwidth.engine import simulate
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import pytest
 from support.devices import STAR, device
 from support.engine_friction import BELOW_FRICTION_N, FIG4, RIGID_DRY
 
-from hapticd.engine import simulate
 from hapticd.model.effects import Coulomb, Load
+from hapticd.zwidth.engine import simulate
 
 STAR_DRY = (*STAR, Coulomb(rotor_n=0.0293))
 GROUND = Load(stiffness_n_per_m=200.0)

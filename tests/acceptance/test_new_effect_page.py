@@ -69,7 +69,7 @@ def test_page_touches_the_catalogue_once_and_each_backend_once() -> None:
     assert list(CODE) == [
         "hapticd/model/effects.py",
         "hapticd/model/composed.py",
-        "hapticd/engine/source.py",
+        "hapticd/zwidth/engine/source.py",
     ]
 
 

@@ -9,8 +9,8 @@ import pytest
 from matplotlib.text import Text
 from support.report_paper import drawn
 
-from hapticd.report.paper import LEAST_PT, WIDTHS_MM, fit
-from hapticd.report.style import save, styled
+from hapticd.zwidth.report.paper import LEAST_PT, WIDTHS_MM, fit
+from hapticd.zwidth.report.style import save, styled
 
 
 def seen(figure: Any) -> list[Any]:

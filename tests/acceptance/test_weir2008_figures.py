@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from support import reproduced
 
-from hapticd.report.envelope import NOBODY, Drawn, weighty
 from hapticd.signal.envelope import Edge
 from hapticd.studies.weir2008.figures import drawn
 from hapticd.studies.weir2008.run import ReproduceResult
+from hapticd.zwidth.report.envelope import NOBODY, Drawn, weighty
 
 
 @pytest.fixture(scope="module")

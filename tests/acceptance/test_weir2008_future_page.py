@@ -5,9 +5,9 @@ from math import isfinite
 import pytest
 from support.reproduced import future_work_by_prediction
 
-from hapticd.report import style
 from hapticd.studies.weir2008.future_page import PART, restored
 from hapticd.studies.weir2008.future_page import future_sections as sections
+from hapticd.zwidth.report import style
 
 
 @pytest.fixture(scope="module")

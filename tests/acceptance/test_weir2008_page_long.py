@@ -107,7 +107,7 @@ def test_interrupted_drawing_leaves_the_run_before(
     quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib")
-    from hapticd.report import style
+    from hapticd.zwidth.report import style
 
     (tmp_path / "table.json").write_text("before")
     saved: list[str] = []
@@ -129,7 +129,7 @@ def test_interrupted_drawing_leaves_the_run_before(
 def test_smaller_run_leaves_no_figure_of_the_run_before(
     quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapticd.report import style
+    from hapticd.zwidth.report import style
 
     def save(figure: object, folder: Path, name: str, width_mm: float | None) -> None:
         for kind in ("png", "svg", "pdf"):

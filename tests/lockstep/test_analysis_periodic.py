@@ -19,7 +19,6 @@ from support.analysis_periodic import (
 from support.spectral_trials import mass_damper
 
 from hapticd.core.errors import AnalysisError
-from hapticd.engine import simulate
 from hapticd.model.effects import AntiAlias, Encoder
 from hapticd.model.excitation import torque_record
 from hapticd.model.predict import predicted_impedance
@@ -29,6 +28,7 @@ from hapticd.signal.impedance import impedance
 from hapticd.signal.periodic import periodic
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import judge, student_quantile
+from hapticd.zwidth.engine import simulate
 
 # --- linear ---------------------------------------------------------------------------------------
 

@@ -21,13 +21,13 @@ from support.analysis_resolved import (
 )
 
 from hapticd.core.arrays import Floats
-from hapticd.engine import simulate
 from hapticd.model.effects import SensorNoise
 from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.resolved import resolved, unresolved
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import DEFAULT_BAND_HZ as BAND
 from hapticd.signal.verdict import Verdict, judge
+from hapticd.zwidth.engine import simulate
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord

@@ -10,13 +10,13 @@ from support.analysis_devices import rigid
 from support.analysis_verdict_coverage import answers
 from support.spectral_trials import mass_damper, record, with_phase_margin
 
-from hapticd.engine import simulate
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
 from hapticd.signal.findings import coherence_findings, examine
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import judge
+from hapticd.zwidth.engine import simulate
 
 pytestmark = pytest.mark.slow
 

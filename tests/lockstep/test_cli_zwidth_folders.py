@@ -51,7 +51,7 @@ def test_interrupted_drawing_says_that_the_result_is_kept(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from hapticd.report import style
+    from hapticd.zwidth.report import style
 
     monkeypatch.setattr(style, "save", interrupted)
     code, _, err = run([*words, "--out", str(tmp_path)], capsys)

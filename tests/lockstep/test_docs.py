@@ -215,7 +215,10 @@ def test_every_module_that_is_named_anywhere_exists() -> None:
         ("| `hapticd.zwidth.trial`, `.limits`, `.campaign` | |", ["zwidth.campaign"]),
         ("see `measure.trial` and `zwidth.trial`", ["measure.trial"]),
         ("`plant.stability.damping_floor`", ["plant.stability.damping_floor"]),
-        ("in hapticd/sim/engine/job.py, not hapticd/engine/job.py", ["hapticd/sim/engine/job.py"]),
+        (
+            "in hapticd/sim/engine/job.py, not hapticd/zwidth/engine/job.py",
+            ["hapticd/sim/engine/job.py"],
+        ),
         ("`servo.realtime` of 70-hapticd.rules and hapticd.toml", []),
     ],
 )

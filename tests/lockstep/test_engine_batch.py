@@ -10,11 +10,11 @@ from support.devices import RIGID, STAR, device, rigid
 from support.engine_batch import PARAMS, SUMS, WEIR, same_bytes
 
 from hapticd.core.errors import ConfigError
-from hapticd.engine import simulate
-from hapticd.engine.source import VELOCITY_MAX_M_PER_S
 from hapticd.model.effects import DampingDac, Masses, ProbeAdc
 from hapticd.model.model import Noise
 from hapticd.model.scene import DampingStep, Excitation, Scene
+from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.source import VELOCITY_MAX_M_PER_S
 
 
 @pytest.mark.parametrize("keep", ["summary", "spectra"])

@@ -6,10 +6,10 @@ from support.devices import COUNTS, DRY, LIMIT, RIGID, TWO_MASSES, device
 from support.models import environment_tuple
 
 from hapticd.core.environment import Environment, FilterParams, WallParams, WorkspaceParams
-from hapticd.engine import simulate
 from hapticd.model.effects import Saturation, Viscous
 from hapticd.model.scene import Excitation
 from hapticd.render.law import at_rest, design_coefficients, render
+from hapticd.zwidth.engine import simulate
 
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [600.0, 0.5, -0.002], [5000.0, 8.0, 0.001]]
 SOLID = Environment(

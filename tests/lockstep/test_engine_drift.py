@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.devices import STAR, device, rigid
 
-from hapticd.engine import simulate
 from hapticd.model.scene import Excitation
+from hapticd.zwidth.engine import simulate
 
 
 @pytest.mark.parametrize("dtype", ["f32", "f64"])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.devices import STAR, device, rigid
 
-from hapticd.engine import simulate
 from hapticd.model.loop import PAPER_FILTERS, spectral_radius
 from hapticd.model.scene import Excitation
+from hapticd.zwidth.engine import simulate
 
 RAW = (None, None)
 STILL = Excitation("none")

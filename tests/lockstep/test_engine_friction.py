@@ -7,9 +7,9 @@ from support.dry_friction import stop_time_s, turning_points_m
 from support.engine_friction import BELOW_FRICTION_N, FIG4, RIGID_DRY
 from support.engine_state import final
 
-from hapticd.engine import simulate
 from hapticd.model.effects import Coulomb, Encoder, Load, Masses, Saturation, Viscous
 from hapticd.model.scene import Excitation
+from hapticd.zwidth.engine import simulate
 
 RAW = (None, None)
 STILL = Excitation("none")

@@ -7,7 +7,6 @@ import pytest
 from support.devices import MOTOR, WARMING, device
 
 from hapticd.core.units import COPPER_PER_K
-from hapticd.engine import simulate
 from hapticd.model.effects import (
     Amplifier,
     DampingCircuit,
@@ -17,6 +16,7 @@ from hapticd.model.effects import (
     copper_ohm,
 )
 from hapticd.model.scene import Excitation
+from hapticd.zwidth.engine import simulate
 
 PER_N_PER_A = 1.65
 WARM = (

@@ -9,10 +9,10 @@ from support.devices import COGS, COUNTS, DRY, ENDS, LIMIT, STAR, TWO_MASSES, de
 from support.engine_kernels import ALL, WALL, shape
 
 from hapticd.core.errors import ConfigError, MissingLibrary
-from hapticd.engine import kernels, simulate
-from hapticd.engine.kernels import cache_folder, kernel
-from hapticd.engine.source import kernel_source
 from hapticd.model.effects import ForceDac
+from hapticd.zwidth.engine import kernels, simulate
+from hapticd.zwidth.engine.kernels import cache_folder, kernel
+from hapticd.zwidth.engine.source import kernel_source
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_without_numba_the_remedy_is_named(monkeypatch):
 
 
 def test_engine_is_imported_without_numba():
-    code = "import sys, hapticd.engine; sys.exit('numba' in sys.modules)"
+    code = "import sys, hapticd.zwidth.engine; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

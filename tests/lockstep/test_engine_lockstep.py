@@ -14,7 +14,6 @@ from support.boards import board_params
 from support.devices import COUNTS, DRY, STAR, device
 from support.models import COUNT_N, servo_params
 
-from hapticd.engine import simulate
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import Command, Result, Value
 from hapticd.model.effects import DampingDac, ForceDac, Saturation
@@ -25,6 +24,7 @@ from hapticd.servo.safety import State
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
 from hapticd.usb import codec
+from hapticd.zwidth.engine import simulate
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 LEVEL_COUNT = 10.0 / 65535

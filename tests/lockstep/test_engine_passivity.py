@@ -10,9 +10,9 @@ import pytest
 from support.devices import rigid
 
 from hapticd.core.environment import FilterParams
-from hapticd.engine import simulate
 from hapticd.model.scene import Excitation
 from hapticd.model.theorem import required_damping
+from hapticd.zwidth.engine import simulate
 
 RAW = (None, None)
 RATE_HZ = 4000

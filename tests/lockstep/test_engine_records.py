@@ -9,9 +9,9 @@ import pytest
 from support.devices import COUNTS, DRY, STAR, device, rigid
 from support.engine_records import KEPT, PARAMS, WEIR, assert_alike, both
 
-from hapticd.engine import simulate
 from hapticd.model.model import Noise
 from hapticd.model.scene import Excitation
+from hapticd.zwidth.engine import simulate
 
 
 def test_damping_switched_within_a_section_is_in_the_spectra():

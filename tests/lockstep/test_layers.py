@@ -25,7 +25,13 @@ def test_gateway_brings_no_compiler_and_no_board() -> None:
         name
         for name in modules
         if name.startswith(
-            ("hapticd.servo", "hapticd.sim", "hapticd.engine", "hapticd.settings", "hapticd.usb")
+            (
+                "hapticd.servo",
+                "hapticd.sim",
+                "hapticd.zwidth.engine",
+                "hapticd.settings",
+                "hapticd.usb",
+            )
         )
     ]
 

@@ -15,12 +15,12 @@ from support.straight import Straight
 
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
-from hapticd.engine import simulate
-from hapticd.engine.shape import reduced, shape_of
-from hapticd.engine.source import kernel_source
 from hapticd.model.compose import compose_device
 from hapticd.model.effects import Amplifier, AmplifierLimits, Crowbar, DampingCircuit, Masses
 from hapticd.model.step import make_plant
+from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.shape import reduced, shape_of
+from hapticd.zwidth.engine.source import kernel_source
 
 N_PER_A = MOTOR.torque_constant_nm_per_a / MOTOR.lever_m
 AROUND_OHM = MOTOR.resistance_ohm + LIMITS.series_ohm

@@ -12,8 +12,6 @@ from support.plant_devices import FULL, alpha, weir_device
 from support.straight import Straight
 
 from hapticd.core.errors import ConfigError
-from hapticd.engine import simulate
-from hapticd.engine.shape import reduced
 from hapticd.model.compose import compose
 from hapticd.model.effects import (
     Crowbar,
@@ -26,6 +24,8 @@ from hapticd.model.effects import (
 )
 from hapticd.model.stability import explain
 from hapticd.settings.scene import load_scene
+from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.shape import reduced
 
 LEVEL = 1.74
 HERTZ = [0.05, 1.0, 10.0, 33.0, 100.0, 1500.0]

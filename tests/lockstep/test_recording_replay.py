@@ -10,7 +10,7 @@ from hapticd.core.errors import ConfigError
 from hapticd.mailbox.layout import Value
 from hapticd.recording.file import open_recording
 from hapticd.recording.replay import replay_recording
-from hapticd.report.trial import replay_figure
+from hapticd.zwidth.report.trial import replay_figure
 
 
 def test_recording_is_replayed_bit_by_bit(recording_file: Path) -> None:

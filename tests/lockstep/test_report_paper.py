@@ -11,8 +11,8 @@ from support.report_paper import drawn
 
 from hapticd.cli.app import main
 from hapticd.core.errors import ConfigError
-from hapticd.report.paper import WIDTHS_MM, fit, width_mm
-from hapticd.report.style import mosaic, save, styled
+from hapticd.zwidth.report.paper import WIDTHS_MM, fit, width_mm
+from hapticd.zwidth.report.style import mosaic, save, styled
 
 
 @pytest.fixture(scope="module")

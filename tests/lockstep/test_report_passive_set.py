@@ -3,15 +3,17 @@
 import numpy as np
 import pytest
 
-from hapticd.report.passive_set import area, draw_predicted, slice_masses, slices, walls_figure
-from hapticd.report.style import (
-    ON,
-    axes,
-    styled,
-)
 from hapticd.settings.scene import load_scene
 from hapticd.signal.passive_set import PassiveSet
 from hapticd.zwidth.map import LevelMap, MapResult
+from hapticd.zwidth.report.passive_set import (
+    area,
+    draw_predicted,
+    slice_masses,
+    slices,
+    walls_figure,
+)
+from hapticd.zwidth.report.style import ON, axes, styled
 from hapticd.zwidth.walls import WallLine, WallMapParams, WallResult, plan_walls
 
 pytest.importorskip("matplotlib")

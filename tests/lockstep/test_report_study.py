@@ -14,8 +14,6 @@ from support.measured_scenes import scene
 
 from hapticd.core.errors import ConfigError, MissingLibrary
 from hapticd.model.scene import Excitation
-from hapticd.report import style
-from hapticd.report.table import text
 from hapticd.studies.accuracy import AccuracyResult, AccuracyRow, plan_accuracy
 from hapticd.studies.effects import EffectsParams, EffectsResult, LeftOut, plan_effects
 from hapticd.studies.report import (
@@ -31,6 +29,8 @@ from hapticd.studies.report import (
     scene_table,
 )
 from hapticd.studies.scene import SceneResult, compare_integrators, plan_scene, run_scene
+from hapticd.zwidth.report import style
+from hapticd.zwidth.report.table import text
 
 PNG = b"\x89PNG\r\n\x1a\n"
 

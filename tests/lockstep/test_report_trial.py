@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hapticd.model.scene import Excitation
-from hapticd.report.trial import trial_figure
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.ending import EndReason, TrialEnd
+from hapticd.zwidth.report.trial import trial_figure
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord

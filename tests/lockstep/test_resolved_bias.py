@@ -5,7 +5,6 @@ import pytest
 from support.analysis_resolved import T, display
 from support.spectral_trials import beside_mode, mass_damper, record
 
-from hapticd.engine import simulate
 from hapticd.model.compose import compose
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
@@ -13,6 +12,7 @@ from hapticd.signal.impedance import impedance
 from hapticd.signal.resolved import Resolved, resolved, unresolved
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import judge
+from hapticd.zwidth.engine import simulate
 
 BAND = (2.0, 500.0)
 

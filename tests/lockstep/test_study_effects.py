@@ -9,7 +9,6 @@ import pytest
 from support.measured_scenes import MASS_KG, MOTOR, PARTS, VISCOUS_NS_PER_M, scene, stopwatch
 
 from hapticd.core.errors import AnalysisError, ConfigError
-from hapticd.engine import BatchResult, simulate
 from hapticd.model.effects import Amplifier, Coupling, Saturation, Viscous, WindingTemperature
 from hapticd.settings.scene import load_scene
 from hapticd.studies.effects import (
@@ -24,6 +23,7 @@ from hapticd.studies.effects import (
     run_effects,
 )
 from hapticd.zwidth import outcomes
+from hapticd.zwidth.engine import BatchResult, simulate
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.scenes import frequencies, without
 

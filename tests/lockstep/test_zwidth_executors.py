@@ -27,9 +27,9 @@ from hapticd.core.errors import (
     MissingLibrary,
     SequenceError,
 )
-from hapticd.engine.batch import at_most, workers
 from hapticd.model.effects import Masses, ProbeMass, Viscous
 from hapticd.zwidth import executors, outcomes
+from hapticd.zwidth.engine.batch import at_most, workers
 from hapticd.zwidth.executors import executor, threads
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, TrialBatch, run_trials
@@ -222,7 +222,7 @@ def test_tasks_of_a_pool_keep_to_one_core() -> None:
 
 
 def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hapticd.engine import batch
+    from hapticd.zwidth.engine import batch
 
     asked: list[int] = []
 

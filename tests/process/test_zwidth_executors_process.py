@@ -9,7 +9,7 @@ import pytest
 from support.zwidth_executors import made, refuse, same_error
 
 from hapticd.core.errors import CommandError, HapticdError
-from hapticd.engine.batch import workers
+from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
 
 

@@ -7,13 +7,13 @@ from functools import cache
 import numpy as np
 
 from hapticd.core.arrays import Floats
-from hapticd.engine import simulate
 from hapticd.model.effects import Coulomb, Masses, ProbeMass, Viscous
 from hapticd.model.model import Model
 from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.findings import Finding
 from hapticd.signal.low_lines import low_line
 from hapticd.signal.spectra import spa
+from hapticd.zwidth.engine import simulate
 from support.measured_scenes import MOTOR, scene
 
 RATE_HZ = 4000.0

@@ -1,7 +1,7 @@
 """Kernels as text, as files and as machine code."""
 
 from hapticd.core.environment import Environment, WallParams
-from hapticd.engine.shape import reduced, shape_of
+from hapticd.zwidth.engine.shape import reduced, shape_of
 from support.devices import COUNTS, DRY, LIMIT, TWO_MASSES, device
 
 ALL = device(*TWO_MASSES, DRY, COUNTS, LIMIT)

@@ -4,8 +4,8 @@ spread.
 
 import numpy as np
 
-from hapticd.engine import simulate
 from hapticd.signal.spectra import spa
+from hapticd.zwidth.engine import simulate
 from support.devices import COUNTS, DRY, LIMIT, STAR, device
 
 WEIR = device(*STAR, DRY, COUNTS, LIMIT)

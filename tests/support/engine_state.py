@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from hapticd.engine import batch, simulate
-from hapticd.engine.job import Group
+from hapticd.zwidth.engine import batch, simulate
+from hapticd.zwidth.engine.job import Group
 
 
 def final(monkeypatch, *arguments, **options):

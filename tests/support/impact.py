@@ -5,9 +5,9 @@ limits, by the batch engine.
 import numpy as np
 
 from hapticd.core.environment import Environment, WallParams
-from hapticd.engine import BatchResult, simulate
 from hapticd.model.compose import compose_device
 from hapticd.model.effects import AmplifierLimits
+from hapticd.zwidth.engine import BatchResult, simulate
 from support.devices import LIMIT, STAR
 
 FULL_NS_PER_M = 9.9

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.report.style import BELOW, axes, hertz_axis, legend_handles, styled
+from hapticd.zwidth.report.style import BELOW, axes, hertz_axis, legend_handles, styled
 
 LONG = "a label of a line that is longer than half of a column, in words"
 

@@ -7,7 +7,7 @@ from math import e
 import numpy as np
 import pytest
 
-from hapticd.report.style import (
+from hapticd.zwidth.report.style import (
     FINE,
     NOT_JUDGED,
     OFF,

@@ -40,11 +40,11 @@ def command(
     confidence) are refused, the unlike ones named; --allow judged_hz,seconds compares them all the
     same, and says so.
     """
-    from hapticd.report import style
-    from hapticd.report.comparison import comparison_figure, comparison_tables
-    from hapticd.report.table import text
     from hapticd.signal.verdict import Judged
     from hapticd.zwidth.portable import compare
+    from hapticd.zwidth.report import style
+    from hapticd.zwidth.report.comparison import comparison_figure, comparison_tables
+    from hapticd.zwidth.report.table import text
 
     found = compare(files, [name for name in allow.split(",") if name])
     folder = common.folder(out, "compare")

@@ -9,9 +9,9 @@ from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.report.table import Table
     from hapticd.zwidth.limits import AxisLimit, LimitsResult, Scan
     from hapticd.zwidth.outcomes import Conditions, Outcome
+    from hapticd.zwidth.report.table import Table
 
 Amplitudes = Annotated[
     int,
@@ -68,11 +68,11 @@ def command(
     Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
     new outcome is a line, with its limit, amplitude and seed, and the last line is the result.
     """
-    from hapticd.report import style
-    from hapticd.report.passive_set import limits_figure
     from hapticd.signal.passive_set import AXES
     from hapticd.zwidth.executors import executor
     from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
+    from hapticd.zwidth.report import style
+    from hapticd.zwidth.report.passive_set import limits_figure
     from hapticd.zwidth.store import TrialStore
 
     terminal.need_engine()
@@ -117,7 +117,7 @@ def _rows_json(result: "LimitsResult") -> list[dict[str, object]]:
 
 
 def _print(result: "LimitsResult") -> None:
-    from hapticd.report.table import text
+    from hapticd.zwidth.report.table import text
 
     terminal.data(text(_table(result)))
     terminal.data(NOTE)
@@ -126,7 +126,7 @@ def _print(result: "LimitsResult") -> None:
 
 
 def _table(result: "LimitsResult") -> "Table":
-    from hapticd.report.table import table
+    from hapticd.zwidth.report.table import table
 
     params = result.plan.params
     scattered = params.seeds > 1

@@ -158,8 +158,8 @@ class _Redrawn:
         self._passed: dict[float, list[Outcome]] = {}
 
     def __call__(self, new: "list[Outcome]") -> None:
-        from hapticd.report import style
-        from hapticd.report.envelope import envelope_figure
+        from hapticd.zwidth.report import style
+        from hapticd.zwidth.report.envelope import envelope_figure
 
         for outcome in new:
             if outcome.passes:
@@ -192,7 +192,7 @@ def _level(level: "LevelMap") -> dict[str, Any]:
 
 
 def _print(result: "MapResult", levels: list[dict[str, Any]]) -> None:
-    from hapticd.report.table import table, text
+    from hapticd.zwidth.report.table import table, text
 
     title = f"SIMULATED {result.plan.params.conditions.scene.device}: the set on the grid"
     terminal.data(text(table(COLUMNS, [_row(level) for level in levels], title)))
@@ -214,9 +214,9 @@ def _row(level: dict[str, Any]) -> tuple[float, ...]:
 
 def draw_map(result: "MapResult", folder: Path, width_mm: float | None) -> list[Path]:
     """The set, and the envelopes of impedance and admittance where a trial passed."""
-    from hapticd.report import style
-    from hapticd.report.envelope import envelope_figure
-    from hapticd.report.passive_set import set_figure
+    from hapticd.zwidth.report import style
+    from hapticd.zwidth.report.envelope import envelope_figure
+    from hapticd.zwidth.report.passive_set import set_figure
 
     paths = [*style.save(set_figure(result), folder, "set", width_mm)]
     drawn = [

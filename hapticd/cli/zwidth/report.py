@@ -180,11 +180,11 @@ def _of_device(
     out: Path | None,
     width_mm: float | None,
 ) -> DrawnReport:
-    from hapticd.report import style
-    from hapticd.report.passive_set import limits_figure
     from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
     from hapticd.zwidth.map import params_about, plan_map, run_map
     from hapticd.zwidth.portable import SUFFIX, device_path
+    from hapticd.zwidth.report import style
+    from hapticd.zwidth.report.passive_set import limits_figure
     from hapticd.zwidth.store import TrialStore
 
     scene = _named(what)

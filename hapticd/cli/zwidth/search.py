@@ -58,9 +58,9 @@ def command(
     Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
     new outcome is a line, and the last line is the result.
     """
-    from hapticd.report import style
-    from hapticd.report.passive_set import search_figure
     from hapticd.zwidth.executors import executor
+    from hapticd.zwidth.report import style
+    from hapticd.zwidth.report.passive_set import search_figure
     from hapticd.zwidth.search import SearchParams, plan_search, run_search
     from hapticd.zwidth.store import TrialStore, to_json
 
@@ -118,7 +118,7 @@ def _miss_ns_per_m(result: "SearchResult") -> float:
 
 
 def _print(device: str, found: "list[SearchResult]", levels: list[dict[str, Any]]) -> None:
-    from hapticd.report.table import table, text
+    from hapticd.zwidth.report.table import table, text
 
     rows = [
         (

@@ -484,7 +484,7 @@ def compared(result: "TrialResult", sines: "ReferenceSines") -> str:
     """Sines and noise side by side, a line for each frequency of `sines`."""
     import numpy as np
 
-    from hapticd.report.table import table, text
+    from hapticd.zwidth.report.table import table, text
 
     rows = []
     moved_mm_per_s = 1e3 * sines.velocity_rms_m_per_s
@@ -529,8 +529,8 @@ def draw_trial(
     admittance: bool = True,
 ) -> list[Path]:
     """The figure of the trial in `folder`, and that of its admittance if asked; the files."""
-    from hapticd.report import style
-    from hapticd.report.trial import trial_figure
+    from hapticd.zwidth.report import style
+    from hapticd.zwidth.report.trial import trial_figure
 
     paths = [*style.save(trial_figure(result, sines), folder, "trial", width_mm)]
     if admittance:

@@ -9,7 +9,7 @@ from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
-    from hapticd.report.table import Table
+    from hapticd.zwidth.report.table import Table
     from hapticd.zwidth.walls import WallResult
 
 Stiffness = Annotated[
@@ -43,9 +43,9 @@ def command(
     """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the K-B
     plot of one device.
     """
-    from hapticd.report import style
-    from hapticd.report.passive_set import walls_figure
-    from hapticd.report.table import text
+    from hapticd.zwidth.report import style
+    from hapticd.zwidth.report.passive_set import walls_figure
+    from hapticd.zwidth.report.table import text
     from hapticd.zwidth.store import to_json
     from hapticd.zwidth.walls import WallMapParams, plan_walls, run_walls
 
@@ -91,7 +91,7 @@ def _grid(
 
 def _table(result: "WallResult", dampings: tuple[float, ...]) -> "Table":
     """A row for each damping of the wall, a column for each level of active damping."""
-    from hapticd.report.table import table
+    from hapticd.zwidth.report.table import table
 
     params = result.plan.params
     rows: list[tuple[str | float, ...]] = []

@@ -8,8 +8,8 @@
     band_edge             edges_figure: K limits over the lower edge of the judged band (ours)
 
 `page` gives each its number, caption and file name. Envelopes and impedances are drawn as those of
-every device are (`report.envelope`, `report.trial`), with the paper's titles. Colours and line
-styles are those of `report.style`, and all figures are drawn within `styled`.
+every device are (`zwidth.report.envelope`, `zwidth.report.trial`), with the paper's titles. Colours and line
+styles are those of `zwidth.report.style`, and all figures are drawn within `styled`.
 
 What would break it: two envelopes that are compared on axes of unlike range; IMPEDANCE_RANGE is
 one for all of them.
@@ -20,9 +20,24 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.report.envelope import SHOWN_HZ, Drawn, envelopes_figure
-from hapticd.report.passive_set import draw_predicted
-from hapticd.report.style import (
+from hapticd.signal.passive_set import open_ends, passive_set
+from hapticd.studies.weir2008.paper import FIG_4, FIG_7, LEVELS, MAIN, MODES, NAMES, PAPER
+from hapticd.studies.weir2008.rows import MIDDLE_HZ, TOLERANCE, compared, predicted
+from hapticd.studies.weir2008.run import (
+    AXES,
+    EDGE_SEEDS,
+    EDGES_HZ,
+    POINTS,
+    SECONDS,
+    SMOOTHED,
+    WINDOW_HZ,
+    GridResult,
+    Peak,
+    ReproduceResult,
+)
+from hapticd.zwidth.report.envelope import SHOWN_HZ, Drawn, envelopes_figure
+from hapticd.zwidth.report.passive_set import draw_predicted
+from hapticd.zwidth.report.style import (
     BELOW,
     BLACK,
     DEVICES,
@@ -45,22 +60,7 @@ from hapticd.report.style import (
     plain_axis,
     simulated,
 )
-from hapticd.report.trial import Curve, draw, dress, interval
-from hapticd.signal.passive_set import open_ends, passive_set
-from hapticd.studies.weir2008.paper import FIG_4, FIG_7, LEVELS, MAIN, MODES, NAMES, PAPER
-from hapticd.studies.weir2008.rows import MIDDLE_HZ, TOLERANCE, compared, predicted
-from hapticd.studies.weir2008.run import (
-    AXES,
-    EDGE_SEEDS,
-    EDGES_HZ,
-    POINTS,
-    SECONDS,
-    SMOOTHED,
-    WINDOW_HZ,
-    GridResult,
-    Peak,
-    ReproduceResult,
-)
+from hapticd.zwidth.report.trial import Curve, draw, dress, interval
 
 STYLES = tuple(level_styles(LEVELS))
 LABELS = tuple(level_label(level) for level in LEVELS)

@@ -18,8 +18,21 @@ from collections.abc import Sequence
 from typing import Any
 
 from hapticd.core.arrays import Floats
-from hapticd.report.envelope import keys, strip, weightiest
-from hapticd.report.style import (
+from hapticd.signal.envelope import Edge
+from hapticd.studies.weir2008.future_work import (
+    LOW_HZ,
+    Bounds,
+    Corner,
+    FutureWorkResult,
+    Motion,
+    ShapedResult,
+    mean_sd,
+    shown_hz,
+)
+from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from hapticd.studies.weir2008.run import SECONDS
+from hapticd.zwidth.report.envelope import keys, strip, weightiest
+from hapticd.zwidth.report.style import (
     BELOW,
     BLACK,
     BLUE,
@@ -46,19 +59,6 @@ from hapticd.report.style import (
     plain_axis,
     simulated,
 )
-from hapticd.signal.envelope import Edge
-from hapticd.studies.weir2008.future_work import (
-    LOW_HZ,
-    Bounds,
-    Corner,
-    FutureWorkResult,
-    Motion,
-    ShapedResult,
-    mean_sd,
-    shown_hz,
-)
-from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
-from hapticd.studies.weir2008.run import SECONDS
 
 NEGATIVE: Look = {"color": FOREST, "linestyle": "-", "linewidth": 1.6}
 WITH_MASS: Look = {"color": PURPLE, "linestyle": "-", "linewidth": 2.2}  # B < 0 and M < 0

@@ -17,7 +17,6 @@ from math import nan
 import numpy as np
 
 from hapticd.core.arrays import Floats
-from hapticd.report.passive_set import search_figure
 from hapticd.studies.weir2008.future_figures import (
     edge_figure,
     free_figure,
@@ -35,6 +34,7 @@ from hapticd.studies.weir2008.future_work import (
 from hapticd.studies.weir2008.page import Drawing, Section
 from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, MAIN, MODES, NAMES, UNITS
 from hapticd.studies.weir2008.rows import PaperRow
+from hapticd.zwidth.report.passive_set import search_figure
 
 PART = "beyond"  # of these rows in table.json
 PREDICTED = np.empty(0)  # values by trials: there are none

@@ -23,10 +23,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from hapticd.core.errors import ConfigError
-from hapticd.report import style
-from hapticd.report.passive_set import walls_figure
-from hapticd.report.style import Figure
-from hapticd.report.table import Table, text
 from hapticd.studies.weir2008.figures import (  # fmt: skip
     LABELS,
     edges_figure,
@@ -38,6 +34,10 @@ from hapticd.studies.weir2008.figures import (  # fmt: skip
 from hapticd.studies.weir2008.rows import PaperRow, rows
 from hapticd.studies.weir2008.run import ReproduceResult
 from hapticd.studies.weir2008.table import as_json, markdown, notes, paper_table, readings_table
+from hapticd.zwidth.report import style
+from hapticd.zwidth.report.passive_set import walls_figure
+from hapticd.zwidth.report.style import Figure
+from hapticd.zwidth.report.table import Table, text
 from hapticd.zwidth.store import FIGURE_KINDS, Progress, Steps, silent
 
 WORDED = {

@@ -12,8 +12,8 @@ from dataclasses import fields
 from math import isfinite, nan
 from typing import Any
 
-from hapticd.report.table import Table, shown, table
 from hapticd.studies.weir2008.rows import PRINTED, PaperRow, by_quantity
+from hapticd.zwidth.report.table import Table, shown, table
 from hapticd.zwidth.store import to_json
 
 MANY = 10.0  # from here on a relative difference is written as a ratio

@@ -11,12 +11,12 @@ import numpy as np
 
 from hapticd.core.environment import Environment, FilterParams
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.engine.shape import Shape, sample_point
-from hapticd.engine.source import ENDS, FILTERS, FURTHER_NAMES, ROTOR_LAWS, WALL
 from hapticd.model.discrete import discretise
 from hapticd.model.drive import reach, well_posed
 from hapticd.model.model import Array, DriveLimits, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
+from hapticd.zwidth.engine.shape import Shape, sample_point
+from hapticd.zwidth.engine.source import ENDS, FILTERS, FURTHER_NAMES, ROTOR_LAWS, WALL
 
 # of velocity and acceleration; None: none
 Filters = tuple[FilterParams | None, FilterParams | None]

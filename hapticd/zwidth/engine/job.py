@@ -42,15 +42,15 @@ from hapticd.core.arrays import Flags, Values, aligned
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.engine.kernels import kernel
-from hapticd.engine.numbers import Filters, law_numbers, plant_numbers
-from hapticd.engine.shape import LANES_OF_RECORDS, Shape, reduced, shape_of
-from hapticd.engine.source import LAW_STATE, SCALARS
 from hapticd.model.effects import copper_ohm
 from hapticd.model.excitation import Stream, held_noise, torque_record
 from hapticd.model.model import Array, Model, Winding
 from hapticd.model.scene import DampingStep, Excitation
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
+from hapticd.zwidth.engine.kernels import kernel
+from hapticd.zwidth.engine.numbers import Filters, law_numbers, plant_numbers
+from hapticd.zwidth.engine.shape import LANES_OF_RECORDS, Shape, reduced, shape_of
+from hapticd.zwidth.engine.source import LAW_STATE, SCALARS
 
 CACHED = 4  # jobs, records: a few are compared, the rest would only fill memory
 KEEPS = ("summary", "spectra", "records", "ticks")

@@ -19,7 +19,9 @@ import numpy as np
 
 from hapticd.core.arrays import Floats
 from hapticd.model.predict import frequencies
-from hapticd.report.style import (
+from hapticd.signal.envelope import Edge, Envelope, admittance, of_predicted
+from hapticd.zwidth.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
+from hapticd.zwidth.report.style import (
     BELOW,
     NORMAL,
     PARTS,
@@ -40,9 +42,7 @@ from hapticd.report.style import (
     styled,
     tint,
 )  # fmt: skip
-from hapticd.report.trial import ADMITTANCE, IMPEDANCE, View, dress, interval
-from hapticd.signal.envelope import Edge, Envelope, admittance, of_predicted
-from hapticd.zwidth.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
+from hapticd.zwidth.report.trial import ADMITTANCE, IMPEDANCE, View, dress, interval
 
 Levels = Sequence[tuple[float, Sequence[Outcome]]]
 

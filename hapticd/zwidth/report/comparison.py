@@ -10,8 +10,13 @@ from textwrap import fill
 import numpy as np
 
 from hapticd.core.errors import AnalysisError
-from hapticd.report.envelope import edges
-from hapticd.report.style import (
+from hapticd.signal.compare import widths_db
+from hapticd.signal.envelope import Envelope
+from hapticd.signal.passive_set import AXES
+from hapticd.signal.verdict import Judged
+from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
+from hapticd.zwidth.report.envelope import edges
+from hapticd.zwidth.report.style import (
     BELOW,
     DEVICES,
     FINE,
@@ -27,12 +32,7 @@ from hapticd.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
-from hapticd.report.table import Cell, Table, table
-from hapticd.signal.compare import widths_db
-from hapticd.signal.envelope import Envelope
-from hapticd.signal.passive_set import AXES
-from hapticd.signal.verdict import Judged
-from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
+from hapticd.zwidth.report.table import Cell, Table, table
 
 LINE_WIDTH = 100  # characters of a title
 UNITS = {"K": "N/m", "B": "N s/m", "M": "g"}

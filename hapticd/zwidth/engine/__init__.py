@@ -18,6 +18,6 @@ begin on a cache line (half the speed), a law compiled without fastmath=False sa
 (`compiled`). numba is imported when a kernel is needed, not before.
 """
 
-from hapticd.engine.batch import BatchResult, simulate
+from hapticd.zwidth.engine.batch import BatchResult, simulate
 
 __all__ = ["BatchResult", "simulate"]

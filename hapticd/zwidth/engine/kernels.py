@@ -19,9 +19,9 @@ from types import ModuleType
 from hapticd import __version__
 from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
-from hapticd.engine.shape import Shape
-from hapticd.engine.source import kernel_source
 from hapticd.render import law
+from hapticd.zwidth.engine.shape import Shape
+from hapticd.zwidth.engine.source import kernel_source
 
 
 @cache

@@ -16,7 +16,12 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.arrays import Flags, Floats, Integers
-from hapticd.report.style import (
+from hapticd.signal.passive_set import PassiveSet
+from hapticd.signal.verdict import Judged
+from hapticd.zwidth.limits import AxisLimit, LimitsResult
+from hapticd.zwidth.map import LevelMap, MapResult
+from hapticd.zwidth.outcomes import Conditions
+from hapticd.zwidth.report.style import (
     ANSWERS,
     BELOW,
     BLACK,
@@ -39,11 +44,6 @@ from hapticd.report.style import (
     styled,
     tint,
 )  # fmt: skip
-from hapticd.signal.passive_set import PassiveSet
-from hapticd.signal.verdict import Judged
-from hapticd.zwidth.limits import AxisLimit, LimitsResult
-from hapticd.zwidth.map import LevelMap, MapResult
-from hapticd.zwidth.outcomes import Conditions
 from hapticd.zwidth.search import SearchResult, Step, slice_at
 from hapticd.zwidth.walls import WallResult
 

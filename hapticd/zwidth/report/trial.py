@@ -18,7 +18,11 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.recording.replay import ReplayResult
-from hapticd.report.style import (
+from hapticd.signal.impedance import Impedance, relative_sd
+from hapticd.signal.periodic import PeriodicSpectra
+from hapticd.signal.verdict import student_quantile
+from hapticd.zwidth.ending import EndReason
+from hapticd.zwidth.report.style import (
     BELOW,
     BLACK,
     FINE,
@@ -41,10 +45,6 @@ from hapticd.report.style import (
     plain_axis,
     styled,
 )  # fmt: skip
-from hapticd.signal.impedance import Impedance, relative_sd
-from hapticd.signal.periodic import PeriodicSpectra
-from hapticd.signal.verdict import student_quantile
-from hapticd.zwidth.ending import EndReason
 from hapticd.zwidth.stepped_sine import ReferenceSines
 from hapticd.zwidth.trial import TrialResult
 

@@ -180,7 +180,7 @@ def save(
 
 def _settle(figure: Figure, width_mm: float | None) -> None:
     """Arrange the figure, once for all files."""
-    from hapticd.report.paper import fit  # which takes looks from here
+    from hapticd.zwidth.report.paper import fit  # which takes looks from here
 
     if width_mm is None:
         figure.draw_without_rendering()

@@ -30,7 +30,12 @@ from hapticd.core.arrays import Complexes, Floats, Values
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.engine.job import (
+from hapticd.model.compose import compose
+from hapticd.model.model import Array, Model
+from hapticd.model.scene import DampingStep, Excitation, Scene
+from hapticd.signal.spectra import DEFAULT_LAG as LAG
+from hapticd.signal.spectra import Spectra, grid_frequencies
+from hapticd.zwidth.engine.job import (
     Group,
     Heating,
     Inputs,
@@ -41,14 +46,9 @@ from hapticd.engine.job import (
     prepared,
     shared_torque,
 )
-from hapticd.engine.numbers import Filters
-from hapticd.engine.records import Records, Sums, force_spectrum, spectral
-from hapticd.engine.shape import Shape
-from hapticd.model.compose import compose
-from hapticd.model.model import Array, Model
-from hapticd.model.scene import DampingStep, Excitation, Scene
-from hapticd.signal.spectra import DEFAULT_LAG as LAG
-from hapticd.signal.spectra import Spectra, grid_frequencies
+from hapticd.zwidth.engine.numbers import Filters
+from hapticd.zwidth.engine.records import Records, Sums, force_spectrum, spectral
+from hapticd.zwidth.engine.shape import Shape
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from textwrap import fill
 from typing import Any
 
 from hapticd.core.errors import ConfigError
-from hapticd.report.style import BELOW, Axes, Figure
+from hapticd.zwidth.report.style import BELOW, Axes, Figure
 
 MM_PER_IN = 25.4
 # of a column and of a page of IEEE Transactions: 3.5 in and 7 1/8 in

@@ -17,7 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.core.arrays import CACHE_LINE, Complexes, Floats, Values, aligned
-from hapticd.engine.job import (
+from hapticd.model.excitation import Stream, generator
+from hapticd.model.scene import Excitation
+from hapticd.signal.batch_spectra import BatchSections, SharedForce, shared_force
+from hapticd.signal.spectra import DEFAULT_LAG as LAG
+from hapticd.signal.spectra import spa
+from hapticd.zwidth.engine.job import (
     BLOCK_TICKS,
     CACHED,
     Inputs,
@@ -28,12 +33,7 @@ from hapticd.engine.job import (
     rounded,
     shared_torque,
 )
-from hapticd.engine.source import SCALARS
-from hapticd.model.excitation import Stream, generator
-from hapticd.model.scene import Excitation
-from hapticd.signal.batch_spectra import BatchSections, SharedForce, shared_force
-from hapticd.signal.spectra import DEFAULT_LAG as LAG
-from hapticd.signal.spectra import spa
+from hapticd.zwidth.engine.source import SCALARS
 
 
 class Records:
