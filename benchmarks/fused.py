@@ -16,7 +16,7 @@ from benchmarks.engine_scene import NOISE, Lanes, environments, least_cpu_s, mod
 from benchmarks.figures import Figure, compared
 from benchmarks.spa_c import SpectraYard
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 TARGETS = targets.of("fused")
 TRIALS = 64

@@ -24,8 +24,7 @@ from hapticd.model.compose import compose
 from hapticd.model.model import Model
 from hapticd.model.scene import Scene
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.engine import simulate
-from hapticd.zwidth.engine.batch import workers
+from hapticd.zwidth.engine.batch import simulate, workers
 
 TARGETS = targets.of("trials")
 SCENE = "fig7"

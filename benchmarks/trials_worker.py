@@ -22,7 +22,7 @@ def first() -> float:
     importlib.import_module("numba")
 
     from benchmarks.engine_scene import environments, model
-    from hapticd.zwidth.engine import simulate
+    from hapticd.zwidth.engine.batch import simulate
 
     device = model()
     params = environments(1)
@@ -36,7 +36,7 @@ def memory() -> float:
     which started it.
     """
     from benchmarks.engine_scene import environments, model
-    from hapticd.zwidth.engine import simulate
+    from hapticd.zwidth.engine.batch import simulate
 
     simulate(model(), environments(TRIALS), SECONDS)
     status = Path("/proc/self/status").read_text()

@@ -24,7 +24,7 @@ from hapticd.model.effects import ALWAYS, KINDS
 from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.settings.scene import load_files, load_scene
 from hapticd.studies.accuracy import GROUP
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.scenes import point
 
 COSTS = Path(__file__).parent / "figures" / "effect-costs.json"

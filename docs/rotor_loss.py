@@ -30,7 +30,7 @@ from hapticd.signal.envelope import accepted
 from hapticd.signal.verdict import judge
 from hapticd.studies.weir2008.paper import LEVELS, MAIN, PAPER
 from hapticd.studies.weir2008.run import conditions
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import ORIGIN, predicted_limit
 from hapticd.zwidth.scenes import SATURATED, Display
 

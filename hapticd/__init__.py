@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from hapticd.client.staircase import Staircase
     from hapticd.core.errors import GuardWarning
     from hapticd.recording.file import open_recording
+    from hapticd.run.virtual import virtual_board
     from hapticd.settings.scene import load_scene
-    from hapticd.zwidth.virtual import virtual_board
 
 __all__ = [
     "AsyncClient",
@@ -51,6 +51,6 @@ __getattr__, __dir__ = lazily(
         "Staircase": "hapticd.client.staircase",
         "load_scene": "hapticd.settings.scene",
         "open_recording": "hapticd.recording.file",
-        "virtual_board": "hapticd.zwidth.virtual",
+        "virtual_board": "hapticd.run.virtual",
     },
 )

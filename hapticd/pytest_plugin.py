@@ -31,7 +31,7 @@ import pytest
 
 if TYPE_CHECKING:
     from hapticd.client import Client
-    from hapticd.zwidth.virtual import VirtualBoard
+    from hapticd.run.virtual import VirtualBoard
 
 ENDED_S = 20.0
 
@@ -98,7 +98,7 @@ def hapticd_daemon(hapticd_config: Path | None) -> Iterator[DaemonProcess]:
 @pytest.fixture
 def hapticd_board(hapticd_config: Path | None) -> Iterator["VirtualBoard"]:
     """Servo, wire and simulated board on one virtual clock, ready and disabled."""
-    from hapticd.zwidth.virtual import virtual_board
+    from hapticd.run.virtual import virtual_board
 
     with virtual_board(hapticd_config) as bench:
         yield bench

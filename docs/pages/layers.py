@@ -1,4 +1,4 @@
-"""The drawing of the layers in docs/development/overview.md, made from the imports of the code.
+"""The drawing of the layers in docs/architecture.md, made from the imports of the code.
 
     packages  the direct children of `hapticd`, in the layers of the contract "layers" of
               pyproject.toml

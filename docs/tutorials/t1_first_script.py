@@ -19,9 +19,9 @@ during a recording, so this page needs no daemon. Everything else is the same li
 
 import numpy as np
 
+from hapticd.run.virtual import virtual_board
 from hapticd.settings.load import load
 from hapticd.zwidth.report.style import BLUE, ORANGE, WIDTH_IN, axes, styled
-from hapticd.zwidth.virtual import virtual_board
 
 device = virtual_board()  # live: device = Client()
 print(device.status().state)

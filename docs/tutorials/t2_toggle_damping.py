@@ -13,10 +13,10 @@ import numpy as np
 
 from hapticd.core.faults import BY_NUMBER
 from hapticd.run.lockstep import scene_params
-from hapticd.zwidth.lockstep import LockStepBench
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.zwidth.report.style import BLUE, OFF, ON, WIDTH_IN, axes, styled
 
-device = LockStepBench(*scene_params("fig7"))  # live: device = Client()
+device = LockStepClient(*scene_params("fig7"))  # live: device = Client()
 
 # %%
 # A spring beyond the limit

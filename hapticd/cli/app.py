@@ -15,6 +15,8 @@ from hapticd import __version__
 from hapticd.cli import terminal
 from hapticd.core.errors import GuardWarning, HapticdError
 
+__all__ = ["main"]
+
 SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, and function
     "Daily use": {
         "run": "daemon.run",

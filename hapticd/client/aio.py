@@ -60,6 +60,8 @@ from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
 from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 
+__all__ = ["AsyncClient"]
+
 Answer = dict[str, Any]
 
 

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import NS_PER_S
 
+__all__ = ["Block", "BlockDecoder", "Records"]
+
 Records = NDArray[np.void]
 # 32 kB as float32, half of what a message may hold
 CHUNK_SAMPLES = 8192  # of a waveform, in one message

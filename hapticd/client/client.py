@@ -54,6 +54,8 @@ if TYPE_CHECKING:
     from hapticd.client.sequence import Ask, AtRefusal, Course, Step, StepReceipt
     from hapticd.core.params import AtEnd, Leased
 
+__all__ = ["Client"]
+
 
 class GatewayLine(Line):
     """Sockets to the gateway of a runtime folder; made when they are first needed."""

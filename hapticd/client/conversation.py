@@ -19,6 +19,8 @@ from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.answers import Receipt, answer_of, verdict_of
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
+__all__ = ["accepted", "receipt_of"]
+
 PROTOCOL_VERSION = 1
 STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off may not wait for a gateway
 

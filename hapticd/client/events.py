@@ -6,6 +6,8 @@ What would break it: a kind of event that is not known here; its fields are then
 from collections.abc import Callable, Mapping
 from typing import Any
 
+__all__ = ["event_words"]
+
 Event = Mapping[str, Any]
 _HIDDEN = {"timestamp", "kind", "actor", "id", "number", "epoch"}
 

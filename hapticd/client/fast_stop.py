@@ -22,6 +22,8 @@ from hapticd.mailbox import daemons, files
 from hapticd.mailbox.daemons import Place
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, press_stop, servo_lives, stop_taken
 
+__all__ = ["main", "stop"]
+
 TAKEN_MS = 50  # for all servos together: the stop ramp of 20 ms, way, and some waiting
 LOOK_S = 0.001
 STOPPED = "stopped"  # its servo took the stop, and no force acts

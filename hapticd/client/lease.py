@@ -24,6 +24,8 @@ from typing import Any, Self
 from hapticd.core.errors import CommandError, HapticdError
 from hapticd.protocol.answers import LeaseHeld, LeaseReleased, answer_of
 
+__all__ = ["ClientLease"]
+
 RENEWALS = 3  # in the time after which it would end
 KEPT_ALIVE = ("environment", "active_damping")
 

@@ -22,6 +22,19 @@ from hapticd.protocol.limits import PLACES, flat
 if TYPE_CHECKING:
     from hapticd.core.errors import CommandError
 
+__all__ = [
+    "board_words",
+    "guard_line",
+    "late_words",
+    "margin_words",
+    "objection_lines",
+    "parameters",
+    "receipt_text",
+    "refusal_lines",
+    "timing_words",
+    "verdict_lines",
+]
+
 
 def verdict_lines(verdict: GuardVerdict | None) -> list[str]:
     """What a verdict allows, as people read it; nothing where nothing is known."""

@@ -50,6 +50,8 @@ from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.mailbox.daemons import looked_for, read_report
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, servo_lives
 
+__all__ = ["serve"]
+
 ADDRESS = "127.0.0.1"
 DEFAULT_PORT = 9873  # beside telemetry's; an ephemeral one when taken
 STATIC = Path(__file__).with_name("static")

@@ -12,6 +12,18 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+__all__ = [
+    "CACHE_LINE",
+    "Complexes",
+    "Flags",
+    "Floats",
+    "Integers",
+    "Values",
+    "aligned",
+    "alternating",
+    "once",
+]
+
 Floats = npt.NDArray[np.float64]  # SI values
 Complexes = npt.NDArray[np.complex128]  # responses, transforms, impedances
 Flags = npt.NDArray[np.bool_]  # a yes or no for each

@@ -11,6 +11,8 @@ from abc import ABC, abstractmethod
 
 from hapticd.core.units import NS_PER_S
 
+__all__ = ["Clock", "MonotonicClock", "VirtualClock"]
+
 
 class Clock(ABC):
     """What the daemon may ask of time."""

@@ -27,6 +27,26 @@ GuardWarning               a warning: what was asked acts, and some passive hand
 
 from typing import Any
 
+__all__ = [
+    "AnalysisError",
+    "CommandError",
+    "ConfigError",
+    "DaemonDown",
+    "FrameError",
+    "GuardWarning",
+    "HapticdError",
+    "LinkAccess",
+    "LinkError",
+    "LinkLost",
+    "LinkStalled",
+    "LinkTimeout",
+    "MailboxError",
+    "ProtocolMismatch",
+    "RealtimeError",
+    "SequenceError",
+    "WireError",
+]
+
 
 class HapticdError(Exception):
     """Root of every error that hapticd raises on purpose."""

@@ -8,6 +8,8 @@ and shares the table so that one field says why the force is off.
 
 from typing import NamedTuple
 
+__all__ = ["BY_CODE", "BY_NUMBER", "FAULTS", "FROM_GATEWAY", "Fault"]
+
 
 class Fault(NamedTuple):
     """One row: `number` on the wire, `code` for people, then sentences."""

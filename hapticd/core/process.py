@@ -14,6 +14,8 @@ from collections.abc import Callable
 from hapticd.core.clock import Clock
 from hapticd.core.units import NS_PER_US
 
+__all__ = ["Feeder", "die_with_parent", "feeding_period_ns", "notify", "on_stop"]
+
 _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 
 

@@ -1,5 +1,18 @@
 """Constants and small conversions. SI everywhere above the wire; names carry the unit."""
 
+__all__ = [
+    "COPPER_PER_K",
+    "MS_PER_S",
+    "NS_PER_MS",
+    "NS_PER_S",
+    "NS_PER_US",
+    "PROBE_RATE_HZ",
+    "US_PER_S",
+    "percent",
+    "round_half_up",
+    "unit_of",
+]
+
 NS_PER_S = 1_000_000_000
 MS_PER_S = 1000
 US_PER_S = 1_000_000

@@ -8,51 +8,38 @@ STOP goes first among what came together, skips every interlock, and presses the
 others are ahead of it in the ring.
 
 What changes the environment goes past the guard first (`guarded`), which asks another process; all
-else is posted at once. Commands that were posted are kept by servo life and sequence number until
-they are answered and seen in force (`Outstanding`); scheduled ones wait for their second answer.
+else is posted at once. `guard.outstanding` keeps posted commands until they are answered.
 
 What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what
 a client sent (it holds nothing foreign but a bounded id and a few printable characters).
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.params import LeaseParams
-from hapticd.core.units import NS_PER_S
 from hapticd.gateway.lease_desk import LeaseDesk
 from hapticd.gateway.waveform import Waveform
-from hapticd.guard.case import Case, changes_environment, concerns, damping_by
+from hapticd.guard.case import Case, concerns, damping_by
 from hapticd.guard.guarded import Guarded
+from hapticd.guard.outstanding import Outstanding, Pending
 from hapticd.guard.stages import Told
 from hapticd.guard.status import Guard
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Result, values_of
+from hapticd.mailbox.layout import Command, values_of
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.protocol.codec import (
-    Encoding,
-    RequestId,
-    decode,
-    echo_id,
-    encode,
-    encoding_of,
-    malformed,
-)
 from hapticd.protocol.commands import (
     ACCEPTED,
-    AskedRequest,
-    Posting,
     Situation,
     admit,
-    forbidden,
     parameters,
     posting,
     receipt,
     refusal,
 )
+from hapticd.protocol.envelope import RequestMessage, unpacked
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
-from hapticd.protocol.leases import ENVIRONMENT
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import (
     Change,
@@ -66,141 +53,8 @@ from hapticd.protocol.schemas import (
 )
 from hapticd.protocol.view import ServoView
 
+__all__ = ["Desk"]
 
-class RequestMessage(NamedTuple):
-    """A request with its envelope, and what is wrong with it if something is."""
-
-    envelope: tuple[bytes, ...]
-    encoding: Encoding
-    id: RequestId
-    cmd: str
-    plain: dict[str, Any]
-    error: CommandError | None
-
-    @property
-    def client(self) -> bytes:
-        """Identity of the sender's connection."""
-        return self.envelope[0]
-
-    def reply(self, content: dict[str, Any]) -> list[bytes]:
-        """Frames of the reply `content`, to which the id is added."""
-        return [*self.envelope, encode(self.encoding, {"id": self.id} | content)]
-
-
-def unpacked(frames: Sequence[bytes]) -> RequestMessage:
-    """The request in `frames`: client identity, delimiter, payload. Never raises.
-
-    The delimiter is empty, and is there only if a REQ socket sent the request.
-    """
-    identity, *rest = frames
-    delimiter = tuple(rest[:-1])
-    payload = rest[-1] if rest else b""
-    plain: dict[str, Any] = {}
-    error = None
-    try:
-        if delimiter not in ((), (b"",)):
-            delimiter = ()
-            raise malformed(f"{len(rest)} frames")
-        plain = decode(payload)
-    except CommandError as problem:
-        error = problem
-    cmd = plain.get("cmd")
-    return RequestMessage(
-        (identity, *delimiter),
-        encoding_of(payload),
-        echo_id(plain),
-        cmd if isinstance(cmd, str) else "",
-        plain,
-        error,
-    )
-
-
-MOST_SCHEDULED = 64  # more than a servo holds; older ones have lost their second answer
-
-
-class Pending(NamedTuple):
-    """A posted command whose reply is still to be written."""
-
-    message: RequestMessage
-    actor: int
-    life: int  # of the servo it was posted to
-    deadline_ns: int
-    case: Case | None = None  # of one that went past the guard
-    answer: Answer | None = None
-
-
-class Outstanding:
-    """By servo life and sequence number.
-
-    Everything leaves by `due` or `abandon`, scheduled ones by their second answer.
-    """
-
-    def __init__(self) -> None:
-        self._pending: dict[tuple[int, int], Pending] = {}
-        self._scheduled: dict[tuple[int, int], Pending] = {}
-
-    def __len__(self) -> int:
-        return len(self._pending)
-
-    def awaits(self, cmd: str) -> bool:
-        """Whether a command of that name has no reply yet."""
-        return any(one.message.cmd == cmd for one in self._pending.values())
-
-    def add(self, seq: int, pending: Pending) -> None:
-        """A command was posted as number `seq`."""
-        self._pending[pending.life, seq] = pending
-
-    def take(self, answer: Answer, life: int) -> Pending | None:
-        """Note an answer of servo `life`.
-
-        If it is the second one of a scheduled command: that command.
-        """
-        key = life, answer.seq
-        pending = self._pending.get(key)
-        if pending is None or pending.answer is not None:
-            return self._scheduled.pop(key, None)
-        self._pending[key] = pending._replace(answer=answer)
-        if answer.result is Result.SCHEDULED:
-            self._scheduled[key] = pending
-            if len(self._scheduled) > MOST_SCHEDULED:
-                # keys are (life, number): the smallest is the oldest
-                del self._scheduled[min(self._scheduled)]
-        return None
-
-    def due(self, tick: int, now_ns: int) -> list[Pending]:
-        """Remove and return what is to be replied to.
-
-        That is what was refused or scheduled, is in force at `tick`, or is out of time.
-        """
-        ready = [key for key, pending in self._pending.items() if _is_due(pending, tick, now_ns)]
-        return [self._pending.pop(key) for key in ready]
-
-    def abandon(self, life: int) -> list[Pending]:
-        """Remove and return all that another servo life than `life` was asked.
-
-        Scheduled commands of other lives are forgotten.
-        """
-        lost = [pending for pending in self._pending.values() if pending.life != life]
-        if lost or any(known != life for known, _ in self._scheduled):
-            self._pending = {
-                key: pending for key, pending in self._pending.items() if key[0] == life
-            }
-            self._scheduled = {
-                key: pending for key, pending in self._scheduled.items() if key[0] == life
-            }
-        return lost
-
-
-def _is_due(pending: Pending, tick: int, now_ns: int) -> bool:
-    answer = pending.answer
-    # what was refused changes nothing, so it need not wait for a record
-    answered = answer is not None and (
-        answer.result is not Result.APPLIED or tick >= answer.first_tick
-    )
-    return answered or now_ns >= pending.deadline_ns
-
-
-ANSWER_TIMEOUT_NS = NS_PER_S
 TAKEN_BACK = {
     "enable": Command.DISABLE,
     "home": Command.DISABLE,
@@ -233,10 +87,6 @@ SERVO_ENDED = CommandError(
 Reply = list[bytes]
 
 
-# stands for the request of what the guard does by itself
-UNASKED = RequestMessage((b"",), Encoding.MSGPACK, None, "damping", {}, None)
-
-
 class Desk:
     """The command side of the gateway.
 
@@ -262,9 +112,9 @@ class Desk:
         self.leases = self._leasing.leases
         self.counts = {"requests": 0, "errors": 0, "timeouts": 0}
         self._waveform = Waveform(self.limits)
-        self._outstanding = Outstanding()
-        self._guarded = Guarded(guard, view, self.actors, self._post_case, self._may)
-        guard.measuring = lambda: self.leases.measuring
+        self._outstanding = Outstanding(view)
+        self._guarded = Guarded(guard, view, self.actors, self._outstanding, self.leases)
+        guard.leases = self.leases
         self._queue: list[RequestMessage] = []
         self._asked_back = (0, 0)  # servo life and revision that it was asked about
 
@@ -366,7 +216,7 @@ class Desk:
                 return None
             if request.cmd in OVERTAKING:
                 self._guarded.take_back_enables(request.cmd)
-            self._post(message, actor, posting(request, situation.samples), now_ns)
+            self._outstanding.post(message, actor, posting(request, situation.samples), now_ns)
             return None
         except (CommandError, MailboxError) as error:
             return self._refused(message, error)
@@ -394,13 +244,13 @@ class Desk:
         if request.cmd == "schema":
             return self.schema
         if request.cmd == "get":
-            self._require_servo("get")
+            self._view.require_servo("get")
             now = {name: self._view.record[name] for name in IN_FORCE if name in self._view.record}
             return {"parameters": parameters(self._view.targets), "in_force": now}
         return None
 
     def _mark(self, text: str, actor: int) -> dict[str, Any]:
-        self._require_servo("mark")
+        self._view.require_servo("mark")
         tick = self._view.tick
         self._journal.note("mark", tick=tick, text=text, actor=actor, name=self.actors.name(actor))
         return {"tick": tick}
@@ -410,57 +260,15 @@ class Desk:
             raise CommandError("busy", "perturb load: a waveform may be playing; stop it first")
         return {"samples": self._waveform.load(request, self._view, actor)}
 
-    def _require_servo(self, cmd: str) -> None:
-        if self._view.foreign:
-            raise CommandError("servo_down", f"{cmd}: {self._view.trouble}")
-        if not self._view.alive:
-            raise CommandError(
-                "servo_down",
-                f"{cmd}: no servo answers; start it with `hapticd run`, see `hapticd status`",
-            )
-
     def guard_summary(self) -> dict[str, Any]:
         """Policy, worker and what is under way, for `status` and the command `guard`."""
         return self._guard.summary() | self._guarded.summary()
 
     def _case(self, message: RequestMessage, actor: int, request: Request, now_ns: int) -> Case:
-        self._require_servo(message.cmd)
+        self._view.require_servo(message.cmd)
         at_tick = request.at_tick or 0 if isinstance(request, Change) else 0
         return Case(
             message.cmd, message.id, actor, request, message, self._view.life, now_ns, at_tick
-        )
-
-    def _may(self, case: Case) -> CommandError | None:
-        """Why the client of `case` may not change what it asks any more, or what its stages do."""
-        error = forbidden(AskedRequest({}, case.actor, case.request), self.leases)
-        if error is None and changes_environment(case.stages):
-            error = self.leases.may(case.actor, ENVIRONMENT)
-            return error and CommandError(error.code, f"{case.cmd}: {error}", error.detail)
-        return error
-
-    def _post_case(self, case: Case, what: Posting, now_ns: int) -> None:
-        self._post(case.message or UNASKED, case.actor, what, now_ns, case)
-
-    def _post(
-        self,
-        message: RequestMessage,
-        actor: int,
-        what: Posting,
-        now_ns: int,
-        case: Case | None = None,
-    ) -> None:
-        self._require_servo(message.cmd)
-        kind, apply_tick, values = what
-        seq = (
-            self._view.mailbox.post(kind, actor, apply_tick, values) if self._view.mailbox else None
-        )
-        if seq is None:
-            raise CommandError(
-                "busy",
-                f"{message.cmd}: 64 commands wait for the servo already; slow down and ask again",
-            )
-        self._outstanding.add(
-            seq, Pending(message, actor, self._view.life, now_ns + ANSWER_TIMEOUT_NS, case)
         )
 
     def _stop(self, message: RequestMessage, actor: int, now_ns: int) -> Reply | None:
@@ -470,7 +278,7 @@ class Desk:
         # before the ring is tried: the page acts even when the ring is full
         pressed = behind and self._pressed(actor)
         try:
-            self._post(message, actor, (Command.STOP, 0, values_of({})), now_ns)
+            self._outstanding.post(message, actor, (Command.STOP, 0, values_of({})), now_ns)
         except CommandError as error:
             if not pressed or error.code != "busy":
                 raise
@@ -508,7 +316,7 @@ class Desk:
         """The reply to a request that went past the guard, or an event once it has its reply."""
         case = told.case
         verdict = {"guard": case.verdict} if case.verdict else {}
-        if case.replied:
+        if case.replied or case.message is None:
             error = told.error and {"result": "refused", "text": str(told.error)}
             self._note_answer(case, (told.receipt or error or {}) | verdict)
             return None

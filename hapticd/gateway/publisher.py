@@ -40,6 +40,8 @@ from hapticd.protocol.telemetry import (
 )
 from hapticd.protocol.view import STATES, Records, ServoView
 
+__all__ = ["state_map"]
+
 RECORD_FIELDS_SHOWN = (
     "tick",
     "slot",

@@ -45,6 +45,8 @@ from hapticd.protocol.schemas import PROTOCOL_VERSION
 from hapticd.protocol.telemetry import TOPICS
 from hapticd.protocol.view import ServoView
 
+__all__ = ["run"]
+
 DRAIN_MS = 10
 PEEK_NS = 250 * NS_PER_US  # between looks for an outstanding answer
 WATCHFUL_MS = 1  # instead of 10, for so long after a receipt: the board reports a tick or two later

@@ -1,1 +1,29 @@
-""""""
+"""Whether a change is passive, and in which order it is applied.
+
+The gateway hands a request over, a worker process judges it, and the stages that the policy allows
+go into the mailbox one after the other. The direction is gateway -> guard -> mailbox.
+
+The criterion, as pure functions of a device's model and of environments:
+
+    bases      Theorem, Predicted, Measured: how it is known what is safe
+    allowed    Judgement: which environments a device withstands, and how far K, B and M may go
+    displays   what lies between two environments
+    ways       the stages of a change and the points that it passes
+    policies   what is done with a change, by the policy in force
+    bounds     what a device renders of K, B and M, each alone; what the delay costs
+    plane      the K-B plane with and without active damping
+    judge      Judge: requests of the gateway in, answers out
+    words      verdict, reasons and remedies as they are sent
+
+The life of a request:
+
+    status     the policy in force, and what the worker last said
+    guarded    requests on their way past the guard
+    case       one of them, and its parts
+    stages     the change of several stages that is under way
+    in_force   the environment in force, by record and answer
+    terms      what the guard goes by, and what is left of it when the gateway starts anew
+    delay      the delay that the loop had in the last minute
+    delivered  how much active damping the board delivers
+    worker     the line to the worker process; main: that process
+"""

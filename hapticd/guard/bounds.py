@@ -17,6 +17,8 @@ from hapticd.guard.displays import nothing_rendered
 from hapticd.mailbox.environment_limits import WIDEST
 from hapticd.model.model import Model
 
+__all__ = ["passive_ranges", "ranges_of"]
+
 IDEAL_PERIODS = 0.0  # a force that acts at its sample: of the delay, the hold alone is left
 
 Ranges = dict[str, list[float] | None]  # of K, B and M, from and to; None: nothing is passive

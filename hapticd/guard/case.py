@@ -9,10 +9,16 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from hapticd.core.environment import JUDGED, SLOTS, Environment
+from hapticd.core.errors import CommandError
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
+from hapticd.protocol.commands import AskedRequest, forbidden
+from hapticd.protocol.envelope import RequestMessage
+from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.limits import PLACES, flat
 from hapticd.protocol.schemas import Damping, Enable, GuardRequest, Judged, Request, Set
+
+__all__ = ["Case", "concerns", "damping_by"]
 
 TABLES = tuple(name for name in JUDGED if name not in SLOTS)
 
@@ -33,7 +39,7 @@ class Case:
     id: int | str | None
     actor: int
     request: Request
-    message: Any  # with its envelope, of the desk
+    message: RequestMessage | None  # None: of what the guard does by itself
     life: int  # of the servo it is for
     came_ns: int
     at_tick: int = 0
@@ -87,6 +93,15 @@ def until_tick(request: Request) -> int:
 def changes_environment(stages: tuple[Stage, ...]) -> bool:
     """Whether `stages` change more than the active damping."""
     return any(stage.change.keys() - {"active_damping"} for stage in stages)
+
+
+def forbidden_by(leases: Leases, case: Case) -> CommandError | None:
+    """Why the client of `case` may not change what it asks any more, or what its stages do."""
+    error = forbidden(AskedRequest({}, case.actor, case.request), leases)
+    if error is None and changes_environment(case.stages):
+        error = leases.may(case.actor, ENVIRONMENT)
+        return error and CommandError(error.code, f"{case.cmd}: {error}", error.detail)
+    return error
 
 
 def ends_force(request: Request, target: Environment) -> bool:

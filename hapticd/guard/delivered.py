@@ -44,6 +44,8 @@ from hapticd.signal.ledger import Table, smoothed
 from hapticd.usb.codec import I16_HIGHEST
 from hapticd.usb.frames import StatusBit
 
+__all__ = ["Delivered"]
+
 BLOCK_S = 0.256
 KEPT = 16  # blocks
 UNEVEN = 0.05  # of a period, between samples that follow each other

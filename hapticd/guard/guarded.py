@@ -25,15 +25,24 @@ believed after policy or environment have changed.
 """
 
 from collections import deque
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.guard.case import Case, Stage, auto_of, change_of, ends_force, stages_of, until_tick
-from hapticd.guard.stages import Post, Stages, Told, ramp_s
+from hapticd.guard.case import (
+    Case,
+    Stage,
+    auto_of,
+    change_of,
+    ends_force,
+    forbidden_by,
+    stages_of,
+    until_tick,
+)
+from hapticd.guard.outstanding import Outstanding
+from hapticd.guard.stages import Stages, Told, ramp_s
 from hapticd.guard.status import VERDICT_NS, Guard, Unsafe
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
@@ -47,8 +56,11 @@ from hapticd.protocol.explanation import (
     explanation_of,
 )
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors
+from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import Damping, Enable
 from hapticd.protocol.view import ServoView
+
+__all__ = ["Guarded"]
 
 MOST_WAITING = 64
 WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s
@@ -71,29 +83,33 @@ class Booked(NamedTuple):
     change: dict[str, Any]
 
 
-May = Callable[[Case], CommandError | None]  # why its client may not change that any more
-
-
 class Guarded:
     """The queue of requests to be judged, and the change of several stages that is under way.
 
-    `post` puts a command of a case into the servo's ring; its answer comes back by `answered`.
-    `may` is asked in every pass: whose lease has ended does not go on.
+    Commands go into the servo's ring by `outstanding`; their answers come back by `answered`.
+    `leases` are looked at in every pass: whose lease has ended does not go on.
     """
 
-    def __init__(self, guard: Guard, view: ServoView, actors: Actors, post: Post, may: May) -> None:
+    def __init__(
+        self,
+        guard: Guard,
+        view: ServoView,
+        actors: Actors,
+        outstanding: Outstanding,
+        leases: Leases,
+    ) -> None:
         self._guard = guard
         self._view = view
         self._actors = actors
-        self._post = post
-        self._may = may
+        self._outstanding = outstanding
+        self._leases = leases
         self._queue: deque[Case] = deque()
         self._asked: Case | None = None
         self._beside: Case | None = None  # posted at once, judged meanwhile
-        self._under_way = Stages(view, post, lambda told: self._told.append(told))
+        self._told: list[Told] = []
+        self._under_way = Stages(view, outstanding, self._told)
         self._scheduled: dict[int, Booked] = {}  # by sequence number, of the present servo life
         self._life = 0
-        self._told: list[Told] = []
         self._terms_told = (0, ANY_TERMS)  # servo life, number of the terms that it knows
         self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
         self._chosen_for: tuple[Any, ...] = ()
@@ -142,7 +158,7 @@ class Guarded:
         self._ask(case, now_ns)
         self._asked = None
         try:
-            self._post(case, posting(case.request, 0), now_ns)
+            self._outstanding.post_case(case, posting(case.request, 0), now_ns)
         except CommandError:
             self._guard.forget(case.number)
             raise
@@ -218,8 +234,8 @@ class Guarded:
         elif self._under_way.case is None and idle:
             self._choose_level(now_ns)
         self._under_way.advance(now_ns, idle and self._asked is None)
-        told = self._told
-        self._told = []
+        told = list(self._told)
+        self._told.clear()
         return told
 
     def _forget_other_lives(self) -> None:
@@ -238,7 +254,11 @@ class Guarded:
 
     def _forget_who_may_not(self) -> None:
         for case in (*self._queue, self._asked, self._under_way.case):
-            if case is not None and case.message is not None and (error := self._may(case)):
+            if (
+                case is not None
+                and case.message is not None
+                and (error := forbidden_by(self._leases, case))
+            ):
                 self._give_back(case, error)
 
     def _forget_other_terms(self) -> None:
@@ -430,7 +450,7 @@ class Guarded:
             return  # the level of mode auto stays
         if verdict.get("safe") is False:
             self._want_hand(case)
-        leased = self._may(case) if case.message is not None else None
+        leased = forbidden_by(self._leases, case) if case.message is not None else None
         if leased is not None:
             self._told.append(Told(case, leased))
         elif action == "refuse":
@@ -494,7 +514,7 @@ class Guarded:
         case.stages = ()
         if not case.at_tick and not isinstance(case.request, Enable):
             self._under_way.supersede(case)
-        self._post(case, posting(case.request, 0), now_ns)
+        self._outstanding.post_case(case, posting(case.request, 0), now_ns)
         if case.at_tick:
             self._terms_told = (0, ANY_TERMS)  # no terms came with it: those that count go after it
 

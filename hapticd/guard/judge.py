@@ -31,6 +31,8 @@ from hapticd.model.coupled import GROWS, coupled_radius, shaking_hand
 from hapticd.model.linearise import Perturbation
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
+__all__ = ["Judge"]
+
 _DELAYS = 8  # whose cost is kept
 _TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}
 _CHANGE = {"state", "gain", "enable", "change", "before", "after", "policy", "mode", "level"}

@@ -18,11 +18,14 @@ from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_S
 from hapticd.guard.case import Case
 from hapticd.guard.in_force import IN_MOTION
+from hapticd.guard.outstanding import Outstanding
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, State, Value, values_of
 from hapticd.protocol.commands import Posting, parameters, values_given
 from hapticd.protocol.schemas import Enable, Request, Set
 from hapticd.protocol.view import ServoView
+
+__all__ = ["Told"]
 
 UNJUDGED = (
     "ramp_s",
@@ -41,23 +44,20 @@ class Told(NamedTuple):
     receipt: dict[str, Any] | None = None
 
 
-Post = Callable[[Case, Posting, int], None]  # with the time; CommandError: it could not be posted
-
-
 def ramp_s(request: Request, default_s: float) -> float:
     """Time that the ramps of `request` take, s."""
     return float(request.given.get("ramp_s", default_s))
 
 
 class Stages:
-    """The stages of one case, posted by `post`; what is to be said of it goes to `tell`."""
+    """The stages of one case, posted by `outstanding`; what is to be said of it goes to `told`."""
 
-    def __init__(self, view: ServoView, post: Post, tell: Callable[[Told], None]) -> None:
+    def __init__(self, view: ServoView, outstanding: Outstanding, told: list[Told]) -> None:
         self.case: Case | None = None  # whose next stage waits
         self._posted: Case | None = None  # whose stage was posted last; its answer may be due
         self._view = view
-        self._post = post
-        self._tell = tell
+        self._outstanding = outstanding
+        self._told = told
         half_count = abs(view.params.device.active_damping.per_count) / 2
         self.resolution_ns_per_m = half_count + 1e-6  # the wire rounds to the nearest count
 
@@ -81,7 +81,7 @@ class Stages:
         if expected is not None and expected != self._view.revision:
             text = f"{case.cmd}: the revision is {self._view.revision} by now, not {expected}"
             error = CommandError("refused", f"{text}; look at what changed and ask again")
-            self._tell(Told(case, error))
+            self._told.append(Told(case, error))
             return
         case.place = 0
         case.state = self._view.state
@@ -93,7 +93,7 @@ class Stages:
             self._post_stage(case, now_ns)
         else:
             self.case = case
-            self._tell(Told(case, receipt=self._standing("staged")))
+            self._told.append(Told(case, receipt=self._standing("staged")))
 
     def advance(self, now_ns: int, free: bool) -> None:
         """The next stage, if it is time and nothing else is on its way (`free`)."""
@@ -146,7 +146,7 @@ class Stages:
         self.case = None
         if case is not None and case is not by:
             text = f"a newer {by.cmd} of actor {by.actor} came; what is in force stays"
-            self._tell(Told(case, receipt=self._standing("superseded", text)))
+            self._told.append(Told(case, receipt=self._standing("superseded", text)))
 
     def applied(self, case: Case, answer: Answer, now_ns: int) -> bool:
         """A stage of `case` is in force; whether there are more."""
@@ -185,7 +185,7 @@ class Stages:
         self.case = None
         if case is not None:
             text = f"{why}; what is in force stays"
-            self._tell(Told(case, receipt=self._standing("cancelled", text)))
+            self._told.append(Told(case, receipt=self._standing("cancelled", text)))
 
     def _standing(self, result: str, text: str = "") -> dict[str, Any]:
         """A receipt of what is in force, for what has no answer of the servo of its own."""
@@ -200,10 +200,10 @@ class Stages:
 
     def _post_stage(self, case: Case, now_ns: int) -> None:
         try:
-            self._post(case, self._posting(case), now_ns)
+            self._outstanding.post_case(case, self._posting(case), now_ns)
             self._posted = case
         except CommandError as error:
-            self._tell(Told(case, error))
+            self._told.append(Told(case, error))
 
     def _posting(self, case: Case) -> Posting:
         """The command of the stage that is due, bound to the environment it was judged for."""

@@ -17,7 +17,6 @@ which policies refuse it).
 """
 
 from collections import deque
-from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 from hapticd.core.environment import Environment
@@ -29,8 +28,11 @@ from hapticd.guard.terms import Terms, TermsKeeper
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
 from hapticd.protocol.explanation import Outcome, Reason, because
 from hapticd.protocol.journal import Journal
+from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import GuardRequest
 from hapticd.protocol.view import ServoView
+
+__all__ = ["MOST_RECORDS", "Guard"]
 
 VERDICT_NS = 500 * NS_PER_MS  # that a request waits for its verdict
 # after which a worker without an answer hangs; one that sees a delay for the first time takes
@@ -92,8 +94,7 @@ class Guard:
         self._journal = journal
         self._worker = worker
         self._worker_life = 0
-        # whether measuring is leased: set by the desk
-        self.measuring: Callable[[], bool] = lambda: False
+        self.leases: Leases | None = None  # of the desk that it serves, once there is one
         self._policy = params.policy
         self.basis = params.basis
         self.margin_ns_per_m = params.margin_ns_per_m
@@ -122,14 +123,19 @@ class Guard:
     # --- policy -----------------------------------------------------------------------------------
 
     @property
+    def measuring(self) -> bool:
+        """Whether a client holds the measuring lease, under which nothing is judged."""
+        return self.leases is not None and self.leases.measuring
+
+    @property
     def policy(self) -> str:
         """The policy that counts now."""
-        return "off" if self.measuring() else self._policy
+        return "off" if self.measuring else self._policy
 
     @property
     def mode(self) -> str:
         """The mode of active damping: off, level or auto; while measuring, nobody chooses."""
-        if self.auto and not self.measuring():
+        if self.auto and not self.measuring:
             return "auto"
         return "level" if self.in_force.target().active_damping_ns_per_m else "off"
 
@@ -198,7 +204,7 @@ class Guard:
         hello = self._worker.hello if self._worker else {}
         return {
             **self._terms(),
-            "measuring": self.measuring(),
+            "measuring": self.measuring,
             "worker": self.worker,
             "trouble": "" if self.worker == "up" else self.trouble,
             "pid": hello.get("pid"),

@@ -21,6 +21,8 @@ import msgpack
 from hapticd.core.units import NS_PER_S
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
+__all__ = ["LENGTH", "Start", "Worker"]
+
 RESTART_NS = 2 * NS_PER_S
 READ_BYTES = 4 * MAX_MESSAGE_BYTES  # in one pass
 LENGTH = struct.Struct("<I")  # before each message, in bytes

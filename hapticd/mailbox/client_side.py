@@ -14,6 +14,8 @@ from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import Report
 from hapticd.mailbox.files import word_access
 
+__all__ = ["Answer", "Checkpoint", "GatewayMailbox", "Noted"]
+
 SAFE_DISTANCE = 64  # records that a reader keeps clear of the writer
 
 

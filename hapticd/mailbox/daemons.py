@@ -25,6 +25,19 @@ from hapticd.mailbox import files
 from hapticd.mailbox.files import DEFAULT_INSTANCE, INSTANCE_PREFIX
 from hapticd.mailbox.stop_word import servo_lives
 
+__all__ = [
+    "Place",
+    "believe",
+    "console_place",
+    "daemon_folder",
+    "down",
+    "instance_of",
+    "living_report",
+    "looked_for",
+    "places",
+    "read_report",
+]
+
 
 class Place(NamedTuple):
     """A folder in which a daemon may run, and the name of that daemon."""

@@ -12,6 +12,8 @@ from collections.abc import Mapping, Sequence
 from hapticd.core.params import EnvironmentLimits
 from hapticd.mailbox.layout import VALUE_LIMITS, Value, ValueLimit
 
+__all__ = ["AXES", "UNKNOWN", "WIDEST", "environment_limits"]
+
 ROOM = 10.0
 AXES = {"K": Value.STIFFNESS, "B": Value.VIRTUAL_DAMPING, "M": Value.MASS}
 # where nothing is known, or nothing is passive: three times and more of what any shipped device

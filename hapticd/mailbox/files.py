@@ -23,6 +23,33 @@ from pathlib import Path
 
 from hapticd.core.errors import MailboxError
 
+__all__ = [
+    "BOARD_JSON",
+    "COMMAND_SOCKET",
+    "CONSOLE",
+    "DEFAULT_INSTANCE",
+    "ENDPOINTS",
+    "GATEWAY_JSON",
+    "GATEWAY_LOCK",
+    "GUARD_JSON",
+    "GUARD_TERMS",
+    "MAILBOX",
+    "REPORT",
+    "SERVICE_FOLDER",
+    "SERVO_JSON",
+    "STOP",
+    "TELEMETRY",
+    "TELEMETRY_SOCKET",
+    "claim",
+    "open_map",
+    "plain_store",
+    "prepare_folder",
+    "release",
+    "remove",
+    "runtime_folder",
+    "write_whole",
+]
+
 MAILBOX = "mailbox"
 TELEMETRY = "telemetry.ring"
 STOP = "stop"

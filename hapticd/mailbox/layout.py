@@ -13,6 +13,53 @@ from typing import Final, NamedTuple
 
 from hapticd.core.environment import FIELDS, FIRST_FURTHER_SLOT, FURTHER, SLOTS
 
+__all__ = [
+    "ANY_TERMS",
+    "COMMAND_HEAD_WORD",
+    "COMMAND_VALUES",
+    "COMMISSIONING",
+    "COMMISSIONING_LIMITS",
+    "COUNTERS",
+    "COUNTER_WORD",
+    "EPOCH_WORD",
+    "GATEWAY_BEAT_WORD",
+    "HEADER",
+    "HEADER_PID",
+    "LAYOUT_HASH",
+    "LONGEST_SILENCE_S",
+    "LOST_SLOTS",
+    "MAILBOX_BYTES",
+    "MEASURED",
+    "PERTURBATION_SAMPLES",
+    "PLAN",
+    "PLAN_FIELDS",
+    "RECORD",
+    "REVISION_MASK",
+    "RING_RECORDS",
+    "RING_SLOTS",
+    "SERVO_BEAT_WORD",
+    "STAGES",
+    "STEPPED",
+    "TELEMETRY",
+    "TELEMETRY_BYTES",
+    "TELEMETRY_HEAD_WORD",
+    "TELEMETRY_OFFSET",
+    "VALUE_LIMITS",
+    "Command",
+    "Flag",
+    "LateCause",
+    "Result",
+    "State",
+    "Value",
+    "ValueLimit",
+    "Watched",
+    "following",
+    "newer",
+    "offset_of",
+    "value_limits",
+    "values_of",
+]
+
 MAGIC = b"HAPTICD\0"
 
 # --- header page: written once by the servo before `epoch`, which is written last -----------------

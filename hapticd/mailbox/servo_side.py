@@ -17,6 +17,8 @@ from hapticd.mailbox import files, layout
 from hapticd.mailbox.files import word_access
 from hapticd.mailbox.stop_word import StopWord
 
+__all__ = ["ServoMailbox"]
+
 _ZEROS = (0.0,) * layout.COMMAND_VALUES
 _COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layout.COUNTERS)}
 _COMMANDS = frozenset(layout.Command)

@@ -39,6 +39,16 @@ from typing import NamedTuple
 from hapticd.core.errors import MailboxError
 from hapticd.mailbox import files
 
+__all__ = [
+    "ACTOR_STOP_WORD",
+    "FIRST_CLIENT",
+    "NOT_PRESSED",
+    "READ_BYTES",
+    "press_stop",
+    "servo_lives",
+    "stop_taken",
+]
+
 NOT_PRESSED = bytes(8)
 ACTOR_STOP_WORD = 2  # of a press that names no client
 FIRST_CLIENT = 16  # below are the daemon's own parts

@@ -1,10 +1,12 @@
-"""The device between two servo commands: its effects, the composed model, and how it moves.
+"""What a device does, as mathematics: its effects, the composed model, how it moves, and the
+sampled loop round it.
 
 A scene names effects; `compose` turns them into one linear state-space model with what is not
 linear beside it; the batch engine and the simulated board play that model. numpy is needed only
-while composing: the simulated board runs on the standard library alone.
+while composing and predicting: the simulated board runs on the standard library alone, so the
+package imports nothing.
 
-For scripts:
+The device:
 
     effects      every effect of a device, one class each; KINDS, ALWAYS, BY_KEY
     scene        Scene, Excitation, DampingStep: what is simulated, in plain values
@@ -18,4 +20,16 @@ For scripts:
     step         make_plant(board parameters): the plant of a simulated board
     tables       board_fields(model): a model as the numbers of board.json
     blueprint    Blueprint and Form: what an effect writes into
+
+The sampled loop:
+
+    loop         its first harmonic at the probe, exactly; whether it is stable
+    linearise    Coulomb friction as the damper that takes the same power
+    theorem      `required_damping`, `lift`, `lifted_margin`: Colgate and Schenkel
+    rational     `rational`, `positive_everywhere`: the theorem at all angles, without a grid
+    angles       where a device is looked at, dense about its modes
+    narrow       narrow dips of Re Z, sought at the poles of the loop
+    coupled      `withstands`, `shaking_hand`: what a passive hand can do
+    predict      `predict`, `predicted_impedance`: passive or not without a trial
+    outlook      `outlook`: all of these about one environment
 """

@@ -24,6 +24,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+__all__ = ["StateVariable"]
+
 
 class Coefficient(NamedTuple):
     """c = one + level b + residual r + both b r: b damping level, r residual resistance."""

@@ -52,6 +52,8 @@ from hapticd.model.reach import computable, require_finite
 from hapticd.model.scene import Scene
 from hapticd.model.stability import stability
 
+__all__ = ["compose", "compose_device", "refuse_unstable"]
+
 
 def drive(plan: Blueprint) -> None:
     """Close the loop of the damping circuit: estimate, multiplier, amplifier, force on the rotor.

@@ -47,6 +47,8 @@ from hapticd.core.units import COPPER_PER_K
 from hapticd.model.drive import reach
 from hapticd.model.friction import stick_two
 
+__all__ = ["VELOCITY", "State"]
+
 Row = tuple[float, ...]
 Rows = tuple[Row, ...]  # [Phi Gamma] of a piece, a row for each state
 Blocks = dict[str, Rows]  # rows by the letter that names their coefficients in the source

@@ -53,6 +53,8 @@ from hapticd.model.model import Model, Output, Outputs
 from hapticd.model.predict import environments
 from hapticd.model.theorem import Lift, lift
 
+__all__ = ["GROWS", "Hand", "coupled_radius", "shaking_hand"]
+
 GROUND = -1  # number of the node that is the wall
 GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
 _ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0

@@ -30,6 +30,8 @@ import numpy as np
 from hapticd.model.model import Array, Map, Model, frozen
 from hapticd.model.reach import computable, require_finite
 
+__all__ = ["discretise", "expm"]
+
 TERMS = 25
 LARGEST_NORM = 0.5
 BALANCE_SWEEPS = 8

@@ -76,6 +76,31 @@ from hapticd.model.blueprint import (
     Warming,
 )
 
+__all__ = [
+    "ALWAYS",
+    "BY_KEY",
+    "PROVENANCE",
+    "DampingDac",
+    "Delay",
+    "Effect",
+    "Encoder",
+    "ForceDac",
+    "Masses",
+    "Motor",
+    "ProbeAdc",
+    "SampleTiming",
+    "Saturation",
+    "ShapedDamping",
+    "Smoothing",
+    "Viscous",
+    "WindingTemperature",
+    "WorkspaceEnds",
+    "copper_ohm",
+    "crowbar_nms_per_rad",
+    "lever_of_crowbar_m",
+    "sample_timing",
+]
+
 PROVENANCE = ("source", "sources", "note")  # fields of every effect that are not parameters
 ZETA = sqrt(0.5)  # damping ratio of a Butterworth low-pass of the second order
 

@@ -25,6 +25,16 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.scene import Excitation
 
+__all__ = [
+    "Stream",
+    "band_noise",
+    "generator",
+    "held_noise",
+    "mark_signs",
+    "marked",
+    "torque_record",
+]
+
 Floats = npt.NDArray[np.float64]
 NOISE_SAMPLES_MAX = 1 << 26  # of one record: half a gigabyte, 4.7 hours
 MARK_ORDER = 10  # stages of the shift register

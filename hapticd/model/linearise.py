@@ -26,6 +26,8 @@ import numpy as np
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.model.loop import Loop
 
+__all__ = ["BURSTS", "GAIN", "Linearised", "Perturbation", "linearise", "recorded_impedance"]
+
 GAIN = float(np.sqrt(2.0 / np.pi))
 BURSTS = (1.2, 1.5, 2.0, 2.5, 3.0)
 # N s/m; a body that sticks stays at the most, one that runs away ends at the least

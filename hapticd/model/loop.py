@@ -41,6 +41,17 @@ from hapticd.model.discrete import delay_steps, discretise, late_command
 from hapticd.model.model import Model
 from hapticd.render.filters import Biquad, design
 
+__all__ = [
+    "Filters",
+    "Tick",
+    "close_loop",
+    "derivatives",
+    "held",
+    "radii",
+    "spectral_radius",
+    "tick_of",
+]
+
 # of velocity and acceleration; None leaves one out
 Filters = tuple[FilterParams | None, FilterParams | None]
 

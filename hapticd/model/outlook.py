@@ -28,6 +28,8 @@ from hapticd.model.predict import Prediction, environments, predict
 from hapticd.model.rational import positive_everywhere, rational
 from hapticd.model.theorem import lift, lifted_margin
 
+__all__ = ["Outlook", "outlook"]
+
 
 @dataclass(frozen=True, eq=False)
 class Shaker:

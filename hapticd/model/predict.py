@@ -48,6 +48,19 @@ from hapticd.model.loop import (
 from hapticd.model.model import Model
 from hapticd.model.narrow import Bottom, bottom, mode_lines
 
+__all__ = [
+    "DEFAULT_BAND_HZ",
+    "NOMINAL_NS_PER_M",
+    "Prediction",
+    "chunks",
+    "coulomb",
+    "frequencies",
+    "predict",
+    "predicted_impedance",
+    "recorded_impedances",
+    "rubbed",
+]
+
 DEFAULT_BAND_HZ = (2.0, 500.0)
 _TOGETHER = 1024  # environments at once: their spectra stay in the cache
 _LOOPS = 16  # kept: device, level and filters of the last predictions

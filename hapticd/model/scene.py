@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from hapticd.core.environment import Environment
 from hapticd.model.effects import Effect
 
+__all__ = ["DampingStep", "Excitation", "Scene"]
+
 
 @dataclass(frozen=True, slots=True)
 class Excitation:

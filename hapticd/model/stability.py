@@ -26,6 +26,8 @@ from hapticd.model.blueprint import Note, StateVariable
 from hapticd.model.model import Array, Model
 from hapticd.model.reach import computable
 
+__all__ = ["AtLevel", "Explanation", "damping_ceiling", "edge", "explain", "modes", "stability"]
+
 GROWTH_PER_S = 1e-6  # below this is rounding: e-fold in 11 days
 HALVINGS = 80  # of an interval, until its ends are neighbours
 NEARLY_ZERO_PER_S = 1e-9  # an eigenvalue below this is drift: no time constant, no damping ratio

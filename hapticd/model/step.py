@@ -51,6 +51,8 @@ from hapticd.model.composed import (
 from hapticd.model.touch import Response as TouchResponse
 from hapticd.model.touch import touched_step
 
+__all__ = ["SUBSTEPS_PER_TICK", "make_plant"]
+
 # plain, not named: the generated step unpacks it in every piece
 Response = tuple[float, float, float, float]
 

@@ -24,6 +24,8 @@ from hapticd.model.effects import copper_ohm
 from hapticd.model.model import Model, Output
 from hapticd.model.step import SUBSTEPS_PER_TICK
 
+__all__ = ["board_fields"]
+
 GRID = 21  # damping levels from 0 to the highest
 RESIDUALS = 9  # residual resistances, when the winding heats up
 TRIMMED_RESIDUALS = 33  # those, when it is compensated by the host as well

@@ -52,6 +52,20 @@ from hapticd.model.loop import PAPER_FILTERS, Filters, derivatives, held, pulse_
 from hapticd.model.model import Model
 from hapticd.model.predict import environments
 
+__all__ = [
+    "NOWHERE",
+    "Lift",
+    "Opened",
+    "lift",
+    "lifted_margin",
+    "lifted_passive",
+    "lifted_worst",
+    "opened",
+    "paper_equation_2",
+    "required_damping",
+    "within",
+]
+
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
 _IMAGES = 24  # harmonics on each side
 _HALVINGS = 40  # of the interval in which the spare damping lies

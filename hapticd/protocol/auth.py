@@ -10,6 +10,8 @@ import ipaddress
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import GatewayParams
 
+__all__ = ["LEAVE_NEEDED", "needs_keys", "warning", "without_leave"]
+
 
 def is_loopback(host: str) -> bool:
     """Whether `host` is an address of this machine alone.

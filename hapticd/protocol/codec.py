@@ -17,6 +17,8 @@ import msgpack
 
 from hapticd.core.errors import CommandError
 
+__all__ = ["MAX_MESSAGE_BYTES", "Encoding", "encode", "finite"]
+
 MAX_MESSAGE_BYTES = 64 * 1024
 MAX_ARRAY = 256
 MAX_MAP = 64

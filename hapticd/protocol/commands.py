@@ -42,6 +42,22 @@ from hapticd.protocol.schemas import (
 from hapticd.protocol.view import ServoView
 from hapticd.usb.frames import StatusBit
 
+__all__ = [
+    "ACCEPTED",
+    "ALLOWED",
+    "AskedRequest",
+    "Posting",
+    "Situation",
+    "admit",
+    "forbidden",
+    "parameters",
+    "posting",
+    "receipt",
+    "refusal",
+    "rendered",
+    "values_given",
+]
+
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
 LATCHED = frozenset({State.STOPPED, State.FAULT})
 ALLOWED: dict[

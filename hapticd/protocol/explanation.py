@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
+__all__ = ["Explanation", "Outcome", "Reason", "Remedy", "because", "explanation_of"]
+
 
 class Outcome(StrEnum):
     """What became of a change, or what is known of an environment."""

@@ -43,6 +43,8 @@ from hapticd.protocol.leases import Leases
 from hapticd.protocol.telemetry import TICK_DESCR, Origin, RingBlock
 from hapticd.protocol.view import Records, ServoView
 
+__all__ = ["SUFFIX", "FlightRecorder", "flights_folder", "read_flight"]
+
 SUFFIX = ".flight"
 _MAGIC = b"hapticd-flight/1\n"
 _LENGTH = struct.Struct("<Q")

@@ -19,6 +19,8 @@ from typing import Any
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD
 
+__all__ = ["GATEWAY_ACTOR", "Actors", "Journal"]
+
 KEPT = 32
 QUEUED = 256
 

@@ -20,6 +20,16 @@ import zmq.auth
 
 from hapticd.core.errors import ConfigError
 
+__all__ = [
+    "SERVER_PUBLIC",
+    "Clients",
+    "make_client",
+    "make_keys",
+    "public_key",
+    "secret_pair",
+    "server_pair",
+]
+
 SERVER = "server"
 SERVER_PUBLIC = "server.key"
 SERVER_KEY = "server.key_secret"

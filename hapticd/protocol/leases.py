@@ -29,6 +29,20 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError
 from hapticd.core.units import NS_PER_S, round_half_up
 
+__all__ = [
+    "DAMPING",
+    "ENVIRONMENT",
+    "GONE",
+    "MEASURING",
+    "PARTS",
+    "PERTURBATION",
+    "RELEASED",
+    "SILENT",
+    "Ended",
+    "Lease",
+    "Leases",
+]
+
 ENVIRONMENT = "environment"
 DAMPING = "active_damping"
 PERTURBATION = "perturbation"

@@ -22,6 +22,8 @@ from hapticd.signal.ledger import BOOKED, LONGEST, SAMPLE, Table, book
 from hapticd.usb.codec import TORQUE_SEQUENCES
 from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS, StatusBit
 
+__all__ = ["CONTEXT", "NAMES", "Ledger", "samples"]
+
 NAMES = BOOKED.names or ()
 CONTEXT = 4 * LONGEST  # records that are looked at again: what is still on its way comes from them
 MANY = 500  # records

@@ -16,6 +16,8 @@ from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, valu
 if TYPE_CHECKING:
     from hapticd.core.params import EnvironmentLimits, ServoParams
 
+__all__ = ["PLACES", "CommandLimits", "flat"]
+
 PLACES: dict[str, Value] = {key: Value(slot) for key, slot in SLOTS.items()} | {
     "ramp_s": Value.RAMP_S
 }

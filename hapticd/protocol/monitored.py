@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import zmq
 
+__all__ = ["take", "taken"]
+
 LAYOUT = struct.Struct("=Hi")  # event, value: zmq_socket_monitor(3)
 
 

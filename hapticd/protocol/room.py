@@ -12,6 +12,8 @@ from typing import Any
 from hapticd.core.units import US_PER_S
 from hapticd.mailbox.layout import STAGES
 
+__all__ = ["ENOUGH", "Room", "room_of"]
+
 LEFT = 0.25  # of a period, at least
 ENOUGH = 1000  # ticks before it is judged
 WORK = STAGES[1:]

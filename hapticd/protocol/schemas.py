@@ -39,6 +39,25 @@ from hapticd.protocol import answers
 from hapticd.protocol.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
 from hapticd.protocol.limits import CommandLimits, quantity
 
+__all__ = [
+    "ADAPTER",
+    "PROTOCOL_VERSION",
+    "Change",
+    "Damping",
+    "Enable",
+    "GuardRequest",
+    "Hello",
+    "Judged",
+    "LeaseRequest",
+    "Mark",
+    "Perturb",
+    "Request",
+    "Set",
+    "invalid",
+    "json_schema",
+    "parse",
+]
+
 PROTOCOL_VERSION = 1
 _ID_SCHEMA = {
     "anyOf": [

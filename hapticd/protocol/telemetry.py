@@ -47,6 +47,22 @@ from hapticd.protocol.view import Records, ServoView, as_records, joined, last_t
 from hapticd.usb import frames
 from hapticd.usb.session import PROBE_INDEX_BITS, unwrap
 
+__all__ = [
+    "BY_NAME",
+    "NAMES",
+    "PROBE_DESCR",
+    "TICK_DESCR",
+    "TOPICS",
+    "Feed",
+    "Origin",
+    "ProbeDecoder",
+    "RingBlock",
+    "StageHistograms",
+    "Subscriptions",
+    "raw_message",
+    "servo_messages",
+]
+
 
 class Topic(NamedTuple):
     """One row: content, rate, and how many ticks share one sample of a topic."""

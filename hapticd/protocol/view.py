@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.core.errors import MailboxError
+from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.core.params import ServoParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
@@ -23,6 +23,8 @@ from hapticd.mailbox.client_side import Answer, GatewayMailbox
 from hapticd.mailbox.daemons import living_report
 from hapticd.mailbox.layout import COMMAND_VALUES, TELEMETRY_HEAD_WORD, State, Value, newer
 from hapticd.mailbox.stop_word import FIRST_CLIENT
+
+__all__ = ["RECORD_DTYPE", "STATES", "Records", "ServoView", "as_records", "configured", "joined"]
 
 Records = NDArray[np.void]
 
@@ -167,6 +169,16 @@ class ServoView:
         self.unix_offset_ns = (
             self._unix_ns() - now_ns
         )  # once per life: time stamps of one life never jump
+
+    def require_servo(self, cmd: str) -> None:
+        """CommandError, if no servo is there that could obey `cmd`."""
+        if self.foreign:
+            raise CommandError("servo_down", f"{cmd}: {self.trouble}")
+        if not self.alive:
+            raise CommandError(
+                "servo_down",
+                f"{cmd}: no servo answers; start it with `hapticd run`, see `hapticd status`",
+            )
 
     def answers(self) -> list[Answer]:
         """The servo's answers since the last call.

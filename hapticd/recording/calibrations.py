@@ -20,6 +20,8 @@ from hapticd.core.errors import AnalysisError
 from hapticd.core.params import CALIBRATION_DAYS
 from hapticd.usb.codec import I16_HIGHEST
 
+__all__ = ["CalibrationDoubt", "doubts", "refuse_doubts", "used_scales"]
+
 SAME_SCALE = 0.01  # relative: what a gain that is measured again may differ by
 
 STEPS = {

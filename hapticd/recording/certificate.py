@@ -19,6 +19,8 @@ from typing import Any
 from hapticd.core.errors import ConfigError
 from hapticd.settings.inputs import SETTINGS_BYTES, regular
 
+__all__ = ["certificate_beside", "certificate_of", "certificate_path"]
+
 FOLDER = "rig"
 DIGITS = 12  # of a hash in a name
 CHANGED = "the device file has changed since; repeat `hapticd rig verify`"

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from hapticd.protocol.ledger import NAMES, Ledger
 from hapticd.recording.file import Recording
 
+__all__ = ["total_j"]
+
 GROUP = "energy"
 DATASETS = tuple(f"{name}_j" for name in NAMES)
 ROWS_AT_ONCE = 1 << 15

@@ -51,6 +51,8 @@ from hapticd.recording.superblock import Unattended
 from hapticd.run.replay import Segment
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 
+__all__ = ["is_recording", "open_recording"]
+
 TEXT = "checkpoint_text"
 STANDING = 4096  # rows that a small group may have beyond its longest column
 # what h5py and numpy say where a file is damaged

@@ -32,6 +32,8 @@ from hapticd.recording.file import Recording, open_recording
 from hapticd.recording.live import SUFFIX, of_fixed_length
 from hapticd.recording.stretch import remark, stretch
 
+__all__ = ["pack", "summary", "to_csv", "to_mat"]
+
 CHUNK_ROWS = 4096
 ROWS_AT_ONCE = 1 << 18  # copied from the source
 STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}

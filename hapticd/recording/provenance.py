@@ -28,6 +28,8 @@ from hapticd.protocol.answers import Hello, Status
 from hapticd.recording.calibrations import doubts
 from hapticd.recording.certificate import certificate_of
 
+__all__ = ["RECORDING_LIBRARIES", "commit", "processor", "provenance", "versions"]
+
 SCHEMA = "hapticd-recording/1"
 SIMULATED_NOTICE = "SIMULATED: the device behind this recording was computed"
 RUN_LIBRARIES = ("numpy", "numba", "scipy", "h5py")

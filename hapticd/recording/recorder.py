@@ -31,6 +31,8 @@ from hapticd.recording import live, pack
 from hapticd.recording.live import TOPICS, Writer
 from hapticd.recording.provenance import of_recording
 
+__all__ = ["RecordingParams", "RecordingProgress", "record"]
+
 FLUSH_PERIOD_S = 0.1  # what was received is written and flushed so often
 SYNC_PERIOD_NS = NS_PER_S  # the disk is synchronised and its room checked so often
 RESERVE_BYTES = 64 << 20  # the disk is taken for full when so little is left

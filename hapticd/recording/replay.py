@@ -23,6 +23,8 @@ from hapticd.mailbox.layout import Value
 from hapticd.recording.file import Recording
 from hapticd.run.replay import Difference, Records, difference, replay
 
+__all__ = ["ReplayResult", "replay_recording"]
+
 
 @dataclass(frozen=True, eq=False)
 class ReplayResult:

@@ -26,6 +26,17 @@ from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import LOST_SLOTS, State
 from hapticd.recording.provenance import SCHEMA
 
+__all__ = [
+    "JSON_ATTRIBUTES",
+    "PROBE_COLUMNS",
+    "REMARK_ATTRIBUTES",
+    "SERVO_COLUMNS",
+    "ReadColumn",
+    "Stretch",
+    "read_remark",
+    "stretch",
+]
+
 SETTLE_S = 1.0  # left out after the perturbation began
 REMARK = f"# {SCHEMA} "
 TAIL_BYTES = 8192  # in which the remark of a text file stands

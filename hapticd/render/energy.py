@@ -27,6 +27,8 @@ clamp that is not told.
 
 from typing import Final
 
+__all__ = ["EMPTY", "EXCESS", "FORCE", "Ledger", "at_rest", "book"]
+
 # work [J], E [J], forces of the last three samples [N], F_e [N], v [m/s]
 Ledger = tuple[float, float, float, float, float, float, float]
 # places in a Ledger

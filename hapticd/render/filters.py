@@ -14,6 +14,8 @@ import math
 
 from hapticd.core.errors import ConfigError
 
+__all__ = ["Biquad", "design", "scaled", "steady"]
+
 Biquad = tuple[float, float, float, float, float]
 MAPPINGS = ("prewarped", "bilinear", "matched")
 

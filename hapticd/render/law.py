@@ -22,6 +22,21 @@ from typing import Final
 from hapticd.core.environment import FilterParams
 from hapticd.render.filters import Biquad, design, scaled
 
+__all__ = [
+    "LIMIT",
+    "MASS",
+    "Coefficients",
+    "LawInputs",
+    "LawState",
+    "at_rest",
+    "clamp",
+    "design_coefficients",
+    "end_force",
+    "render",
+    "split",
+    "wall_force",
+]
+
 LawState = tuple[float, float, float, float, float, float]
 LawInputs = tuple[float, ...]  # as `render` names them, then environment.FURTHER
 # places in the inputs

@@ -4,6 +4,8 @@ several may overlap.
 
 from typing import NamedTuple
 
+__all__ = ["Ramp", "approach", "constant"]
+
 
 class Ramp(NamedTuple):
     """From `start` at `start_tick` to `end` at `start_tick + ticks`; `ticks` = 0 steps at once."""

@@ -33,6 +33,17 @@ from typing import Final, NamedTuple
 
 from hapticd.core.params import ResistanceParams
 
+__all__ = [
+    "LEAST_LOOP_GAIN",
+    "Winding",
+    "heated",
+    "least_residual_ohm",
+    "loop_gain",
+    "ohm",
+    "target_ohm",
+    "unheated",
+]
+
 LEAST_LOOP_GAIN: Final = (
     -0.3
 )  # g dR / K^2; the circuit latches up at -1, at -0.9 its gain is tenfold

@@ -25,6 +25,8 @@ from hapticd.rig.moved import Means, joined, means_of, moved, raw_of, ready_to_m
 from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.signal.delivered import CALIBRATION, Estimate
 
+__all__ = ["measure"]
+
 SECONDS = 6.0
 LOW = 0.8  # of what is commanded
 HIGH = 1.2

@@ -32,6 +32,8 @@ from hapticd.recording.provenance import (
 from hapticd.rig.records import BoardIdentity
 from hapticd.rig.result import StepResult
 
+__all__ = ["Subject", "content", "write"]
+
 VERSION = 1
 NOT_VERIFIED = (
     "active damping: `hapticd rig damping` measures it, `hapticd rig audit` compares it",

@@ -39,6 +39,8 @@ from hapticd.rig.push import push, ready
 from hapticd.rig.records import collect, servo_rate_hz
 from hapticd.rig.result import Finding, StepResult, settled
 
+__all__ = ["measure"]
+
 # --- pushes ---------------------------------------------------------------------------------------
 FIRST_SHARE = 0.05  # of the force that is allowed
 STRONGER = 1.4

@@ -31,6 +31,8 @@ from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import load_device
 from hapticd.settings.toml import read, shipped
 
+__all__ = ["refuse_shipped", "write"]
+
 Stated = Written | datetime.date | Mapping[str, float]
 Values = Mapping[tuple[str, str], Stated]  # by table and key
 _EFFECT = "model."  # before the name of each effect

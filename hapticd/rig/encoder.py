@@ -32,6 +32,8 @@ from hapticd.signal.verdict import student_quantile
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import Capability, StatusBit
 
+__all__ = ["Distance", "measure"]
+
 REST_S = 2.0
 MOVE_S = 5.0
 MOVE_M = 5e-3  # about: any distance will do

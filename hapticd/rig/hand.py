@@ -10,6 +10,8 @@ What would break it: an action that two steps understand differently (they are a
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
+__all__ = ["Ask", "Request"]
+
 Action = Literal[
     "let go",  # of the handle, and take off everything that was attached
     "move",  # slowly by about `amount` m, and hold: from now on, within a few seconds

@@ -42,6 +42,8 @@ from hapticd.rig.motor import limit_n
 from hapticd.rig.played import Played, play
 from hapticd.rig.result import Finding, StepResult, relative_half, settled
 
+__all__ = ["measure"]
+
 QUIET_S = 6.0
 LOUD_S = 7.0
 RENDERED_S = 8.0

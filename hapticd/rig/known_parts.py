@@ -13,6 +13,8 @@ from hapticd.core.environment import Environment
 from hapticd.rig.excitation import CENTRE
 from hapticd.rig.hand import Request
 
+__all__ = ["KnownParts"]
+
 BESIDE = CENTRE  # what is rendered beside
 SECONDS = 20.0
 UNIT_N_PER_M = "N/m"

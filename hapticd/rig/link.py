@@ -37,6 +37,8 @@ from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb.frames import Capability
 
+__all__ = ["measure"]
+
 SECONDS = 10.0
 BLOCKS = 10
 LEAST_TICKS = 100  # for any of it

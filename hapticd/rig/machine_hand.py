@@ -14,6 +14,8 @@ from pathlib import Path
 from hapticd.core.errors import AnalysisError, DaemonDown
 from hapticd.rig.hand import Ask, Request
 
+__all__ = ["asked_at"]
+
 PATIENCE_S = 120.0
 
 

@@ -51,6 +51,8 @@ from hapticd.settings.device import signs_hash
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST
 
+__all__ = ["Masses", "measure_gain", "measure_sign"]
+
 PUSH_S = 0.02
 FIRST_SHARE = 0.05  # of the force that is allowed
 STRONGER = 1.5

@@ -30,6 +30,8 @@ from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.rig.result import UPPER_END, Change, Finding, Value, rounded
 from hapticd.signal.verdict import student_quantile
 
+__all__ = ["Judged"]
+
 SECONDS = 30.0
 BAND_HZ = (0.8, 200.0)
 PERIOD_US = US_PER_S / PROBE_RATE_HZ

@@ -56,6 +56,8 @@ from hapticd.rig.shaken import (
 )
 from hapticd.usb.codec import I16_HIGHEST
 
+__all__ = ["Attached", "measure"]
+
 REST_S = 12.0  # high-passes of 0.1 Hz forget what was before in some seconds
 QUARTERS = 4
 MOVED_M = 20e-6  # rms

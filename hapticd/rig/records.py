@@ -23,6 +23,8 @@ from hapticd.core.errors import DaemonDown
 from hapticd.core.params import ScaleParams
 from hapticd.usb import codec
 
+__all__ = ["collect", "identity_of", "keep"]
+
 TICKS = "servo.raw"
 SILENT_LOOKS = 40  # without a message: 2 s
 DIGITS = 12  # of the hash in the device file

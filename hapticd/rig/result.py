@@ -14,6 +14,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+__all__ = ["StepResult"]
+
 Verdict = Literal["ok", "warning", "refused", "not done"]
 POSITION_HALF = 2e-3  # relative, of the encoder's scale where the file states none
 UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval

@@ -44,6 +44,8 @@ from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, ro
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST
 
+__all__ = ["Spring", "measure", "measure_offset"]
+
 LEVELS = 3
 OVERSHOOT = 1.3  # beyond the last level, so that the way down begins beyond it
 MOST_M = 4e-3  # of stretch

@@ -37,6 +37,8 @@ from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, ch
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
+__all__ = ["Stated", "measure"]
+
 REST_S = 10.0
 SHAKE_S = 6.0
 BLOCKS = 10

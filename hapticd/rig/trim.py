@@ -37,6 +37,8 @@ from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.signal.delivered import LAG_S
 from hapticd.usb.frames import Capability
 
+__all__ = ["measure"]
+
 SECONDS = 20.0
 SEEN = 4  # pieces that an estimate rests on
 ALLOWED = 1e-3  # m/s per N, of what else lags

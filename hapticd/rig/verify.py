@@ -54,6 +54,8 @@ from hapticd.rig.result import Finding, StepResult, Value, Verdict, relative_hal
 from hapticd.signal.impedance import Impedance, impedance
 from hapticd.signal.spectra import DEFAULT_LAG, spa
 
+__all__ = ["measure"]
+
 LOW_HZ = 8.0
 HIGH_HZ = 120.0
 ATTACHED_HZ = 25.0

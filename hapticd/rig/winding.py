@@ -36,6 +36,8 @@ from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect, servo_rate_hz
 from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, relative_half, settled
 
+__all__ = ["measure"]
+
 LEVELS = (0.25, 0.5, 0.75, 1.0)  # of a tenth of the force, to either side
 RAMP_S = 0.3
 SETTLE_S = 0.5

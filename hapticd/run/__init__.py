@@ -2,14 +2,13 @@
 
 Nothing here prints, and each module imports only what its own process needs.
 
-For scripts:
-
-    lockstep      LockStep: the whole stack on virtual time; scene_params(scene)
-    replay        replay(params, segment): `servo.step` over a recording, bit by bit
-    resolve       write(folder, settings, instance): the JSON files that processes start from
-    supervisor    Supervisor: starts, restarts and ends servo and gateway
-    system_files  what a machine needs to run hapticd as a service
-    process       die_with_parent, on_stop, notify: the end of a process, words to systemd
+    supervisor       Supervisor: starts, restarts and ends servo and gateway
+    resolve          write(folder, settings, instance): the JSON files that processes start from
+    lockstep         LockStep: the whole stack on virtual time; scene_params(scene)
+    lockstep_client  LockStepClient: a client of that stack; virtual: one with a guard
+    system_files     what a machine needs to run hapticd as a service
+    doctor           what a machine lacks for real time, and the report for a question
+    replay           replay(params, segment): the step over a recording, bit by bit
 
 `servo_main`, `gateway_main` and `watchdog` are processes: `python -m hapticd.run.NAME`.
 """

@@ -25,6 +25,8 @@ from hapticd.servo.loop import ServoLoop, virtual_wait
 from hapticd.usb.device import Device
 from hapticd.usb.link import UsbLink
 
+__all__ = ["LockStep", "scene_params"]
+
 ANSWER_TICKS = 10  # within which a command is answered; a reset that asks the board takes a few
 CHUNK = 256  # ticks between gateway heartbeats; far below the ring and the heartbeat time-out
 START_NS = 10_000_000  # of the virtual clock

@@ -40,6 +40,8 @@ from hapticd.servo.step import make_step
 from hapticd.servo.transition import refiltered
 from hapticd.usb import codec, frames
 
+__all__ = ["Difference", "Records", "Segment", "difference", "replay"]
+
 Records = NDArray[np.void]
 
 # the columns of a replay: the plan of each tick, then what step computed

@@ -25,6 +25,8 @@ from hapticd.settings.build import (
 from hapticd.settings.guard import guard_setup
 from hapticd.settings.load import Settings
 
+__all__ = ["resolve", "write"]
+
 CONFIGURED = {
     "K": "environment.stiffness_n_per_m",
     "B": "environment.virtual_damping_ns_per_m",

@@ -40,6 +40,8 @@ from hapticd.mailbox.daemons import console_place
 from hapticd.run import resolve
 from hapticd.settings.load import Settings
 
+__all__ = ["ProcessEvent", "Supervisor", "launch"]
+
 SUPERVISOR_LOCK = "supervisor.lock"
 POLL_NS = 20 * NS_PER_MS
 # until a process that is not ready is reported, and until one that does not end is killed

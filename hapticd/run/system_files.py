@@ -15,6 +15,8 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.params import UsbParams
 from hapticd.settings.toml import shipped
 
+__all__ = ["NEXT_STEPS", "hidden_interpreter", "system_files", "write_below"]
+
 PLACES = {
     "hapticd-servo.service": "etc/systemd/system/hapticd-servo.service",
     "hapticd-gateway.service": "etc/systemd/system/hapticd-gateway.service",

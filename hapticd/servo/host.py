@@ -19,6 +19,8 @@ from typing import NamedTuple
 from hapticd.core.errors import RealtimeError
 from hapticd.core.params import RealtimeParams
 
+__all__ = ["prepare", "relax"]
+
 _PR_SET_TIMERSLACK = 29
 _MCL_CURRENT_AND_FUTURE = 3
 _libc = ctypes.CDLL(None, use_errno=True)

@@ -72,6 +72,8 @@ from hapticd.usb.events import NO_CODE, NO_TIME_US
 from hapticd.usb.frames import OutFlag
 from hapticd.usb.search import Search, Tell
 
+__all__ = ["ServoLoop", "Wait", "first_deadline", "spinning_wait", "virtual_wait"]
+
 Wait = Callable[[int, Callable[[], object]], int]
 MISSED = -1  # arrival of a tick without a sample, before it is known for how long
 REHEARSAL_NS = 30_000  # room that a rehearsal needs before the deadline

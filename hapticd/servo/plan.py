@@ -49,6 +49,16 @@ from hapticd.servo.safety import FAULT_EVENT, GRANTED, LATCHED, State, held_damp
 from hapticd.usb.codec import U16_HIGHEST
 from hapticd.usb.frames import OutFlag, StatusBit
 
+__all__ = [
+    "Request",
+    "ServoState",
+    "coefficients_of",
+    "in_slots",
+    "masked_places",
+    "unflatten",
+    "with_values",
+]
+
 NEVER = 1 << 62
 CONTROL_SLEW_NS_PER_M_S: Final = 2000.0  # of active damping that the energy controller raises
 Wave = tuple[int, int, bool]  # perturbation: number of its command (0: none), samples, loop

@@ -44,6 +44,8 @@ from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.usb.frames import OutFlag
 from hapticd.usb.session import ENCODER_BITS
 
+__all__ = ["make_step"]
+
 Step = Callable[[ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, Output]]
 
 _CLAMPED = int(Flag.CLAMPED)

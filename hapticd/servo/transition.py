@@ -75,6 +75,8 @@ from hapticd.usb.device import SEED
 from hapticd.usb.frames import OutFlag, StatusBit
 from hapticd.usb.session import ENCODER_BITS
 
+__all__ = ["refiltered"]
+
 NO_AUTHORITY = BY_CODE["no_authority"].number
 FRAMES_LOST = BY_CODE["frames_lost"].number
 SENSOR_GLITCH = BY_CODE["sensor_glitch"].number

@@ -46,6 +46,20 @@ from hapticd.settings.device import DeviceFile, Travel, effects_of, signs_hash
 from hapticd.settings.load import Settings
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 
+__all__ = [
+    "board_of",
+    "board_params",
+    "commissioning",
+    "device_effects",
+    "device_params",
+    "gateway_params",
+    "guard_params",
+    "lease_params",
+    "rigid_effects",
+    "servo_params",
+    "smoothing_hz",
+]
+
 # fields of [simulation] that make the board unkind, by the names of BoardParams
 TRAITS = (
     "in_queue_depth",

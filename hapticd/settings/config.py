@@ -1,7 +1,7 @@
 """hapticd.toml: what is asked of any device.
 
-Defaults come from hapticd.core.params; limits are those of good sense. What a device itself allows is
-checked in `load`.
+Defaults come from `core.params`; limits are those of good sense. `load` checks what a device itself
+allows.
 """
 
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -35,6 +35,8 @@ from hapticd.core.params import (
     UsbParams,
 )
 from hapticd.settings.tables import TomlTable
+
+__all__ = ["Config"]
 
 _environment = Environment()
 _wall = WallParams()

@@ -42,6 +42,8 @@ from hapticd.model.effects import ALWAYS, BY_KEY, PROVENANCE, Effect
 from hapticd.settings.tables import TomlTable
 from hapticd.usb.codec import I16_HIGHEST
 
+__all__ = ["DeviceFile", "signs_hash"]
+
 SERIAL_BYTES = 16  # of the hello reply
 FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
 RELIED_ON: Any = ("probe", "temperature")

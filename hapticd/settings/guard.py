@@ -32,6 +32,8 @@ from hapticd.settings.build import device_effects, guard_params, rigid_effects
 from hapticd.settings.inputs import SETTINGS_BYTES, regular
 from hapticd.settings.load import Settings
 
+__all__ = ["guard_setup"]
+
 AXES = ("K", "B", "M")  # as limits of a .zwidth file number them
 
 

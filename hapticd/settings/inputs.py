@@ -12,6 +12,8 @@ from pathlib import Path
 
 from hapticd.core.errors import ConfigError
 
+__all__ = ["SAMPLES_BYTES", "SETTINGS_BYTES", "WAVEFORM_BYTES", "regular"]
+
 SETTINGS_BYTES = 4 << 20
 WAVEFORM_BYTES = 64 << 20
 SAMPLES_BYTES = 2 << 30  # of text or arrays that are read as a whole

@@ -37,6 +37,18 @@ from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leav
 from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
+__all__ = [
+    "Mistake",
+    "MoreRules",
+    "Override",
+    "Settings",
+    "find_config",
+    "find_device",
+    "load",
+    "load_device",
+    "validated",
+]
+
 FILE_NAME = "hapticd.toml"
 SYSTEM_FILE = Path("/etc/hapticd") / FILE_NAME
 # times the tolerance: a back-off that leaves room to weigh what acts there (servo.homing)

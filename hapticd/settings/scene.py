@@ -29,6 +29,8 @@ from hapticd.settings.load import chosen_rules, find_device, model_rules, report
 from hapticd.settings.tables import TomlTable, Where
 from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
 
+__all__ = ["build_scene", "load_files", "load_scene", "schema_text"]
+
 _excitation = Excitation()
 
 

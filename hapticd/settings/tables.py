@@ -3,7 +3,7 @@
 A sentence names file:line, field = value with its unit, what is allowed, what was probably meant.
 
 Tables are strict (no "100" for 100), closed (no unknown key), frozen, and refuse NaN and infinity.
-Units live in the names of fields; `hapticd.core.units.unit_of` reads them for messages and for the JSON
+Units live in the names of fields; `core.units.unit_of` reads them for messages and for the JSON
 schema.
 
 What would break it: a pydantic release that renames its error types (`REASONS` would fall back to
@@ -19,6 +19,8 @@ from pydantic_core import ErrorDetails
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import unit_of
 from hapticd.settings.toml import KeyPath, did_you_mean
+
+__all__ = ["dotted", "leaves"]
 
 Where = Callable[[KeyPath], str]  # file:line of a key
 

@@ -22,6 +22,8 @@ import hapticd
 from hapticd.core.errors import ConfigError
 from hapticd.settings.inputs import SETTINGS_BYTES, regular
 
+__all__ = ["Document", "did_you_mean", "nearest", "read", "shipped"]
+
 KeyPath = tuple[str | int, ...]  # names of tables and keys, places in lists
 
 _PACKAGE = Path(hapticd.__file__).parent

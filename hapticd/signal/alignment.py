@@ -37,6 +37,8 @@ from hapticd.model.excitation import mark_signs
 from hapticd.signal.gaps import Gap, find_gaps
 from hapticd.signal.matching import coefficients, fraction
 
+__all__ = ["FASTEST", "LEAST", "NO_MARK", "Mark", "Track", "align", "find_marks"]
+
 PIECE = 1024  # samples that are looked for at once
 LEAST = 0.25  # coefficient of a piece or a mark that was found: eight standard deviations of chance
 FEWEST = 8  # pieces, for a clock

@@ -36,6 +36,8 @@ from hapticd.signal.covariances import NO_SAMPLES, Moments, Sections, line_produ
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.signal.spectra import on_the_grid
 
+__all__ = ["BatchSections", "SharedForce", "shared_force"]
+
 TOGETHER = 8  # sections that wait, 4 MB: a vector's sums are brought into the cache once for all
 
 

@@ -32,6 +32,17 @@ from hapticd.core.errors import AnalysisError
 from hapticd.signal.envelope import Edge, Envelope
 from hapticd.signal.passive_set import PassiveSet
 
+__all__ = [
+    "EnvelopeConditions",
+    "check_alike",
+    "mean_over_ln_f",
+    "normalised",
+    "stiffness_damping_area",
+    "stiffness_rate",
+    "widths_db",
+    "zero_mass_bandwidth_hz",
+]
+
 BANDS_HZ = ((2.0, 10.0), (10.0, 50.0), (50.0, 200.0), (200.0, 500.0))
 CLOSE = 0.02  # relative difference of numbers that counts as none
 FREE = ("device", "mass_kg")  # conditions that may differ

@@ -45,6 +45,26 @@ from hapticd.core.arrays import Floats
 from hapticd.core.params import DeviceParams, ServoParams
 from hapticd.core.units import COPPER_PER_K
 
+__all__ = [
+    "ACCELERATION",
+    "CALIBRATION",
+    "COLUMNS",
+    "FORCE",
+    "LAG_S",
+    "MOTOR",
+    "NOTHING",
+    "ONE",
+    "RATE",
+    "SEEN",
+    "SIMPSON",
+    "VELOCITY",
+    "VOLTAGE",
+    "WINDOW",
+    "Block",
+    "Estimate",
+    "estimate",
+]
+
 LEAST = 8  # blocks from which an estimate is made
 WINDOW = 8  # periods over which means are taken
 SIMPSON = np.array([1.0, 4.0, 2.0, 4.0, 2.0, 4.0, 2.0, 4.0, 1.0]) / 24.0

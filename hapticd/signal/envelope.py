@@ -25,6 +25,8 @@ from hapticd.core.errors import AnalysisError
 from hapticd.signal.impedance import Impedance
 from hapticd.signal.verdict import Verdict
 
+__all__ = ["Edge", "Envelope", "accepted", "admittance", "merged", "of_one", "of_predicted"]
+
 Accept = Literal["judged", "within_90_deg"]
 
 

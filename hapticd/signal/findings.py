@@ -78,6 +78,17 @@ from hapticd.signal.covariances import detrended, same_length
 from hapticd.signal.impedance import Estimator, impedance
 from hapticd.signal.spectra import Spectra
 
+__all__ = [
+    "ESCAPE_RATIO",
+    "Energy",
+    "Finding",
+    "Record",
+    "escape_findings",
+    "examine",
+    "leakage_findings",
+    "outgrows_walk",
+]
+
 FLAT_SHARE = 1e-4  # of all samples, at the end value
 FLAT_BELOW = 0.02  # of the end value: so far below it others are counted
 ESCAPE_RATIO = 4.0  # of a second's rms to the lower quartile of all

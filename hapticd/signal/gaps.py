@@ -17,6 +17,8 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.signal.matching import coefficients, interpolated
 
+__all__ = ["Gap"]
+
 INNER = 256  # samples, of a stretch that shows a k between two others
 SHORTEST = 64  # samples for which a k holds
 LEAST_INNER = 0.4  # coefficient of such a stretch; chance reaches 0.25

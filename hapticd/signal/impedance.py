@@ -23,6 +23,8 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.signal.spectra import Spectra
 
+__all__ = ["Estimator", "Impedance", "impedance", "relative_sd", "spread_of"]
+
 Estimator = Literal["spa", "h_force"]
 
 

@@ -50,6 +50,8 @@ import numpy.typing as npt
 
 from hapticd.core.arrays import Floats
 
+__all__ = ["BOOKED", "LONGEST", "SAMPLE", "Table", "book", "smoothed"]
+
 # one row per usable sample
 SAMPLE = np.dtype(
     [

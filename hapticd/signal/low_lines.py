@@ -39,6 +39,8 @@ from hapticd.signal.findings import LINE_WIDTH, SMALL_LINE, Finding, line_findin
 from hapticd.signal.kernels import TINY
 from hapticd.signal.spectra import Spectra
 
+__all__ = ["hinted", "low_line"]
+
 FIRST_SHOWN = 2 * LINE_WIDTH  # of the window's own lines, which shows what is unexplained
 HINT = 2.0  # of a line over those beyond the window's width
 ORDER = 4  # of both polynomials; the device's own is of the second

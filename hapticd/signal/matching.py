@@ -12,6 +12,8 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats
 
+__all__ = ["fitting", "interpolated"]
+
 FLAT = 1e-6  # of the mean variance: less is a stretch in which nothing was measured
 TAPS = 16  # on either side, of the interpolation between samples
 CHUNK = 1 << 15  # samples interpolated at once

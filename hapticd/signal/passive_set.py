@@ -25,6 +25,19 @@ import numpy.typing as npt
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
 
+__all__ = [
+    "AXES",
+    "PassiveSet",
+    "ascending",
+    "axis_limit",
+    "grid",
+    "halved",
+    "open_ends",
+    "passive_set",
+    "set_limits",
+    "volume",
+]
+
 AXES = ("K", "B", "M")
 _SPLIT = 4  # parts of a cell's edge when its share is counted
 N_RAYS = 400  # of `boundary`

@@ -33,6 +33,8 @@ from hapticd.core.units import percent
 from hapticd.signal.findings import Finding
 from hapticd.signal.spectra import Spectra, grid_frequencies
 
+__all__ = ["CHANGING", "PeriodicSpectra", "changing", "periodic", "periodic_findings"]
+
 LEAST_POWER = 1e-9  # of a harmonic's force over the strongest one: below, it is not excited
 CHANGING = (
     0.03  # of the force's rms, what may not repeat: resolution and noise of the torque channel

@@ -33,6 +33,8 @@ from hapticd.model.predict import NOMINAL_NS_PER_M, chunks, coulomb, frequencies
 from hapticd.signal.passive_set import grid
 from hapticd.signal.surrogate import Box
 
+__all__ = ["ModelPrior"]
+
 SHAPE = (20, 12, 14)  # of the grid of b_c
 SHARES = (  # of the friction at rest, at which stability is looked at
     -0.4, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.2, 2.0,

@@ -42,6 +42,8 @@ from hapticd.signal.impedance import Estimator, impedance
 from hapticd.signal.kernels import TERMS, TINY, Fit, Transforms, kernels
 from hapticd.signal.spectra import Spectra
 
+__all__ = ["resolved"]
+
 WIDTH = 3.0  # times 1/(M T): a parabola through the middle then has the variance of the window
 NARROWER = 0.5  # times the width, of the fit that tells the bias
 BIAS = 2.0  # times the difference of the two: 8/7 where Q is smooth, more where it bends within it

@@ -56,6 +56,8 @@ from hapticd.signal.surrogate import (
     margin_sd,
 )
 
+__all__ = ["Search", "doubtful_share", "first_trials", "next_trials", "predicted_passive"]
+
 Headroom = Callable[[Floats], Floats]  # environments (N, 3) -> (N,), larger is safer
 
 SPREAD = 0.3  # of the least headroom before any trial: the prediction may be off by so much

@@ -53,6 +53,8 @@ from hapticd.signal.covariances import (
 )
 from hapticd.signal.kernels import kernels
 
+__all__ = ["DEFAULT_LAG", "Spectra", "SpectralStream", "corrected", "grid_frequencies", "spa"]
+
 NEAR = 1e-6  # of the spacing of the lines: what is closer to a line is that line
 LEFT = 0.5  # of the lesser power of two lines: a smooth spectrum has that much left between them
 

@@ -63,6 +63,22 @@ from hapticd.signal.impedance import (
 from hapticd.signal.resolved import Resolved, unresolved
 from hapticd.signal.spectra import Spectra, lines_beside
 
+__all__ = [
+    "DEFAULT_BAND_HZ",
+    "FORESEEABLE",
+    "LEAST_FREEDOM",
+    "NEAR_HZ",
+    "NOTHING_JUDGED",
+    "Judged",
+    "Verdict",
+    "judge",
+    "lines_to_resolve",
+    "needed",
+    "sidak",
+    "student_quantile",
+    "two_digits",
+]
+
 Answer = Literal["passive", "not_passive", "undecided"]
 Stability = Literal["stable", "unstable", "unknown"]
 Channels = Literal["recorded"]  # force as it was held, velocity as it was averaged

@@ -34,6 +34,8 @@ from hapticd.sim.errors import usb_error
 from hapticd.sim.flight import Endpoints, Flight
 from hapticd.sim.injection import Port, TransferFault
 
+__all__ = ["SimulatedBackend"]
+
 SPIN_NS = 60 * NS_PER_US  # a sleep of the machine is coarser than this
 ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the simulated board gives up
 

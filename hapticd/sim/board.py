@@ -43,6 +43,8 @@ from hapticd.sim.events import EventPins, PinEvent
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import Capability, HelloFrame, Request, StatusBit
 
+__all__ = ["make_board"]
+
 ADVANCE_MAX_NS = 20 * NS_PER_MS
 RATES_HZ = (250.0, 32_000.0)
 LATCHES_MAX = 16

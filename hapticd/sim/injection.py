@@ -23,6 +23,8 @@ from hapticd.sim.board import BoardModel
 from hapticd.usb import codec
 from hapticd.usb.frames import StatusBit
 
+__all__ = ["KINDS", "with_injections"]
+
 
 class TransferFault(Exception):
     """A transfer fails with errno `number`; the device is away for `away_s` afterwards, if

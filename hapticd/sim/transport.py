@@ -24,6 +24,8 @@ from hapticd.sim.bus import FixedBus, FullSpeedBus
 from hapticd.sim.descriptors import Transfer
 from hapticd.sim.injection import with_injections
 
+__all__ = ["make_backend"]
+
 
 class DistantBackend(SimulatedBackend):
     """A SimulatedBackend whose transfers take the time of its bus."""

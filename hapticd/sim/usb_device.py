@@ -24,6 +24,8 @@ from hapticd.sim.descriptors import Transfer
 from hapticd.sim.injection import Port, TransferFault
 from hapticd.usb.frames import PACKET_BYTES
 
+__all__ = ["UsbDevice", "check_traits"]
+
 DEVICE = 0x01  # types of descriptors
 CONFIGURATION = 0x02
 IN_BIT = 0x80  # of an endpoint's address

@@ -36,6 +36,8 @@ from hapticd.sim import descriptors
 from hapticd.sim.injection import TransferFault
 from hapticd.sim.usb_device import IN_BIT, Setup, Unplugged, UsbDevice
 
+__all__ = ["BUS_ID", "UsbipServer"]
+
 BUS_ID = "1-1"
 VERSION = 0x0111
 OP_REQ_DEVLIST = 0x8005

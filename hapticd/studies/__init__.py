@@ -1,15 +1,15 @@
-"""Studies of one scene: what accuracy costs, which effects a question needs, and single runs.
+"""Studies of one scene: what accuracy costs, which effects a question needs, and single runs; and
+the paper measured again (`weir2008`).
 
 A study asks about the simulation itself, not about a display: how many sub-steps, which precision,
 what length of a trial and which effects an answer needs. Every study is a procedure of a frozen
-plan: `plan_...` checks what is asked, `run_...` simulates and returns numbers; figures and tables
-of them are in `hapticd.studies.report`.
-
-For scripts:
+plan: `plan_...` checks what is asked, `run_...` simulates and returns numbers.
 
     accuracy    plan_accuracy, run_accuracy: error against seconds for every way to run a scene;
                 cost: seconds per simulated second
     effects     EffectsParams, plan_effects, run_effects: which effects change the answer
     scene       plan_scene, run_scene: a scene with active damping and without; ceiling: the largest
                 active damping that is stable; compare_integrators: explicit methods on its device
+    report      figures and tables of these
+    weir2008    Weir, Colgate and Peshkin (2008), measured again with the bench
 """

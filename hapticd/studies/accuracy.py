@@ -53,7 +53,7 @@ from hapticd.model.predict import predict, predicted_impedance
 from hapticd.model.scene import Scene
 from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
-from hapticd.zwidth.engine import BatchResult, simulate
+from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.lockstep import LockStepTrial, run_lockstep
 from hapticd.zwidth.scenes import (
@@ -68,6 +68,8 @@ from hapticd.zwidth.scenes import (
 )
 from hapticd.zwidth.simulated import pooled, spectra_of, spectra_on
 from hapticd.zwidth.store import Progress, Steps, silent
+
+__all__ = ["cost", "plan_accuracy", "run_accuracy"]
 
 REFERENCE = "the reference"
 ROUNDS = 3  # of timing

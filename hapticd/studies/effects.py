@@ -38,7 +38,7 @@ from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Scene
 from hapticd.studies.accuracy import GROUP, Stopwatch, engine_cost
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import Conditions
 from hapticd.zwidth.scenes import (
@@ -53,6 +53,8 @@ from hapticd.zwidth.scenes import (
 )
 from hapticd.zwidth.simulated import pooled, spectra_of
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
+
+__all__ = ["EffectsParams", "plan_effects", "run_effects"]
 
 PREDICTED = "predicted"
 SIMULATED = "simulated"

@@ -55,6 +55,24 @@ from hapticd.zwidth.report.table import Cell, Table, changed, duration, shown, t
 from hapticd.zwidth.report.trial import Curve, Trace, draw, draw_traces, dress
 from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies, point
 
+__all__ = [
+    "accuracy_figure",
+    "accuracy_table",
+    "accuracy_words",
+    "ceiling_table",
+    "ceiling_words",
+    "cost_words",
+    "effects_figure",
+    "effects_table",
+    "effects_words",
+    "explained",
+    "impedance_rows",
+    "integrators_figure",
+    "scene_figure",
+    "scene_table",
+    "step_words",
+]
+
 STYLES = (OFF, ON)
 SHOWN_S = 0.5  # of a noisy trace
 SHOWN_HZ = (1.9, 1000.0)

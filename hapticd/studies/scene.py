@@ -52,12 +52,14 @@ from hapticd.model.scene import Scene
 from hapticd.model.stability import damping_ceiling, edge, modes, stability
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.spectra import DEFAULT_LAG
-from hapticd.zwidth.engine import BatchResult, simulate
+from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.scenes import SUBSTEPS, filters, level, point
 from hapticd.zwidth.simulated import simulated
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import Progress, Steps, silent
 from hapticd.zwidth.trial import SHORTEST_WINDOWS, TrialParams, TrialResult, judged, plan_trial
+
+__all__ = ["SceneResult", "SceneTrial", "ceiling", "compare_integrators", "plan_scene", "run_scene"]
 
 TEMPERATURES = 12  # of a winding that warms up, at equal distances of time
 LEAST_S = SHORTEST_WINDOWS * DEFAULT_LAG / PROBE_RATE_HZ  # for a verdict

@@ -30,6 +30,8 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 from hapticd.usb.frames import PAIR_MAX, Capability, HelloFrame
 
+__all__ = ["differences", "probe_shortage"]
+
 TOLERANCE = 0.1  # of the device file's number, where nobody measured it
 
 

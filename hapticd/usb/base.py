@@ -8,6 +8,8 @@ from array import array
 
 from hapticd.usb.frames import Request
 
+__all__ = ["backoff_s"]
+
 
 class Link(ABC):
     """One board, one owner. Every call returns within the link's time-out or raises a LinkError.

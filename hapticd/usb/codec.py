@@ -21,6 +21,26 @@ from hapticd.core.errors import FrameError
 from hapticd.usb import frames
 from hapticd.usb.frames import HelloFrame, InFrame, OutFrame
 
+__all__ = [
+    "HEAD_CURRENT",
+    "HEAD_ENCODER",
+    "HEAD_FIFO_LEVEL",
+    "HEAD_INDEX_OFFSET",
+    "HEAD_STATUS",
+    "HEAD_TEMPERATURE",
+    "I16_HIGHEST",
+    "I16_LOWEST",
+    "NO_SAMPLES",
+    "TORQUE_SEQUENCES",
+    "U16_HIGHEST",
+    "decode_hello",
+    "decode_in",
+    "decode_out",
+    "encode_hello",
+    "encode_in",
+    "encode_out",
+]
+
 # ends of a count: torque, perturbation, current, velocities and temperature are signed, the damping
 # scale factor is not
 I16_LOWEST = -32768

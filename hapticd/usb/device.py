@@ -55,6 +55,8 @@ from hapticd.usb.events import PinEvents
 from hapticd.usb.frames import Capability, HelloFrame, Request
 from hapticd.usb.session import BOARD_TIME_BITS
 
+__all__ = ["NO_HEAD", "SEED", "UNKNOWN_US", "Device", "Head"]
+
 # far above any number of lost samples: the link is given up long before
 SEED = 1 << 20
 # each is a transfer of its own within the tick; the deepest queue that is known holds four frames

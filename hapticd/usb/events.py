@@ -14,6 +14,8 @@ need no clock of the host. An age that has reached the end of its 16 bits gives 
 
 from hapticd.usb.codec import HEAD_EVENT_AGE, HEAD_EVENT_CODE, HEAD_EVENT_SEQ, U16_HIGHEST
 
+__all__ = ["NO_CODE", "NO_TIME_US"]
+
 NUMBERS = 256
 NO_CODE = -1
 NO_TIME_US = -1

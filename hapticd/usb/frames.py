@@ -17,6 +17,37 @@ import struct
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
+__all__ = [
+    "CRC",
+    "CRC_INITIAL",
+    "EVENT_DEPTH",
+    "EVENT_FRAMES",
+    "FIFO_DEPTH",
+    "FIFO_TARGET",
+    "HELLO_BYTES",
+    "IN_BYTES",
+    "IN_EFFECT",
+    "IN_HEAD",
+    "IN_OFFSETS",
+    "IN_PAIRS",
+    "IN_SEALED",
+    "IN_TAIL",
+    "OUT",
+    "OUT_BYTES",
+    "OUT_OFFSETS",
+    "PACKET_BYTES",
+    "PAIR_MAX",
+    "PROBE_MAX",
+    "PROTOCOL_HASH",
+    "USB_PRODUCT_ID",
+    "USB_VENDOR_ID",
+    "Capability",
+    "HelloFrame",
+    "OutFlag",
+    "Request",
+    "StatusBit",
+]
+
 PROTOCOL_HASH = bytes.fromhex("016b7228b39ec3ca")
 
 USB_VENDOR_ID = 0x1209

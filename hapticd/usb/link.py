@@ -42,6 +42,8 @@ from hapticd.usb.base import Link
 from hapticd.usb.flight import End, InFlight, OutFailed, Transfers
 from hapticd.usb.frames import Request
 
+__all__ = ["UsbLink"]
+
 
 class Failure(NamedTuple):
     """What an errno means and what to do about it."""

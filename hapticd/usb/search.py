@@ -21,6 +21,8 @@ from hapticd.usb.base import backoff_s
 from hapticd.usb.device import Device
 from hapticd.usb.frames import HelloFrame
 
+__all__ = ["Search", "Tell"]
+
 MISMATCH_NS = 30 * NS_PER_S  # boot loaders wait for seconds, and flashing takes half a minute
 Tell = Callable[[str], None]
 

@@ -25,6 +25,8 @@ from hapticd.core.errors import ProtocolMismatch
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import HelloFrame
 
+__all__ = ["ENCODER_BITS", "PROBE_INDEX_BITS", "unwrap"]
+
 SEQ_BITS = 16
 BOARD_TIME_BITS = 32
 PROBE_INDEX_BITS = 32

@@ -38,6 +38,8 @@ from hapticd.usb import frames
 from hapticd.usb.device import Device
 from hapticd.usb.frames import Capability, Request
 
+__all__ = ["Transport", "settle_transport"]
+
 USUAL_PHASE = 0.875  # of a period: what a board has of itself (firmware_iface/PROTOCOL.md)
 PHASES = 16  # in a period
 PAIRS = 32

@@ -30,6 +30,8 @@ from hapticd.zwidth.recorded import ForeignSamples, read_file, read_foreign
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord
 from hapticd.zwidth.watch import Filler, in_even_time
 
+__all__ = ["read_aligned"]
+
 GAPS_SAID = 4  # in words; all are in the summary
 CERTAINTY = 1.96  # standard deviations of a 95 % interval
 COUNTED = ("lost_slots", "slots")  # of the own record, that stay true

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+__all__ = ["EndReason"]
+
 
 class EndReason(StrEnum):
     """What ended a trial. The values are those of run.json."""

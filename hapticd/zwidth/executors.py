@@ -38,6 +38,8 @@ from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.extras import need
 from hapticd.zwidth.engine.batch import at_most, workers
 
+__all__ = ["checked", "executor", "pool_of"]
+
 PATIENCE_S = 5.0  # for a scheduler to answer and for a first worker to be there
 GREETING_MOST = 1 << 20  # bytes
 SAME = ("hapticd", "numpy", "numba")  # what the last bit of an outcome depends on

@@ -46,6 +46,20 @@ from hapticd.zwidth.outcomes import (
 from hapticd.zwidth.scenes import Display
 from hapticd.zwidth.store import Progress, TrialStore, silent
 
+__all__ = [
+    "ORIGIN",
+    "REACH",
+    "AxisLimit",
+    "LimitsParams",
+    "LimitsPlan",
+    "LimitsResult",
+    "Scan",
+    "plan_limits",
+    "predicted_limit",
+    "run_limits",
+    "run_plans",
+]
+
 ORIGIN: Point = (0.0, 0.0, 0.0)
 REACH = (2e4, 60.0, -0.25)  # of a predicted search: N/m, Ns/m, kg
 FIRST = (0.6, 1.5)  # of the predicted distance: where the first round looks

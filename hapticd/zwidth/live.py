@@ -44,6 +44,8 @@ from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, Progress, TrialRecord, silent
 from hapticd.zwidth.watch import Filler, Sentinel
 
+__all__ = ["allowed_waveform", "daemon_source"]
+
 LEASE_S = 5.0  # a trial that hangs for so long has ended
 RENEW_S = 1.0
 WAVEFORM_S = 120.0  # a longer trial repeats it

@@ -48,6 +48,18 @@ from hapticd.zwidth.outcomes import (
 )
 from hapticd.zwidth.store import Progress, TrialStore, silent
 
+__all__ = [
+    "Axes",
+    "LevelMap",
+    "MapParams",
+    "MapPlan",
+    "MapResult",
+    "kept_map",
+    "params_about",
+    "plan_map",
+    "run_map",
+]
+
 Axes = tuple[Floats, Floats, Floats]
 NEAR = 0.15
 GRID = (12, 10)  # values of K and of B about the limits of a device

@@ -55,12 +55,23 @@ from hapticd.signal.verdict import (
     judge,
     lines_to_resolve,
 )
-from hapticd.zwidth.engine import BatchResult, simulate
+from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.scenes import NOISE, SATURATED, Display, display, free_of_walls, frequencies
 from hapticd.zwidth.store import TrialStore, fingerprint
 from hapticd.zwidth.watch import SATURATED_SHARE
+
+__all__ = [
+    "Conditions",
+    "Outcome",
+    "Point",
+    "TrialBatch",
+    "judged",
+    "kept_frequencies",
+    "outcomes_of",
+    "points_of",
+]
 
 TOGETHER = LANES["f32"]  # trials that the engine does at once
 GROUPS = 4  # of so many in a task: the trials that need their records are simulated together

@@ -46,6 +46,17 @@ from hapticd.zwidth.map import LevelMap
 from hapticd.zwidth.scenes import Display, filters
 from hapticd.zwidth.store import to_json
 
+__all__ = [
+    "SUFFIX",
+    "Comparison",
+    "compare",
+    "conditions_of",
+    "device_hash",
+    "device_path",
+    "numbers_of",
+    "portable",
+]
+
 SUFFIX = ".zwidth"
 VERSION = 1
 EDGES = ("upper", "lower", "phase_upper", "phase_lower")

@@ -53,6 +53,8 @@ from hapticd.zwidth.store import (
 from hapticd.zwidth.times import SLOWEST_HZ, Sampling, sampling
 from hapticd.zwidth.watch import COUNTS, in_even_time
 
+__all__ = ["read_file"]
+
 MARKS = (",", ";", "\t")  # between columns
 FORCES = ("force_n", "torque_n", "force", "torque", "f", "y")
 VELOCITIES = ("velocity_m_per_s", "velocity", "v", "u")

@@ -33,6 +33,24 @@ from hapticd.settings.load import find_config, find_device, validated
 from hapticd.settings.toml import Document, read, shipped
 from hapticd.signal.spectra import DEFAULT_LAG
 
+__all__ = [
+    "SUBSTEPS",
+    "Display",
+    "candidates",
+    "device_file",
+    "device_scene",
+    "display",
+    "filters",
+    "free_of_walls",
+    "frequencies",
+    "is_linear",
+    "level",
+    "noise",
+    "point",
+    "scene_of_device",
+    "without",
+]
+
 TRIAL_S = 90.0
 NOISE = Excitation("noise")  # the paper's perturbation
 FREQUENCIES = 60

@@ -62,6 +62,8 @@ from hapticd.zwidth.outcomes import (
 from hapticd.zwidth.scenes import SATURATED
 from hapticd.zwidth.store import Progress, TrialStore, silent
 
+__all__ = ["SearchParams", "SearchResult", "observed", "plan_search", "run_search"]
+
 ROOM = (3.2, 1.3, 1.3)  # factors: the box beyond the predicted axis limits of K, B, -M
 HEAVIER = 1.6  # its positive end of M over the negative one, before it is widened
 WIDER = 1.5  # factor of an end beyond which the set is predicted to go on

@@ -28,6 +28,8 @@ from hapticd.zwidth import scenes
 from hapticd.zwidth.store import Progress, TrialRecord
 from hapticd.zwidth.watch import Sentinel, Watch
 
+__all__ = ["Source", "Trial", "file_source", "given"]
+
 LEAST_KEPT_S = 8.0
 NAMES = (("K", "N/m"), ("B", "N s/m"), ("M", "kg"))
 Typed = tuple[float | None, float | None, float | None]  # K [N/m], B [N s/m], M [kg]

@@ -20,6 +20,8 @@ from hapticd.zwidth.ending import EndReason
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import Progress, Steps, TrialRecord, silent
 
+__all__ = ["ReferenceSines", "may_follow", "stepped_sine"]
+
 FREQUENCIES_HZ = (3.0, 5.0, 8.0, 13.0, 21.0, 34.0, 55.0, 89.0, 144.0, 233.0, 377.0, 480.0)
 DWELL_S = 4.0
 TRANSIENT_S = 1.0

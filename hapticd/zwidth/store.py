@@ -36,6 +36,19 @@ from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, ConfigError
 from hapticd.zwidth.ending import EndReason, TrialEnd
 
+__all__ = [
+    "FIGURE_KINDS",
+    "Progress",
+    "Steps",
+    "TrialRecord",
+    "TrialStore",
+    "fingerprint",
+    "read_summary",
+    "silent",
+    "to_json",
+    "write_run",
+]
+
 SUMMARY = "run.json"
 RECORD_H5 = "record.h5"
 RECORD_NPZ = "record.npz"

@@ -71,6 +71,21 @@ from hapticd.zwidth.store import (
 )
 from hapticd.zwidth.watch import AT_LIMIT, COUNTS, limit_findings, loss_findings, summed
 
+__all__ = [
+    "SHORTEST_WINDOWS",
+    "MultisineLayout",
+    "TrialParams",
+    "TrialPlan",
+    "TrialResult",
+    "judged",
+    "kept_trial",
+    "multisine_like",
+    "plan_trial",
+    "run_trial",
+    "summary",
+    "write",
+]
+
 PERIOD = 2 * DEFAULT_LAG  # samples
 SPARE_S = 0.01  # periods need not be whole ticks
 TRIES = 8  # of a realisation

@@ -27,8 +27,10 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.compose import compose
 from hapticd.model.model import Model
 from hapticd.model.scene import Scene
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.store import Progress, Steps, silent
+
+__all__ = ["WallMapParams", "WallResult", "plan_walls", "run_walls"]
 
 FINER = 6  # steps between the last stable and the first unstable wall
 

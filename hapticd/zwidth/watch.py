@@ -61,6 +61,8 @@ from hapticd.signal.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.store import LOSSES_BY, TrialRecord
 
+__all__ = ["CENTRING_N_PER_M", "Watch"]
+
 BRIDGED = 40  # samples at most: 10 ms
 MOST_LOST = 0.01  # share of samples or slots above which nothing is decided
 # as the run's summary names them

@@ -10,10 +10,10 @@ import pytest
 from support.cli_zwidth_trial import LINEAR, MULTISINE, run
 
 from hapticd.cli import change
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
-from hapticd.zwidth.lockstep import LockStepBench
 
 
 def test_run_of_multisines_is_drawn_again_with_its_admittance(tmp_path, capsys):
@@ -52,7 +52,7 @@ def daemon(monkeypatch):
 
     @contextmanager
     def connected(instance, timeout_s=2.0):
-        with LockStepBench(servo_params(settings, instance), board_params(settings)) as bench:
+        with LockStepClient(servo_params(settings, instance), board_params(settings)) as bench:
             yield bench
 
     monkeypatch.setattr(change, "connect", connected)

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from support.engine_batch import PARAMS, SUMS, WEIR, same_bytes
 
-from hapticd.zwidth.engine import batch, simulate
+from hapticd.zwidth.engine import batch
+from hapticd.zwidth.engine.batch import simulate
 
 
 class Inline(Executor):

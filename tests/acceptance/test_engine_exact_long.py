@@ -18,7 +18,7 @@ from support.straight import Straight
 from hapticd.model.effects import Coulomb, Delay, ForceDac, Multiplier
 from hapticd.model.excitation import Stream, held_noise
 from hapticd.model.model import Noise
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 
 @pytest.mark.parametrize(

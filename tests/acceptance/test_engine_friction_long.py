@@ -5,7 +5,7 @@ from support.devices import STAR, device
 from support.engine_friction import BELOW_FRICTION_N, FIG4, RIGID_DRY
 
 from hapticd.model.effects import Coulomb, Load
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 STAR_DRY = (*STAR, Coulomb(rotor_n=0.0293))
 GROUND = Load(stiffness_n_per_m=200.0)

@@ -13,7 +13,7 @@ from support.devices import COUNTS, DRY, LIMIT, STAR, device, rigid
 from hapticd.model.effects import Coulomb
 from hapticd.model.scene import Excitation
 from hapticd.model.theorem import required_damping
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 LOUD = np.random.default_rng(8).normal(0.0, 0.3, 4000)
 SIZES = st.floats(0.0, 1.0)

@@ -9,7 +9,7 @@ from support.engine_records import KEPT, PARAMS, WEIR, assert_alike, both
 
 from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 
 @pytest.mark.parametrize(("dtype", "tolerance"), [("f64", 1e-12), ("f32", 2e-6)])

@@ -9,7 +9,7 @@ import numpy as np
 
 from hapticd.settings.scene import load_scene
 from hapticd.signal.spectra import spa
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 FREQUENCY_HZ = np.array([5.0, 29.0, 49.0, 69.0, 99.0, 147.0, 199.0, 305.0])
 RATIO = np.array([1.60, 2.68, 2.06, 1.32, 1.13, 1.05, 1.02, 0.99])

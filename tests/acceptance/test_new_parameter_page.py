@@ -20,7 +20,7 @@ from dataclasses import replace
 sys.path += ["tests"]
 from support.devices import COUNTS, DRY, TWO_MASSES, device
 from support.models import environment_tuple
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.core.environment import Environment
 from hapticd.render.law import at_rest, design_coefficients, render
 

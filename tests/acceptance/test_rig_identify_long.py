@@ -17,9 +17,9 @@ from hapticd.model.predict import predict, predicted_impedance
 from hapticd.rig.device_file import write
 from hapticd.rig.identify import measure
 from hapticd.run.lockstep import scene_params
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings import build
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.scenes import device_scene, display
 
 DEVICES = ROOT / "config" / "devices"
@@ -94,7 +94,7 @@ def two_masses(tmp_path_factory):
     folder = tmp_path_factory.mktemp("two")
     scene = folder / "scene.toml"
     scene.write_text(SCENE, encoding="utf-8")
-    with LockStepBench(*scene_params(scene)) as rig:
+    with LockStepClient(*scene_params(scene)) as rig:
         result = measure(rig, nothing)
     file = folder / "device.toml"
     shutil.copy(DEVICES / "example-board.toml", file)

@@ -28,7 +28,7 @@ from hapticd.signal.impedance import impedance
 from hapticd.signal.periodic import periodic
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import judge, student_quantile
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 # --- linear ---------------------------------------------------------------------------------------
 

@@ -27,7 +27,7 @@ from hapticd.signal.resolved import resolved, unresolved
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import DEFAULT_BAND_HZ as BAND
 from hapticd.signal.verdict import Verdict, judge
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord

@@ -16,7 +16,7 @@ from hapticd.signal.findings import coherence_findings, examine
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import judge
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 pytestmark = pytest.mark.slow
 

@@ -18,13 +18,13 @@ from hapticd.cli import change
 from hapticd.cli.app import command_line, main
 from hapticd.cli.zwidth.trial import compared, needed
 from hapticd.core.params import InjectionParams
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.signal.findings import Finding
 from hapticd.signal.impedance import impedance
 from hapticd.signal.verdict import judge, two_digits
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.scenes import device_scene, scene_of_device
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.stepped_sine import ReferenceSines
@@ -332,7 +332,7 @@ def daemon(monkeypatch):
 
     @contextmanager
     def connected(instance, timeout_s=2.0):
-        with LockStepBench(servo_params(settings, instance), board_params(settings)) as bench:
+        with LockStepClient(servo_params(settings, instance), board_params(settings)) as bench:
             yield bench
 
     monkeypatch.setattr(change, "connect", connected)
@@ -348,7 +348,7 @@ def test_live_trial_takes_out_the_skew_of_the_device_file(
 
     @contextmanager
     def connected(instance, timeout_s=2.0):
-        with LockStepBench(servo, board_params(settings)) as bench:
+        with LockStepClient(servo, board_params(settings)) as bench:
             yield bench
 
     monkeypatch.setattr(change, "connect", connected)
@@ -369,7 +369,7 @@ def test_live_trial_that_leaves_the_device_in_fault_ends_with_5(monkeypatch, tmp
 
     @contextmanager
     def connected(instance, timeout_s=2.0):
-        with LockStepBench(servo_params(settings, "default"), board) as bench:
+        with LockStepClient(servo_params(settings, "default"), board) as bench:
             yield bench
 
     monkeypatch.setattr(change, "connect", connected)

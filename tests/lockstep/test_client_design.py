@@ -11,7 +11,7 @@ from support.models import servo_params
 from hapticd.client.blocks import BlockDecoder
 from hapticd.client.design import Condition, Table, blocks, joined, pairs, sweep
 from hapticd.core.errors import ConfigError
-from hapticd.zwidth.lockstep import LockStepBench
+from hapticd.run.lockstep_client import LockStepClient
 
 A = Condition("soft", {"K": 100.0})
 B = Condition("stiff", {"K": 120.0})
@@ -60,7 +60,7 @@ def test_rows_get_exactly_the_ticks_in_which_they_were_in_force(tmp_path):
     order = [one for block in blocks([A, B], 3, seed=2) for one in block]
     decoder = BlockDecoder()
     records = []
-    with LockStepBench(servo_params(), board_params()) as device, Table(path, ("felt",)) as table:
+    with LockStepClient(servo_params(), board_params()) as device, Table(path, ("felt",)) as table:
         device.enable()
         for message in device.messages(("servo.raw",)):
             if message is not None:
@@ -86,7 +86,7 @@ def test_rows_get_exactly_the_ticks_in_which_they_were_in_force(tmp_path):
 
 def test_a_row_is_on_the_disk_before_the_next_condition_begins(tmp_path):
     path = tmp_path / "session.csv"
-    with LockStepBench(servo_params(), board_params()) as device, Table(path) as table:
+    with LockStepClient(servo_params(), board_params()) as device, Table(path) as table:
         for condition in (A, B):
             table.begin(device.set(**condition.settings), condition)
         with path.open(newline="") as file:

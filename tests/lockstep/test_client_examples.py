@@ -18,7 +18,7 @@ from support.gateway_rig import GatewayRig, running
 
 import hapticd
 from hapticd.client import AsyncClient, Client, step
-from hapticd.zwidth.virtual import VirtualBoard
+from hapticd.run.virtual import VirtualBoard
 
 pytestmark = pytest.mark.filterwarnings("ignore::hapticd.core.errors.GuardWarning")
 

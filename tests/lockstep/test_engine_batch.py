@@ -13,7 +13,7 @@ from hapticd.core.errors import ConfigError
 from hapticd.model.effects import DampingDac, Masses, ProbeAdc
 from hapticd.model.model import Noise
 from hapticd.model.scene import DampingStep, Excitation, Scene
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.engine.source import VELOCITY_MAX_M_PER_S
 
 

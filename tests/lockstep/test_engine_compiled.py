@@ -9,7 +9,7 @@ from hapticd.core.environment import Environment, FilterParams, WallParams, Work
 from hapticd.model.effects import Saturation, Viscous
 from hapticd.model.scene import Excitation
 from hapticd.render.law import at_rest, design_coefficients, render
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [600.0, 0.5, -0.002], [5000.0, 8.0, 0.001]]
 SOLID = Environment(

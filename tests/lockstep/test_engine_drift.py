@@ -9,7 +9,7 @@ import pytest
 from support.devices import STAR, device, rigid
 
 from hapticd.model.scene import Excitation
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 
 @pytest.mark.parametrize("dtype", ["f32", "f64"])

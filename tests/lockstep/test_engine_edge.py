@@ -11,7 +11,7 @@ from support.devices import STAR, device, rigid
 
 from hapticd.model.loop import PAPER_FILTERS, spectral_radius
 from hapticd.model.scene import Excitation
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 RAW = (None, None)
 STILL = Excitation("none")

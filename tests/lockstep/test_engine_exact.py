@@ -21,7 +21,7 @@ from support.engine_exact import largest_error
 
 from hapticd.core.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.model.effects import AntiAlias, VelocityHighpass
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.125, 0.4, 1.0, 1.45, 2.0])

@@ -9,7 +9,7 @@ from support.engine_state import final
 
 from hapticd.model.effects import Coulomb, Encoder, Load, Masses, Saturation, Viscous
 from hapticd.model.scene import Excitation
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 RAW = (None, None)
 STILL = Excitation("none")

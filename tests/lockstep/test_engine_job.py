@@ -16,7 +16,7 @@ from hapticd.model.effects import (
     copper_ohm,
 )
 from hapticd.model.scene import Excitation
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 PER_N_PER_A = 1.65
 WARM = (

@@ -10,7 +10,8 @@ from support.engine_kernels import ALL, WALL, shape
 
 from hapticd.core.errors import ConfigError, MissingLibrary
 from hapticd.model.effects import ForceDac
-from hapticd.zwidth.engine import kernels, simulate
+from hapticd.zwidth.engine import kernels
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.engine.kernels import cache_folder, kernel
 from hapticd.zwidth.engine.source import kernel_source
 

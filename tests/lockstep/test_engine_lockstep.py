@@ -24,7 +24,7 @@ from hapticd.servo.safety import State
 from hapticd.sim.backend import SimulatedBackend
 from hapticd.sim.board import BoardModel
 from hapticd.usb import codec
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 DTYPE = np.dtype([tuple(field) for field in layout.TELEMETRY])
 LEVEL_COUNT = 10.0 / 65535

@@ -12,7 +12,7 @@ from support.devices import rigid
 from hapticd.core.environment import FilterParams
 from hapticd.model.scene import Excitation
 from hapticd.model.theorem import required_damping
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 RAW = (None, None)
 RATE_HZ = 4000

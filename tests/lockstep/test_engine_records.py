@@ -11,7 +11,7 @@ from support.engine_records import KEPT, PARAMS, WEIR, assert_alike, both
 
 from hapticd.model.model import Noise
 from hapticd.model.scene import Excitation
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 
 def test_damping_switched_within_a_section_is_in_the_spectra():

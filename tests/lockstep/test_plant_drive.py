@@ -18,7 +18,7 @@ from hapticd.core.errors import ConfigError
 from hapticd.model.compose import compose_device
 from hapticd.model.effects import Amplifier, AmplifierLimits, Crowbar, DampingCircuit, Masses
 from hapticd.model.step import make_plant
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.engine.shape import reduced, shape_of
 from hapticd.zwidth.engine.source import kernel_source
 

@@ -24,7 +24,7 @@ from hapticd.model.effects import (
 )
 from hapticd.model.stability import explain
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.engine.shape import reduced
 
 LEVEL = 1.74

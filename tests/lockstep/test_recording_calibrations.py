@@ -17,11 +17,11 @@ from hapticd.core.params import to_plain
 from hapticd.recording.calibrations import doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of, certificate_path
 from hapticd.recording.file import open_recording
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import servo_params as built
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.zwidth.live import daemon_source
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import read_summary
@@ -133,7 +133,7 @@ TRIAL = Trial((50.0, 0.5, 0.0), seconds=5.0, excitation=WEAK)
 
 
 def test_live_trial_refuses_what_cannot_be_relied_on_before_it_moves():
-    with LockStepBench(dated(**OLD), board_params()) as bench:
+    with LockStepClient(dated(**OLD), board_params()) as bench:
         with pytest.raises(AnalysisError, match=r"position: it is \d+ days old"):
             daemon_source(bench)(TRIAL)
         assert bench.status().state == "disabled"
@@ -141,7 +141,7 @@ def test_live_trial_refuses_what_cannot_be_relied_on_before_it_moves():
 
 def test_trial_that_accepts_it_says_so_in_its_verdict_and_wherever_it_is_read(tmp_path):
     plan = plan_trial(TrialParams(TRIAL))
-    with LockStepBench(dated(**OLD), board_params()) as bench:
+    with LockStepClient(dated(**OLD), board_params()) as bench:
         result = run_trial(plan, daemon_source(bench, uncalibrated=True))
     assert "uncalibrated: position: it is" in str(result.verdict)
     write(tmp_path, result, {})
@@ -153,7 +153,7 @@ def test_trial_that_accepts_it_says_so_in_its_verdict_and_wherever_it_is_read(tm
 
 def test_trial_of_a_simulated_device_says_nothing_of_it():
     simulated = dataclasses.replace(dated(date=""), simulated=True)
-    with LockStepBench(simulated, board_params()) as bench:
+    with LockStepClient(simulated, board_params()) as bench:
         recorded = daemon_source(bench)(TRIAL)
     assert recorded.more["calibration_doubts"] == []
 
@@ -161,7 +161,7 @@ def test_trial_of_a_simulated_device_says_nothing_of_it():
 def test_trial_live_takes_uncalibrated_devices_when_asked(monkeypatch, tmp_path, capsys):
     @contextmanager
     def connected(instance, timeout_s=2.0):
-        with LockStepBench(dated(**OLD), board_params()) as bench:
+        with LockStepClient(dated(**OLD), board_params()) as bench:
             yield bench
 
     monkeypatch.setattr(change, "connect", connected)
@@ -224,6 +224,6 @@ def test_without_a_certificate_nothing_is_told(certified, tmp_path):
 
 
 def test_trial_carries_the_certificate(certified):
-    with LockStepBench(certified, board_params()) as bench:
+    with LockStepClient(certified, board_params()) as bench:
         recorded = daemon_source(bench, uncalibrated=True)(TRIAL)
     assert recorded.more["certificate"]["verdict"] == "verified"

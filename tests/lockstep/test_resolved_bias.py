@@ -12,7 +12,7 @@ from hapticd.signal.impedance import impedance
 from hapticd.signal.resolved import Resolved, resolved, unresolved
 from hapticd.signal.spectra import spa
 from hapticd.signal.verdict import judge
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 BAND = (2.0, 500.0)
 

@@ -10,14 +10,14 @@ from support.models import servo_params
 from hapticd.core.errors import CommandError
 from hapticd.core.params import InjectionParams
 from hapticd.rig.link import drift_of, measure, median_of
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.usb.frames import StatusBit
-from hapticd.zwidth.lockstep import LockStepBench
 
 SECONDS = 2.0
 
 
 def found(**board):
-    with LockStepBench(servo_params(), board_params(**board)) as bench:
+    with LockStepClient(servo_params(), board_params(**board)) as bench:
         result = measure(bench, SECONDS)
         return (
             {value.name: value for value in result.values},
@@ -45,7 +45,7 @@ def test_missing_frames_are_counted_and_refused_with_a_remedy():
 
 def watched(ms=50.0, change=lambda axis: None):
     """What `rig link` finds of a board that states a watchdog of `ms`, with `change` made to it."""
-    with LockStepBench(servo_params(), board_params(watchdog_ms=ms)) as bench:
+    with LockStepClient(servo_params(), board_params(watchdog_ms=ms)) as bench:
         change(bench.stack.backend._port._axis)
         before = bench.status().counters
         result = measure(bench, SECONDS)
@@ -118,7 +118,7 @@ def test_a_watchdog_of_seconds_is_not_waited_for():
 
 
 def test_what_a_board_lacks_is_named_with_what_is_lost():
-    with LockStepBench(servo_params(), board_params(lacks=("emergency_stop",))) as bench:
+    with LockStepClient(servo_params(), board_params(lacks=("emergency_stop",))) as bench:
         result = measure(bench, SECONDS)
     assert any(
         one.what == "it lacks EMERGENCY_STOP" and one.verdict == "warning"
@@ -127,7 +127,7 @@ def test_what_a_board_lacks_is_named_with_what_is_lost():
 
 
 def test_a_device_that_is_enabled_is_left_alone():
-    with LockStepBench(servo_params(), board_params()) as bench:
+    with LockStepClient(servo_params(), board_params()) as bench:
         bench.enable()
         with pytest.raises(CommandError, match="disabled"):
             measure(bench, SECONDS)
@@ -156,7 +156,7 @@ def test_the_median_has_the_interval_of_its_order_statistics():
 def test_missing_features_are_named():
     servo = servo_params()
     lacking = dataclasses.replace(servo.device, relies_on=("probe", "temperature"))
-    with LockStepBench(
+    with LockStepClient(
         dataclasses.replace(servo, device=lacking), board_params(lacks=("temperature",))
     ) as bench:
         result = measure(bench, SECONDS)

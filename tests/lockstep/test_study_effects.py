@@ -23,7 +23,7 @@ from hapticd.studies.effects import (
     run_effects,
 )
 from hapticd.zwidth import outcomes
-from hapticd.zwidth.engine import BatchResult, simulate
+from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.scenes import frequencies, without
 

@@ -22,10 +22,10 @@ from hapticd.model.excitation import MARK_LEAD
 from hapticd.recording.file import open_recording
 from hapticd.recording.recorder import RecordingParams, record
 from hapticd.run.lockstep import scene_params
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.aligned import read_aligned
 from hapticd.zwidth.live import daemon_source, signals
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import MARK_SAMPLE
@@ -41,7 +41,7 @@ LOST = sum(lost for _, lost in GAPS)
 ROWS = 74_000
 
 
-class Heard(LockStepBench):
+class Heard(LockStepClient):
     """Keeps every sample of the probe that is received."""
 
     def __init__(self, *params):
@@ -250,7 +250,7 @@ def test_marked_trial_that_would_repeat_is_refused(tmp_path):
     scene = tmp_path / "rigid.toml"
     scene.write_text(RIGID)
     with (
-        LockStepBench(*scene_params(scene)) as bench,
+        LockStepClient(*scene_params(scene)) as bench,
         pytest.raises(AnalysisError, match=r"a marked trial of 111 s: .* take 110 s or less"),
     ):
         daemon_source(bench)(Trial(seconds=111.0, mark=True), lambda *_: None)

@@ -11,10 +11,10 @@ from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.core.params import HandParams, TouchParams
 from hapticd.mailbox.layout import Command, Value
 from hapticd.run.lockstep import scene_params
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.stepped_sine import may_follow, stepped_sine
@@ -40,7 +40,7 @@ def rigid(tmp_path):
     return path
 
 
-class Meddled(LockStepBench):
+class Meddled(LockStepClient):
     """Someone else acts once, after the `count`-th look of half a second."""
 
     act = None
@@ -84,7 +84,7 @@ def test_trial_that_someone_changes_is_undecided(rigid, act):
     assert "someone changed what was rendered or the perturbation" in str(found.verdict)
 
 
-class Looped(LockStepBench):
+class Looped(LockStepClient):
     """Remembers whether the waveform was to be repeated."""
 
     looped = None
@@ -112,7 +112,7 @@ def test_trial_whose_force_comes_too_slowly_is_no_trial(rigid):
     servo, board = scene_params(rigid)
     board = replace(board, touch=TouchParams(hands=(HandParams("push", force_n=1.0),)))
     plan = plan_trial(TrialParams(Trial((800.0, 1.0, 0.0), seconds=SECONDS)))
-    with LockStepBench(servo, board) as bench:
+    with LockStepClient(servo, board) as bench:
         bench.run(2000)
         assert bench.newest["position_m"] > 0.015
         with pytest.raises(AnalysisError, match="slow start: the gain was still rising"):
@@ -127,7 +127,7 @@ def test_trial_that_someone_ends_says_so(rigid):
 
 
 def test_servo_is_disabled_though_the_perturbation_refuses_to_stop(rigid):
-    class Stubborn(LockStepBench):
+    class Stubborn(LockStepClient):
         def perturb_stop(self):
             raise CommandError("refused", "not now")
 
@@ -170,7 +170,7 @@ def test_what_ended_a_trial_says_whether_another_may_follow(reason, again):
     assert may_follow(TrialRecord(np.zeros(1), np.zeros(1), 4000.0, "made", True, ended)) == again
 
 
-class Watched(LockStepBench):
+class Watched(LockStepClient):
     """Remembers what the records say of leases and watches while the perturbation plays."""
 
     def messages(self, topics, look_s=0.05):
@@ -203,7 +203,7 @@ def test_trial_measures_under_a_lease_and_says_so(rigid):
 def test_trial_leaves_a_device_that_was_taken_over(rigid):
     """Whoever took it over has it: no disable of the trial's ends his session."""
 
-    class Lost(LockStepBench):
+    class Lost(LockStepClient):
         lost = False
 
         def call(self, cmd, **fields):
@@ -229,7 +229,7 @@ def test_noise_that_is_too_strong_for_the_probe_names_one_that_is_not(rigid):
     servo, board = scene_params(rigid)
     servo = replace(servo, device=replace(servo.device, probe_limit_n=0.3))
     trial = Trial((100.0, 1.0, 0.0), seconds=2.0)
-    with LockStepBench(servo, board) as bench:
+    with LockStepClient(servo, board) as bench:
         with pytest.raises(AnalysisError, match=r"limits\.probe_n.*: --psd") as caught:
             daemon_source(bench)(trial)
         assert bench.status().state == "disabled"

@@ -6,7 +6,7 @@ import pytest
 from hapticd.core.errors import AnalysisError
 from hapticd.settings.scene import load_scene
 from hapticd.studies.accuracy import phase_rms
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.lockstep import MOST_S, run_lockstep
 from hapticd.zwidth.scenes import frequencies
 from hapticd.zwidth.simulated import spectra_on

@@ -15,6 +15,7 @@ from hapticd.core.faults import BY_CODE
 from hapticd.model.scene import Excitation
 from hapticd.protocol.answers import Status
 from hapticd.run.lockstep import scene_params
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import board_params, servo_params
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
@@ -22,7 +23,6 @@ from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import _gone, daemon_source
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord, too_short
 from hapticd.zwidth.trial import (
@@ -53,7 +53,7 @@ def unpacked(payload):
     return msgpack.unpackb(payload, use_list=False), BlockDecoder().decode(payload).records.copy()
 
 
-class Lossy(LockStepBench):
+class Lossy(LockStepClient):
     """A busy host: `share` of the probe's samples never come, by sixes, and of the servo's
     slots.
     """
@@ -208,7 +208,7 @@ def test_free_device_that_drifts_to_its_stop_ends_its_trial():
     the stop.
     """
     settings = load(shipped("config") / "hapticd.toml")
-    with LockStepBench(servo_params(settings, "x"), board_params(settings)) as bench:
+    with LockStepClient(servo_params(settings, "x"), board_params(settings)) as bench:
         found = daemon_source(bench)(Trial(seconds=60.0), lambda *_: None)
         assert bench.status().state == "disabled"
     assert found.ended.reason is EndReason.TRAVEL
@@ -223,7 +223,7 @@ def test_free_device_that_drifts_to_its_stop_ends_its_trial():
 def test_device_that_comes_back_from_its_stop_may_be_tried(rigid):
     """The stiffness that centres it has the second in which the trial settles."""
 
-    class Far(LockStepBench):
+    class Far(LockStepClient):
         def messages(self, topics, look_s=0.05):
             ticks = 0
             for message in super().messages(topics, look_s):

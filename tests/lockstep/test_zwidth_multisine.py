@@ -11,9 +11,9 @@ from support.measured_scenes import RIGID
 from hapticd.core.errors import AnalysisError
 from hapticd.model.scene import Excitation
 from hapticd.run.lockstep import scene_params
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
@@ -64,7 +64,7 @@ def test_multisine_trial_by_the_whole_stack_lands_within_its_interval_of_the_eng
     scene = load_scene(rigid)
     layout = MultisineLayout(6, 2)
     by_engine = run_trial(shaken(layout, scene=scene), engine_source(scene))
-    with LockStepBench(*scene_params(rigid)) as bench:
+    with LockStepClient(*scene_params(rigid)) as bench:
         live = run_trial(shaken(layout, scene=scene), daemon_source(bench))
         assert bench.status().state == "disabled"
     assert live.verdict.answer == by_engine.verdict.answer == "passive"

@@ -13,7 +13,7 @@ from support.zwidth_noisy_probe import GIVEN, NOISE, NOISY, PARTS, POINTS, SECON
 from hapticd.core.arrays import Floats, Values
 from hapticd.signal.spectra import spa
 from hapticd.zwidth import outcomes
-from hapticd.zwidth.engine import BatchResult, simulate
+from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import run_trials
 from hapticd.zwidth.simulated import engine_source

@@ -14,12 +14,12 @@ from hapticd.model.compose import compose
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.scene import Excitation
 from hapticd.run.lockstep import scene_params
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import device_scene, filters
 from hapticd.zwidth.simulated import engine_source
@@ -162,7 +162,7 @@ def test_lockstep_trial_lands_within_its_interval_of_the_engine(active_damping_n
     trial = Trial((50.0, 2.0, 0.0), active_damping_ns_per_m, seconds=25.0)
     plan = plan_trial(TrialParams(trial, scene))
     by_engine = run_trial(plan, engine_source(scene))
-    with LockStepBench(*scene_params("fig7")) as bench:
+    with LockStepClient(*scene_params("fig7")) as bench:
         live = run_trial(plan, daemon_source(bench))
         assert bench.status().state == "disabled"
     assert live.recorded.seconds == 25.0
@@ -187,7 +187,7 @@ def test_lockstep_trial_of_another_damping_does_not_land_there():
 
 
 def test_lockstep_trial_refuses_a_session_that_runs(rigid):
-    with LockStepBench(*scene_params(rigid)) as bench:
+    with LockStepClient(*scene_params(rigid)) as bench:
         bench.enable()
         with pytest.raises(
             AnalysisError, match="the servo is enabled, a trial begins from disabled"
@@ -198,7 +198,7 @@ def test_lockstep_trial_refuses_a_session_that_runs(rigid):
 
 def test_lockstep_trial_of_a_runaway_loop_ends_early_and_disabled(rigid):
     """B T / m far beyond 2: the loop runs away, the trial ends at once, force off."""
-    with LockStepBench(*scene_params(rigid)) as bench:
+    with LockStepClient(*scene_params(rigid)) as bench:
         found = daemon_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
         assert bench.status().state != "enabled"
     assert found.ended.reason in (EndReason.ESCAPE, EndReason.SATURATION, EndReason.FAULT)
@@ -209,7 +209,7 @@ def test_lockstep_trial_of_a_runaway_loop_ends_early_and_disabled(rigid):
 def weak(rigid):
     """The rigid display with a force limit of 0.16 N."""
     servo, board = scene_params(rigid)
-    with LockStepBench(
+    with LockStepClient(
         replace(servo, safety=replace(servo.safety, force_limit_n=0.16)), board
     ) as bench:
         yield bench
@@ -245,7 +245,7 @@ def test_engine_trial_whose_command_saturates_is_ended_alike(rigid):
 
 
 def test_daemon_that_falls_silent_is_not_waited_for_for_ever(rigid):
-    with LockStepBench(*scene_params(rigid)) as bench:
+    with LockStepClient(*scene_params(rigid)) as bench:
         bench.messages = lambda *_: iter([None] * 1000)
         with pytest.raises(
             DaemonDown, match=r"nothing from the probe for 2 s; see `hapticd status`"
@@ -255,7 +255,7 @@ def test_daemon_that_falls_silent_is_not_waited_for_for_ever(rigid):
 
 
 def test_board_without_probe_is_told_apart(rigid):
-    with LockStepBench(*scene_params(rigid)) as bench:
+    with LockStepClient(*scene_params(rigid)) as bench:
         of_all = bench.messages
         bench.messages = lambda topics, look_s: (
             of_all(["servo.raw"], look_s) if bench.disable() else iter([])
@@ -270,7 +270,7 @@ def test_trial_that_ends_in_a_fault_says_which(rigid):
     """B = -5 N s/m beyond b = 2: faster than any motion can be, the servo faults within a
     second.
     """
-    with LockStepBench(*scene_params(rigid)) as bench:
+    with LockStepClient(*scene_params(rigid)) as bench:
         plan = plan_trial(TrialParams(Trial((0.0, -5.0, 0.0), seconds=5.0)))
         with pytest.raises(AnalysisError, match=r"ended after 0 s \(fault: .*\): too short"):
             run_trial(plan, daemon_source(bench))
@@ -442,7 +442,7 @@ def test_stepped_sine_agrees_with_the_exact_impedance_of_a_linear_display(rigid,
     trial = Trial((100.0, 1.0, 0.002))
     f = (5.0, 21.0, 55.0, 144.0)
     if whole_stack:
-        with LockStepBench(*scene_params(rigid)) as bench:
+        with LockStepClient(*scene_params(rigid)) as bench:
             found = stepped_sine(trial, daemon_source(bench), frequency_hz=f)
     else:
         found = stepped_sine(trial, engine_source(scene), frequency_hz=f)
@@ -515,7 +515,7 @@ def test_escape_before_the_record_begins_is_found_at_the_limit_of_the_force(scen
 
 
 def test_loop_that_ran_away_at_once_ends_its_lockstep_trial_as_an_escape(rigid):
-    with LockStepBench(*scene_params(rigid)) as bench:
+    with LockStepClient(*scene_params(rigid)) as bench:
         found = daemon_source(bench)(Trial((0.0, 100.0, 0.0), seconds=20.0), lambda *_: None)
     assert str(found.ended).startswith("escape: the command reached its limit of 8 N")
     assert found.seconds < 5.0

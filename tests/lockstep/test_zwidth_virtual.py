@@ -8,7 +8,7 @@ import pytest
 
 import hapticd
 from hapticd.client import CommandError, step
-from hapticd.zwidth.virtual import VirtualBoard
+from hapticd.run.virtual import VirtualBoard
 
 pytestmark = pytest.mark.filterwarnings("ignore::hapticd.core.errors.GuardWarning")
 

@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 import pytest
 from support.engine_batch import PARAMS, WEIR, same_bytes
 
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.findings import Finding
 from hapticd.signal.low_lines import low_line
 from hapticd.signal.spectra import spa
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from support.measured_scenes import MOTOR, scene
 
 RATE_HZ = 4000.0

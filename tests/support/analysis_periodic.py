@@ -10,7 +10,7 @@ from hapticd.model.excitation import generator, multisine
 from hapticd.model.scene import Excitation
 from hapticd.signal.impedance import impedance, relative_sd
 from hapticd.signal.verdict import student_quantile
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from support.spectral_trials import mass_damper
 
 RATE_HZ = 4000.0

@@ -1,7 +1,7 @@
 """Blind rigs: a simulated device whose truth comes from a seed, and which steps know by a client.
 
     with BlindRig(7) as rig:                # or BlindRig(7, "stuck encoder", coulomb_n=0.5)
-        rig.bench                           a LockStepBench, the Client that steps get
+        rig.bench                           a LockStepClient, the Client that steps get
         rig.ask                             the person who does what `rig.hand.Request` says
         rig.device_file                     template with the board's nominal scales, in a folder
         rig.write(result)                   keeps and writes what a step found, as the verbs do
@@ -45,10 +45,10 @@ from hapticd.rig.one_signal import Judged
 from hapticd.rig.records import keep
 from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.run import lockstep
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import commissioning, servo_params
 from hapticd.settings.load import Settings, load
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
-from hapticd.zwidth.lockstep import LockStepBench
 from support.blind_hand import Person
 from support.blind_truth import NOMINAL, SERIAL, BlindBoard, Truth, drawn
 from support.tree import ROOT
@@ -81,7 +81,7 @@ REFUSED = {
 class BlindRig:
     """One rig; see above. Use it as a context manager."""
 
-    bench: LockStepBench
+    bench: LockStepClient
 
     def __init__(self, seed: int, broken: str | None = None, **changes: float) -> None:
         self.truth = replace(drawn(seed), **changes)
@@ -109,7 +109,7 @@ class BlindRig:
     def _start(self) -> None:
         servo = servo_params(self.settings, "blind")
         with patch.object(lockstep, "simulated_backend", self.board.backend):
-            self.bench = LockStepBench(servo, BoardParams(**NOMINAL))
+            self.bench = LockStepClient(servo, BoardParams(**NOMINAL))
 
     def __enter__(self) -> "BlindRig":
         return self

@@ -4,7 +4,7 @@ for what is not.
 
 import numpy as np
 
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from support.straight import Straight
 
 TRIALS = [[100.0, 1.0, 0.010], [50.0, 2.0, 0.0], [0.0, 0.0, 0.0], [600.0, 0.5, -0.002]]

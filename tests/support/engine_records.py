@@ -5,7 +5,7 @@ spread.
 import numpy as np
 
 from hapticd.signal.spectra import spa
-from hapticd.zwidth.engine import simulate
+from hapticd.zwidth.engine.batch import simulate
 from support.devices import COUNTS, DRY, LIMIT, STAR, device
 
 WEIR = device(*STAR, DRY, COUNTS, LIMIT)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from hapticd.zwidth.engine import batch, simulate
+from hapticd.zwidth.engine import batch
+from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.engine.job import Group
 
 

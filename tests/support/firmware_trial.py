@@ -1,9 +1,9 @@
 """One trial by the whole stack in lock-step, on whatever board the simulation is given."""
 
 from hapticd.run.lockstep import scene_params
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.live import daemon_source
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
 
@@ -14,6 +14,6 @@ def fig7_trial(board: type, seconds: float) -> TrialResult:
     """
     trial = Trial((50.0, 2.0, 0.0), 1.74, seconds=seconds)
     plan = plan_trial(TrialParams(trial, load_scene("fig7")))
-    with LockStepBench(*scene_params("fig7")) as bench:
+    with LockStepClient(*scene_params("fig7")) as bench:
         assert isinstance(bench.stack.backend._port, board)
         return run_trial(plan, daemon_source(bench))

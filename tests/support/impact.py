@@ -7,7 +7,7 @@ import numpy as np
 from hapticd.core.environment import Environment, WallParams
 from hapticd.model.compose import compose_device
 from hapticd.model.effects import AmplifierLimits
-from hapticd.zwidth.engine import BatchResult, simulate
+from hapticd.zwidth.engine.batch import BatchResult, simulate
 from support.devices import LIMIT, STAR
 
 FULL_NS_PER_M = 9.9

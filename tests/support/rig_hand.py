@@ -7,7 +7,7 @@ from typing import Any
 
 from hapticd.model.step import make_plant
 from hapticd.rig.hand import Request
-from hapticd.zwidth.lockstep import LockStepBench
+from hapticd.run.lockstep_client import LockStepClient
 from support.boards import board_params
 from support.models import device_params, servo_params
 
@@ -20,7 +20,7 @@ class Hand:
     def __init__(self, device: dict[str, Any] | None = None, **board: Any) -> None:
         servo = servo_params(device=device_params(**device or {}))
         self._params = board_params(**board)
-        self.bench = LockStepBench(servo, self._params)
+        self.bench = LockStepClient(servo, self._params)
         port: Any = self.bench.stack.backend._port
         simulated = getattr(port, "board", port)
         self.axis = simulated._axis

@@ -1,7 +1,7 @@
 """`rig identify` on simulated boards whose mass, friction and delay the step does not know."""
 
 from hapticd.core.params import TouchParams
-from hapticd.zwidth.lockstep import LockStepBench
+from hapticd.run.lockstep_client import LockStepClient
 from support.boards import board_params
 from support.models import device_params, servo_params
 
@@ -18,6 +18,6 @@ def nothing(request):
 def bench(device=None, **board):
     touch = TouchParams(coulomb_n=COULOMB_N, static_n=1.1 * COULOMB_N)
     given = {"mass_kg": MASS_KG, "viscous_ns_per_m": VISCOUS, "touch": touch, **STOPS, **board}
-    return LockStepBench(
+    return LockStepClient(
         servo_params(device=device_params(**(device or {}))), board_params(**given)
     )

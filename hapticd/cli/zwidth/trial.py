@@ -392,13 +392,13 @@ def _refuse_beyond(name: str, scene: "Scene", trial: "Trial") -> None:
 def _simulated(asked: TrialOptions, scene: "Scene", stack: ExitStack) -> "Source":
     """The batch engine, or the whole stack on virtual time for as long as `stack` is open."""
     from hapticd.run.lockstep import scene_params
+    from hapticd.run.lockstep_client import LockStepClient
     from hapticd.zwidth.live import daemon_source
-    from hapticd.zwidth.lockstep import LockStepBench
     from hapticd.zwidth.simulated import engine_source
 
     if asked.source == "engine":
         return engine_source(scene)
-    bench = stack.enter_context(LockStepBench(*scene_params(_scene_name(asked))))
+    bench = stack.enter_context(LockStepClient(*scene_params(_scene_name(asked))))
     return daemon_source(bench, f"lock-step, scene {scene.name}")
 
 

@@ -27,6 +27,8 @@ from hapticd.run.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, Machine, core
 from hapticd.settings.build import gateway_params, servo_params
 from hapticd.settings.load import Settings
 
+__all__ = ["CheckResult", "Requirements", "examine", "fail", "ok", "requirements", "warn"]
+
 
 @dataclass(frozen=True)
 class Requirements:

@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 from hapticd.run.doctor.checks import CheckResult, ok, warn
 
+__all__ = ["judge", "this_build"]
+
 NAME = "interpreter"
 DISTRIBUTION = "/usr"  # the prefix of its interpreter
 COSTS = "a tick takes a tenth to a fifth longer, measured against Debian's build of 3.11"

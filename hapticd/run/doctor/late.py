@@ -9,6 +9,8 @@ from hapticd.protocol.answers import Status
 from hapticd.protocol.room import Room
 from hapticd.run.doctor.checks import CheckResult, ok, warn
 
+__all__ = ["judge", "judge_room"]
+
 NAME = "late ticks"
 RARE = 1e-4  # share of the ticks; what a quiet computer without isolated cores keeps to
 

@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+__all__ = ["this_machine"]
+
 UNLIMITED = resource.RLIM_INFINITY
 CAP_IPC_LOCK = 14  # bits of linux/capability.h
 CAP_SYS_NICE = 23

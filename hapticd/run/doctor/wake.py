@@ -22,6 +22,8 @@ from hapticd.run.doctor.checks import CheckResult, Requirements, fail, ok, warn
 from hapticd.servo import host
 from hapticd.servo.loop import Wait, first_deadline, spinning_wait
 
+__all__ = ["judge", "measure"]
+
 PERIOD_NS = NS_PER_MS
 PRIORITY = 80
 QUANTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "max_us": 1.0}

@@ -11,7 +11,7 @@ future_work     section 6 of the paper: negative B, shaped damping, levels, dire
 future_figures  its figures
 future_page     its rows and its sections of REPORT.md
 
-A script calls `run.plan_reproduce`, `run.run_reproduce` and `rows.rows`, or, for section 6,
+A script calls `plan_reproduce` and `run_reproduce` of `run`, and `rows.rows`, or, for section 6,
 `future_work.plan_future_work` and `future_work.run_future_work`; `page.keep` writes the folder.
 Only the command line imports this package: it uses the bench as any script may.
 """

@@ -8,8 +8,8 @@
     band_edge             edges_figure: K limits over the lower edge of the judged band (ours)
 
 `page` gives each its number, caption and file name. Envelopes and impedances are drawn as those of
-every device are (`zwidth.report.envelope`, `zwidth.report.trial`), with the paper's titles. Colours and line
-styles are those of `zwidth.report.style`, and all figures are drawn within `styled`.
+every device are (`zwidth.report.envelope`, `zwidth.report.trial`), with the paper's titles.
+Colours and line styles are those of `zwidth.report.style`; all figures are drawn within `styled`.
 
 What would break it: two envelopes that are compared on axes of unlike range; IMPEDANCE_RANGE is
 one for all of them.

@@ -36,6 +36,8 @@ from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, MAIN, MODES, NAMES, U
 from hapticd.studies.weir2008.rows import PaperRow
 from hapticd.zwidth.report.passive_set import search_figure
 
+__all__ = ["future_sections"]
+
 PART = "beyond"  # of these rows in table.json
 PREDICTED = np.empty(0)  # values by trials: there are none
 BANDS = "bands are 95 % intervals of the mean over seeds (Student's t)"

@@ -76,6 +76,8 @@ from hapticd.zwidth.scenes import Display
 from hapticd.zwidth.search import SearchParams, SearchResult, observed, plan_search, run_search
 from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 
+__all__ = ["plan_future_work", "run_future_work"]
+
 SEEDS = 3  # noise realisations behind everything that is shown
 FREE = np.array([ORIGIN])  # motion: nothing is rendered
 SHOWN_HZ = (2.0, 200.0)  # of every figure here

@@ -40,6 +40,8 @@ from hapticd.zwidth.report.style import Figure
 from hapticd.zwidth.report.table import Table, text
 from hapticd.zwidth.store import FIGURE_KINDS, Progress, Steps, silent
 
+__all__ = ["TABLE_JSON", "keep", "sections", "terminal"]
+
 WORDED = {
     "limits": (
         "Limits on their axes",

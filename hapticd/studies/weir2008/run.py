@@ -68,6 +68,8 @@ from hapticd.zwidth.store import Progress, Steps, TrialStore, silent
 from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
 from hapticd.zwidth.walls import WallMapParams, WallResult, plan_walls, run_walls
 
+__all__ = ["plan_reproduce", "run_reproduce"]
+
 SCENES = {MAIN: "fig7", HIGH_PASS: "rival", LITERAL: "literal"}
 SECONDS = 90.0  # of a trial, section 2.2
 SEEDS = 8  # noise realisations behind a limit on its axis

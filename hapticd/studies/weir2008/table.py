@@ -16,6 +16,8 @@ from hapticd.studies.weir2008.rows import PRINTED, PaperRow, by_quantity
 from hapticd.zwidth.report.table import Table, shown, table
 from hapticd.zwidth.store import to_json
 
+__all__ = ["as_json"]
+
 MANY = 10.0  # from here on a relative difference is written as a ratio
 COLUMNS = ("quantity", "unit", "paper")
 OF_A_ROW = (

@@ -17,7 +17,3 @@ What would break it: fastmath with reassociation or without NaN (`source`), an a
 begin on a cache line (half the speed), a law compiled without fastmath=False said aloud
 (`compiled`). numba is imported when a kernel is needed, not before.
 """
-
-from hapticd.zwidth.engine.batch import BatchResult, simulate
-
-__all__ = ["BatchResult", "simulate"]

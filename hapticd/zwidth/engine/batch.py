@@ -50,6 +50,8 @@ from hapticd.zwidth.engine.numbers import Filters
 from hapticd.zwidth.engine.records import Records, Sums, force_spectrum, spectral
 from hapticd.zwidth.engine.shape import Shape
 
+__all__ = ["BatchResult", "simulate"]
+
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:

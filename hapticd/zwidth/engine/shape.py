@@ -38,6 +38,8 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.model import Array, Contact, Ends, Model, Output, Outputs, RotorForce
 
+__all__ = ["LANES"]
+
 LANES = {"f32": 64, "f64": 32}  # trials side by side in a kernel: four cache lines of each row
 # where records are kept: often of a few trials, for which most of a wide group would be empty
 LANES_OF_RECORDS = {"f32": 16, "f64": 8}

@@ -6,7 +6,6 @@ paper        a finished figure at the width of a column: type, panels, legend, w
 trial        one trial: impedance with its interval, escape, replayed recordings
 envelope     the Z-width envelope and which environments own its edges
 passive_set  maps, limits, directed search, walls
-study        what accuracy costs, which effects count, runs of a scene
 comparison   several displays beside each other (`zwidth compare`)
 table        tables as aligned text, durations and shares in words
 """

@@ -34,6 +34,8 @@ from hapticd.zwidth.report.style import (
 )  # fmt: skip
 from hapticd.zwidth.report.table import Cell, Table, table
 
+__all__ = ["comparison_figure", "comparison_tables"]
+
 LINE_WIDTH = 100  # characters of a title
 UNITS = {"K": "N/m", "B": "N s/m", "M": "g"}
 SCALES = {"K": 1.0, "B": 1.0, "M": 1e3}

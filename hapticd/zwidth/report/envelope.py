@@ -44,6 +44,16 @@ from hapticd.zwidth.report.style import (
 )  # fmt: skip
 from hapticd.zwidth.report.trial import ADMITTANCE, IMPEDANCE, View, dress, interval
 
+__all__ = [
+    "SHOWN_HZ",
+    "Drawn",
+    "envelope_figure",
+    "envelopes_figure",
+    "keys",
+    "strip",
+    "weightiest",
+]
+
 Levels = Sequence[tuple[float, Sequence[Outcome]]]
 
 SHOWN_HZ = (2.0, 1000.0)

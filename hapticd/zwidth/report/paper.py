@@ -29,6 +29,8 @@ from typing import Any
 from hapticd.core.errors import ConfigError
 from hapticd.zwidth.report.style import BELOW, Axes, Figure
 
+__all__ = ["width_mm"]
+
 MM_PER_IN = 25.4
 # of a column and of a page of IEEE Transactions: 3.5 in and 7 1/8 in
 WIDTHS_MM = {"column": 88.9, "text": 181.0}

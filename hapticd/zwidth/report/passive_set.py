@@ -47,6 +47,8 @@ from hapticd.zwidth.report.style import (
 from hapticd.zwidth.search import SearchResult, Step, slice_at
 from hapticd.zwidth.walls import WallResult
 
+__all__ = ["draw_predicted", "limits_figure", "search_figure", "set_figure", "walls_figure"]
+
 PANELS = 6  # of a map, at most
 COLUMNS = 3
 ASIDE = 0.12  # of a step of B: how far apart the marks of two levels stand at one point

@@ -41,6 +41,49 @@ if TYPE_CHECKING:
 else:
     Axes = Figure = Any  # matplotlib is optional: it is imported where something is drawn
 
+__all__ = [
+    "BELOW",
+    "BLACK",
+    "BLUE",
+    "DEVICES",
+    "FINE",
+    "FOREST",
+    "GREEN",
+    "GREY",
+    "HOLLOW",
+    "INTERVAL",
+    "NORMAL",
+    "OFF",
+    "OLIVE",
+    "ON",
+    "ORANGE",
+    "PARTS",
+    "PREDICTED",
+    "PURPLE",
+    "RED",
+    "SKY",
+    "SMALL_PT",
+    "WIDTH_IN",
+    "Axes",
+    "Figure",
+    "Look",
+    "axes",
+    "draw_band",
+    "draw_bracket",
+    "hertz_axis",
+    "legend_handles",
+    "level_label",
+    "level_styles",
+    "mark",
+    "mean_interval",
+    "mosaic",
+    "patch",
+    "plain_axis",
+    "save",
+    "simulated",
+    "styled",
+]
+
 Look = dict[str, Any]
 
 BLUE = "#0072B2"

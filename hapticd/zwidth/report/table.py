@@ -11,6 +11,8 @@ from textwrap import wrap
 
 from hapticd.core.units import percent
 
+__all__ = ["Cell", "Table", "changed", "duration", "shown", "table", "text"]
+
 DIGITS = 3
 WIDEST_LAST = 70  # characters of the last column
 GAP = "  "

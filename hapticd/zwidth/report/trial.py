@@ -48,6 +48,17 @@ from hapticd.zwidth.report.style import (
 from hapticd.zwidth.stepped_sine import ReferenceSines
 from hapticd.zwidth.trial import TrialResult
 
+__all__ = [
+    "Curve",
+    "Trace",
+    "draw",
+    "draw_traces",
+    "dress",
+    "interval",
+    "replay_figure",
+    "trial_figure",
+]
+
 Trace = tuple[Floats, Floats, Look]  # time [s], values, how they look
 
 RANDOM = " of the random error"  # without what the calibrations leave open

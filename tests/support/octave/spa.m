@@ -1,4 +1,4 @@
-% Blackman-Tukey spectra by octave-signal's xcorr: the outside opinion on hapticd.analysis.spectra.
+% Blackman-Tukey spectra by octave-signal's xcorr: the outside opinion on hapticd.signal.spectra.
 %   octave-cli --norc spa.m INPUT OUTPUT LAG RATE_HZ
 % INPUT: two columns, force and velocity. OUTPUT: frequency, Phi_u, Phi_y, Re and Im Phi_yu, |G|, noise Phi_v, sd of G.
 pkg load signal

@@ -46,10 +46,10 @@ from hapticd.protocol.answers import Receipt
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import ServoView
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.run.resolve import resolve
 from hapticd.settings.build import board_params
 from hapticd.settings.load import load
-from hapticd.zwidth.lockstep import LockStepBench
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -112,7 +112,7 @@ class VirtualLease(ClientLease):
             self.renew()
 
 
-class VirtualBoard(LockStepBench):
+class VirtualBoard(LockStepClient):
     """A Client whose daemon is in this process and whose clock is virtual; ready and disabled.
 
     `newest` is the record of the newest tick.

@@ -1,0 +1,63 @@
+"""What a package offers to others is named: `__all__` in each module that is used from outside."""
+
+import ast
+
+import pytest
+from support.tree import ROOT
+
+TREES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts): ast.parse(path.read_text())
+    for path in sorted((ROOT / "hapticd").rglob("*.py"))
+}
+
+
+def package(module: str) -> str:
+    """The first-level package of `module`."""
+    return module.split(".")[1] if "." in module else ""
+
+
+def offered(tree: ast.Module) -> set[str]:
+    """The names in `__all__`."""
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            return set(ast.literal_eval(node.value))
+    return set()
+
+
+def taken(module: str, tree: ast.Module) -> set[tuple[str, str]]:
+    """(module, name) for each name that `module` imports from a module of another package."""
+    return {
+        (node.module, alias.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module in TREES
+        for alias in node.names
+        if package(node.module) != package(module)
+    }
+
+
+def unnamed(module: str, tree: ast.Module) -> list[str]:
+    """Imports of `module` across packages that the other module does not offer."""
+    return [
+        f"{module}: {other}.{name}"
+        for other, name in sorted(taken(module, tree))
+        if name not in offered(TREES[other])
+    ]
+
+
+def test_what_crosses_packages_is_in_all() -> None:
+    assert [line for module, tree in TREES.items() for line in unnamed(module, tree)] == []
+
+
+@pytest.mark.parametrize("name", ["_stage", "flat"])
+def test_a_private_or_unnamed_import_is_seen(name: str) -> None:
+    tree = ast.parse(f"from hapticd.guard.case import {name}")
+    assert unnamed("hapticd.cli.app", tree) == [f"hapticd.cli.app: hapticd.guard.case.{name}"]
+
+
+def test_first_level_packages_import_nothing_and_say_what_they_are_for() -> None:
+    for module, tree in TREES.items():
+        if not module.endswith(".__init__") or module.count(".") != 2:
+            continue
+        assert (ast.get_docstring(tree) or "").count("\n") > 3, module
+        imports = [node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))]
+        assert not imports or module == "hapticd.client.__init__", module
