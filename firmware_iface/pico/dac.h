@@ -1,0 +1,13 @@
+/* dac.h - the DAC at SPI0. */
+#ifndef DAC_H
+#define DAC_H
+
+#include <stdint.h>
+
+/* No torque and no damping; then what the part needs to start. */
+void dac_start(void);
+
+void dac_set_torque(int16_t count);
+void dac_set_damping(uint16_t count);
+
+#endif
