@@ -1,10 +1,11 @@
 """`python -m firmware_iface.pico.build [FOLDER] [NAME=VALUE ...]`: the firmware for a Raspberry Pi
-Pico, by gcc-arm-none-eabi alone. One compiler version makes the same bytes each time.
+Pico, by gcc-arm-none-eabi alone. One version of the compiler makes the same bytes each time.
 
 FOLDER (default: build/pico) gets hapticd.uf2, .bin (flash from its start), .elf and .map. NAME is a
 macro of config.h.
 """
 
+import hashlib
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ SOURCES = Path(__file__).resolve().parent
 INTERFACE = SOURCES.parent  # hapticd_wire.h
 REFERENCE = INTERFACE / "reference"
 COMPILER = "arm-none-eabi-gcc"
+OBJCOPY = "arm-none-eabi-objcopy"
 NAME = "hapticd"
 
 _TARGET = ["-mcpu=cortex-m0plus", "-mthumb", "-std=c99", "-O2", "-ffreestanding"]
@@ -37,14 +39,14 @@ def build(
     """Compile and link the firmware into `folder`; the path of its .uf2.
 
     `defines` are macros of config.h, e.g. {"DAC_PART": "MCP4922"}. `sources` holds the files of
-    this folder, or changed copies of them; the reference firmware is taken as it is. `echo` prints
-    each command. FileNotFoundError without the compiler; subprocess.CalledProcessError, with the
-    compiler's words on stderr, where a source is refused.
+    this folder, or changed copies of them; the reference firmware is taken as it is. `echo` writes
+    each command to stdout. FileNotFoundError without the compiler; subprocess.CalledProcessError,
+    with the compiler's text in `stderr`, if it refuses a source.
     """
     folder.mkdir(parents=True, exist_ok=True)
     elf, linked, image = (folder / f"{NAME}.{kind}" for kind in ("elf", "linked", "bin"))
     _run(_compile(folder, sources, defines or {}, elf), echo)
-    _run(["arm-none-eabi-objcopy", "-O", "binary", str(elf), str(linked)], echo)
+    _run([OBJCOPY, "-O", "binary", str(elf), str(linked)], echo)
     image.write_bytes(with_checksum(linked.read_bytes()))
     linked.unlink()
     blocks = image.with_suffix(".uf2")
@@ -75,16 +77,25 @@ def _compile(folder: Path, sources: Path, defines: Mapping[str, str], elf: Path)
 def _run(command: list[str], echo: bool) -> None:
     if echo:
         sys.stdout.write(" ".join(command) + "\n")
-    subprocess.run(command, check=True)
+    subprocess.run(command, check=True, stderr=subprocess.PIPE, text=True)
 
 
-def _main(words: list[str]) -> None:
+def _main(words: list[str]) -> int:
     folders = [word for word in words if "=" not in word]
     defines = dict(word.split("=", 1) for word in words if "=" in word)
-    blocks = build(Path(folders[0] if folders else "build/pico"), defines=defines)
-    image = blocks.with_suffix(".bin").stat().st_size
-    sys.stdout.write(f"{blocks}: {image} bytes of flash, {blocks.stat().st_size // 512} blocks\n")
+    try:
+        blocks = build(Path(folders[0] if folders else "build/pico"), defines=defines)
+    except FileNotFoundError:
+        sys.stderr.write(f"{COMPILER} is missing; install gcc-arm-none-eabi\n")
+        return 1
+    except subprocess.CalledProcessError as refused:
+        sys.stderr.write(refused.stderr)
+        return 1
+    size = blocks.with_suffix(".bin").stat().st_size
+    digest = hashlib.sha256(blocks.read_bytes()).hexdigest()
+    sys.stdout.write(f"{blocks}: {size} bytes of flash; sha256 {digest}\n")
+    return 0
 
 
 if __name__ == "__main__":
-    _main(sys.argv[1:])
+    sys.exit(_main(sys.argv[1:]))

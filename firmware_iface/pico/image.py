@@ -42,8 +42,5 @@ def uf2(image: bytes) -> bytes:
 def _block(number: int, blocks: int, page: bytes) -> bytes:
     address = FLASH_START + BLOCK_BYTES * number
     fields = (*_MAGIC_START, _FAMILY_GIVEN, address, BLOCK_BYTES, number, blocks, FAMILY_RP2040)
-    return (
-        struct.pack("<8I", *fields)
-        + page.ljust(_DATA_BYTES, b"\0")
-        + _MAGIC_END.to_bytes(4, "little")
-    )
+    data = page.ljust(_DATA_BYTES, b"\0")
+    return struct.pack("<8I", *fields) + data + struct.pack("<I", _MAGIC_END)

@@ -52,7 +52,7 @@ __attribute__((section(".flash_code"), noreturn)) void reset(void)
     for (to = __bss_start; to < (volatile uint32_t *)__bss_end;)
         *to++ = 0;
     VTOR = (uint32_t)__ram_start;
-    ((int (*volatile)(void))main)(); /* out of reach of a direct call */
+    main();
     for (;;)
         cpu_wait();
 }
