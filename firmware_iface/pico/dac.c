@@ -31,15 +31,20 @@ void dac_start(void)
     SPI_CR0 = SERIAL_CLOCK_RATE << 8 | (part->spi_mode & 1u) << 7 | (part->spi_mode >> 1u) << 6 |
               EIGHT_BITS;
     SPI_CR1 = ENABLE;
-    dac_set_torque(0);
     dac_set_damping(0);
-    if (part->start_word)
-        send(part->start_word);
+    dac_rest();
 }
 
 void dac_set_torque(int16_t count)
 {
     send(dac_torque_word(part, count));
+}
+
+void dac_rest(void)
+{
+    dac_set_torque(0);
+    if (part->start_word)
+        send(part->start_word);
 }
 
 void dac_set_damping(uint16_t count)

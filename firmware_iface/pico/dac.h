@@ -8,6 +8,10 @@
 void dac_start(void);
 
 void dac_set_torque(int16_t count);
+
+/* No torque. The part starts again if its own supply has come, or come back, since. */
+void dac_rest(void);
+
 void dac_set_damping(uint16_t count);
 
 #endif

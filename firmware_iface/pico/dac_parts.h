@@ -18,7 +18,7 @@ struct dac_part {
     bool damping_upper_half; /* no damping is mid-scale: where the part powers up */
     uint32_t torque_word;    /* what is sent with the code in its low bits */
     uint32_t damping_word;
-    uint32_t start_word;     /* sent once, behind the first two codes; 0: nothing */
+    uint32_t start_word;     /* sent behind a torque of 0 while there is no authority; 0: nothing */
 };
 
 extern const struct dac_part dac_parts[];

@@ -16,6 +16,9 @@
     (RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_PIO0 | RESET_SPI0 | RESET_USBCTRL)
 #define WATCHED_EDGES (IO_EDGES(PIN_EMERGENCY_STOP) | IO_EDGES(PIN_AMPLIFIER_READY))
 
+/* one register acknowledges, and one enables, the edges of both */
+typedef char inputs_share_a_register[PIN_EMERGENCY_STOP / 8 == PIN_AMPLIFIER_READY / 8 ? 1 : -1];
+
 int main(void);
 void timer_irq(void);
 void io_irq(void);

@@ -90,11 +90,13 @@ static void measure_pair(void *device, int16_t pair[2])
 static void set_torque(void *device, bool authority, int16_t count)
 {
     (void)device;
-    if (!authority)
-        SIO_GPIO_OUT_CLR = AMPLIFIER;
-    dac_set_torque(authority ? count : 0);
-    if (authority)
+    if (authority) {
+        dac_set_torque(count);
         SIO_GPIO_OUT_SET = AMPLIFIER;
+    } else {
+        SIO_GPIO_OUT_CLR = AMPLIFIER;
+        dac_rest();
+    }
 }
 
 static void set_damping(void *device, uint16_t count)
