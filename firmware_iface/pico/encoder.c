@@ -24,20 +24,20 @@
 #define IRQ_SET_0 0xc000u
 #define SET_X_0 0xe020u
 
-enum { UP = 16, DOWN = 20, SKIP = 22, SAME = 23 };
+enum { DOWN = 16, SKIP = 18, UP = 20, SAME = 23 };
 
 static const uint16_t program[] = {
     JMP(SAME), JMP(UP), JMP(DOWN), JMP(SKIP), /* 00 -> 00 01 10 11 */
     JMP(DOWN), JMP(SAME), JMP(SKIP), JMP(UP), /* 01 */
     JMP(UP), JMP(SKIP), JMP(SAME), JMP(DOWN), /* 10 */
     JMP(SKIP), JMP(DOWN), JMP(UP), JMP(SAME), /* 11 */
-    MOV_X_NOT_X,                              /* 16 UP */
-    JMP_X_DECREMENT(18),                      /* to 18 in any case */
-    MOV_X_NOT_X,                              /* 18 */
+    JMP_X_DECREMENT(SAME),                    /* 16 DOWN; goes on here where X was 0 */
     JMP(SAME),
-    JMP_X_DECREMENT(SAME),                    /* 20 DOWN */
+    IRQ_SET_0,                                /* 18 SKIP */
     JMP(SAME),
-    IRQ_SET_0,                                /* 22 SKIP */
+    MOV_X_NOT_X,                              /* 20 UP */
+    JMP_X_DECREMENT(22),                      /* to 22 in any case */
+    MOV_X_NOT_X,                              /* 22 */
     MOV_ISR_X,                                /* 23 SAME */
     PUSH_NO_BLOCK,                            /* this clears ISR */
     OUT_ISR_2,                                /* the last pins, which OSR kept */

@@ -4,8 +4,6 @@
  */
 #include "usb.h"
 
-#include <string.h>
-
 #include "chip.h"
 #include "usb_dpram.h"
 
@@ -23,33 +21,25 @@
 
 static bool configured;
 static bool in_halted, out_halted;
-static bool in_armed;           /* the host may take a packet */
+static bool in_armed;            /* the host may take a packet */
+static bool superseded;          /* which is not the newest */
 static uint32_t in_pid, out_pid; /* of the next packet: 0 or DATA1 */
-static bool cannot_abort;       /* RP2040-E2 */
-static uint8_t next[USB_PACKET]; /* waits behind it there */
-static uint32_t next_size;      /* 0: none waits */
+static bool cannot_abort;        /* RP2040-E2 */
 
 /* --- IN --------------------------------------------------------------------------------------- */
 
-static void load(const uint8_t *data, uint32_t size)
-{
-    buffer_fill(IN_BUFFER, data, size);
-    in_armed = true;
-    buffer_arm(1, USB_IN, size | FULL | LAST | in_pid);
-}
-
+/* The application takes a report for one of the packet that it sent last, and forgets what that
+ * carries. So an older one is not reported. */
 static void in_passed(void)
 {
     in_armed = false;
     in_pid ^= DATA1;
-    usb_on_taken();
-    if (next_size)
-        load(next, next_size);
-    next_size = 0;
+    if (!superseded)
+        usb_on_taken();
+    superseded = false;
 }
 
-/* The host gets NAK while the buffer changes hands. A packet that passed since usb_collect is not
- * reported: the application would take the new one for delivered, and forget what it carries. */
+/* The host gets NAK while the buffer changes hands. A packet may still have passed. */
 static void take_back(void)
 {
     const uint32_t bit = BIT(1, USB_IN);
@@ -68,14 +58,14 @@ void usb_send(const void *data, uint32_t size)
 {
     if (!configured || in_halted)
         return;
-    if (in_armed && cannot_abort) {
-        memcpy(next, data, size);
-        next_size = size;
+    superseded = in_armed && cannot_abort;
+    if (superseded)
         return;
-    }
     if (in_armed)
         take_back();
-    load(data, size);
+    buffer_fill(IN_BUFFER, data, size);
+    in_armed = true;
+    buffer_arm(1, USB_IN, size | FULL | LAST | in_pid);
 }
 
 void usb_collect(void)
@@ -117,8 +107,8 @@ static void in_begin(bool halt)
     USB_BUFF_STATUS = BIT(1, USB_IN);
     in_halted = halt;
     in_armed = false;
+    superseded = false;
     in_pid = 0;
-    next_size = 0;
 }
 
 static void out_begin(bool halt)

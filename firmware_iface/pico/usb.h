@@ -23,7 +23,7 @@ struct usb_setup { /* USB 2.0, 9.3 */
 void usb_start(const char *serial);
 
 /* The IN endpoint holds this packet from now on, in the place of one that was not taken. Silicon
- * older than B2 cannot take one back: there this packet follows it. */
+ * older than B2 cannot take one back: there the new one is dropped. */
 void usb_send(const void *data, uint32_t size);
 
 /* Call usb_on_taken now if a packet was taken and the interrupt for it is still to come. */

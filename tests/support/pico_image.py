@@ -83,3 +83,11 @@ def words_at(address: int, count: int) -> tuple[int, ...]:
         assert address < known["__ram_end"].address
         offset = known["__ram_load"].address - FLASH.start + address - known["__ram_start"].address
     return struct.unpack_from(f"<{count}I", image, offset)
+
+
+def program_words() -> tuple[int, ...]:
+    """The PIO program of the encoder, from its start at address 0."""
+    symbol = symbols()["program"]
+    words = words_at(symbol.address, (symbol.size + 3) // 4)
+    halves = [half for word in words for half in (word & 0xFFFF, word >> 16)]
+    return tuple(halves[: symbol.size // 2])
