@@ -1,6 +1,7 @@
 """The firmware of the Pico as its build makes it: bytes, symbols, words at addresses."""
 
 import atexit
+import re
 import shutil
 import struct
 import subprocess
@@ -10,8 +11,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from firmware_iface.pico.build import COMPILER, build
+from hapticd.wire.codec import decode_hello
+from hapticd.wire.frames import HELLO_BYTES, PROTOCOL_HASH, HelloFrame
 from support.programs import program
 
+SERIAL = "E66118604B3A5C2F"  # of a flash chip
 FLASH = range(0x10000000, 0x10000000 + 2 * 1024 * 1024)
 RAM = range(0x20000000, 0x20000000 + 256 * 1024)
 
@@ -39,7 +43,9 @@ class Block(NamedTuple):
 
 @cache
 def built() -> Path:
-    """The folder with the firmware of this checkout, built once in this process."""
+    """The folder with the firmware of this checkout, built once in this process. The test is
+    skipped without the compiler.
+    """
     program(COMPILER)
     folder = Path(tempfile.mkdtemp(prefix="hapticd-pico-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -91,3 +97,13 @@ def program_words() -> tuple[int, ...]:
     words = words_at(symbol.address, (symbol.size + 3) // 4)
     halves = [half for word in words for half in (word & 0xFFFF, word >> 16)]
     return tuple(halves[: symbol.size // 2])
+
+
+def hello() -> HelloFrame:
+    """HELLO as it stands in the image, with what start-up fills in: a hash and a serial number."""
+    (name,) = [one for one in symbols() if re.fullmatch(r"config\.\d+", one)]
+    words = words_at(symbols()[name].address, HELLO_BYTES // 4)
+    raw = bytearray(struct.pack(f"<{len(words)}I", *words))
+    raw[: len(PROTOCOL_HASH)] = PROTOCOL_HASH
+    raw[16:32] = SERIAL.encode()
+    return decode_hello(bytes(raw))
