@@ -26,7 +26,7 @@ _TARGET = ["-mcpu=cortex-m0plus", "-mthumb", "-std=c99", "-O2", "-ffreestanding"
 _WARNINGS = ["-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror"]
 # loops of memory.c must not become calls of themselves; unused functions are left out
 _CODE = ["-fno-tree-loop-distribute-patterns", "-ffunction-sections", "-fdata-sections"]
-_LINK = ["-nostdlib", "-Wl,--gc-sections", "-Wl,--fatal-warnings", "-Wl,--no-warn-rwx-segments"]
+_LINK = ["-nostdlib", "-Wl,--gc-sections", "-Wl,--fatal-warnings"]
 
 
 def build(
