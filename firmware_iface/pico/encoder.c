@@ -79,9 +79,11 @@ int32_t encoder_count(void)
     return (int32_t)count;
 }
 
+/* A flag that comes after it was read stays for the next time. */
 bool encoder_skipped(void)
 {
-    bool skipped = PIO_IRQ & 1;
-    PIO_IRQ = 1;
+    const bool skipped = PIO_IRQ & 1;
+    if (skipped)
+        PIO_IRQ = 1;
     return skipped;
 }
