@@ -12,6 +12,7 @@
 #   make soak [HOURS=2]     the daemon in real time with faults, re-plugs, commands and subscribers at random; then as long in virtual time; build/soak*.json
 #   make firmware [FIRMWARE=FOLDER] check the reference firmware, or sources of your own, against the simulated board; minutes
 #   make circuit            the analog circuit in ngspice: its tests, figures, schematic and device file in build/circuit; minutes
+#   make pico [ARGS=DAC_PART=MCP4922]  the firmware for a Raspberry Pi Pico, build/pico/hapticd.uf2 (docs/pico.md); needs gcc-arm-none-eabi alone
 #   make bench [ONLY=wake]  measure; results in build/bench.json
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
@@ -30,7 +31,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := run
-.PHONY: run lab practice test check check-installed usb-kernel test-usb mutate attack hands soak firmware circuit bench reproduce reproduction-docs pictures docs site deps deps-run deps-test deps-check deps-bench pins lock test-lowest clean
+.PHONY: run lab practice test check check-installed usb-kernel test-usb mutate attack hands soak firmware circuit pico bench reproduce reproduction-docs pictures docs site deps deps-run deps-test deps-check deps-bench deps-pico pins lock test-lowest clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -105,6 +106,9 @@ circuit: deps-check $(VENV)/check.stamp
 	$(PYTEST) --all-must-run tests/acceptance/test_circuit_*.py $(ARGS)
 	$(BIN)/python -m firmware_iface.hardware build/circuit
 
+pico: deps-pico
+	@$(PYTHON) -m firmware_iface.pico.build $(ARGS)
+
 attack: deps-check $(VENV)/check.stamp
 	ONLY="$(ONLY)" FACTOR="$(FACTOR)" $(BIN)/python tests/attack.py
 
@@ -145,7 +149,7 @@ site: docs
 deps:
 	@.ci/deps all
 
-deps-run deps-test deps-check deps-bench: deps-%:
+deps-run deps-test deps-check deps-bench deps-pico: deps-%:
 	@PYTHON=$(PYTHON) .ci/deps $*
 
 deps-test deps-check deps-bench: deps-run # one after the other, also with --jobs

@@ -5,15 +5,14 @@ The distribution's own user-mode kernel has no USB. The build takes two to three
 cores; what is kept is one static program of a few megabytes.
 """
 
-import fcntl
 import hashlib
-import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
+
+from support.kept import alone, cache_folder
 
 CONFIG = Path(__file__).with_name("usb_guest") / "kernel.config"
 SOURCES = Path("/usr/src")
@@ -32,10 +31,10 @@ def kernel() -> Path:
     of what failed.
     """
     source = _source()
-    folder = _cache() / f"uml-{source.name.removesuffix('.tar.xz')}-{_key(source)}"
+    folder = cache_folder() / f"uml-{source.name.removesuffix('.tar.xz')}-{_key(source)}"
     kept = folder / "linux"
     folder.parent.mkdir(parents=True, exist_ok=True)
-    with _alone(folder.with_suffix(".lock")):
+    with alone(folder.with_suffix(".lock")):
         if kept.exists():
             return kept
         with tempfile.TemporaryDirectory(prefix="uml-", dir=folder.parent) as build:
@@ -43,14 +42,6 @@ def kernel() -> Path:
             folder.mkdir(exist_ok=True)
             made.rename(kept)
     return kept
-
-
-@contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """While no other process holds the lock of that file."""
-    with path.open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
 
 
 def _source() -> Path:
@@ -69,10 +60,6 @@ def _key(source: Path) -> str:
     digest = hashlib.sha256(f"{source.name} {source.stat().st_size} {ENOUGH}".encode())
     digest.update(CONFIG.read_bytes())
     return digest.hexdigest()[:12]
-
-
-def _cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hapticd"
 
 
 def _build(source: Path, folder: Path) -> Path:

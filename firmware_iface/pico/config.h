@@ -1,0 +1,41 @@
+/* config.h - what this very board is. Each value may be set on the compiler's command line. */
+#ifndef CONFIG_H
+#define CONFIG_H
+
+/* the row of dac_parts.c that is soldered: DAC8563 or MCP4922 */
+#ifndef DAC_PART
+#define DAC_PART DAC8563
+#endif
+
+/* nominal full scales, as HELLO states them; the device file on the host holds the measured ones */
+#ifndef FORCE_FULL_SCALE_N
+#define FORCE_FULL_SCALE_N 8.0f
+#endif
+#ifndef FORCE_LIMIT_N
+#define FORCE_LIMIT_N 8.0f
+#endif
+#ifndef DAMPING_FULL_SCALE_NS_PER_M
+#define DAMPING_FULL_SCALE_NS_PER_M 10.0f
+#endif
+#ifndef POSITION_M_PER_COUNT
+#define POSITION_M_PER_COUNT 0.5e-6f
+#endif
+
+/* not measured by this board: the fields are 0, but a full scale has to be a number */
+#define PROBE_TORQUE_FULL_SCALE_N 2.0f
+#define PROBE_VELOCITY_FULL_SCALE_M_S 2.0f
+#define CURRENT_FULL_SCALE_A 10.0f
+#define VOLTAGE_FULL_SCALE_V 30.0f
+
+#ifndef PERIOD_US
+#define PERIOD_US 1000
+#endif
+#define PHASE_US (PERIOD_US * 7 / 8)
+#ifndef WATCHDOG_MS
+#define WATCHDOG_MS 20 /* of the protocol: a silent host */
+#endif
+#define HARDWARE_WATCHDOG_US 5000 /* a processor that hangs */
+
+#define FIRMWARE_VERSION 0x0100
+
+#endif

@@ -1,0 +1,10 @@
+/* events.h - a group of inputs for the events of an experiment: triggers, buttons. */
+#ifndef EVENTS_H
+#define EVENTS_H
+
+#include <stdint.h>
+
+/* The levels at this moment: bit 0 is PIN_EVENT_FIRST; bits without a pin are 0. */
+uint16_t events_read(void);
+
+#endif

@@ -1,0 +1,40 @@
+/* usb.h - device controller of the RP2040: one vendor interface, bulk OUT and IN of 64 bytes. */
+#ifndef USB_H
+#define USB_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define USB_PACKET 64
+#define USB_REPLY_MAX 128
+#define USB_SERIAL_MAX 16
+#define USB_STALL (-1)
+
+struct usb_setup { /* USB 2.0, 9.3 */
+    uint8_t request_type;
+    uint8_t request;
+    uint16_t value;
+    uint16_t index;
+    uint16_t length;
+};
+
+/* Connect to the host, with this serial number of USB_SERIAL_MAX characters. From now on the
+ * interrupt USBCTRL calls usb_on_out, usb_on_taken and usb_on_vendor. */
+void usb_start(const char *serial);
+
+/* The IN endpoint holds this packet from now on, in the place of one that was not taken. Silicon
+ * older than B2 cannot take one back: there the new one is dropped. */
+void usb_send(const void *data, uint32_t size);
+
+/* Call usb_on_taken now if a packet was taken and the interrupt for it is still to come. */
+void usb_collect(void);
+
+/* --- of the application ----------------------------------------------------------------------- */
+
+void usb_on_out(const uint8_t *data, uint32_t size);
+void usb_on_taken(void);
+
+/* A vendor request without data from the host: bytes put into `reply`, or USB_STALL. */
+int usb_on_vendor(const struct usb_setup *setup, uint8_t *reply);
+
+#endif

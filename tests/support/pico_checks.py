@@ -1,0 +1,268 @@
+"""What the shipped image of the Pico has to do, one function a subject: each raises AssertionError
+where a board does not. tests/acceptance/pico asks it of the shipped image, and of images with a
+defect, for each of which one of them has to fail.
+"""
+
+from collections.abc import Callable
+
+from hapticd.errors import LinkError
+from hapticd.wire import codec, session
+from hapticd.wire.frames import HELLO_BYTES, Request, StatusBit
+from support.pico_backend import CONFIGURATION, DEVICE
+from support.pico_chip import B1, OPEN, PicoChip, Verb
+from support.pico_host import TICK_NS, PicoHost
+from support.pico_plant import Rig
+
+USB_VENDOR, USB_PRODUCT = 0x1209, 0x0001
+OUT = 0x01  # the endpoint
+TORQUE_N = 1.0
+DAMPING = 2.0  # N s/m
+STOP_BUSY_US = 60.0
+STOP_US = 10.0  # from the stop's pin to the amplifier's; the chip adds its interrupt entry
+WATCHDOG_MS = 6.0  # of the hardware; 5 ms and what it was last fed before
+# steps of torque and damping, in counts of the wire: the first has damping on its upper half
+DAC_STEPS = {"dac8563": (1, 2), "mcp4922": (16, 16)}
+LIFE = 0x100
+
+
+def check_power_up(chip: PicoChip, rig: Rig) -> None:
+    """Without a host: it comes to the bus, makes no torque, and stays as it is."""
+    assert rig.plug(), chip.complaints()
+    rig.advance(rig.now_ns + 50e6)
+    told = chip.told()
+    assert told["resets"] == 0
+    assert chip.state.amplifier == 0
+    assert (chip.state.torque, chip.state.damping) == (0.0, 0.0)
+    assert told["complaints"] == []
+
+
+def check_descriptors(host: PicoHost) -> None:
+    """As firmware_iface/PROTOCOL.md says, and the serial number is the one of HELLO."""
+    backend = host.backend
+    device = backend.get_device_descriptor(None)
+    assert (device.idVendor, device.idProduct) == (USB_VENDOR, USB_PRODUCT)
+    assert len(backend._raw[DEVICE]) == 18
+    assert len(backend._raw[CONFIGURATION]) == 32
+    ends = [backend.get_endpoint_descriptor(None, index, 0, 0, 0) for index in range(2)]
+    found = [(end.bEndpointAddress, end.bmAttributes, end.wMaxPacketSize) for end in ends]
+    assert found == [(0x01, 2, 64), (0x81, 2, 64)]
+    told = session.greet(host.link.request(Request.HELLO, HELLO_BYTES))
+    assert told.serial == host.params.serial
+
+
+def check_exchange(host: PicoHost) -> None:
+    """Each frame is answered, in order, by the frame that it asked for."""
+    first = host.tick(enable=False)
+    for number in range(1, 30):
+        frame = host.tick(0.1, DAMPING)
+        assert (frame.seq, frame.echo) == (first.seq + number, number)
+        assert frame.status == StatusBit.ENABLED | StatusBit.AMPLIFIER_READY
+
+
+def check_replaced(host: PicoHost) -> None:
+    """A frame that nobody takes is replaced by the next one, or kept where silicon cannot; the
+    frames after it come in order.
+    """
+    host.tick(enable=False)
+    oldest = host.seq
+    for _ in range(4):
+        host.write(host.out())
+        host.pause(1.0)
+    kept = oldest if host.chip.wiring.chip_id == B1 else host.seq - 1
+    assert host.read().echo == kept
+    following = host.tick()
+    assert (following.echo, following.seq) == (host.seq - 1, host.seq - 1)
+
+
+def check_race(host: PicoHost) -> None:
+    """A host that reads just while a frame is replaced gets whole frames, none of them twice."""
+    host.tick(enable=False)
+    seqs = []
+    for step in range(40):
+        host.write(host.out())
+        host.pause(1.0)
+        host.write(host.out())
+        host.pause(0.85 + step * 0.003)  # about its latch
+        seqs.append(host.read().seq)
+        host.pause(1.0)
+        if step % 2 or host.chip.wiring.chip_id == B1:
+            host.tick()
+            host.pause(1.0)
+    assert seqs == sorted(set(seqs))
+
+
+def check_burst(host: PicoHost) -> None:
+    """Packets that come one after the other, each while the last one is worked on: a frame, a
+    single byte, a frame.
+    """
+    host.tick(enable=False)
+    first, last = (bytes(codec.encode_out(host.out())) for _ in range(2))
+    numbers = [host.chip.submit(OUT, 0, packet) for packet in (first, b"\0", last)]
+    for number in numbers:
+        assert host.rig.wait(number, TICK_NS).status == 0
+    host.backend.lead()
+    host.pause(1.0)
+    frame = host.read()
+    assert frame.echo == host.seq - 1
+    assert frame.seq == host.seq - (2 if host.chip.wiring.chip_id == B1 else 1)
+    assert frame.status & StatusBit.BAD_FRAME
+    assert not frame.status & StatusBit.SEQ_GAP
+
+
+def check_outputs(host: PicoHost) -> None:
+    """Torque and damping stand at their DACs, to the rounding, with either sign."""
+    host.start()
+    for torque_n in (TORQUE_N, -TORQUE_N, 0.0, 7.99, -7.99):
+        host.tick(torque_n, DAMPING)
+        state = host.chip.state
+        torque_step, damping_step = DAC_STEPS[host.chip.wiring.dac]
+        asked = round(torque_n / host.params.force_n_per_count)
+        assert abs(state.torque - asked) <= torque_step / 2
+        damping = round(DAMPING / host.params.active_damping_ns_per_m_per_count)
+        assert abs(state.damping - damping) <= damping_step / 2
+        assert state.amplifier == 1
+
+
+def check_encoder(host: PicoHost) -> None:
+    """A positive force counts up, to the very count of the plant."""
+    host.start(TORQUE_N, 0.0)
+    host.tick()
+    host.pause(1.0)
+    frame = host.tick()
+    assert frame.encoder > 100
+    assert abs(frame.encoder - host.chip.state.encoder) <= 400  # it moves on while this is read
+    assert not frame.status & StatusBit.ENCODER_FAULT
+
+
+def check_skip(host: PicoHost) -> None:
+    """A step by two states is ENCODER_FAULT, which takes the torque."""
+    host.start()
+    assert host.chip.state.amplifier == 1
+    host.chip.tell(Verb.SKIP)
+    frame = host.tick()
+    assert frame.status & StatusBit.ENCODER_FAULT
+    assert host.chip.state.amplifier == 0
+    host.link.request(Request.CLEAR_FAULT)
+    assert not host.tick(enable=False).status & StatusBit.ENCODER_FAULT
+
+
+def _amplifier_off_ns(host: PicoHost) -> float:
+    """When the amplifier's pin went low, of the changes since the last call."""
+    changes = host.chip.told()["changes"]
+    off = [at for at, name, value in changes if name == "amplifier" and value == 0]
+    assert off, "the amplifier stays enabled"
+    return float(off[0])
+
+
+def check_stop(host: PicoHost) -> None:
+    """Pressed, or its wire broken: the amplifier is off at once, and stays off when released."""
+    for level in (0, OPEN):
+        host.tick(enable=False)
+        host.start(TORQUE_N)
+        host.chip.told()
+        pressed_ns = host.rig.now_ns
+        host.chip.drive("stop", level)
+        host.rig.advance(pressed_ns + 200e3)
+        assert _amplifier_off_ns(host) - pressed_ns < STOP_US * 1e3
+        assert host.tick(TORQUE_N).status & StatusBit.EMERGENCY_STOP
+        host.chip.drive("stop", 1)
+        host.rig.advance(host.rig.now_ns + 200e3)
+        assert host.chip.state.amplifier == 0
+
+
+def check_stop_busy(host: PicoHost) -> None:
+    """Pressed at any instant while frames come: after the one that is being worked on at most."""
+    for step in range(12):
+        host.tick(enable=False)
+        host.start(TORQUE_N)
+        host.chip.told()
+        begun_ns = host.rig.now_ns
+        host.chip.submit(OUT, 0, bytes(codec.encode_out(host.out(TORQUE_N))))
+        host.rig.advance(begun_ns + 20e3 + step * 8e3)
+        pressed_ns = host.rig.now_ns
+        host.chip.drive("stop", 0)
+        host.rig.advance(pressed_ns + 200e3)
+        assert _amplifier_off_ns(host) - pressed_ns < STOP_BUSY_US * 1e3
+        host.chip.drive("stop", 1)
+        host.backend.lead()
+        host.pause(1.0)
+        host.read()
+
+
+def check_ready(host: PicoHost) -> None:
+    """An amplifier that is not ready, or whose wire is broken, gets no torque."""
+    for level in (0, OPEN):
+        host.chip.drive("ready", 1)
+        host.tick(enable=False)
+        host.start(TORQUE_N)
+        host.chip.drive("ready", level)
+        frame = host.tick(TORQUE_N)
+        assert not frame.status & (StatusBit.AMPLIFIER_READY | StatusBit.ENABLED)
+        assert host.chip.state.amplifier == 0
+
+
+def check_silence(host: PicoHost) -> None:
+    """A silent host: no torque after the watchdog time, damping held 2 s and released in 0.5 s."""
+    host.start(TORQUE_N, DAMPING)
+    host.chip.told()
+    begun_ns = host.rig.now_ns
+    host.pause(host.params.watchdog_ms + 2.0)
+    assert (_amplifier_off_ns(host) - begun_ns) / 1e6 < host.params.watchdog_ms + 0.5
+    held = host.chip.state.damping
+    host.pause(1950.0)
+    assert host.chip.state.damping == held > 0.0
+    host.pause(300.0)
+    assert 0.0 < host.chip.state.damping < held
+    host.pause(300.0)
+    assert host.chip.state.damping == 0.0
+    assert host.tick(TORQUE_N).status & StatusBit.WATCHDOG
+    assert not host.start(TORQUE_N).status & StatusBit.WATCHDOG
+
+
+def _check_dies(host: PicoHost, how: Verb) -> None:
+    life = host.start(TORQUE_N, DAMPING).life
+    host.chip.told()
+    begun_ns = host.rig.now_ns
+    host.chip.tell(how)
+    host.rig.advance(begun_ns + 30e6)
+    assert (_amplifier_off_ns(host) - begun_ns) / 1e6 < WATCHDOG_MS
+    assert host.chip.told()["resets"] == 1
+    try:
+        host.tick(TORQUE_N)
+        raise AssertionError("a board that has left the bus answers")
+    except LinkError:
+        pass
+    host.plug_again()
+    frame = host.tick(enable=False)
+    assert frame.life == (life + 1) % LIFE
+    assert host.chip.state.amplifier == 0
+
+
+def check_hang(host: PicoHost) -> None:
+    """The processor stops: the hardware watchdog ends the torque and starts it anew."""
+    _check_dies(host, Verb.HANG)
+
+
+def check_deaf(host: PicoHost) -> None:
+    """The processor runs and gets no interrupt: nothing but the service feeds the watchdog."""
+    _check_dies(host, Verb.DEAF)
+
+
+# of frames that lie in the board unread: with transfers in flight one is always asked for
+IN_TURN = ("replaced", "race", "burst", "stop_busy")
+CHECKS: dict[str, Callable[[PicoHost], None]] = {
+    "descriptors": check_descriptors,
+    "exchange": check_exchange,
+    "replaced": check_replaced,
+    "race": check_race,
+    "burst": check_burst,
+    "outputs": check_outputs,
+    "encoder": check_encoder,
+    "skip": check_skip,
+    "stop": check_stop,
+    "stop_busy": check_stop_busy,
+    "ready": check_ready,
+    "silence": check_silence,
+    "hang": check_hang,
+    "deaf": check_deaf,
+}

@@ -1,0 +1,77 @@
+"""Images of the Pico's firmware for the emulator: the one that is shipped, others by macros of its
+config.h, and ones with a defect that is put into a copy of the sources.
+"""
+
+import atexit
+import re
+import shutil
+import tempfile
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from firmware_iface.pico.build import COMPILER, SOURCES, build
+from hapticd.params import BoardParams
+from support.boards import board_params
+from support.pico_chip import UNIQUE_ID, PicoChip, Wiring
+from support.pico_modules import needed
+
+PIN = re.compile(r"^#define PIN_(\w+) (\d+)", re.MULTILINE)
+CONFIG = re.compile(r"^#define (\w+) ([\d.]+)", re.MULTILINE)
+NAMES = {  # of pins.h, in the emulator
+    "ENCODER_A": "a",
+    "ENCODER_B": "b",
+    "DAC_SELECT": "select",
+    "AMPLIFIER_ENABLE": "amplifier",
+    "EMERGENCY_STOP": "stop",
+    "AMPLIFIER_READY": "ready",
+}
+SPI_OF_DAC = 0
+LACKS = ("probe", "interval_mean", "temperature")  # capabilities of the simulated board
+Defines = tuple[tuple[str, str], ...]
+Change = tuple[str, str, str]  # file, text, what takes its place
+
+
+def wiring(dac: str = "dac8563") -> Wiring:
+    """The parts at the pins of pins.h."""
+    found = {name: int(pin) for name, pin in PIN.findall((SOURCES / "pins.h").read_text())}
+    pins = {ours: found[name] for name, ours in NAMES.items()}
+    return Wiring({**pins, "spi": SPI_OF_DAC}, dac)
+
+
+def pico_params(**changes: object) -> BoardParams:
+    """The simulated board that is what the shipped image says of itself."""
+    told = dict(CONFIG.findall((SOURCES / "config.h").read_text()))
+    watchdog_ms = float(told["WATCHDOG_MS"])
+    board = board_params(serial=UNIQUE_ID, lacks=LACKS, watchdog_ms=watchdog_ms)
+    return replace(board, **changes)  # type: ignore[arg-type]
+
+
+@cache
+def image(defines: Defines = (), changes: tuple[Change, ...] = ()) -> Path:
+    """The .uf2, built once in this process. AssertionError if a text to change is not there just
+    once, or the compiler is missing.
+    """
+    needed(COMPILER)
+    folder = Path(tempfile.mkdtemp(prefix="hapticd-pico-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    sources = SOURCES
+    if changes:
+        sources = folder / "sources"
+        shutil.copytree(SOURCES, sources, ignore=shutil.ignore_patterns("__pycache__"))
+        for change in changes:
+            _apply(sources, change)
+    return build(folder / "built", defines=dict(defines), sources=sources)
+
+
+def _apply(sources: Path, change: Change) -> None:
+    name, old, new = change
+    text = (sources / name).read_text()
+    assert text.count(old) == 1, f"{name} has {text.count(old)} times: {old}"
+    (sources / name).write_text(text.replace(old, new))
+
+
+def start_chip(built: Path | None = None, dac: str = "dac8563", chip_id: int = 0) -> PicoChip:
+    """A board that has just got its supply; `close` it."""
+    wired = wiring(dac)
+    return PicoChip(built or image(), replace(wired, chip_id=chip_id or wired.chip_id))

@@ -1,0 +1,109 @@
+"""The firmware of the Pico as its build makes it: bytes, symbols, words at addresses."""
+
+import atexit
+import re
+import shutil
+import struct
+import subprocess
+import tempfile
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from firmware_iface.pico.build import COMPILER, build
+from hapticd.wire.codec import decode_hello
+from hapticd.wire.frames import HELLO_BYTES, PROTOCOL_HASH, HelloFrame
+from support.programs import program
+
+SERIAL = "E66118604B3A5C2F"  # of a flash chip
+FLASH = range(0x10000000, 0x10000000 + 2 * 1024 * 1024)
+RAM = range(0x20000000, 0x20000000 + 256 * 1024)
+
+
+class Symbol(NamedTuple):
+    """A line of nm."""
+
+    address: int
+    kind: str  # nm's letter
+    size: int
+
+
+class Block(NamedTuple):
+    """A UF2 block, without the data behind the first `size` bytes."""
+
+    magic: tuple[int, int, int]
+    flags: int
+    address: int
+    size: int
+    number: int
+    blocks: int
+    family: int
+    data: bytes
+
+
+@cache
+def built() -> Path:
+    """The folder with the firmware of this checkout, built once in this process. The test is
+    skipped without the compiler.
+    """
+    program(COMPILER)
+    folder = Path(tempfile.mkdtemp(prefix="hapticd-pico-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    build(folder)
+    return folder
+
+
+def blocks(path: Path) -> list[Block]:
+    """The blocks of a .uf2."""
+    file = path.read_bytes()
+    assert len(file) % 512 == 0
+    return [_block(file[at : at + 512]) for at in range(0, len(file), 512)]
+
+
+def _block(raw: bytes) -> Block:
+    first, second, flags, address, size, number, count, family = struct.unpack_from("<8I", raw)
+    (last,) = struct.unpack_from("<I", raw, 508)
+    data = raw[32 : 32 + size]
+    return Block((first, second, last), flags, address, size, number, count, family, data)
+
+
+@cache
+def symbols() -> dict[str, Symbol]:
+    """What the linked firmware names."""
+    words = ["arm-none-eabi-nm", "--print-size", str(built() / "hapticd.elf")]
+    text = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    found = {}
+    for line in text.splitlines():
+        *numbers, kind, name = line.split()
+        address, size = ([int(one, 16) for one in numbers] + [0, 0])[:2]
+        found[name] = Symbol(address, kind, size)
+    return found
+
+
+def words_at(address: int, count: int) -> tuple[int, ...]:
+    """32-bit words as they are after start-up has copied the program to RAM."""
+    image = (built() / "hapticd.bin").read_bytes()
+    known = symbols()
+    offset = address - FLASH.start
+    if address in RAM:
+        assert address < known["__ram_end"].address
+        offset = known["__ram_load"].address - FLASH.start + address - known["__ram_start"].address
+    return struct.unpack_from(f"<{count}I", image, offset)
+
+
+def program_words() -> tuple[int, ...]:
+    """The PIO program of the encoder, from its start at address 0."""
+    symbol = symbols()["program"]
+    words = words_at(symbol.address, (symbol.size + 3) // 4)
+    halves = [half for word in words for half in (word & 0xFFFF, word >> 16)]
+    return tuple(halves[: symbol.size // 2])
+
+
+def hello() -> HelloFrame:
+    """HELLO as it stands in the image, with what start-up fills in: a hash and a serial number."""
+    (name,) = [one for one in symbols() if re.fullmatch(r"config\.\d+", one)]
+    words = words_at(symbols()[name].address, HELLO_BYTES // 4)
+    raw = bytearray(struct.pack(f"<{len(words)}I", *words))
+    raw[: len(PROTOCOL_HASH)] = PROTOCOL_HASH
+    raw[16:32] = SERIAL.encode()
+    return decode_hello(bytes(raw))
