@@ -69,10 +69,13 @@ def test_lane_loop_is_vector_code(model, environment, damped, dtype):
 def test_kernel_is_found_again_by_another_process(tmp_path):
     """The second process loads what the first compiled: numba counts a hit and no miss."""
     code = (
-        "from support.devices import *; from hapticd.zwidth.engine import kernels; from"
-        " hapticd.zwidth.engine.batch import simulate; from support.engine_kernels import shape, ALL\nsimulate(ALL, [[1, 0, 0]], 0.01); run ="
-        " kernels.kernel(shape(ALL)).run\nprint(sum(run.stats.cache_hits.values()),"
-        " sum(run.stats.cache_misses.values()))"
+        "from support.devices import *\n"
+        "from hapticd.zwidth.engine import kernels\n"
+        "from hapticd.zwidth.engine.batch import simulate\n"
+        "from support.engine_kernels import shape, ALL\n"
+        "simulate(ALL, [[1, 0, 0]], 0.01)\n"
+        "run = kernels.kernel(shape(ALL)).run\n"
+        "print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()))"
     )
     path = f"{Path(__file__).parent}:{TESTS}:{ROOT}"
     found = [

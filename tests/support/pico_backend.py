@@ -4,7 +4,7 @@ descriptors that the chip itself sends.
 The chip lives up to the clock's time before each transfer, and the clock goes on to the chip's when
 the transfer has ended: a transfer takes what it takes on the emulated bus, and a time-out is one of
 that time. With a VirtualClock host and chip are in lock-step, whatever the machine does meanwhile.
-It has transfers in flight as well (`hapticd.link.flight`).
+It has transfers in flight as well (`hapticd.usb.flight`).
 """
 
 import errno
@@ -16,9 +16,9 @@ from typing import Any
 
 import usb.backend
 
-from hapticd.clock import Clock
+from hapticd.core.clock import Clock
+from hapticd.core.units import NS_PER_MS
 from hapticd.sim.errors import usb_error
-from hapticd.units import NS_PER_MS
 from support.pico_plant import ADDRESS, Rig
 
 DEVICE, CONFIGURATION, INTERFACE, ENDPOINT = 1, 2, 4, 5

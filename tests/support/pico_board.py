@@ -12,11 +12,11 @@ import struct
 import weakref
 from collections.abc import Callable
 
-from hapticd.params import BoardParams
+from hapticd.core.params import BoardParams
+from hapticd.core.units import NS_PER_MS, NS_PER_US
 from hapticd.sim.board import ADVANCE_MAX_NS
-from hapticd.units import NS_PER_MS, NS_PER_US
-from hapticd.wire import codec
-from hapticd.wire.frames import CRC, PACKET_BYTES, OutFrame, StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import CRC, PACKET_BYTES, OutFrame, StatusBit
 from support.pico_chip import Verb
 from support.pico_firmware import Change, Defines, image, start_chip
 from support.pico_plant import Rig

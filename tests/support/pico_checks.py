@@ -5,9 +5,9 @@ defect, for each of which one of them has to fail.
 
 from collections.abc import Callable
 
-from hapticd.errors import LinkError
-from hapticd.wire import codec, session
-from hapticd.wire.frames import HELLO_BYTES, Request, StatusBit
+from hapticd.core.errors import LinkError
+from hapticd.usb import codec, session
+from hapticd.usb.frames import HELLO_BYTES, Request, StatusBit
 from support.pico_backend import CONFIGURATION, DEVICE
 from support.pico_chip import B1, OPEN, PicoChip, Verb
 from support.pico_host import TICK_NS, PicoHost

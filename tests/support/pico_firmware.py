@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 
 from firmware_iface.pico.build import COMPILER, SOURCES, build
-from hapticd.params import BoardParams
+from hapticd.core.params import BoardParams
 from support.boards import board_params
 from support.pico_chip import UNIQUE_ID, PicoChip, Wiring
 from support.pico_modules import needed

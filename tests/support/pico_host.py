@@ -4,12 +4,12 @@ from array import array
 from types import TracebackType
 from typing import Any, Self
 
-from hapticd.clock import VirtualClock
-from hapticd.link.usb import UsbLink
-from hapticd.params import BoardParams, UsbParams
-from hapticd.units import NS_PER_MS
-from hapticd.wire import codec
-from hapticd.wire.frames import PACKET_BYTES, InFrame, OutFlag, OutFrame
+from hapticd.core.clock import VirtualClock
+from hapticd.core.params import BoardParams, UsbParams
+from hapticd.core.units import NS_PER_MS
+from hapticd.usb import codec
+from hapticd.usb.frames import PACKET_BYTES, InFrame, OutFlag, OutFrame
+from hapticd.usb.link import UsbLink
 from support.pico_backend import PicoBackend
 from support.pico_chip import PicoChip
 from support.pico_firmware import pico_params, start_chip

@@ -6,10 +6,10 @@ on the PC never changes the order of two things. What is a time or the encoder's
 of a torque by the time that an OUT takes to its DAC.
 """
 
+from hapticd.core.units import NS_PER_MS
 from hapticd.sim.board import VENDOR_OUT
-from hapticd.units import NS_PER_MS
-from hapticd.wire import codec
-from hapticd.wire.frames import Request, StatusBit
+from hapticd.usb import codec
+from hapticd.usb.frames import Request, StatusBit
 from support.firmware_board import FirmwareBoard
 from support.hostile import VENDOR_IN, Bench, Bytes, Tally
 from support.pico_board import INTERVAL_NS, PicoBoard

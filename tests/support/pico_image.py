@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from firmware_iface.pico.build import COMPILER, build
-from hapticd.wire.codec import decode_hello
-from hapticd.wire.frames import HELLO_BYTES, PROTOCOL_HASH, HelloFrame
+from hapticd.usb.codec import decode_hello
+from hapticd.usb.frames import HELLO_BYTES, PROTOCOL_HASH, HelloFrame
 from support.programs import program
 
 SERIAL = "E66118604B3A5C2F"  # of a flash chip

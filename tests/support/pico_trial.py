@@ -14,15 +14,15 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from hapticd.analysis.arrays import Floats
-from hapticd.assembly import lockstep
-from hapticd.assembly.lockstep import scene_params
-from hapticd.clock import Clock
-from hapticd.params import BoardParams, ServoParams
-from hapticd.units import PROBE_RATE_HZ
-from hapticd.wire.codec import I16_HIGHEST, U16_HIGHEST
+from hapticd.core.arrays import Floats
+from hapticd.core.clock import Clock
+from hapticd.core.params import BoardParams, ServoParams
+from hapticd.core.units import PROBE_RATE_HZ
+from hapticd.run import lockstep
+from hapticd.run.lockstep import scene_params
+from hapticd.run.lockstep_client import LockStepClient
+from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 from hapticd.zwidth.live import allowed_waveform
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord
 from support.pico_backend import PicoBackend
@@ -104,7 +104,7 @@ class Instrument:
 
 
 @contextmanager
-def chip_in_lock_step(shown: Display) -> Iterator[tuple[LockStepBench, Rig]]:
+def chip_in_lock_step(shown: Display) -> Iterator[tuple[LockStepClient, Rig]]:
     """A bench whose board is the chip; AssertionError at the end if that has complained."""
     rig = Rig(start_chip(image(scales_of(shown.board))), replace(shown.board, lacks=LACKS))
 
@@ -113,7 +113,7 @@ def chip_in_lock_step(shown: Display) -> Iterator[tuple[LockStepBench, Rig]]:
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(lockstep, "simulated_backend", backend)
-        bench = LockStepBench(shown.servo, shown.board)
+        bench = LockStepClient(shown.servo, shown.board)
     try:
         bench.stack.device.set_phase(PHASE * bench.stack.device.period_us)
         bench.run(5)
@@ -124,7 +124,7 @@ def chip_in_lock_step(shown: Display) -> Iterator[tuple[LockStepBench, Rig]]:
         rig.chip.close()
 
 
-def _rendered(bench: LockStepBench, trial: Trial) -> None:
+def _rendered(bench: LockStepClient, trial: Trial) -> None:
     """The environment of the trial is rendered."""
     stiffness, damping, mass = trial.environment
     level = trial.active_damping_ns_per_m

@@ -14,11 +14,11 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from hapticd.clock import MonotonicClock
+from hapticd.core.clock import MonotonicClock
+from hapticd.core.units import NS_PER_MS, NS_PER_US
 from hapticd.sim.injection import TransferFault
 from hapticd.sim.usb_device import Setup, Unplugged
 from hapticd.sim.usbip import UsbipServer
-from hapticd.units import NS_PER_MS, NS_PER_US
 from support.pico_chip import PicoChip, Verb
 from support.pico_firmware import pico_params, start_chip
 from support.pico_plant import Rig

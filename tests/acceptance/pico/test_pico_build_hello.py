@@ -7,10 +7,10 @@ from pathlib import Path
 from support.pico_image import SERIAL, hello
 from support.tree import ROOT
 
-from hapticd.link.agreement import differences
 from hapticd.settings.build import device_params
 from hapticd.settings.load import load
-from hapticd.wire.frames import Capability
+from hapticd.usb.agreement import differences
+from hapticd.usb.frames import Capability
 
 TEMPLATE = ROOT / "config" / "devices" / "example-board.toml"
 

@@ -12,7 +12,7 @@ from support.pico_firmware import image, pico_params, start_chip
 from support.pico_host import PicoHost
 from support.pico_plant import Rig
 
-from hapticd.errors import HapticdError
+from hapticd.core.errors import HapticdError
 
 FOUND = (AssertionError, HapticdError)
 UF2_HEAD = 32

@@ -10,7 +10,7 @@ import pytest
 from support.pico_firmware import pico_params
 from support.pico_host import PicoHost
 
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 
 PIECE_S = 62.5e-6
 COUNT_M = pico_params().position_m_per_count

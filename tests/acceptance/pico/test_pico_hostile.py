@@ -8,7 +8,7 @@ import pytest
 from support.hostile import Tally
 from support.pico_hostile import PicoBench
 
-from hapticd.wire.frames import StatusBit
+from hapticd.usb.frames import StatusBit
 
 CASE_BYTES = 50_000  # some 2,500 frames
 

@@ -28,7 +28,7 @@ from test_sim_board import (
     test_unknown_control_request_stalls,
 )
 
-from hapticd.units import NS_PER_US
+from hapticd.core.units import NS_PER_US
 
 SAFETY = (ROOT / "docs" / "safety.md").read_text()
 # rows of what the board promises, alone or with another

@@ -10,11 +10,11 @@ import pytest
 from support.pico_chip import Verb
 from support.pico_trial import chip_in_lock_step, display, fault_on_chip, record_on_chip
 
-from hapticd.analysis.verdict import Verdict
-from hapticd.errors import AnalysisError
+from hapticd.core.errors import AnalysisError
+from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
+from hapticd.signal.verdict import Verdict
 from hapticd.zwidth.live import daemon_source
-from hapticd.zwidth.lockstep import LockStepBench
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.trial import TrialParams, TrialResult, judged, plan_trial, run_trial
 
@@ -36,7 +36,7 @@ class Pair(NamedTuple):
 def trials(active_damping: float) -> Pair:
     trial = Trial(ENVIRONMENT, active_damping, seconds=SECONDS)
     plan = plan_trial(TrialParams(trial, load_scene("fig7")))
-    with LockStepBench(*display()) as bench:
+    with LockStepClient(*display()) as bench:
         simulated = run_trial(plan, daemon_source(bench))
     return Pair(simulated, judged(plan, record_on_chip(trial)))
 
@@ -60,7 +60,7 @@ def test_verdict_with_damping_is_that_of_the_simulated_board() -> None:
 def test_environment_without_damping_runs_away_on_both() -> None:
     trial = Trial(ENVIRONMENT, 0.0, seconds=SECONDS)
     plan = plan_trial(TrialParams(trial, load_scene("fig7")))
-    with LockStepBench(*display()) as bench:
+    with LockStepClient(*display()) as bench:
         with pytest.raises(AnalysisError):
             run_trial(plan, daemon_source(bench))
         fault = bench.status()["fault"]

@@ -11,11 +11,11 @@ from typing import Any
 from machine import DEADLINE_S, attach, configured, place, until
 from packets import frame, read
 
-from hapticd.errors import LinkError
-from hapticd.link.usb import UsbLink
-from hapticd.params import UsbParams
-from hapticd.wire import codec, frames
-from hapticd.wire.frames import Request
+from hapticd.core.errors import LinkError
+from hapticd.core.params import UsbParams
+from hapticd.usb import codec, frames
+from hapticd.usb.frames import Request
+from hapticd.usb.link import UsbLink
 
 FRAMES = 300
 USB = UsbParams(timeout_ms=2000)
