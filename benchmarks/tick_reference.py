@@ -77,6 +77,9 @@ class ReferenceTick:
             _,
             _,
             _,
+            _,
+            _,
+            _,
         ) = IN_SEALED.unpack_from(frame)
         x = encoder * self.m_per_count
         v_raw = (x - self.x1) * self.rate_hz

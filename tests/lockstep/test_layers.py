@@ -30,7 +30,9 @@ def test_gateway_brings_no_compiler_and_no_board() -> None:
                 "hapticd.sim",
                 "hapticd.zwidth.engine",
                 "hapticd.settings",
-                "hapticd.usb",
+                "hapticd.usb.device",
+                "hapticd.usb.link",
+                "hapticd.usb.usbfs",
             )
         )
     ]
