@@ -95,8 +95,10 @@ def test_example_for_asyncio_gives_what_it_says(name: str, board: VirtualBoard) 
 
 def test_example_of_a_dump_gives_what_it_says(runtime: Path) -> None:
     folder = runtime / "hapticd"
-    with GatewayRig(folder) as rig, running(rig), Client(folder=folder) as device:
-        asyncio.run(run(examples(Client, "dump"), device))
+    with GatewayRig(folder) as rig:
+        rig.step(100)  # something has been recorded before it is asked for
+        with running(rig), Client(folder=folder) as device:
+            asyncio.run(run(examples(Client, "dump"), device))
 
 
 def test_examples_of_closing_run() -> None:
