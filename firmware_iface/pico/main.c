@@ -5,6 +5,7 @@
  */
 #include "chip.h"
 #include "config.h"
+#include "events.h"
 #include "flash_id.h"
 #include "hapticd_board.h"
 #include "pins.h"
@@ -45,10 +46,11 @@ void timer_irq(void)
     serve();
 }
 
-/* Emergency stop or amplifier ready changed. */
+/* Emergency stop, amplifier ready or an event pin changed. */
 void io_irq(void)
 {
     IO_INTR(PIN_EMERGENCY_STOP) = WATCHED_EDGES;
+    events_acknowledge();
     serve();
 }
 
@@ -79,6 +81,7 @@ int main(void)
     if (hapticd_board_boot(&board, port_config(serial), &port, chip_next_life())) {
         SIO_GPIO_OUT_SET = 1u << PIN_LED;
         REG(IO_PROC0_INTE + 4u * (PIN_EMERGENCY_STOP / 8u)) = WATCHED_EDGES;
+        events_watch();
         chip_watchdog_start(HARDWARE_WATCHDOG_US);
         alarm_at_next_event();
         NVIC_ISER = 1u << IRQ_TIMER_0 | 1u << IRQ_IO_BANK0;

@@ -7,6 +7,7 @@
 #include "config.h"
 #include "dac.h"
 #include "encoder.h"
+#include "events.h"
 #include "pins.h"
 #include "rp2040.h"
 #include "usb.h"
@@ -14,7 +15,7 @@
 #define AMPLIFIER (1u << PIN_AMPLIFIER_ENABLE)
 #define CAPABILITIES                                                                               \
     (HAPTICD_CAPABILITY_EMERGENCY_STOP | HAPTICD_CAPABILITY_AMPLIFIER_READY |                      \
-     HAPTICD_CAPABILITY_SAMPLE_PHASE)
+     HAPTICD_CAPABILITY_EVENT | HAPTICD_CAPABILITY_SAMPLE_PHASE)
 
 /* --- pins ------------------------------------------------------------------------------------- */
 
@@ -118,6 +119,12 @@ static void send(void *device, const struct hapticd_in *frame)
     usb_send(frame, sizeof *frame);
 }
 
+static uint16_t event_code(void *device)
+{
+    (void)device;
+    return events_read();
+}
+
 const struct hapticd_port port = {
     .clock_us = clock_us,
     .inputs = inputs,
@@ -128,6 +135,7 @@ const struct hapticd_port port = {
     .set_damping = set_damping,
     .set_resistance = set_nothing,
     .send = send,
+    .event_code = event_code,
 };
 
 /* --- struct hapticd_config -------------------------------------------------------------------- */

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 def main(arguments: list[str]) -> int:
     """Serve until the other end closes; the exit code."""
-    parser = argparse.ArgumentParser(prog="guard_main", allow_abbrev=False)
+    parser = argparse.ArgumentParser(prog="hapticd.guard.main", allow_abbrev=False)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--fd", type=int, required=True)
     parser.add_argument("--parent", type=int)

@@ -201,6 +201,21 @@ def check_ready(host: PicoHost) -> None:
         assert host.chip.state.amplifier == 0
 
 
+def check_events(host: PicoHost) -> None:
+    """Codes at the event pins arrive with the board's time, from the first pin to the last."""
+    before = host.tick()
+    for bit, code in ((0, 0x01), (7, 0x81)):
+        host.chip.drive(f"event{bit}", 1)
+        host.rig.advance(host.rig.now_ns + 300e3)
+        seen = [host.tick() for _ in range(4)]
+        assert [frame.event_code for frame in seen if frame.event_seq != before.event_seq][
+            -1
+        ] == code
+        first = next(frame for frame in seen if frame.event_seq != before.event_seq)
+        assert 0 < first.event_age_us < 2500
+        before = seen[-1]
+
+
 def check_silence(host: PicoHost) -> None:
     """A silent host: no torque after the watchdog time, damping held 2 s and released in 0.5 s."""
     host.start(TORQUE_N, DAMPING)
@@ -262,6 +277,7 @@ CHECKS: dict[str, Callable[[PicoHost], None]] = {
     "stop": check_stop,
     "stop_busy": check_stop_busy,
     "ready": check_ready,
+    "events": check_events,
     "silence": check_silence,
     "hang": check_hang,
     "deaf": check_deaf,

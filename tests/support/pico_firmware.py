@@ -36,7 +36,8 @@ def wiring(dac: str = "dac8563") -> Wiring:
     """The parts at the pins of pins.h."""
     found = {name: int(pin) for name, pin in PIN.findall((SOURCES / "pins.h").read_text())}
     pins = {ours: found[name] for name, ours in NAMES.items()}
-    return Wiring({**pins, "spi": SPI_OF_DAC}, dac)
+    events = {f"event{bit}": found["EVENT_FIRST"] + bit for bit in range(found["EVENT_COUNT"])}
+    return Wiring({**pins, **events, "spi": SPI_OF_DAC}, dac)
 
 
 def pico_params(**changes: object) -> BoardParams:

@@ -17,10 +17,8 @@ TEMPLATE = ROOT / "config" / "devices" / "example-board.toml"
 
 def test_board_states_only_what_it_has() -> None:
     told = hello()
-    stop_ready_phase = (
-        Capability.EMERGENCY_STOP | Capability.AMPLIFIER_READY | Capability.SAMPLE_PHASE
-    )
-    assert told.capabilities == stop_ready_phase
+    inputs = Capability.EMERGENCY_STOP | Capability.AMPLIFIER_READY | Capability.EVENT
+    assert told.capabilities == inputs | Capability.SAMPLE_PHASE
     assert told.axis_count == 1
     assert told.watchdog_ms == 20
     assert told.force_limit_n <= told.force_full_scale_n
