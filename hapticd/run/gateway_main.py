@@ -1,7 +1,7 @@
 """The gateway process: `python -m hapticd.run.gateway_main FOLDER`.
 
 It serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM
-or SIGINT, and starts the worker of its guard (`hapticd.guard.main`), which ends with it. `--parent PID`
+or SIGINT, and starts the worker of its guard (`guard.main`), which ends with it. `--parent PID`
 names the supervisor that it ends with; a byte written to the descriptor of `--ready FD` says that
 it serves. Exit code 0: asked to end; 1: a hapticd error, printed in one line on stderr; 78: the
 configuration is wrong and a restart would not help.
