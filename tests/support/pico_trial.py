@@ -143,7 +143,7 @@ def record_on_chip(trial: Trial) -> TrialRecord:
         instrument = Instrument(rig, waveform)
         while len(instrument.force) < samples:
             bench.run(CHUNK_TICKS)
-        state = bench.status()["state"]
+        state = bench.status().state
     assert state == "enabled", state
     force, velocity = (np.array(one[:samples]) for one in (instrument.force, instrument.velocity))
     return TrialRecord(force, velocity, PROBE_RATE_HZ, "pico", simulated=True)
@@ -156,6 +156,6 @@ def fault_on_chip(trial: Trial) -> str:
     with chip_in_lock_step(shown) as (bench, rig):
         _rendered(bench, trial)
         Instrument(rig, waveform)
-        while bench.status()["state"] == "enabled":
+        while bench.status().state == "enabled":
             bench.run(CHUNK_TICKS)
-        return str(bench.status()["fault"])
+        return str(bench.status().fault)

@@ -63,7 +63,7 @@ def test_environment_without_damping_runs_away_on_both() -> None:
     with LockStepClient(*display()) as bench:
         with pytest.raises(AnalysisError):
             run_trial(plan, daemon_source(bench))
-        fault = bench.status()["fault"]
+        fault = bench.status().fault
     assert fault_on_chip(trial) == fault
 
 
@@ -86,11 +86,11 @@ def test_servo_of_a_board_that_hangs_comes_back_disabled() -> None:
         assert rig.chip.state.amplifier == 1
         rig.chip.tell(Verb.HANG)
         bench.run(50)
-        assert bench.status()["state"] == "fault"
+        assert bench.status().state == "fault"
         assert rig.chip.state.amplifier == 0
         bench.run(2000)
         bench.reset()
         bench.run(50)
-        assert bench.status()["state"] == "disabled"
+        assert bench.status().state == "disabled"
         assert bench.stack.device.counts["lives"] == 1
         assert rig.chip.state.amplifier == 0
