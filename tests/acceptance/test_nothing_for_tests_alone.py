@@ -24,9 +24,9 @@ PLAIN = {"staticmethod", "classmethod", "property", "abstractmethod", "dataclass
 FOUND_BY_BASE = {"Effect"}
 
 ALLOWED = {
-    "wire.frames.CRC_POLYNOMIAL": "every constant of the C header has its twin",
-    "engine.compiled.law_f32": "named in the text of a kernel, with its type",
-    "engine.compiled.law_f64": "named in the text of a kernel, with its type",
+    "usb.frames.CRC_POLYNOMIAL": "every constant of the C header has its twin",
+    "zwidth.engine.compiled.law_f32": "named in the text of a kernel, with its type",
+    "zwidth.engine.compiled.law_f64": "named in the text of a kernel, with its type",
 }
 
 
