@@ -17,7 +17,15 @@ __all__ = ["FOLDER", "VALUES", "NgspiceError", "Value", "deck", "draw", "run"]
 
 FOLDER = Path(__file__).parent
 LINE = re.compile(r"\.param\s+(\w+)\s*=\s*(\S+)\s*\$\s*([^;]+);\s*([^;]+);\s*(.+)")
-SOURCES = ("sheet", "sheet, from memory", "paper", "device", "design", "assumed")
+SOURCES = (
+    "sheet",
+    "sheet, from memory",
+    "sheet, from a distributor",
+    "paper",
+    "device",
+    "design",
+    "assumed",
+)
 OPTIONS = ".options reltol=1e-5 abstol=1e-10 vntol=1e-8 method=gear maxord=2 rshunt=1e12"
 INPUTS = {"dac": "{v_ref/2}", "ref": "{v_ref}", "level": "{d_level}", "trim": "{trim}"}
 # words of ngspice: an analysis that ended early; an operating point out of a transient of 10 us,
