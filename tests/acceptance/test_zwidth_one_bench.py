@@ -32,8 +32,8 @@ ONLY = {  # what may be called from where: {called: {module: functions}}
     "run_trials": {"zwidth.outcomes": {"goes_on"}},
 }
 HOME = {
-    "judge": "analysis.verdict",
-    "axis_limit": "analysis.passive_set",
+    "judge": "signal.verdict",
+    "axis_limit": "signal.passive_set",
     "bracket": "zwidth.limits",
     "search_limit": "zwidth.limits",
     "run_all": "zwidth.outcomes",
@@ -141,7 +141,7 @@ def test_nobody_simulates_for_spectra_beside_the_bench() -> None:
     """
     asking = {
         ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
-        for package in ("zwidth", "study", "weir2008", "report")
+        for package in ("zwidth", "studies")
         for file in (PACKAGE / package).rglob("*.py")
         for call in ast.walk(_parsed(file))
         if isinstance(call, ast.Call)
