@@ -180,7 +180,7 @@ def page_switches_damping_and_stops(checkout: Checkout) -> None:
         wait_text(page, "#lamp", "stopped")
         until(lambda: reset_at(page), "a reset, once the force has faded")
         browser.close()
-    assert checkout.status().state == "disabled"
+    assert checkout.status()["state"] == "disabled"
 
 
 def reset_at(page: object) -> bool:
