@@ -57,8 +57,6 @@ practice: $(VENV)/run.stamp
 PYTEST := $(BIN)/python -m pytest
 WORKERS := OPENBLAS_NUM_THREADS=1 $(PYTEST) --numprocesses auto
 MAIN_JOB := tests/process/test_main_job.py
-USB_STACK := tests/acceptance/test_usb_stack.py
-COMPUTED := build/acceptance.txt
 
 # what is imported is compiled once, also where the environment says that nothing be kept
 test check: export PYTHONDONTWRITEBYTECODE =
@@ -70,19 +68,13 @@ test: deps-test $(VENV)/test.stamp
 	$(WORKERS) --dist worksteal tests/unit tests/lockstep $(ARGS)
 	$(PYTEST) $(MAIN_JOB) $(ARGS)
 
-# Tests of processes mostly wait. Acceptance tests that only compute use the idle time, at the lowest
-# priority. The USB stack has the machine to itself.
+# tests that only compute run on all cores; those of processes have the machine to themselves
 COMPUTING := $(WORKERS) --dist loadfile --no-loadscope-reorder --timeout 900
 check: ARGS += --all-must-run
 check: check-installed test
-	@echo "beside the rest: acceptance tests without processes, reported in $(COMPUTED) and below"
-	set -m; nice -n 19 env $(COMPUTING) -m "not process" tests/acceptance $(ARGS) </dev/null >$(COMPUTED) 2>&1 & \
-	computing=$$!; set +m; trap "kill -- -$$computing 2>/dev/null || true" EXIT; failed=0; \
-	$(PYTEST) tests/process --ignore $(MAIN_JOB) $(ARGS) || failed=1; \
-	$(PYTEST) -m process tests/acceptance --ignore $(USB_STACK) $(ARGS) || failed=1; \
-	wait $$computing || failed=1; cat $(COMPUTED); \
-	$(PYTEST) $(USB_STACK) $(ARGS) || failed=1; \
-	exit $$failed
+	$(COMPUTING) -m "not process" tests/acceptance $(ARGS)
+	$(PYTEST) tests/process --ignore $(MAIN_JOB) $(ARGS)
+	$(PYTEST) -m process tests/acceptance $(ARGS)
 
 # system packages and libraries at the same time; the kernel as soon as its source is there
 check-installed: deps-run
