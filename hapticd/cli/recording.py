@@ -266,8 +266,9 @@ def replay(
 
 
 def _instead(words: list[str]) -> "dict[Value, float]":
+    from hapticd.core.environment import flat
     from hapticd.mailbox.layout import Value
-    from hapticd.protocol.limits import PLACES, flat
+    from hapticd.protocol.limits import PLACES
 
     found = {PLACES[name]: float(value) for name, value in flat(changes(words))}
     if Value.ACTIVE_DAMPING in found:

@@ -6,7 +6,7 @@ What would break it: an import that is large; `hapticd --help` loads this.
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
-from hapticd.core.environment import FIELDS
+from hapticd.core.environment import FIELDS, flat
 from hapticd.mailbox.layout import VALUE_LIMITS, Value
 from hapticd.protocol.answers import (
     GuardStatus,
@@ -17,7 +17,7 @@ from hapticd.protocol.answers import (
     TimingCost,
 )
 from hapticd.protocol.explanation import Explanation
-from hapticd.protocol.limits import PLACES, flat
+from hapticd.protocol.limits import PLACES
 
 if TYPE_CHECKING:
     from hapticd.core.errors import CommandError

@@ -31,6 +31,7 @@ __all__ = [
     "Point",
     "WallParams",
     "WorkspaceParams",
+    "flat",
 ]
 
 Point = tuple[float, float, float]  # K [N/m], B [N s/m], M [kg]
@@ -226,13 +227,13 @@ class Environment:
 
     def changed(self, change: Mapping[str, Any]) -> "Environment":
         """The same with the fields of a request. ConfigError for a name that is no field."""
-        return self.with_values({_path(key): value for key, value in _flat(change)})
+        return self.with_values({_path(key): value for key, value in flat(change)})
 
     def fields(self, change: Mapping[str, Any]) -> dict[str, Any]:
         """The fields that `change` names, with the values of this environment. ConfigError for a
         name that is no field.
         """
-        return _nested((key, _value(self, _path(key))) for key, _ in _flat(change))
+        return _nested((key, _value(self, _path(key))) for key, _ in flat(change))
 
     # --- as a row of doubles ----------------------------------------------------------------------
 
@@ -254,11 +255,13 @@ def _value(environment: Environment, path: str) -> Any:
     return getattr(getattr(environment, table) if table else environment, leaf)
 
 
-def _flat(change: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """(key, value) of every field of a message."""
-    for name, given in change.items():
-        inside = given.items() if isinstance(given, Mapping) else [("", given)]
-        yield from ((f"{name}.{leaf}" if leaf else name, value) for leaf, value in inside)
+def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """(dotted name, value) of every leaf of nested tables, as messages have them."""
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
 
 
 def _nested(values: Iterable[tuple[str, Any]]) -> dict[str, Any]:

@@ -8,14 +8,14 @@ to do it. The worker is another process: its answer is looked at before it is be
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from hapticd.core.environment import JUDGED, SLOTS, Environment
+from hapticd.core.environment import JUDGED, SLOTS, Environment, flat
 from hapticd.core.errors import CommandError
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
 from hapticd.protocol.commands import AskedRequest, forbidden
 from hapticd.protocol.envelope import RequestMessage
 from hapticd.protocol.leases import ENVIRONMENT, Leases
-from hapticd.protocol.limits import PLACES, flat
+from hapticd.protocol.limits import PLACES
 from hapticd.protocol.schemas import Damping, Enable, GuardRequest, Judged, Request, Set
 
 __all__ = ["Case", "concerns", "damping_by"]

@@ -10,7 +10,7 @@ from itertools import product
 from math import isfinite
 from typing import Any
 
-from hapticd.core.environment import Environment, FilterParams
+from hapticd.core.environment import Environment, FilterParams, flat
 from hapticd.core.errors import AnalysisError
 
 AXES = ("K", "B", "M")
@@ -35,12 +35,10 @@ def with_change(environment: Environment, change: Mapping[str, Any]) -> Environm
     return environment.changed(change)
 
 
-def _require_finite(table: Mapping[str, Any], where: str = "") -> None:
-    for name, value in table.items():
-        if isinstance(value, Mapping):
-            _require_finite(value, f"{where}{name}.")
-        elif isinstance(value, float) and not isfinite(value):
-            raise AnalysisError(f"{where}{name} = {value}: the guard judges finite numbers only")
+def _require_finite(table: Mapping[str, Any]) -> None:
+    for name, value in flat(table):
+        if isinstance(value, float) and not isfinite(value):
+            raise AnalysisError(f"{name} = {value}: the guard judges finite numbers only")
 
 
 def environment_of(environment: Environment, other: Environment) -> dict[str, Any]:

@@ -21,14 +21,14 @@ from dataclasses import replace
 from math import nan
 from typing import Any, NamedTuple
 
-from hapticd.core.environment import JUDGED, Environment
+from hapticd.core.environment import JUDGED, Environment, flat
 from hapticd.core.errors import CommandError
 from hapticd.core.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, Result, State, Value, values_of
 from hapticd.protocol.journal import Actors
 from hapticd.protocol.leases import DAMPING, ENVIRONMENT, PERTURBATION, Leases
-from hapticd.protocol.limits import PLACES, CommandLimits, flat
+from hapticd.protocol.limits import PLACES, CommandLimits
 from hapticd.protocol.schemas import (
     Change,
     Damping,

@@ -4,11 +4,11 @@ It is the mailbox's table under the names that clients use, with K, B and M as t
 them (`mailbox.environment_limits`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hapticd.core.environment import SLOTS
+from hapticd.core.environment import SLOTS, flat
 from hapticd.core.errors import ConfigError
 from hapticd.mailbox.environment_limits import AXES
 from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, value_limits
@@ -16,7 +16,7 @@ from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, valu
 if TYPE_CHECKING:
     from hapticd.core.params import EnvironmentLimits, ServoParams
 
-__all__ = ["PLACES", "CommandLimits", "flat"]
+__all__ = ["PLACES", "CommandLimits"]
 
 PLACES: dict[str, Value] = {key: Value(slot) for key, slot in SLOTS.items()} | {
     "ramp_s": Value.RAMP_S
@@ -43,15 +43,6 @@ class CommandLimit(NamedTuple):
 
     def __str__(self) -> str:
         return f"{self.low:g}..{self.high:g} {self.unit}"
-
-
-def flat(table: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """(dotted name, value) of every leaf of nested tables."""
-    for name, value in table.items():
-        if isinstance(value, dict):
-            yield from flat(value, f"{prefix}{name}.")
-        else:
-            yield prefix + name, value
 
 
 def quantity(name: str) -> str:

@@ -5,9 +5,10 @@ from typing import Any
 import pytest
 from support.gateway_stand_in import setup
 
+from hapticd.core.environment import flat
 from hapticd.core.errors import CommandError
 from hapticd.mailbox.layout import VALUE_LIMITS
-from hapticd.protocol.limits import PLACES, CommandLimits, flat
+from hapticd.protocol.limits import PLACES, CommandLimits
 from hapticd.protocol.schemas import MODELS, json_schema, parse
 
 LIMITS = CommandLimits(setup().servo)
