@@ -22,11 +22,10 @@ What would break it: `tend` not called in every pass, or an answer of the servo 
 
 from typing import Any
 
-from hapticd.core.environment import STRENGTHS
 from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Value, Watched, values_of
+from hapticd.mailbox.layout import STRENGTH_VALUES, Command, Value, Watched, values_of
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.protocol.leases import (
     DAMPING,
@@ -48,7 +47,6 @@ from hapticd.protocol.view import ServoView
 FORMER = "a client of the gateway before this one"
 UNANSWERED_NS = NS_PER_S  # after which the servo is told again
 DAMPING_PLACES = (Value.ACTIVE_DAMPING, Value.ACTIVE_DAMPING_ON)
-NOTHING = tuple(Value(one.slot) for one in STRENGTHS)  # 0 of these is no environment
 SCHEDULABLE = {
     ENVIRONMENT: {*PLACES.values(), Value.LIMIT_CYCLE_FAULTS} - {*DAMPING_PLACES, Value.RAMP_S},
     DAMPING: {*DAMPING_PLACES},
@@ -154,7 +152,7 @@ class LeaseDesk:
     def _go(self, lease: Lease) -> None:
         """What becomes of force and environment; nothing is done to the damping."""
         if lease.at_end == "zero" and ENVIRONMENT in PARTS[lease.what]:
-            self._do(Command.SET, dict.fromkeys(NOTHING, 0.0))
+            self._do(Command.SET, dict.fromkeys(STRENGTH_VALUES, 0.0))
         elif lease.at_end == "disable":
             self._do(Command.DISABLE, {})
 

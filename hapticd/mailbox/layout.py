@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from hapticd.core.environment import FIELDS, FIRST_FURTHER_SLOT, FURTHER, SLOTS
+from hapticd.core.environment import FIELDS, FIRST_FURTHER_SLOT, FURTHER, SLOTS, STRENGTHS
 
 __all__ = [
     "ANY_TERMS",
@@ -19,6 +19,7 @@ __all__ = [
     "COMMAND_VALUES",
     "COMMISSIONING",
     "COMMISSIONING_LIMITS",
+    "COMPUTED_FIELDS",
     "COUNTERS",
     "COUNTER_WORD",
     "EPOCH_WORD",
@@ -40,6 +41,7 @@ __all__ = [
     "SERVO_BEAT_WORD",
     "STAGES",
     "STEPPED",
+    "STRENGTH_VALUES",
     "TELEMETRY",
     "TELEMETRY_BYTES",
     "TELEMETRY_HEAD_WORD",
@@ -231,6 +233,8 @@ class ValueLimit(NamedTuple):
 
 LONGEST_SILENCE_S: Final = 1.0
 # the device and the rate may allow less
+# all that a force is in proportion to
+STRENGTH_VALUES: Final = tuple(Value(one.slot) for one in STRENGTHS)
 VALUE_LIMITS: dict[Value, ValueLimit] = {
     **{Value(one.slot): ValueLimit(one.low, one.high, one.unit) for one in FIELDS},
     Value.RAMP_S: ValueLimit(0.0, 60.0, "s"),
@@ -391,6 +395,7 @@ _NAMES = [name for name, *_ in TELEMETRY]
 _PLAN_END = _NAMES.index("resistance_count") + 1
 _MEASURED = _NAMES.index("winding_c")
 PLAN_FIELDS = TELEMETRY[3:_PLAN_END]
+COMPUTED_FIELDS = TELEMETRY[_NAMES.index("position_m") : _MEASURED]  # by the law and its energy
 _CODES = {"<u8": "Q", "<i8": "q", "<u4": "I", "<i4": "i", "<f4": "f", "<f8": "d", "u1": "B"}
 
 

@@ -21,6 +21,7 @@ from hapticd.core.params import ServoParams
 from hapticd.core.units import US_PER_S
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import (
+    COMPUTED_FIELDS,
     PLAN_FIELDS,
     Command,
     Flag,
@@ -47,21 +48,7 @@ Records = NDArray[np.void]
 # the columns of a replay: the plan of each tick, then what step computed
 PLAN_DTYPE = np.dtype(list(PLAN_FIELDS))
 PLAN_NAMES = tuple(str(field[0]) for field in PLAN_FIELDS)
-COMPUTED = [
-    ("flags", "<u4"),
-    ("torque", "<i4"),
-    ("damping", "<u4"),
-    ("position_m", "<f8"),
-    ("velocity_m_per_s", "<f8"),
-    ("acceleration_m_per_s2", "<f8"),
-    ("stiffness_force_n", "<f8"),
-    ("virtual_damping_force_n", "<f8"),
-    ("mass_force_n", "<f8"),
-    ("field_force_n", "<f8"),
-    ("force_n", "<f8"),
-    ("work_j", "<f8"),
-    ("excess_j", "<f8"),
-]
+COMPUTED = [("flags", "<u4"), ("torque", "<i4"), ("damping", "<u4"), *COMPUTED_FIELDS]
 REPLAYED = np.dtype([*PLAN_FIELDS, *COMPUTED])
 LOOP_FLAGS = int(Flag.LATE | Flag.WRITE_FAILED)  # set by the loop, not by step
 _TORQUE_PLACE = frames.OUT_OFFSETS["torque"]

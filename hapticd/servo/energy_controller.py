@@ -34,9 +34,8 @@ credit above the device's true damping.
 from math import ceil, exp, inf, tau
 from typing import Final, NamedTuple
 
-from hapticd.core.environment import STRENGTHS
 from hapticd.core.params import ServoParams
-from hapticd.mailbox.layout import Value, following
+from hapticd.mailbox.layout import STRENGTH_VALUES, Value, following
 from hapticd.render.ramp import Ramp
 from hapticd.servo.monitors import Bounds
 from hapticd.servo.plan import Control, Plan
@@ -45,7 +44,6 @@ from hapticd.servo.safety import State
 SHARE: Final = 0.06  # of the fault's bound: there it begins
 STEP: Final = 0.025  # of it: what may leak before the next halving
 SHOWS_TICKS: Final = 3  # from a step to what the board makes of it, at a delay of two periods
-HALVED: Final = tuple(Value(one.slot) for one in STRENGTHS)
 
 
 class Lag(NamedTuple):
@@ -117,7 +115,7 @@ def halved(plan: Plan, now: Control, last_tick: int) -> Plan:
     """`plan` with half of what leaks, which was in force at `last_tick` (easing may have held it
     back); at once as far as the force step allows.
     """
-    in_force = {place: plan.values[place].value(last_tick) for place in HALVED}
+    in_force = {place: plan.values[place].value(last_tick) for place in STRENGTH_VALUES}
     felt = {place: value for place, value in in_force.items() if value}
     if not felt:
         return plan
