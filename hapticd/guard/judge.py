@@ -209,7 +209,8 @@ class Judge:
 
     def _judgement(self, request: Mapping[str, Any]) -> tuple[Judgement | None, Explanation]:
         """How to judge it, or None and why not."""
-        if beyond := _beyond_the_model(self._concerned(request)):
+        # each question walks the whole change, so only where there is such a parameter
+        if FURTHER and (beyond := _beyond_the_model(self._concerned(request))):
             return None, beyond
         found = self._basis(request["basis"])
         if isinstance(found, Explanation):
