@@ -27,10 +27,11 @@ from math import ceil, floor, log2
 
 import numpy as np
 
-from hapticd.model.model import Array, Map, Model, frozen
+from hapticd.model.drive import well_posed
+from hapticd.model.model import Array, DriveLimits, Map, Model, frozen
 from hapticd.model.reach import computable, require_finite
 
-__all__ = ["discretise", "expm"]
+__all__ = ["discretise", "drive_response_s", "expm"]
 
 TERMS = 25
 LARGEST_NORM = 0.5
@@ -111,6 +112,15 @@ def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Arra
     column = model.inputs.command
     rest = discretise(model, (1.0 - fraction) * whole.duration_s, whole.active_damping_ns_per_m)
     return whole.b[:, column] - rest.b[:, column], rest.b[:, column]
+
+
+def drive_response_s(limits: DriveLimits, column: int | None, whole: Map) -> float:
+    """How much the input `column`, by which `limits` act, moves the motor force in the step of
+    `whole`, N per N/s. ConfigError if that is too little to hold it (`drive.well_posed`).
+    """
+    found = float(whole.b[limits.motor_force, column])
+    well_posed(limits, found, whole.duration_s, whole.active_damping_ns_per_m)
+    return found
 
 
 def delay_steps(delay_periods: float, steps_per_period: int) -> tuple[int, float]:

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from hapticd.core.params import HeatingParams, OutputParams, PlantParams
-from hapticd.model.discrete import discretise
-from hapticd.model.drive import well_posed
+from hapticd.model.discrete import discretise, drive_response_s
 from hapticd.model.effects import copper_ohm
 from hapticd.model.model import Model, Output
 from hapticd.model.step import SUBSTEPS_PER_TICK
@@ -56,9 +55,8 @@ def plant_params(
         discretise(variant, duration_s, level) for variant in variants for level in sorted(levels)
     ]
     if model.drive is not None:
-        for one in maps:
-            own = float(one.b[model.drive.motor_force, model.inputs.amplifier])
-            well_posed(model.drive, own, duration_s, one.active_damping_ns_per_m)
+        for one in maps:  # each has to be able to hold the force
+            drive_response_s(model.drive, model.inputs.amplifier, one)
     out = model.outputs
     return PlantParams(
         states=tuple(state.name for state in model.states),

@@ -11,8 +11,8 @@ import numpy as np
 
 from hapticd.core.environment import Environment, FilterParams
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.model.discrete import discretise
-from hapticd.model.drive import reach, well_posed
+from hapticd.model.discrete import discretise, drive_response_s
+from hapticd.model.drive import reach
 from hapticd.model.model import Array, DriveLimits, Map, Model
 from hapticd.render.filters import Biquad, design, scaled
 from hapticd.zwidth.engine.shape import Shape, sample_point
@@ -131,7 +131,7 @@ def _output_rows(model: Model, shape: Shape, whole: Map) -> dict[str, float]:
         "RZ": place.rotor_force,
     }
     if model.drive is not None:
-        own = float(whole.b[model.drive.motor_force, place.amplifier])
+        own = drive_response_s(model.drive, place.amplifier, whole)
         rows["RY"] = float(through[place.amplifier]) / own
     rows |= {name: float(through[column]) for name, column in columns.items() if column is not None}
     for c, (contact, own) in enumerate(
@@ -166,9 +166,7 @@ def _rotor_rows(model: Model, duration_s: float) -> dict[str, float]:
 
 def _drive_rows(limits: DriveLimits, column: int | None, whole: Map) -> dict[str, float]:
     """The range of the motor force, and Y: what a newton taken from it does to states."""
-    own = float(whole.b[limits.motor_force, column])
-    level = whole.active_damping_ns_per_m
-    well_posed(limits, own, whole.duration_s, level)
+    own = drive_response_s(limits, column, whole)
     can = reach(limits, whole.duration_s)
     return {
         "MOST": limits.limit_n,
