@@ -8,11 +8,13 @@
                 mark, perturb
     monitor     the live screen (screen: what it shows)
     console     the operators' page
+    guard       guard; lease: leases of the environment and the damping
+    bridge      bridge lsl: telemetry for other tools
     help        help VERB
     recording   record, rec, replay
     system      config, doctor, install-system
     keys        keys
-    sim         sim run, explain, effects, ceiling; accuracy
+    sim         sim run, explain, effects, ceiling; accuracy; sim_board: sim-board
     zwidth/     zwidth predict, trial, limits, map, search, walls, import, report, compare,
                 reproduce
 

@@ -19,6 +19,10 @@
     CommandError   the daemon refused: its `code` and text say why and what to do
     DaemonDown     nobody answers, or the gateway has no servo
 
+These are in `client`, `aio`, `listener`, `lease`, `sequence` and `blocks`. Beside them stand
+`design` and `staircase` (experiments), `conversation`, `verbs` and `watching` (what the clients
+share), `verdict` (the warning), `events` and `words` (lines for people).
+
 `fast_stop` is the short way to a stop, for programs that may load nothing large. The names above
 are loaded when they are used, so that it stays fast.
 """

@@ -9,6 +9,7 @@ browsers on this computer.
     probing  live impedance from the probe stream: a running estimate
     plane    the K-B plane of the guard, computed by plane_worker
     recorder `hapticd record` as a process of its own (tied: that ends with this one)
+    leaving  browsers that leave in the middle of a message
     place    the file that says where the page is
     main     the process that `hapticd run` starts
     static/  the page itself; beside our own files one that is not ours, uPlot

@@ -15,6 +15,7 @@ It renders nothing and may be killed at any time.
     lease_desk  what leases mean at the servo
     waveform    the perturbation waveform on its way to the servo
     winding     what the servo follows of the winding's resistance
+    late        late ticks by cause
     publisher   what is due to subscribers; the servo's state in words
 
 `zmtp` and `desk` do no socket work and read no clock: bytes, messages, records and times go in,

@@ -20,6 +20,7 @@ The life of a request:
     status     the policy in force, and what the worker last said
     guarded    requests on their way past the guard
     case       one of them, and its parts
+    outstanding  commands that were posted, until they are answered
     stages     the change of several stages that is under way
     in_force   the environment in force, by record and answer
     terms      what the guard goes by, and what is left of it when the gateway starts anew

@@ -14,6 +14,7 @@ The servo creates and owns every file in the runtime folder; the gateway and oth
     layout       every offset, record and number of these files: State, Command, Value, Result, Flag
     files        runtime_folder; claims, maps, ordered words
     daemons      daemon_folder; where daemons may run, which folders are believed, who is alive
+    environment_limits  how much K, B and M a client may ask of a device
     servo_side   ServoMailbox
     client_side  GatewayMailbox
     stop_word    StopWord, press_stop

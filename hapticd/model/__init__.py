@@ -19,6 +19,9 @@ The device:
     drive        reach: what the limits of the amplifier leave of the motor force
     step         make_plant(board parameters): the plant of a simulated board
     tables       board_fields(model): a model as the numbers of board.json
+    touch        what touches the moving part beside its motor: stops, a hand
+    reach        what numbers of a model can be computed with
+    composed     the step of a composed model, as generated text
     blueprint    Blueprint and Form: what an effect writes into
 
 The sampled loop:

@@ -33,6 +33,7 @@ For scripts:
     pack        pack, summary: the final file; to_mat, to_csv: its exports
     provenance  provenance: the versions that numbers come from
 
-`live` (rows of the live file) and `stretch` (the part of a recording that is one trial) are for the
-other modules.
+`live` (rows of the live file), `superblock` (the first bytes of a file whose writer died), `energy`
+(the energy ledger) and `stretch` (the part of a recording that is one trial) are for the other
+modules, as are `calibrations` and `certificate`, on which a device's numbers rest.
 """

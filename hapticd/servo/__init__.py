@@ -11,4 +11,11 @@ the layers below.
     commands    one command on one plan
     safety      TABLE: which command leads where, and what torque and damping a state allows
     inbox       Inbox: what a tick has to obey; Streamer: a waveform into the board's FIFO
+    board_check, silence   what a board must show before it may make force; frames withheld
+    glitch, monitors       doubts about a sample; signs of a limit cycle
+    easing, ramp_energy    how far a change may step the force, and what energy it may bring
+    commissioning          what is watched while the signs are not verified
+    compensation           when the winding's resistance is looked at
+    energy_controller      ends a leak before the fault `energy` has to
+    late                   why a tick was late
 """

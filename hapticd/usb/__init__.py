@@ -17,6 +17,7 @@ These three do no I/O, read no clock and need the standard library alone. The re
     usbfs      transfers in flight through Linux itself
     transport  how fast a bus is, measured
     device     Device: link, session and buffers in one, made for one exchange per tick
+    events     PinEvents: events at the board's pins, each counted once
     agreement  a board's hello beside its device file
     search     a board that is absent or not ready
 """

@@ -1,6 +1,7 @@
 """What a package offers to others is named: `__all__` in each module that is used from outside."""
 
 import ast
+import re
 
 import pytest
 from support.tree import ROOT
@@ -61,3 +62,12 @@ def test_first_level_packages_import_nothing_and_say_what_they_are_for() -> None
         assert (ast.get_docstring(tree) or "").count("\n") > 3, module
         imports = [node for node in tree.body if isinstance(node, (ast.Import, ast.ImportFrom))]
         assert not imports or module == "hapticd.client.__init__", module
+
+
+def test_first_level_packages_name_their_modules() -> None:
+    """All but `rig`, whose modules are steps; hapticd/cli/rig/guided.py has their order."""
+    for face in sorted((ROOT / "hapticd").glob("*/__init__.py")):
+        package = face.parent
+        said = set(re.findall(r"\w+", ast.get_docstring(ast.parse(face.read_text())) or ""))
+        modules = {path.stem for path in package.glob("*.py")} - {"__init__"}
+        assert package.name == "rig" or modules <= said, package.name
