@@ -19,7 +19,7 @@ from hapticd.usb import codec
 from hapticd.usb.frames import CRC, PACKET_BYTES, OutFrame, StatusBit
 from support.pico_chip import Verb
 from support.pico_firmware import Change, Defines, image, start_chip
-from support.pico_plant import Rig
+from support.pico_plant import INSTRUCTION_NS, Rig
 
 OUT, IN = 0x01, 0x81
 SET_CONFIGURATION = bytes((0, 9, 1, 0, 0, 0, 0, 0))
@@ -121,7 +121,9 @@ class PicoBoard:
         if self._origin_ns is None:
             self._origin_ns = t_ns
         self._advance(t_ns)
-        self.late_ns = max(0.0, self.rig.now_ns - self._chip_ns(t_ns))
+        late_ns = self.rig.now_ns - self._chip_ns(t_ns)
+        # an instruction that was begun before its time ends after it
+        self.late_ns = late_ns if late_ns > INSTRUCTION_NS else 0.0
         self._base_ns += self.late_ns  # from now on all is so much later
         result = self.rig.wait(self.chip.submit(OUT, 0, bytes(data)), NS_PER_MS)
         assert result.status == 0
