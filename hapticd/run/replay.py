@@ -37,8 +37,8 @@ from hapticd.servo.plan import (
     unflatten,
     with_values,
 )
+from hapticd.servo.slow_path import refiltered
 from hapticd.servo.step import make_step
-from hapticd.servo.transition import refiltered
 from hapticd.usb import codec, frames
 
 __all__ = ["Difference", "Records", "Segment", "difference", "replay"]

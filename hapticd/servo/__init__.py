@@ -3,8 +3,10 @@ the layers below.
 
     host        prepare, relax: real-time rights, and what the operating system granted
     loop        ServoLoop: the only `while`; spinning_wait, virtual_wait, first_deadline
-    step        initial_state, make_step: one tick as a function, the short way
-    transition  the long way of a tick: lost frames, faults, commands, ramps, homing
+    step        initial_state, make_step: one tick as a function, the fast path
+    slow_path   the slow path of a tick: commands, ramps, homing
+    causes      what is wrong with a sample, as the number of a fault
+    samples     lost and doubted samples, and the origin behind them
     homing      Search: finds the stop or the index, or says why not
     plan        Plan, Settled, ServoState: what is intended, and what a tick needs of it;
                 flatten, unflatten: a checkpoint

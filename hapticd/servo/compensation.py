@@ -1,7 +1,7 @@
 """When the servo looks at the winding's temperature, and what it then sends to the board's
 resistance DAC. The physics is `render.winding`.
 
-About every tenth of a second the long way of a tick looks at the sensor and at the square of the
+About every tenth of a second the slow path of a tick looks at the sensor and at the square of the
 motor's current at that moment, moves the model on, and moves the trim towards its target, by no
 more than the device file's slew. The looks come at uneven intervals (half to three halves of that
 time, by a fixed rule of the tick), so a current that oscillates is met at every phase and its mean

@@ -483,7 +483,7 @@ class ServoLoop:
             head = device.rehearse()
             sample = (head[HEAD_ENCODER], head[HEAD_STATUS], head[HEAD_TEMPERATURE])
             settled = self.state[SETTLED]
-            # not the long way: cold it takes longer than the spin
+            # not the slow path: cold it takes longer than the spin
             if self.slot < settled.wake_tick:
                 step(self.state, (), (*sample, 0, settled.host, 0, 0.0, 0, 0), self.slot)
             _ = (

@@ -10,7 +10,7 @@
                     without one
 
 Their signs are seen in the tick (`step` calls this only when the force is clamped or the speed is
-high) and raise an alarm; the next tick takes the long way, where the alarm becomes a fault while
+high) and raise an alarm; the next tick takes the slow path, where the alarm becomes a fault while
 torque is granted. Trials that go to the edge of stability on purpose switch `force_at_limit` and
 `energy` off; which of them are on is in every record.
 

@@ -314,7 +314,7 @@ class Settled:
     origin: int  # encoder count at x = 0
     host: int  # host flags it was made under
     wave: Wave  # the plan's
-    watched: int  # status bits that the short way compares
+    watched: int  # status bits that the fast path compares
     calm: int  # and what they are while nothing is wrong
     flags: int  # of every record
     plan: Plan

@@ -1,10 +1,10 @@
 """One tick as a function: (state, commands, sample, tick) -> (state, output). No clock, no mailbox,
 no I/O.
 
-The same call runs live, in lock-step and in a replay. Almost every tick takes the short way:
+The same call runs live, in lock-step and in a replay. Almost every tick takes the fast path:
 position from the count, `render`, count from the force, ledger. A tick on which anything else
 happens (a command, a running ramp, a lost frame, a status bit, a missing heartbeat) first goes
-through `attend`, which makes a new state; the short way then follows as ever.
+through `slow_path`, which makes a new state; the fast path then follows as ever.
 
 `tick` is time: periods since the start, those of lost slots included, so it rises but may skip.
 State is a short tuple (see `plan`) whose first place holds everything slow, so that a tick hands
@@ -39,7 +39,7 @@ from hapticd.servo.plan import (
     initial_plan,
     settle,
 )
-from hapticd.servo.transition import make_attend
+from hapticd.servo.slow_path import SlowPath
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 from hapticd.usb.frames import OutFlag
 from hapticd.usb.session import ENCODER_BITS
@@ -82,7 +82,7 @@ def with_more(output: Output, flags: int, answers: tuple[Any, ...]) -> Output:
 
 def make_step(params: ServoParams) -> Step:
     """The step for one device."""
-    attend = make_attend(params)
+    slow_path = SlowPath(params).tick
     rate_hz = params.realtime.rate_hz
     force = params.device.force
     m_per_count = params.device.position.per_count * params.device.position.sign
@@ -136,7 +136,7 @@ def make_step(params: ServoParams) -> Step:
     ) -> tuple[ServoState, Output]:
         encoder, status, temperature, _, host, index, delay, current, damping = sample
         unusable = (encoder, status, temperature, -1, host, index, delay, current, damping)
-        state, _, more, more_flags = attend(state, (fault_request(fault),), unusable, tick)
+        state, _, more, more_flags = slow_path(state, (fault_request(fault),), unusable, tick)
         return missing(state, flags | more_flags, answers + more)
 
     def turned(
@@ -216,7 +216,7 @@ def make_step(params: ServoParams) -> Step:
             or temperature > most_heat
             or temperature < least_heat
         ):
-            state, usable, answers, flags = attend(state, commands, sample, tick)
+            state, usable, answers, flags = slow_path(state, commands, sample, tick)
             if not usable:
                 return missing(state, flags, answers)
             if flags & _DOUBTED:

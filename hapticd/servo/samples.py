@@ -1,0 +1,137 @@
+"""Samples that were lost or are doubted: what the law gets in their place, and what is left of the
+origin behind them.
+
+The law's filters see every period. Up to `missing_frames_limit` lost samples are replaced by
+positions on the straight line between the samples on either side of them; while the last force was
+held. A sample that is far from where those before it lead is doubted (`servo.glitch`) until the
+next ones say whether the device moved.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from hapticd.core.params import ServoParams
+from hapticd.core.units import round_half_up
+from hapticd.mailbox.layout import Flag
+from hapticd.render.energy import FORCE, Ledger, book
+from hapticd.render.law import LIMIT, MASS, LawState, clamp, render
+from hapticd.servo.glitch import Verdict, believed_bend_m, verdict
+from hapticd.servo.monitors import bounds
+from hapticd.servo.plan import Plan, Sample, ServoState, Settled, without_origin
+from hapticd.usb.device import SEED
+from hapticd.usb.frames import StatusBit
+from hapticd.usb.session import ENCODER_BITS
+
+
+class Samples:
+    """The samples of the device of `params`, as its law gets them."""
+
+    def __init__(self, params: ServoParams) -> None:
+        position = params.device.position
+        self._params = params
+        self._rate_hz = params.realtime.rate_hz
+        self._m_per_count = position.per_count * position.sign
+        self._own = bounds(params)
+        self._bend_m = believed_bend_m(params)
+        self._first_origin = round_half_up(position.offset_count)
+
+    def position_m(self, plan: Plan, encoder: int) -> float:
+        """The position [m] at an encoder count."""
+        return (encoder - plan.origin) * self._m_per_count
+
+    def unwrapped(self, state: ServoState, encoder: int) -> ServoState:
+        """`state` with its origin where the encoder's counter went round behind samples that were
+        lost or doubted; behind one that came the tick itself sees it.
+        """
+        settled, law, ledger, held, signs = state
+        plan = settled.plan
+        turns = round((encoder - plan.origin - law[0] / self._m_per_count) / (1 << ENCODER_BITS))
+        if not turns:
+            return state
+        ahead = turns << ENCODER_BITS
+        doubted = tuple(count + ahead for count in plan.doubted)
+        plan = plan._replace(origin=plan.origin + ahead, doubted=doubted)
+        settled = replace(settled, origin=plan.origin, plan=plan)
+        return settled, law, ledger, held, signs
+
+    def filled(
+        self, plan: Plan, law: LawState, sample: Sample, tick: int
+    ) -> tuple[Plan, tuple[float, ...], int]:
+        """`plan` with a sample to be used, the positions [m] that the law gets of samples before it
+        that were doubted or lost, and record flags.
+        """
+        encoder, _, _, arrival, _, _, _, _, _ = sample
+        if plan.doubted:
+            return self._undoubted(plan, law, encoder, arrival, tick)
+        if not 0 < arrival <= self._params.safety.missing_frames_limit:
+            return plan, (), 0
+        positions = _line(law[0], (encoder - plan.origin) * self._m_per_count, arrival)
+        return plan, positions, int(Flag.INTERPOLATED)
+
+    def _undoubted(
+        self, plan: Plan, law: LawState, encoder: int, arrival: int, tick: int
+    ) -> tuple[Plan, tuple[float, ...], int]:
+        """`plan` after a sample that follows doubted ones, the positions [m] that the law gets of
+        those, and record flags.
+        """
+        *doubted, x = (
+            (count - plan.origin) * self._m_per_count for count in (*plan.doubted, encoder)
+        )
+        believing = plan._replace(doubted=())
+        if arrival > self._params.safety.missing_frames_limit:
+            return believing, (), 0
+        if arrival:
+            return believing, _line(law[0], x, arrival + len(doubted)), int(Flag.INTERPOLATED)
+        found = verdict(law, doubted, x, self._bend_m)
+        if found is Verdict.OPEN:
+            return plan, (), int(Flag.DOUBTED)
+        if found is Verdict.MOVED:
+            return believing, tuple(doubted), int(Flag.BELIEVED)
+        recent = tuple(one for one in plan.glitches if tick - one < self._rate_hz)
+        counted = believing._replace(glitches=(*recent, *len(doubted) * (tick,)))
+        return counted, _line(law[0], x, len(doubted)), int(Flag.GLITCH)
+
+    def believable(self, plan: Plan, law: LawState, encoder: int, arrival: int) -> bool:
+        """Whether a sample came where those before it lead, over a gap of lost ones too."""
+        x = (encoder - plan.origin) * self._m_per_count
+        return 0 <= arrival < SEED and abs(x - law[0] - (arrival + 1) * law[1]) <= self._bend_m
+
+    def located(self, plan: Plan, sample: Sample, usable: bool) -> Plan:
+        """`plan` with the origin that is left of it."""
+        _, status, _, arrival, _, _, _, _, _ = sample
+        # another life of the board: its counter began anew, from wherever the device was
+        if arrival == SEED:
+            plan = without_origin(plan)._replace(origin=self._first_origin)
+        if usable and status & StatusBit.ENCODER_FAULT:  # counts may have been missed
+            plan = without_origin(plan)
+        return plan
+
+    def bridged(
+        self,
+        law: LawState,
+        ledger: Ledger,
+        positions: Sequence[float],
+        settled: Settled,
+        effect: int,
+    ) -> tuple[LawState, Ledger]:
+        """Feed the filters the `positions` [m] of samples without a tick of their own, while the
+        last force was held and the board reported `effect` [counts] of active damping.
+        """
+        level = self._params.device.active_damping.to_value(effect)
+        resistance = self._own.resistance + level * self._rate_hz
+        environment = settled.environment
+        mass = environment[MASS]
+        for position in positions:
+            _, _, v, _, spring, _, _, field, law = render(
+                position, law, environment, settled.coefficients
+            )
+            elastic = clamp(spring + field, environment[LIMIT])
+            ledger = book(
+                ledger, law[1], ledger[FORCE], 0.0, elastic, mass, v, resistance, self._own.kept
+            )
+        return law, ledger
+
+
+def _line(start: float, end: float, lost: int) -> tuple[float, ...]:
+    """`lost` positions [m] on the straight line between `start` and `end`."""
+    return tuple(start + (end - start) * index / (lost + 1) for index in range(1, lost + 1))

@@ -1,0 +1,353 @@
+"""The slow path of a tick: lost frames, causes of faults, commands, ramps, homing. It ends in a
+state for the fast path.
+
+Order within a tick: what arrived (`samples`) -> what is wrong (`causes`) -> commands -> scheduled
+changes -> homing -> active damping and ramps. So a stop that arrives with an enable wins, and a
+reset sees a fault that appears in this tick.
+
+Limitations: the fast path looks only at `Settled`, so each change of the plan has to renew it.
+"""
+
+from typing import Any
+
+from hapticd.core.environment import FURTHER
+from hapticd.core.faults import BY_CODE
+from hapticd.core.params import ServoParams
+from hapticd.core.units import round_half_up
+from hapticd.mailbox.layout import Command, Flag, Result
+from hapticd.render.energy import EXCESS
+from hapticd.render.energy import at_rest as unknown_before
+from hapticd.render.filters import steady
+from hapticd.render.law import (
+    Coefficients,
+    LawInputs,
+    LawState,
+    at_rest,
+    split,
+)
+from hapticd.render.ramp import Ramp, constant
+from hapticd.servo import silence
+from hapticd.servo.causes import SENSOR_GLITCH, Causes
+from hapticd.servo.commands import Now, apply_settings, enter, obey
+from hapticd.servo.commissioning import followed, push_ended
+from hapticd.servo.compensation import compensated
+from hapticd.servo.easing import eased
+from hapticd.servo.energy_controller import controlled
+from hapticd.servo.homing import Failed, Homing, Search, Seen, force_limit_n
+from hapticd.servo.monitors import CALM, OVERSPEED, bounds
+from hapticd.servo.plan import (
+    AUTHORITY,
+    DEVICE_DIFFERS,
+    GATEWAY_ALIVE,
+    KIND,
+    LINK_UP,
+    NO_WAVE,
+    RATE_NOT_HELD,
+    SETTLED,
+    STATUS,
+    WAVE_COMMAND,
+    Answer,
+    FlatPlan,
+    Plan,
+    Request,
+    Sample,
+    ServoState,
+    advance_added,
+    coefficients_of,
+    fault_request,
+    flat_plan,
+    settle,
+    with_origin,
+)
+from hapticd.servo.safety import GRANTED, LATCHED, State
+from hapticd.servo.samples import Samples
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.device import SEED
+from hapticd.usb.frames import OutFlag, StatusBit
+
+__all__ = ["refiltered"]
+
+RESOLVED = int(Flag.INTERPOLATED | Flag.GLITCH | Flag.BELIEVED)  # of a sample that is believed
+UNHEARD = 3  # ticks in a row without a frame: torque is not taken to be granted (ADR 0071)
+
+
+class SlowPath:
+    """The slow path for the device of `params`; without a state of its own."""
+
+    def __init__(self, params: ServoParams) -> None:
+        position = params.device.position
+        self._params = params
+        self._rate_hz = params.realtime.rate_hz
+        self._causes = Causes(params)
+        self._samples = Samples(params)
+        self._own = bounds(params)
+        self._home = params.device.home
+        self._home_counts = round_half_up(
+            position.sign * self._home.position_m / position.per_count
+        )
+        self._search = Search(params)
+        self._homing_limit_n = force_limit_n(params)
+
+    def tick(
+        self, state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
+    ) -> tuple[ServoState, bool, tuple[Any, ...], int]:
+        """The state for the fast path, whether the sample may be used, answers, record flags."""
+        encoder, _, _, arrival, host, _, _, _, effect = sample
+        if 0 < arrival < SEED or state[SETTLED].plan.doubted:
+            state = self._samples.unwrapped(state, encoder)
+        settled, law, ledger, held, signs = state
+        coefficients = settled.coefficients
+        plan = silence.followed(settled.plan, settled.out_flags)
+        before = plan
+        # periods since the last tick, while something makes every tick come here; a look at the
+        # winding whose own slot was lost says nothing of that
+        looks = settled.wake_tick == plan.winding.due_tick
+        elapsed = 1 if looks else max(1, tick - settled.wake_tick + 1)
+        usable = arrival >= 0 and bool(host & LINK_UP) and encoder_counts(plan, tick)
+        flags = 0
+        if usable:
+            plan, positions, flags = self._samples.filled(plan, law, sample, tick)
+            law, ledger = self._samples.bridged(law, ledger, positions, settled, effect)
+        if self._nothing_but_lost_frames(state, commands, sample, tick):
+            return (settled, law, ledger, held, signs), True, (), flags | settled.flags
+        plan = self._samples.located(plan, sample, usable)
+        _, held_n, former = held
+        if usable:
+            plan = self._authorised(plan, sample, tick, elapsed)
+        elif -arrival >= UNHEARD:
+            plan = self._unheard(plan, tick)
+            ledger = unknown_before(ledger)  # what was booked is not what is sent now
+        acting_n = 0.0 if plan.unauthorised else held_n
+        gateway = bool(host & GATEWAY_ALIVE)
+        last_tick = min(settled.wake_tick, tick) - 1
+        cause_now = self._causes.against_force(sample)
+        sure = usable and self._samples.believable(plan, law, encoder, arrival)
+        heard = -arrival < UNHEARD
+        now = Now(tick, last_tick, encoder, acting_n, gateway, cause_now, bar(host), sure, heard)
+        plan = self._watched(plan, law[0], acting_n, tick)
+        plan, answers = self._commanded(plan, commands, sample, now, signs.alarm)
+        usable = usable and encoder_counts(plan, tick)
+        if plan.state is State.HOMING and usable and (sure or flags & RESOLVED):
+            plan, more = self._searched(plan, sample, now)
+            answers += tuple(more)
+        if usable and self._begins_anew(before, plan, arrival, tick):
+            law = at_rest(self._samples.position_m(plan, encoder))
+            ledger = unknown_before(ledger)
+            plan, flags = self._begun_anew(before, plan, tick)
+        plan = controlled(plan, ledger[EXCESS], (last_tick, tick), self._params, self._own)
+        plan = advance_added(plan, tick, elapsed, self._params)
+        plan = compensated(plan, sample, acting_n, tick, self._params)
+        if plan.filters != before.filters:
+            renewed = coefficients_of(plan, self._rate_hz)
+            law = refiltered(law, coefficients, renewed)
+            coefficients = renewed
+        if plan.state is State.ENABLED or plan.state in LATCHED:
+            x = self._samples.position_m(plan, encoder) if usable else None
+            plan, held_back = eased(plan, settled, x, law, coefficients, tick, self._params)
+            flags |= held_back
+        ready = self._flat(plan, tick)
+        flags |= _pending_flags(plan, ready.wake_tick, tick)
+        if not usable and (plan.state not in GRANTED or plan.unauthorised):
+            held = (*self._fading(plan, tick), former)
+        settled = settle(plan, ready, coefficients, out_flags(plan, tick), host)
+        flags |= settled.flags
+        return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
+
+    def _flat(self, plan: Plan, tick: int) -> FlatPlan:
+        params = self._params
+        flat = flat_plan(plan, tick, params, params.soft_ends, params.force_limit_n)
+        if plan.state is not State.HOMING:
+            return flat
+        return flat._replace(environment=pushing(plan.homing.force_n, self._homing_limit_n))
+
+    def _fading(self, plan: Plan, tick: int) -> tuple[int, float]:
+        """Torque count and force [N] of what is left where there is no sample to believe."""
+        left = plan.fade.value(tick)
+        return self._params.device.force.to_count(left, I16_LOWEST, I16_HIGHEST), left
+
+    def _authorised(self, plan: Plan, sample: Sample, tick: int, elapsed: int) -> Plan:
+        """`plan` after what the board says of the torque that was asked of it: while it is
+        withheld nothing is rendered, and when it is granted again the gain begins at 0.
+        """
+        if plan.state in LATCHED and not sample[STATUS] & AUTHORITY:
+            # what the board has taken does not come back with what is left of a fade
+            return powerless(plan)._replace(unauthorised=0)
+        if plan.state not in GRANTED or tick <= plan.since_tick:
+            return plan._replace(unauthorised=0) if plan.unauthorised else plan
+        if not sample[STATUS] & AUTHORITY:
+            # a perturbation would come back at once with the authority
+            if not plan.unauthorised:
+                return self._withheld(plan, tick)
+            count = plan.unauthorised + elapsed
+            return plan._replace(unauthorised=count, gain=constant(0.0), wave=NO_WAVE)
+        if not plan.unauthorised:
+            return plan
+        # the push of homing has no gain, and starts again by itself
+        gain = self._gain_from(tick) if plan.state is State.ENABLED else plan.gain
+        return plan._replace(unauthorised=0, gain=gain)
+
+    def _withheld(self, plan: Plan, tick: int) -> Plan:
+        """`plan` from the tick on in which its force is withheld."""
+        whole = plan.gain.end == 1.0 and not plan.gain.running(tick)
+        since = tick if whole or plan.short_since < 0 else plan.short_since
+        return plan._replace(unauthorised=1, gain=constant(0.0), wave=NO_WAVE, short_since=since)
+
+    def _unheard(self, plan: Plan, tick: int) -> Plan:
+        """`plan` while no frame says whether the board still grants torque: an emergency stop may
+        be pressed and released unseen, and what is sent would act at its release.
+        """
+        if plan.state in LATCHED:
+            return powerless(plan)
+        if plan.state is not State.ENABLED or plan.unauthorised:
+            return plan
+        return self._withheld(plan, tick)
+
+    def _gain_from(self, tick: int) -> Ramp:
+        return Ramp(
+            0.0, 1.0, tick, round_half_up(self._params.safety.enable_ramp_s * self._rate_hz)
+        )
+
+    def _overdue(self, plan: Plan, tick: int) -> bool:
+        """Whether homing has searched longer than the device allows."""
+        return (
+            plan.state is State.HOMING
+            and tick - plan.since_tick > self._home.timeout_s * self._rate_hz
+        )
+
+    def _searched(self, plan: Plan, sample: Sample, now: Now) -> tuple[Plan, list[Answer]]:
+        """`plan` after one sample of homing: still searching, disabled with the origin found, or
+        at fault.
+        """
+        encoder, status, _, _, _, index_offset, _, current, _ = sample
+        seen = Seen(
+            now.tick,
+            encoder,
+            bool(status & StatusBit.ENABLED),
+            encoder - index_offset if status & StatusBit.INDEX else None,
+            self._params.device.current.to_value(current),
+        )
+        found = self._search.advance(plan.homing, seen)
+        if isinstance(found, Failed):
+            return obey(plan, fault_request(found.fault), now, self._params)
+        if isinstance(found, Homing):
+            return plan._replace(homing=found), []
+        done = enter(plan, State.DISABLED, now, self._params, plan.actor)
+        return with_origin(done, found.encoder - self._home_counts), []
+
+    def _alarming(self, plan: Plan, alarm: int) -> int:
+        """The alarm of a monitor, if it is on and there is force that it could end."""
+        watched = plan.limit_cycle_faults or alarm == OVERSPEED
+        return alarm if watched and plan.state in GRANTED else 0
+
+    def _watched(self, plan: Plan, x: float, force_n: float, tick: int) -> Plan:
+        """`plan` with its push followed, while the signs of the device are not verified."""
+        if not self._params.device.commissioning or plan.state not in GRANTED:
+            return plan
+        return plan._replace(push=followed(plan.push, x, force_n, tick, self._params))
+
+    def _commanded(
+        self, plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now, alarm: int
+    ) -> tuple[Plan, tuple[Answer, ...]]:
+        found = self._causes.newly_lost(plan, sample, now.tick) or self._alarming(plan, alarm)
+        found = found or push_ended(plan.push, now.tick, self._params)
+        if not found and self._overdue(plan, now.tick):
+            found = BY_CODE["home_failed"].number
+        events: tuple[Request, ...] = (fault_request(found),) if found else ()
+        answers: list[Answer] = []
+        stops = tuple(one for one in commands if one[KIND] == Command.STOP)
+        others = tuple(one for one in commands if one[KIND] != Command.STOP)
+        for request in (*events, *others, *stops):
+            plan, more = obey(plan, request, now, self._params)
+            answers += more
+        while plan.scheduled and plan.scheduled[0].tick <= now.tick:
+            due = plan.scheduled[0]
+            due = due._replace(tick=now.tick)  # its own slot may have been lost
+            plan, more = apply_settings(
+                plan._replace(scheduled=plan.scheduled[1:]), due, self._params
+            )
+            answers += more
+        return plan, tuple(answers)
+
+    def _nothing_but_lost_frames(
+        self, state: ServoState, commands: tuple[Any, ...], sample: Sample, tick: int
+    ) -> bool:
+        """The usual reason to be here while a busy host drops slots; the plan stays as it is,
+        so the slow path would be late too.
+        """
+        _, status, temperature, arrival, host, _, _, _, _ = sample
+        settled = state[SETTLED]
+        unasked = not commands and tick < settled.wake_tick and host == settled.host
+        cool = self._causes.cool(temperature)
+        calm = unasked and status & settled.watched == settled.calm and cool
+        return calm and 0 < arrival <= self._params.safety.missing_frames_limit
+
+    def _begins_anew(self, before: Plan, plan: Plan, arrival: int, tick: int) -> bool:
+        """Whether the law is to start at rest: nothing is known of the motion before."""
+        resetting = before.state in LATCHED and plan.state is State.DISABLED
+        unwatched = plan.doubted and not out_flags(plan, tick) & OutFlag.ENABLE
+        return (
+            arrival > self._params.safety.missing_frames_limit
+            or plan.origin != before.origin
+            or resetting
+            or bool(unwatched)
+        )
+
+    def _begun_anew(self, before: Plan, plan: Plan, tick: int) -> tuple[Plan, int]:
+        """`plan` of a law that starts at rest, and record flags."""
+        plan = plan._replace(doubted=())
+        if plan.state is State.ENABLED and before.state is State.ENABLED:
+            return plan._replace(gain=self._gain_from(tick)), int(Flag.SEEDED | Flag.QUIET_RAMP)
+        if plan.state in LATCHED:  # what faded is not rendered from a position that is new
+            plan = powerless(plan)
+        return plan, int(Flag.SEEDED)
+
+
+def _pending_flags(plan: Plan, wake_tick: int, tick: int) -> int:
+    """Record flags of a plan that changes with the next tick, or waits for the end of a silence."""
+    if plan.silent_until > tick:
+        return int(Flag.WITHHELD)
+    return int(Flag.RAMPING) if wake_tick == tick + 1 else 0
+
+
+def powerless(plan: Plan) -> Plan:
+    """`plan` without what is left of its force: nothing of a fade comes back."""
+    return plan._replace(gain=constant(0.0), fade=constant(0.0))
+
+
+def encoder_counts(plan: Plan, tick: int) -> bool:
+    """Whether the encoder has a say: not in how the force goes that its own lies have ended."""
+    return plan.fault != SENSOR_GLITCH or not plan.fade.running(tick)
+
+
+def bar(host: int) -> Result | None:
+    """Why the board that `host` tells of may make no force; None if it may."""
+    if host & DEVICE_DIFFERS:
+        return Result.REFUSED_DEVICE
+    return Result.REFUSED_RATE if host & RATE_NOT_HELD else None
+
+
+def pushing(force_n: float, limit_n: float) -> LawInputs:
+    """The law's numbers for a force alone."""
+    numbers = 0.0, 0.0, 0.0, force_n, limit_n, 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0
+    return (*numbers, *(0.0 for _ in FURTHER))
+
+
+def out_flags(plan: Plan, tick: int) -> int:
+    """Flags of the OUT frame: torque authority only where the table grants torque."""
+    if plan.silent_until:
+        return silence.flags_of(plan, tick)
+    live = plan.state in GRANTED or (
+        plan.state in LATCHED and (plan.gain.running(tick) or plan.fade.running(tick))
+    )
+    flags = int(OutFlag.ENABLE) if live else 0
+    return flags | int(OutFlag.PERTURB) if plan.wave[WAVE_COMMAND] else flags
+
+
+def refiltered(law: LawState, old: Coefficients, new: Coefficients) -> LawState:
+    """The law's state for new filters: steady at the velocity that the old ones would give next,
+    without acceleration. What the old ones had still to forget does not come along.
+    """
+    x, d, vz1, _, _, _ = law
+    (b0, *_), _ = split(old)
+    velocity, _ = split(new)
+    return (x, d, *steady(velocity, b0 * d + vz1), 0.0, 0.0)
