@@ -82,7 +82,7 @@ FRAMES_LOST = BY_CODE["frames_lost"].number
 SENSOR_GLITCH = BY_CODE["sensor_glitch"].number
 SHORT_S = 1.0  # beside the ramp of enabling: until force that is withheld again is given up
 RESOLVED = int(Flag.INTERPOLATED | Flag.GLITCH | Flag.BELIEVED)  # of a sample that is believed
-UNHEARD = 3  # ticks in a row without a frame: torque is not taken to be granted (ADR 0071)
+UNHEARD = 3  # ticks in a row without a frame: torque is not taken to be granted (ADR-0011)
 
 Attend = Callable[
     [ServoState, tuple[Any, ...], Sample, int], tuple[ServoState, bool, tuple[Any, ...], int]
