@@ -17,7 +17,7 @@ from hapticd.zwidth.outcomes import Conditions, Point
 from hapticd.zwidth.store import TrialStore
 
 TARGETS = targets.of("timing")
-SEQUENTIAL_PERIODS = 0.6875  # a pair of transfers of 0.4 ms, one after the other (ADR 0076)
+SEQUENTIAL_PERIODS = 0.6875  # a pair of transfers of 0.4 ms, one after the other (ADR-0008)
 IN_FLIGHT_PERIODS = 0.25
 PHYSICAL_NS_PER_M = 0.36
 

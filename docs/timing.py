@@ -2,7 +2,7 @@
 its figure; some five minutes on two cores.
 
 A board whose two transfers of 0.4 ms follow one another makes the force act 0.69 periods after its
-sample (ADR 0076); with transfers in flight it can act after 0.25. Each row is one limit of K or B
+sample (ADR-0008); with transfers in flight it can act after 0.25. Each row is one limit of K or B
 at both delays:
 
     law          b / (T/2 + delay + lags): the low-frequency bound, for K with B = 0

@@ -77,10 +77,10 @@ Leased = Literal["environment", "active_damping", "perturbation", "measuring"]
 AtEnd = Literal["hold", "zero", "disable"]
 STRICT_POLICIES = frozenset({"clamp", "refuse", "follow"})  # what is unknown is refused
 
-ENERGY_LIMIT_J = 0.02  # of an 8 g handle at 2.2 m/s; see ADR 0085
-RAMP_ENERGY_J = 0.03  # K = 600 N/m brought in 10 mm off; see ADR 0106
-COMMISSIONING_SHARE = 0.1  # of the device's force, until its signs are verified; see ADR 0115
-CALIBRATION_DAYS = 365  # see ADR 0124
+ENERGY_LIMIT_J = 0.02  # of an 8 g handle at 2.2 m/s; see ADR-0014
+RAMP_ENERGY_J = 0.03  # K = 600 N/m brought in 10 mm off; see ADR-0013
+COMMISSIONING_SHARE = 0.1  # of the device's force, until its signs are verified; see ADR-0029
+CALIBRATION_DAYS = 365  # see ADR-0029
 SHORTEST_LEASE_S = 0.2  # twenty passes of the gateway
 LONGEST_LEASE_S = 60.0
 ACTIVE_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5

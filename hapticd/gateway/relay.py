@@ -9,7 +9,7 @@ nobody answers. The gateway keeps the other end of the line FD: it hears who was
 many are there, and when it closes the line this process ends.
 
 It is a process because libzmq bounds neither the connections nor the memory that somebody outside
-can have it take, and ends a process rather than go on without (docs/adr/0138). The kernel bounds
+can have it take, and ends a process rather than go on without (ADR-0020). The kernel bounds
 both, for this process alone: MOST_DESCRIPTORS, MOST_MEMORY; it yields to the gateway by NICENESS,
 and the gateway starts it anew when it ends.
 

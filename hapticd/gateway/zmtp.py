@@ -10,7 +10,7 @@ ones add as commands is understood too: PING is answered, SUBSCRIBE and CANCEL a
 
 It is written out here, and the library left to the clients, because libzmq bounds too little of
 what a peer sends, and aborts the process by an assertion when a peer dies behind a full queue
-(docs/adr/0081). Here nothing is kept of a peer but what it may send: a frame is judged by its
+(ADR-0020). Here nothing is kept of a peer but what it may send: a frame is judged by its
 length before its body is awaited, a message by its parts and bytes as they come. What breaks a
 bound or the protocol is a WireError, and its connection ends.
 

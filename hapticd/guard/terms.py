@@ -4,7 +4,7 @@ A client may change policy, basis, margin and mode while the daemon runs. They a
 life in which they were asked for: a gateway that dies and starts again beside the same servo finds
 the same environment in force, and would otherwise judge it by a laxer policy than its operator
 believes in. So the terms are kept in the runtime folder with the epoch of the servo, and what was
-asked for counts again where it is no laxer than what is configured (ADR 0131).
+asked for counts again where it is no laxer than what is configured (ADR-0018).
 
 What would break it: terms that outlive their servo, or a laxer one that survives its gateway.
 """

@@ -11,7 +11,7 @@ Stability is looked at where Re Z leaves a choice, with the point's linearised f
 steps of 5 %. The prediction is that of white noise (first harmonic, alike a measurement); what
 safety decides on is the lifted requirement without friction, `theorem`. A hand can shake what
 is predicted passive only outside the band, by images, or in motions so large that friction counts
-for less (`coupled`, docs/adr/0035). Against 90 s of simulated trials: phase to 0.6-1.9 degrees rms,
+for less (`coupled`, ADR-0017). Against 90 s of simulated trials: phase to 0.6-1.9 degrees rms,
 limits of K and B to 5-14 %.
 
 Z is the true one, unless `recorded`: then it is what the probe's channels show, for comparison with

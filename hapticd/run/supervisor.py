@@ -12,7 +12,7 @@ The gateway outlives a servo that dies and the other way round. A servo may come
 60 s, and is then disabled, whatever it was before; a process that never became ready is not tried
 again, nor a servo that says its configuration is wrong. A gateway that has served once comes back
 as often as it dies, ever more slowly: whatever ends it from outside must not take the servo away,
-which is safe without it (docs/adr/0082). The first signal ends in order, a second one kills. The
+which is safe without it (ADR-0021). The first signal ends in order, a second one kills. The
 supervisor prints nothing: progress goes to a callback.
 
 The operators' page is a third child, started once the two serve. It is nobody's safety: however it

@@ -4,7 +4,7 @@ It is a small process in the servo's unit. systemd takes WATCHDOG=1 from process
 alone, so the gateway cannot send it; the servo's only thread may not, for a datagram costs more
 than a tick. This process looks at the head of the telemetry ring four times within the time that
 the watchdog allows and feeds it if the head has advanced: what is proved is that ticks happen, not
-that a process exists (ADR 0040).
+that a process exists (ADR-0021).
 
 It maps the ring for reading, starts before the servo takes real-time rights (so it has none), and
 dies with the servo. Standard library alone.

@@ -68,7 +68,7 @@ from hapticd.usb.frames import OutFlag, StatusBit
 __all__ = ["refiltered"]
 
 RESOLVED = int(Flag.INTERPOLATED | Flag.GLITCH | Flag.BELIEVED)  # of a sample that is believed
-UNHEARD = 3  # ticks in a row without a frame: torque is not taken to be granted (ADR 0071)
+UNHEARD = 3  # ticks in a row without a frame: torque is not taken to be granted (ADR-0011)
 
 
 class SlowPath:

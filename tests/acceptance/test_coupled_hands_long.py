@@ -2,7 +2,7 @@
 and Hogan 1988).
 
 Not pair by pair: 1,701 environments in 1,000 hands are a minute of eigenvalues (made once,
-docs/adr/0035). Instead, as `model.coupled` says, a circle at each angle that no hand leaves (all
+ADR-0017). Instead, as `model.coupled` says, a circle at each angle that no hand leaves (all
 1,000 are tried, by the exact pulse transfer of device and hand), and which no called environment's
 -1/C enters (all are tried). Eigenvalues then check that this is so: of environments at the edge in
 all hands, and of random pairs, inside and outside. And it can fail: 5 % outside a hand shakes the

@@ -6,7 +6,7 @@ from benchmarks.fault_ticks import CASES, RAMP_TICKS, stated_ticks, ticks_of
 from hapticd.core.faults import FAULTS
 
 MOST_TICKS = 10
-# ADR 0094 says why these take longer
+# ADR-0014 says why these take longer
 LONGER = {"gateway_lost", "lost_slots", "force_at_limit"}
 # of a cause: a number, sums, an estimate over seconds, a defect of the servo; and homing's verdicts
 # on a search

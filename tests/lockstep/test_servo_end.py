@@ -120,7 +120,7 @@ def test_force_fades_without_a_step_when_the_process_ends() -> None:
     held_n = abs(seen[0].force_n)
     assert held_n == pytest.approx(0.98, abs=0.1)
     assert seen[-1].force_n == 0.0
-    # the law goes on with the motion, which begins as the push ends (ADR 0003)
+    # the law goes on with the motion, which begins as the push ends (ADR-0010)
     assert steps(seen) <= 0.3 * held_n
     assert_same_road(seen, fade(stopped))
 

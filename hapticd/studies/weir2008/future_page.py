@@ -85,7 +85,7 @@ def _lower_edge(result: FutureWorkResult) -> Section:
         rows.append(_row(result, f"zwidth_{name}", bounds.width_db(), "dB"))
     note = (
         "of what active damping raised the lower edge by; sd of the owners alone, other seeds and"
-        " grids choose others (ADR 0034)"
+        " grids choose others (ADR-0027)"
     )
     rows += [
         _row(result, f"lower_bound_restored{kind}", restored(result, kind), "%", note=note)
@@ -125,7 +125,7 @@ def _lower_edge_words(result: FutureWorkResult) -> str:
         f" {low['on_negative_B_safe']:.1f} dB with B < 0 beside it ({safe:.0f} % of the way back)."
         " All are edges of one grid, that of Figs. 3 and 8 with rows of B < 0. A finer grid goes"
         " lower, because K and M cancel more exactly, and other seeds let other environments pass:"
-        " a decibel or two, more than the scatter in the table (ADR 0034)."
+        " a decibel or two, more than the scatter in the table (ADR-0027)."
     )
 
 

@@ -2,7 +2,7 @@
 plant of all lanes for some ticks and tallies what it did.
 
 What makes numba turn a loop over lanes into vector instructions, each worth a factor of 10 to 20
-(measured, ADR 0020):
+(measured, ADR-0024):
 
     one flat state array; row offsets and the number of lanes are constants; no second index, no
     argument in an index; what goes in and out is copied beside the lane loop, because a second
