@@ -89,7 +89,7 @@ with styled():
 
 # %%
 # A daemon warns before anything moves: by the device's model, its :doc:`guard </guard>` finds that
-# 400 N/m without damping is not passive. Under the policy ``refuse`` the damping stays on. Virtual
-# time has no gateway, and so no guard.
+# 400 N/m without damping is not passive. Under the policy ``refuse`` the damping stays on. The
+# ``LockStepClient`` of this page has no guard; ``hapticd.virtual_board`` has one.
 
 device.close()

@@ -50,6 +50,7 @@ def test_experiment_of_the_page_ends_in_a_data_frame(
         rows = list(csv.DictReader(file))
     assert {row["guard_safe"] for row in rows} == {"True"}
     assert {float(row["level"]) for row in rows if row["level"]} == {1.5, 3.0}
+    assert len([row for row in rows if row["threshold"]]) == 2
     presented = len((rehearsed / "rehearsal.csv").read_text().splitlines()) - 1
     assert presented > 40
     # a busy computer may lose every slot of a presentation that lasts a tenth of a second
@@ -62,10 +63,10 @@ def test_staircase_of_the_page_converges_to_71_percent() -> None:
     random = np.random.default_rng(2)
     found = []
     for _ in range(200):
-        staircase = names["Staircase"](0.5)  # type: ignore[operator]
-        while not staircase.done:
+        staircase = names["staircase"]()  # type: ignore[operator]
+        while not staircase.finished:
             names["chance"] = random
-            staircase.answer(names["observer"](1, staircase.share) == 1)  # type: ignore[operator]
+            staircase.answer(names["observer"](1, staircase.level) == 1)  # type: ignore[operator]
         found.append(staircase.threshold)
     assert np.exp(np.mean(np.log(found))) == pytest.approx(0.12, rel=0.15)
 
