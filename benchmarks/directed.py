@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared, refused
-from hapticd.model.loop import derivatives, held
+from hapticd.model.loop import derivatives, held_force_model
 from hapticd.settings.scene import load_scene
 from hapticd.signal.search import Search, first_trials, next_trials, predicted_passive
 from hapticd.signal.surrogate import Box, Observation
@@ -114,7 +114,7 @@ def _trials(bend: float) -> int | None:
 def _resistance(environments: np.ndarray, bend: float) -> np.ndarray:
     turn = np.exp(2j * np.pi * F / RATE_HZ)
     law = np.stack((np.ones(F.size), *derivatives(turn, RATE_HZ)))
-    felt = (law * held(F, RATE_HZ, DELAY) / (2j * np.pi * F)).real
+    felt = (law * held_force_model(F, RATE_HZ, DELAY) / (2j * np.pi * F)).real
     k, b, m = environments.T
     bent = 0.35 * np.sin(k / 250.0) + 0.2 * np.tanh(b) * np.cos(400.0 * m)
     return np.asarray(DAMPING + bend * bent[:, None] + environments @ felt)

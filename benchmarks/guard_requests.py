@@ -32,7 +32,7 @@ from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
 from hapticd.protocol.commands import posting
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import parse
-from hapticd.servo.commands import Now, apply_settings, obey
+from hapticd.servo.commands import CommandContext, apply_settings, obey
 from hapticd.servo.plan import (
     NEVER,
     Plan,
@@ -182,7 +182,7 @@ class Plans:
         return self._obey(kind, 0, (0.0,) * COMMAND_VALUES)
 
     def _obey(self, kind: Command, tick: int, values: tuple[float, ...]) -> Result:
-        now = Now(self.tick, self.tick - 1, 0, 0.0, True, 0)
+        now = CommandContext(self.tick, self.tick - 1, 0, 0.0, True, 0)
         self.plan, answers = obey(self.plan, (1, kind, 1, tick, values), now, self.params)
         return Result(answers[-1][1])
 

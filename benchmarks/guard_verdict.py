@@ -29,7 +29,7 @@ from support.whole_tick import (
 )
 
 from hapticd.core.environment import FilterParams
-from hapticd.model.coupled import shaking_hand
+from hapticd.model.coupled import destabilising_hand
 from hapticd.model.model import Model
 
 FURTHER = 1.05  # of K, B and M, from where nothing is rendered
@@ -93,7 +93,7 @@ class Bench:
             FilterParams(point.velocity_hz, point.velocity_zeta),
             FilterParams(point.acceleration_hz, point.acceleration_zeta),
         )
-        found = shaking_hand(self.model, point[:3], point.level, filters)
+        found = destabilising_hand(self.model, point[:3], point.level, filters)
         return (
             None
             if found is None

@@ -10,10 +10,10 @@ from typing import Any
 
 from benchmarks.worker import serve
 from hapticd.core.params import GuardSetup, RealtimeParams, from_plain
-from hapticd.guard.allowed import Judgement
+from hapticd.guard.allowed import SafeRegion
 from hapticd.guard.displays import from_message
 from hapticd.guard.judge import Judge
-from hapticd.guard.ways import Leg, sampled
+from hapticd.guard.ways import Segment, sampled_segment
 from hapticd.mailbox.files import GUARD_JSON
 
 POINTS = 20
@@ -27,12 +27,12 @@ def main() -> None:
     while judge.warm():
         pass
     assert judge.theorem is not None
-    judgement = Judgement(judge.theorem, judge.theorem.model.delay_periods, 0.0)
+    judgement = SafeRegion(judge.theorem, judge.theorem.model.delay_periods, 0.0)
 
     def answer(request: dict[str, Any]) -> dict[str, float]:
         start = from_message(request["start"], judge.setup.environment)
         end = from_message(request["end"], judge.setup.environment)
-        path = sampled(Leg(start, start, end), POINTS)
+        path = sampled_segment(Segment(start, start, end), POINTS)
         begin_ns = time.monotonic_ns()
         judgement.all_safe(path)
         middle_ns = time.monotonic_ns()

@@ -19,7 +19,7 @@ from typing import NamedTuple
 from hapticd.core.errors import DaemonDown, HapticdError, MailboxError
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox import daemons, files
-from hapticd.mailbox.daemons import Place
+from hapticd.mailbox.daemons import RuntimeFolder
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, press_stop, servo_lives, stop_taken
 
 __all__ = ["main", "stop"]
@@ -75,12 +75,12 @@ def stop(instance: str | None, actor: int = ACTOR_STOP_WORD) -> Outcome:
 
     DaemonDown: there is none.
     """
-    pressed: list[Place] = []
+    pressed: list[RuntimeFolder] = []
     left_alone: list[str] = []
     failed: list[str] = []
-    for place in daemons.places(instance):
+    for place in daemons.runtime_folders(instance):
         try:
-            daemons.believe(place.folder)
+            daemons.require_trusted(place.folder)
         except MailboxError as error:
             left_alone.append(str(error))
             continue
@@ -97,7 +97,7 @@ def stop(instance: str | None, actor: int = ACTOR_STOP_WORD) -> Outcome:
     return Outcome([_stopped(place, place in taken) for place in pressed], left_alone, failed)
 
 
-def _taken(pressed: list[Place]) -> list[Place]:
+def _taken(pressed: list[RuntimeFolder]) -> list[RuntimeFolder]:
     """Those of `pressed` whose servos take the stop in time."""
     deadline_ns = time.monotonic_ns() + TAKEN_MS * NS_PER_MS
     while True:
@@ -107,7 +107,7 @@ def _taken(pressed: list[Place]) -> list[Place]:
         time.sleep(LOOK_S)
 
 
-def _stopped(place: Place, taken: bool) -> Stopped:
+def _stopped(place: RuntimeFolder, taken: bool) -> Stopped:
     report = daemons.read_report(place.folder)
     return Stopped(
         str(place.folder),

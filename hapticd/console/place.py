@@ -10,14 +10,14 @@ from contextlib import suppress
 from pathlib import Path
 
 from hapticd.mailbox import files
-from hapticd.mailbox.daemons import believe
+from hapticd.mailbox.daemons import require_trusted
 
 
 class Place:
     """The note in `folder`. `port` is that of the console before; None: there was none."""
 
     def __init__(self, folder: Path) -> None:
-        believe(folder)
+        require_trusted(folder)
         self._path = folder / files.CONSOLE
         self.port = self._before()
 

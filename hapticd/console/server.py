@@ -47,7 +47,7 @@ from hapticd.console.recorder import Recorder
 from hapticd.console.visitors import STOP_PATH, Visitors
 from hapticd.console.watch import Watch
 from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.mailbox.daemons import looked_for, read_report
+from hapticd.mailbox.daemons import read_report, untrusted_daemon_folder
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, servo_lives
 
 __all__ = ["serve"]
@@ -120,7 +120,7 @@ class Console:
 
     def folder(self) -> Path:
         """The runtime folder of the daemon."""
-        return looked_for(self.instance)
+        return untrusted_daemon_folder(self.instance)
 
     def publish(self, kind: str, message: bytes | str) -> None:
         """Give `message` to all browsers; called in the loop."""
@@ -263,7 +263,7 @@ def serve(
     """Serve the page of `instance` until the handler given to `on_stop` is called; `tell` is given
     its URL. ConfigError: the port is taken.
     """
-    place = Place(looked_for(instance))
+    place = Place(untrusted_daemon_folder(instance))
     line = bound(port, place.port)
     url = f"http://{ADDRESS}:{line.getsockname()[1]}/"
     console = Console(instance)

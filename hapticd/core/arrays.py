@@ -3,7 +3,7 @@
 All numbers are in SI and double precision; only sums over many trials at once may be float32
 (`Values`). A vector load that crosses the border of two cache lines costs twice as much, and the
 vectors of `batch_fft` may only be loaded from such a border: `aligned` makes arrays for them. What
-is asked for again and again is kept by `once`.
+is asked for again and again is kept by `lazy_property`.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ __all__ = [
     "Values",
     "aligned",
     "alternating",
-    "once",
+    "lazy_property",
 ]
 
 Floats = npt.NDArray[np.float64]  # SI values
@@ -35,7 +35,7 @@ CACHE_LINE = 64  # bytes; vector loads across its border cost double
 T = TypeVar("T")
 
 
-class once(Generic[T]):
+class lazy_property(Generic[T]):
     """A property that is computed at the first look and kept in its object.
 
     As `functools.cached_property`, which in Python 3.11 holds a lock for all objects and threads

@@ -21,10 +21,10 @@ from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.params import LeaseParams
 from hapticd.gateway.lease_desk import LeaseDesk
 from hapticd.gateway.waveform import Waveform
-from hapticd.guard.case import Case, concerns, damping_by
-from hapticd.guard.guarded import Guarded
+from hapticd.guard.case import PendingChange, concerns, damping_by
+from hapticd.guard.guarded import GuardedQueue
 from hapticd.guard.outstanding import Outstanding, Pending
-from hapticd.guard.stages import Told
+from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, values_of
@@ -113,7 +113,7 @@ class Desk:
         self.counts = {"requests": 0, "errors": 0, "timeouts": 0}
         self._waveform = Waveform(self.limits)
         self._outstanding = Outstanding(view)
-        self._guarded = Guarded(guard, view, self.actors, self._outstanding, self.leases)
+        self._guarded = GuardedQueue(guard, view, self.actors, self._outstanding, self.leases)
         guard.leases = self.leases
         self._queue: list[RequestMessage] = []
         self._asked_back = (0, 0)  # servo life and revision that it was asked about
@@ -264,10 +264,12 @@ class Desk:
         """Policy, worker and what is under way, for `status` and the command `guard`."""
         return self._guard.summary() | self._guarded.summary()
 
-    def _case(self, message: RequestMessage, actor: int, request: Request, now_ns: int) -> Case:
+    def _case(
+        self, message: RequestMessage, actor: int, request: Request, now_ns: int
+    ) -> PendingChange:
         self._view.require_servo(message.cmd)
         at_tick = request.at_tick or 0 if isinstance(request, Change) else 0
-        return Case(
+        return PendingChange(
             message.cmd, message.id, actor, request, message, self._view.life, now_ns, at_tick
         )
 
@@ -312,7 +314,7 @@ class Desk:
         if told:
             self._tell(told)
 
-    def _tell(self, told: Told) -> Reply | None:
+    def _tell(self, told: ChangeReply) -> Reply | None:
         """The reply to a request that went past the guard, or an event once it has its reply."""
         case = told.case
         verdict = {"guard": case.verdict} if case.verdict else {}
@@ -329,7 +331,7 @@ class Desk:
             body["result"] = self.guard_summary()
         return self._accepted(case.message, body)
 
-    def _note_answer(self, case: Case, content: dict[str, Any]) -> None:
+    def _note_answer(self, case: PendingChange, content: dict[str, Any]) -> None:
         name = self.actors.name(case.actor)
         self._journal.note(
             "answer", cmd=case.cmd, id=case.id, actor=case.actor, name=name, **content
@@ -338,7 +340,7 @@ class Desk:
     def _ended(self, pending: Pending, error: CommandError) -> Reply | None:
         """`pending` has come to an end without an answer."""
         if pending.case is not None:
-            return self._tell(Told(pending.case, error))
+            return self._tell(ChangeReply(pending.case, error))
         return self._refused(pending.message, error)
 
     def _closed(self, pending: Pending, now_ns: int) -> Reply | None:

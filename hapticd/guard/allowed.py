@@ -27,7 +27,7 @@ _INSIDE = 1e-3  # of an interval: as far inside of its ends as may be needed to 
 NONE = np.zeros(0)
 
 
-class Judgement:
+class SafeRegion:
     """Displays judged by one basis, with one margin asked for, at one delay or at two: more delay
     makes a negative virtual mass easier, so the longest alone is not the worst.
     """

@@ -36,7 +36,15 @@ from hapticd.model.loop import Filters, Tick, radii, tick_of
 from hapticd.model.model import InputColumns, Model, Output, Outputs, frozen
 from hapticd.model.predict import Prediction, predict
 from hapticd.model.rational import Rational, positive_everywhere, rational
-from hapticd.model.theorem import NOWHERE, Lift, Opened, lift, lifted_worst, opened, within
+from hapticd.model.theorem import (
+    NOWHERE,
+    LiftedSystem,
+    OpenLoop,
+    lifted_system,
+    lifted_worst,
+    open_loop,
+    outside_circles,
+)
 
 LEVELS = 16
 _KEPT = 4 * LEVELS  # of lifts, circles and ticks: levels, some delays, filters
@@ -92,8 +100,8 @@ class Theorem:
         self.model = model
         self.rate_hz: float | None = model.rate_hz
         self._late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
-        self._opened: Callable[[float], Opened] = lru_cache(LEVELS + 8)(self._open)
-        self._lifted: Callable[[float, Filters, float], Lift] = lru_cache(_KEPT)(self._lift)
+        self._opened: Callable[[float], OpenLoop] = lru_cache(LEVELS + 8)(self._open)
+        self._lifted: Callable[[float, Filters, float], LiftedSystem] = lru_cache(_KEPT)(self._lift)
         self._everywhere: Callable[[Conditions], Rational | None] = lru_cache(_KEPT)(self._draw)
         self._read: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
         self._ticks: Callable[[float, Filters, float], Tick] = lru_cache(_KEPT)(self._tick)
@@ -108,7 +116,7 @@ class Theorem:
         circles, and stable as they are.
         """
         found = self._everywhere(at)
-        ends = ends_of_line(points) if found is not None and found.convex else None
+        ends = line_ends(points) if found is not None and found.convex else None
         if ends is not None and self._sure(points[ends], at).all():
             return np.ones(len(points), np.bool_)
         return self._sure(points, at)
@@ -128,7 +136,7 @@ class Theorem:
         """
         found = self._everywhere(at)
         seen = NOWHERE if found is None else found.circles
-        return np.asarray((points[:, 0] >= 0.0) & within(seen, points))
+        return np.asarray((points[:, 0] >= 0.0) & outside_circles(seen, points))
 
     def reading(self, point: Point, at: Conditions) -> Reading:
         """As `Basis`. The margin of an unstable loop is that of its impedance alone."""
@@ -148,11 +156,11 @@ class Theorem:
     def _delayed(self, delay_periods: float) -> Model:
         return replace(self.model, delay_periods=delay_periods)
 
-    def _open(self, level: float) -> Opened:
-        return opened(self.model, level)
+    def _open(self, level: float) -> OpenLoop:
+        return open_loop(self.model, level)
 
-    def _lift(self, level: float, filters: Filters, delay_periods: float) -> Lift:
-        return lift(self.late(delay_periods), level, filters, self._opened(level))
+    def _lift(self, level: float, filters: Filters, delay_periods: float) -> LiftedSystem:
+        return lifted_system(self.late(delay_periods), level, filters, self._opened(level))
 
     def _draw(self, at: Conditions) -> Rational | None:
         late = self.late(at.delay_periods)
@@ -245,7 +253,7 @@ class Measured:
         return below[-1] if below else None
 
 
-def ends_of_line(points: Floats) -> list[int] | None:
+def line_ends(points: Floats) -> list[int] | None:
     """The two of `points` (N, 3) between which all others lie; None if they are on no line, or
     two or less.
     """

@@ -11,7 +11,7 @@ from typing import Any
 
 from hapticd.core.environment import FilterParams
 from hapticd.core.params import GuardSetup
-from hapticd.guard.allowed import Judgement
+from hapticd.guard.allowed import SafeRegion
 from hapticd.guard.bases import Theorem, model_of
 from hapticd.guard.displays import nothing_rendered
 from hapticd.mailbox.environment_limits import WIDEST
@@ -32,7 +32,7 @@ def passive_ranges(
     `filters` are those of velocity and acceleration.
     """
     free = replace(nothing_rendered(filters), active_damping_ns_per_m=level_ns_per_m)
-    judgement = Judgement(Theorem(model), model.delay_periods, 0.0)
+    judgement = SafeRegion(Theorem(model), model.delay_periods, 0.0)
     return judgement.allowed(free, WIDEST.lowest, WIDEST.highest)
 
 
@@ -50,7 +50,7 @@ def timing_cost(
     free = replace(nothing_rendered(filters), active_damping_ns_per_m=level_ns_per_m)
 
     def stiffest(least: float, most: float) -> float:
-        judgement = Judgement(theorem, most, 0.0, least)
+        judgement = SafeRegion(theorem, most, 0.0, least)
         ends = judgement.allowed(free, WIDEST.lowest, WIDEST.highest)["K"]
         return ends[1] if ends else 0.0
 

@@ -18,7 +18,7 @@ from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.limits import PLACES
 from hapticd.protocol.schemas import Damping, Enable, GuardRequest, Judged, Request, Set
 
-__all__ = ["Case", "concerns", "damping_by"]
+__all__ = ["PendingChange", "concerns", "damping_by"]
 
 TABLES = tuple(name for name in JUDGED if name not in SLOTS)
 
@@ -32,7 +32,7 @@ class Stage(NamedTuple):
 
 
 @dataclass(slots=True, eq=False)
-class Case:
+class PendingChange:
     """One request and what became of it so far."""
 
     cmd: str
@@ -95,7 +95,7 @@ def changes_environment(stages: tuple[Stage, ...]) -> bool:
     return any(stage.change.keys() - {"active_damping"} for stage in stages)
 
 
-def forbidden_by(leases: Leases, case: Case) -> CommandError | None:
+def forbidden_by(leases: Leases, case: PendingChange) -> CommandError | None:
     """Why the client of `case` may not change what it asks any more, or what its stages do."""
     error = forbidden(AskedRequest({}, case.actor, case.request), leases)
     if error is None and changes_environment(case.stages):

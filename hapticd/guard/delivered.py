@@ -59,7 +59,7 @@ NO_DEVICE = "unknown: the device file does not say the force per ampere"
 NO_BLOCK = Block(np.zeros((COLUMNS, COLUMNS)), np.zeros((COLUMNS, COLUMNS)))
 
 
-class Low(NamedTuple):
+class Shortfall(NamedTuple):
     """Too little is delivered: whether to warn, and whether to ask for the fault."""
 
     text: str
@@ -67,7 +67,7 @@ class Low(NamedTuple):
     fault: bool
 
 
-class Path(NamedTuple):
+class CommandedForce(NamedTuple):
     """The commanded force as it arrives at the circuit, at each sample (n,)."""
 
     force_n: Floats
@@ -109,7 +109,7 @@ class Delivered:
         self._settling_s = SETTLED / (2.0 * np.pi * corner_hz) if corner_hz > 0.0 else 0.0
         self._motor_n = 0.0
 
-    def take(self, records: Records) -> list[Low]:
+    def take(self, records: Records) -> list[Shortfall]:
         """The next `records`; what is to be said about them."""
         self._pending.append(records)
         self._count += len(records)
@@ -126,7 +126,7 @@ class Delivered:
         """The estimate as a map of plain values, for messages."""
         return self.estimate._asdict()
 
-    def _block(self, records: Records) -> list[Low]:
+    def _block(self, records: Records) -> list[Shortfall]:
         commanded = float(records["active_damping_ns_per_m"][-1])
         if self._servo.device.motor_n_per_a <= 0.0:
             self.estimate = NOTHING._replace(basis=NO_DEVICE, commanded=commanded)
@@ -175,12 +175,12 @@ class Delivered:
         motor_n = self._servo.device.motor_n_per_a * at["current_a"].astype(float)
         return _products(at, path, motor_n, places[whole], period_s)
 
-    def _path(self, found: Table, period_s: float) -> Path:
+    def _path(self, found: Table, period_s: float) -> CommandedForce:
         """The commanded force as it arrives at the circuit."""
         corner_hz = self._servo.device.force_smoothing_hz
         held_n = found["in_effect_n"]
         if corner_hz <= 0.0:
-            return Path(held_n, np.zeros(len(found)), np.ones(len(found), bool))
+            return CommandedForce(held_n, np.zeros(len(found)), np.ones(len(found), bool))
         lasting_s = np.where(found["periods"] > 0.0, found["periods"], 1.0) * period_s
         path_n, _ = smoothed(found, lasting_s, period_s, 2.0 * np.pi * corner_hz, self._motor_n)
         settled = np.cumsum(lasting_s) > self._settling_s
@@ -188,9 +188,9 @@ class Delivered:
         self._motor_n = float(path_n[-1])
         if not np.isfinite(self._motor_n):
             self._unsettle()
-        return Path(path_n, 2.0 * np.pi * corner_hz * (held_n - path_n), settled)
+        return CommandedForce(path_n, 2.0 * np.pi * corner_hz * (held_n - path_n), settled)
 
-    def _judged(self) -> list[Low]:
+    def _judged(self) -> list[Shortfall]:
         """Low for some seconds: a warning once, and the fault where it is counted on."""
         found = self.estimate
         if found.high is None:
@@ -207,10 +207,10 @@ class Delivered:
         warn = not self._warned
         self._warned = True
         self._faulted = self._faulted or fault
-        return [Low(told(found), warn, fault)] if warn or fault else []
+        return [Shortfall(estimate_text(found), warn, fault)] if warn or fault else []
 
 
-def told(found: Estimate) -> str:
+def estimate_text(found: Estimate) -> str:
     """That too little is delivered, in words."""
     percent = 100.0 * (found.ratio or 0.0)
     return (
@@ -242,7 +242,7 @@ def _inside(values: NDArray[np.float32], scale: ScaleParams) -> Flags:
 
 def _products(
     records: Records,
-    path: Path,
+    path: CommandedForce,
     motor_n: Floats,
     places: NDArray[np.intp],
     period_s: float,

@@ -20,7 +20,7 @@ def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment
     """The environment in the fields of a message, its filters made discrete as those of `rendered`;
     what the message leaves out is 0. AnalysisError for a number that is not finite.
     """
-    return with_change(nothing_rendered(rendered.filters), plain)
+    return apply_change(nothing_rendered(rendered.filters), plain)
 
 
 def nothing_rendered(filters: tuple[FilterParams, FilterParams]) -> Environment:
@@ -29,7 +29,7 @@ def nothing_rendered(filters: tuple[FilterParams, FilterParams]) -> Environment:
     return Environment(velocity_filter=velocity, acceleration_filter=acceleration)
 
 
-def with_change(environment: Environment, change: Mapping[str, Any]) -> Environment:
+def apply_change(environment: Environment, change: Mapping[str, Any]) -> Environment:
     """`environment` with the fields of a request. AnalysisError for a number not finite."""
     _require_finite(change)
     return environment.changed(change)
@@ -49,7 +49,7 @@ def environment_of(environment: Environment, other: Environment) -> dict[str, An
     return {name: whole[name] for name in ("K", "B", "M", "wall")}
 
 
-def between(
+def interpolate(
     one: Environment, other: Environment, share: float, levels: Sequence[float] = ()
 ) -> Environment:
     """The environment a share of the way from one to the other. Filters, and side and place of a
@@ -88,7 +88,7 @@ def kept_level(start: float, end: float, share: float, levels: Sequence[float]) 
     return min(inside, key=lambda level: abs(level - exact), default=start)
 
 
-def mixed(environments: Sequence[Environment]) -> list[Environment]:
+def corner_mixtures(environments: Sequence[Environment]) -> list[Environment]:
     """Corners of all that may act while each parameter is anywhere between those of them:
     least and most of K, B, M and level, with the strongest wall if one of them has any.
     """

@@ -32,7 +32,7 @@ from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.case import (
-    Case,
+    PendingChange,
     Stage,
     auto_of,
     change_of,
@@ -42,8 +42,8 @@ from hapticd.guard.case import (
     until_tick,
 )
 from hapticd.guard.outstanding import Outstanding
-from hapticd.guard.stages import Stages, Told, ramp_s
-from hapticd.guard.status import VERDICT_NS, Guard, Unsafe
+from hapticd.guard.stages import ChangeReply, StagedChange, ramp_s
+from hapticd.guard.status import VERDICT_NS, Guard, UnsafeRequest
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
 from hapticd.protocol.commands import posting, receipt, refusal
@@ -60,7 +60,7 @@ from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import Damping, Enable
 from hapticd.protocol.view import ServoView
 
-__all__ = ["Guarded"]
+__all__ = ["GuardedQueue"]
 
 MOST_WAITING = 64
 WAITING_NS = NS_PER_S  # until it is judged; its sender gives up after 2 s
@@ -75,7 +75,7 @@ UNSETTLED = "the delay of the loop is not measured yet; ask again"
 SERVO_GONE = "the servo ended before it was in force; when it starts anew it is disabled"
 
 
-class Booked(NamedTuple):
+class ScheduledChange(NamedTuple):
     """A scheduled change."""
 
     tick: int
@@ -83,7 +83,7 @@ class Booked(NamedTuple):
     change: dict[str, Any]
 
 
-class Guarded:
+class GuardedQueue:
     """The queue of requests to be judged, and the change of several stages that is under way.
 
     Commands go into the servo's ring by `outstanding`; their answers come back by `answered`.
@@ -103,12 +103,14 @@ class Guarded:
         self._actors = actors
         self._outstanding = outstanding
         self._leases = leases
-        self._queue: deque[Case] = deque()
-        self._asked: Case | None = None
-        self._beside: Case | None = None  # posted at once, judged meanwhile
-        self._told: list[Told] = []
-        self._under_way = Stages(view, outstanding, self._told)
-        self._scheduled: dict[int, Booked] = {}  # by sequence number, of the present servo life
+        self._queue: deque[PendingChange] = deque()
+        self._asked: PendingChange | None = None
+        self._beside: PendingChange | None = None  # posted at once, judged meanwhile
+        self._told: list[ChangeReply] = []
+        self._under_way = StagedChange(view, outstanding, self._told)
+        self._scheduled: dict[
+            int, ScheduledChange
+        ] = {}  # by sequence number, of the present servo life
         self._life = 0
         self._terms_told = (0, ANY_TERMS)  # servo life, number of the terms that it knows
         self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
@@ -126,7 +128,7 @@ class Guarded:
 
     # --- in ---------------------------------------------------------------------------------------
 
-    def take(self, case: Case, now_ns: int, idle: bool) -> None:
+    def take(self, case: PendingChange, now_ns: int, idle: bool) -> None:
         """A request has come; `idle`: no command is on its way.
 
         CommandError: it is refused at once, nothing happens.
@@ -142,7 +144,7 @@ class Guarded:
             raise CommandError("busy", f"{case.cmd}: {reason}")
         self._queue.append(case)
 
-    def _goes_at_once(self, case: Case) -> bool:
+    def _goes_at_once(self, case: PendingChange) -> bool:
         """Whether it is done whatever the verdict says, and in one stage."""
         guard = self._guard
         change = change_of(case.request, guard.in_force.level)
@@ -154,7 +156,7 @@ class Guarded:
         free = not self.waiting and self._under_way.case is None
         return self._policy(case) == "warn" and plain and ready and free
 
-    def _judge_beside(self, case: Case, now_ns: int) -> None:
+    def _judge_beside(self, case: PendingChange, now_ns: int) -> None:
         self._ask(case, now_ns)
         self._asked = None
         try:
@@ -164,7 +166,7 @@ class Guarded:
             raise
         self._beside = case
 
-    def _hear_beside(self, case: Case, now_ns: int) -> None:
+    def _hear_beside(self, case: PendingChange, now_ns: int) -> None:
         """The reply to what is in force already, once its verdict is there or too late."""
         guard = self._guard
         answer = guard.answer(case.number)
@@ -179,7 +181,7 @@ class Guarded:
         if case.held is not None and (told := self.answered(case, case.held, now_ns)):
             self._told.append(told)
 
-    def _verdict_beside(self, case: Case, answer: dict[str, Any] | None) -> dict[str, Any]:
+    def _verdict_beside(self, case: PendingChange, answer: dict[str, Any] | None) -> dict[str, Any]:
         verdict = answer.get("verdict") if answer else None
         if answer is None or not isinstance(verdict, dict):
             why = f"the guard's worker answered: {answer.get('error')}" if answer else self._late()
@@ -198,7 +200,7 @@ class Guarded:
             if isinstance(case.request, Enable):
                 self._drop(case)
                 text = f"{case.cmd}: {why} was asked before it was judged; ask again"
-                self._told.append(Told(case, CommandError("refused", text)))
+                self._told.append(ChangeReply(case, CommandError("refused", text)))
         self._under_way.take_back(lambda case: True, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
@@ -210,7 +212,7 @@ class Guarded:
                 self._drop(case)
         self._under_way.take_back(lambda case: case.actor == actor, "its connection is gone")
 
-    def _drop(self, case: Case) -> None:
+    def _drop(self, case: PendingChange) -> None:
         if case is self._asked:
             self._guard.forget(case.number)
             self._asked = None
@@ -219,7 +221,7 @@ class Guarded:
 
     # --- onwards ----------------------------------------------------------------------------------
 
-    def advance(self, now_ns: int, idle: bool) -> list[Told]:
+    def advance(self, now_ns: int, idle: bool) -> list[ChangeReply]:
         """Go on as far as can be; what is to be said. `idle`: no command is on its way."""
         self._forget_other_lives()
         self._forget_who_may_not()
@@ -246,7 +248,7 @@ class Guarded:
         self._scheduled = {}
         if self._beside is not None and self._beside.held is not None:
             text = f"{self._beside.cmd}: {SERVO_GONE}"
-            self._told.append(Told(self._beside, CommandError("servo_down", text)))
+            self._told.append(ChangeReply(self._beside, CommandError("servo_down", text)))
         self._beside = None  # without an answer the desk has told its end
         for case in filter(None, (*self._queue, self._asked, self._under_way.case)):
             if case.life != life:
@@ -288,29 +290,29 @@ class Guarded:
             text = f"{asked.cmd}: its verdict came too late; nothing happened, ask again"
             self._give_back(asked, CommandError("timeout", text))
 
-    def _give_back(self, case: Case, error: CommandError) -> None:
+    def _give_back(self, case: PendingChange, error: CommandError) -> None:
         if case is self._under_way.case:
             self._under_way.case = None
         else:
             self._drop(case)
-        self._told.append(Told(case, error))
+        self._told.append(ChangeReply(case, error))
 
-    def _policy(self, case: Case) -> str:
+    def _policy(self, case: PendingChange) -> str:
         """The policy that `case` goes by: the one in force, or `refuse` where its client asks for
         that.
         """
         return "refuse" if case.strict else self._guard.policy
 
-    def _must(self, case: Case) -> bool:
+    def _must(self, case: PendingChange) -> bool:
         """Whether `case` is refused unless it is known to be safe."""
         return self._policy(case) in STRICT_POLICIES
 
-    def _asks(self, case: Case) -> bool:
+    def _asks(self, case: PendingChange) -> bool:
         """Whether a worker is there to be asked, and the policy wants it."""
         wanted = self._policy(case) != "off" or self._auto(case)
         return wanted and self._guard.worker in ("up", "starting")
 
-    def _auto(self, case: Case) -> bool:
+    def _auto(self, case: PendingChange) -> bool:
         """Whether the level of damping is the guard's to choose once `case` is in force."""
         asked = auto_of(case.request)
         return self._guard.mode == "auto" if asked is None else asked
@@ -351,11 +353,11 @@ class Guarded:
         self._chosen_for = about
         self._chosen_ns = now_ns
         request = Damping(cmd="damping", value="auto")
-        case = Case("damping", None, GATEWAY_ACTOR, request, None, self._life, now_ns)
+        case = PendingChange("damping", None, GATEWAY_ACTOR, request, None, self._life, now_ns)
         case.replied = True
         self._ask(case, now_ns)
 
-    def _ask(self, case: Case, now_ns: int) -> None:
+    def _ask(self, case: PendingChange, now_ns: int) -> None:
         guard = self._guard
         self._scheduled = {
             seq: one for seq, one in self._scheduled.items() if one.tick > self._view.tick
@@ -376,7 +378,7 @@ class Guarded:
         case.number = guard.ask(question, now_ns)
         self._asked = case
 
-    def _former(self, case: Case, before: list[dict[str, Any]]) -> dict[str, Any]:
+    def _former(self, case: PendingChange, before: list[dict[str, Any]]) -> dict[str, Any]:
         """What a bounded change brings back at its end, with what is scheduled `before` it; {}
         for one without an end.
         """
@@ -388,7 +390,7 @@ class Guarded:
         return target.fields(change_of(case.request, 0.0))
 
     def _question(
-        self, case: Case, before: list[dict[str, Any]], after: list[dict[str, Any]]
+        self, case: PendingChange, before: list[dict[str, Any]], after: list[dict[str, Any]]
     ) -> dict[str, Any]:
         """What the worker is asked about `case`, with what is scheduled before and after it."""
         guard = self._guard
@@ -411,7 +413,7 @@ class Guarded:
             "ramp_s": ramp_s(case.request, self._view.params.safety.default_ramp_s),
         }
 
-    def _hear(self, case: Case, now_ns: int, idle: bool) -> None:
+    def _hear(self, case: PendingChange, now_ns: int, idle: bool) -> None:
         """Act on the verdict for `case` once it is there and nothing else is on its way."""
         case.answer = case.answer or self._guard.answer(case.number)
         if case.answer is not None:
@@ -423,7 +425,7 @@ class Guarded:
             self._guard.forget(case.number)
             self._try_unjudged(case, now_ns, self._late())
 
-    def _take_verdict(self, case: Case, answer: dict[str, Any], now_ns: int) -> None:
+    def _take_verdict(self, case: PendingChange, answer: dict[str, Any], now_ns: int) -> None:
         """Go by `answer`, or ask again if it is about what is no more."""
         guard = self._guard
         if case.changes != guard.changes or case.policy != self._policy(case):
@@ -434,7 +436,7 @@ class Guarded:
         else:
             self._judged(case, answer, now_ns)
 
-    def _judged(self, case: Case, answer: dict[str, Any], now_ns: int) -> None:
+    def _judged(self, case: PendingChange, answer: dict[str, Any], now_ns: int) -> None:
         verdict = answer.get("verdict")
         action = answer.get("action")
         try:
@@ -452,23 +454,23 @@ class Guarded:
             self._want_hand(case)
         leased = forbidden_by(self._leases, case) if case.message is not None else None
         if leased is not None:
-            self._told.append(Told(case, leased))
+            self._told.append(ChangeReply(case, leased))
         elif action == "refuse":
             text = f"{case.cmd}: {verdict.get('text', 'the guard gave no reason')}"
-            self._told.append(Told(case, CommandError("guard", text, guard=case.verdict)))
+            self._told.append(ChangeReply(case, CommandError("guard", text, guard=case.verdict)))
         else:
             self._start(case, now_ns)
 
-    def _start(self, case: Case, now_ns: int) -> None:
+    def _start(self, case: PendingChange, now_ns: int) -> None:
         """Post the first stage of `case`, or have it wait."""
         if until_tick(case.request) and len(case.stages) > 1:
             text = f"{case.cmd}: with an end it needs one stage, and would take {len(case.stages)}"
             remedy = "bring in the active damping first, then ask again"
-            self._told.append(Told(case, CommandError("guard", f"{text}; {remedy}")))
+            self._told.append(ChangeReply(case, CommandError("guard", f"{text}; {remedy}")))
             return
         self._under_way.start(case, now_ns)
 
-    def _changes(self, case: Case) -> bool:
+    def _changes(self, case: PendingChange) -> bool:
         """Whether the stages of `case` lead anywhere else than the ramps in force."""
         before = self._guard.in_force.target()
         after = before
@@ -478,26 +480,26 @@ class Guarded:
         moved = abs(there - here) > self._under_way.resolution_ns_per_m
         return moved or replace(after, active_damping_ns_per_m=here) != before
 
-    def _stages(self, case: Case, answer: dict[str, Any]) -> tuple[Stage, ...]:
+    def _stages(self, case: PendingChange, answer: dict[str, Any]) -> tuple[Stage, ...]:
         found = stages_of(answer)
         if isinstance(case.request, Enable) and found[-1].change:
             return (*found, Stage({}, None, False))  # force comes on once all of it is in force
         return found
 
-    def _want_hand(self, case: Case) -> None:
+    def _want_hand(self, case: PendingChange) -> None:
         asked = change_of(case.request, self._guard.in_force.level)
         wanted = self._guard.in_force.target().changed(asked)
-        self._guard.want_hand(Unsafe(case.number, case.cmd, case.id, case.actor, wanted))
+        self._guard.want_hand(UnsafeRequest(case.number, case.cmd, case.id, case.actor, wanted))
 
     # --- without a verdict ------------------------------------------------------------------------
 
-    def _try_unjudged(self, case: Case, now_ns: int, why: str = "") -> None:
+    def _try_unjudged(self, case: PendingChange, now_ns: int, why: str = "") -> None:
         try:
             self._unjudged(case, now_ns, why)
         except CommandError as error:
-            self._told.append(Told(case, error))
+            self._told.append(ChangeReply(case, error))
 
-    def _unjudged(self, case: Case, now_ns: int, why: str = "") -> None:
+    def _unjudged(self, case: PendingChange, now_ns: int, why: str = "") -> None:
         """Post it as asked, or refuse it, as the policy says."""
         guard = self._guard
         case.policy = self._policy(case)
@@ -518,7 +520,7 @@ class Guarded:
         if case.at_tick:
             self._terms_told = (0, ANY_TERMS)  # no terms came with it: those that count go after it
 
-    def _unknown_refused(self, case: Case) -> CommandError:
+    def _unknown_refused(self, case: PendingChange) -> CommandError:
         """The refusal of what nobody judged, with what would do it all the same."""
         remedy = "`hapticd guard warn` would do it all the same"
         if case.strict:
@@ -529,7 +531,7 @@ class Guarded:
 
     # --- answers ----------------------------------------------------------------------------------
 
-    def answered(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
+    def answered(self, case: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
         """What the servo's `answer` to the last stage of `case` means; None: more is to come."""
         if case is self._beside and answer.result is Result.APPLIED:
             case.held = answer
@@ -538,32 +540,32 @@ class Guarded:
             return None
         if answer.result is Result.SCHEDULED:
             change = change_of(case.request, self._guard.in_force.level)
-            self._scheduled[answer.seq] = Booked(case.at_tick, answer.seq, change)
+            self._scheduled[answer.seq] = ScheduledChange(case.at_tick, answer.seq, change)
             if case.former:
-                end = Booked(until_tick(case.request), answer.seq, case.former)
+                end = ScheduledChange(until_tick(case.request), answer.seq, case.former)
                 self._scheduled[-answer.seq] = end
-            return Told(case, receipt=receipt(answer))
+            return ChangeReply(case, receipt=receipt(answer))
         if answer.result in JUDGED_OTHERWISE and case.tries < TRIES:
             self._again(case, now_ns)
             return None
         if answer.result is not Result.APPLIED:
             error = refusal(answer, case.cmd, self._view, self._actors)
             error.guard = case.verdict
-            return Told(case, error)
+            return ChangeReply(case, error)
         return self._applied(case, answer, now_ns)
 
-    def _applied(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
+    def _applied(self, case: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
         self._guard.auto = self._auto(case)
         if self._under_way.applied(case, answer, now_ns):
             if case.taken_back:
                 return self._under_way.taken_back(case)
             staged = receipt(answer) | {"result": "staged"}
-            return None if case.replied else Told(case, receipt=staged)
+            return None if case.replied else ChangeReply(case, receipt=staged)
         if len(case.stages) <= 1 and not case.ahead:
             self._guard.take_verdict(case.verdict)
-        return Told(case, receipt=receipt(answer))
+        return ChangeReply(case, receipt=receipt(answer))
 
-    def _again(self, case: Case, now_ns: int) -> None:
+    def _again(self, case: PendingChange, now_ns: int) -> None:
         """Another change came first: judge it anew, before those that came later."""
         case.tries += 1
         case.came_ns = now_ns
@@ -572,7 +574,7 @@ class Guarded:
             case.at_tick = 0  # a bounded change that is late is refused: it was to last so long
         self._queue.appendleft(case)
 
-    def later(self, case: Case, answer: Answer, now_ns: int) -> Told | None:
+    def later(self, case: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
         """As `answered`, for the second answer to a scheduled change."""
         self._scheduled.pop(answer.seq, None)
         if answer.result is not Result.APPLIED:
@@ -582,10 +584,10 @@ class Guarded:
         if answer.result in JUDGED_OTHERWISE and case.tries < TRIES:
             self._again(case, now_ns)
             return None
-        return Told(case, receipt=receipt(answer))
+        return ChangeReply(case, receipt=receipt(answer))
 
 
-def _refused(case: Case, why: Explanation) -> CommandError:
+def _refused(case: PendingChange, why: Explanation) -> CommandError:
     """The refusal of what nobody judged."""
     verdict = case.verdict | why.plain(Outcome.REFUSED) | {"cmd": case.cmd}
     return CommandError("guard", f"{case.cmd}: {verdict['text']}", guard=verdict)

@@ -59,7 +59,7 @@ class WallSide:
             self.value = 0
 
 
-class InForce:
+class EnvironmentInForce:
     """The environment in force at the servo of `view`."""
 
     def __init__(self, view: ServoView) -> None:

@@ -19,15 +19,15 @@ import numpy as np
 from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import GuardSetup
-from hapticd.guard.allowed import Judgement
+from hapticd.guard.allowed import SafeRegion
 from hapticd.guard.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.guard.bounds import IDEAL_PERIODS, timing_cost
-from hapticd.guard.displays import from_message, with_change
+from hapticd.guard.displays import apply_change, from_message
 from hapticd.guard.plane import plane
 from hapticd.guard.policies import MODES, POLICIES, answer_change
-from hapticd.guard.words import Verdicts, doubling, explained, in_words
+from hapticd.guard.words import VerdictBuilder, doubling_text, explain, hand_text
 from hapticd.model.angles import unresolved_hz
-from hapticd.model.coupled import GROWS, coupled_radius, shaking_hand
+from hapticd.model.coupled import GROWS, coupled_radius, destabilising_hand
 from hapticd.model.linearise import Perturbation
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
@@ -52,7 +52,7 @@ class Judge:
 
     def __init__(self, setup: GuardSetup) -> None:
         self.setup = setup
-        self.verdicts = Verdicts(setup)
+        self.verdicts = VerdictBuilder(setup)
         self.theorem = None if setup.model is None else Theorem(model_of(setup.model))
         self._unresolved = self._narrow_modes()
         self._cold = list(self.verdicts.levels)
@@ -120,7 +120,7 @@ class Judge:
         safe = judgement.safe([target])[0]
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         outcome = Outcome.SAFE if safe else Outcome.UNSAFE
-        why = explained(judgement, target, safe)
+        why = explain(judgement, target, safe)
         return timing | {
             "verdict": self.verdicts.of(judgement, target, "", outcome, why, [target], safe),
             "without_active_damping": self._seen(
@@ -132,7 +132,7 @@ class Judge:
             },
         }
 
-    def _seen(self, judgement: Judgement, display: Environment) -> dict[str, Any]:
+    def _seen(self, judgement: SafeRegion, display: Environment) -> dict[str, Any]:
         worse = judgement.worse(display)
         allowed = judgement.allowed(display, self.setup.lowest, self.setup.highest)
         return {"margin_ns_per_m": worse.margin_ns_per_m, "allowed": allowed}
@@ -189,15 +189,15 @@ class Judge:
         worst = theorem.reading(point, Conditions(level, filters, delay, 0.0))
         found: list[dict[str, Any]] = []
         for at_hz in (None, worst.worst_hz):
-            shaker = shaking_hand(model, point, level, filters, at_hz=at_hz)
+            shaker = destabilising_hand(model, point, level, filters, at_hz=at_hz)
             if shaker is None:
                 continue
             hand, hz = shaker
             radius = float(coupled_radius(model, np.array([point]), [hand], level, filters)[0, 0])
             if radius > GROWS:
-                grows = doubling(radius, model.rate_hz)
+                grows = doubling_text(radius, model.rate_hz)
                 how = {"hz": hz, "radius": radius, "growth": f"its motion {grows}"}
-                found.append(in_words(hand, hz, in_wall) | how)
+                found.append(hand_text(hand, hz, in_wall) | how)
         return found
 
     # --- what it is made of -----------------------------------------------------------------------
@@ -207,7 +207,7 @@ class Judge:
             return float(asked)
         return 0.0 if self.theorem is None else self.theorem.model.delay_periods
 
-    def _judgement(self, request: Mapping[str, Any]) -> tuple[Judgement | None, Explanation]:
+    def _judgement(self, request: Mapping[str, Any]) -> tuple[SafeRegion | None, Explanation]:
         """How to judge it, or None and why not."""
         # each question walks the whole change, so only where there is such a parameter
         if FURTHER and (beyond := _beyond_the_model(self._concerned(request))):
@@ -220,17 +220,17 @@ class Judge:
             self._warm_delay = delay
             self._cold = list(self.verdicts.levels)
         spare = float(request["margin_ns_per_m"])
-        return Judgement(found, delay, spare, min(delay, self._delay(None))), _KNOWN
+        return SafeRegion(found, delay, spare, min(delay, self._delay(None))), _KNOWN
 
     def _concerned(self, request: Mapping[str, Any]) -> list[Environment]:
         """What `request` leads to with all that is scheduled; with force also what acts before."""
         target = from_message(request["target"], self.setup.environment)
         on_the_way = [target]
         for one in (*request.get("before", ()), request.get("change", {})):
-            on_the_way.append(with_change(on_the_way[-1], one))
+            on_the_way.append(apply_change(on_the_way[-1], one))
         ends = [on_the_way[-1]]
         for one in request.get("after", ()):
-            ends.append(with_change(ends[-1], one))
+            ends.append(apply_change(ends[-1], one))
         if not request.get("enable") and request.get("state") != "enabled":
             return ends
         now = from_message(request.get("now", {}), self.setup.environment)

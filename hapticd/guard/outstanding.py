@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from hapticd.core.errors import CommandError
 from hapticd.core.units import NS_PER_S
-from hapticd.guard.case import Case
+from hapticd.guard.case import PendingChange
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Result
 from hapticd.protocol.commands import Posting
@@ -28,7 +28,7 @@ class Pending(NamedTuple):
     actor: int
     life: int  # of the servo it was posted to
     deadline_ns: int
-    case: Case | None = None  # of one that went past the guard
+    case: PendingChange | None = None  # of one that went past the guard
     answer: Answer | None = None
 
 
@@ -56,7 +56,7 @@ class Outstanding:
         actor: int,
         what: Posting,
         now_ns: int,
-        case: Case | None = None,
+        case: PendingChange | None = None,
     ) -> None:
         """Put a command into the servo's ring and keep it until it is answered.
 
@@ -74,7 +74,7 @@ class Outstanding:
         deadline_ns = now_ns + ANSWER_TIMEOUT_NS
         self._pending[view.life, seq] = Pending(message, actor, view.life, deadline_ns, case)
 
-    def post_case(self, case: Case, what: Posting, now_ns: int) -> None:
+    def post_case(self, case: PendingChange, what: Posting, now_ns: int) -> None:
         """The same for a command of `case`."""
         self.post(case.message or UNASKED, case.actor, what, now_ns, case)
 

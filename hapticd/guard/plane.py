@@ -17,7 +17,7 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment
-from hapticd.guard.allowed import Judgement
+from hapticd.guard.allowed import SafeRegion
 
 _COLUMNS = 60  # values of K
 _ROWS = 41  # values of B
@@ -26,7 +26,7 @@ _ROOM = 1.25  # of the axes beyond what is safe, and beyond the display in force
 
 
 def plane(
-    judgement: Judgement, display: Environment, level_on: float, most_k: float, most_b: float
+    judgement: SafeRegion, display: Environment, level_on: float, most_k: float, most_b: float
 ) -> dict[str, Any]:
     """The edges of the safe B over K, without active damping and with `level_on` [N s/m].
 
@@ -43,7 +43,7 @@ def plane(
 
 
 def _axes(
-    judgement: Judgement, display: Environment, level_on: float, most_k: float, most_b: float
+    judgement: SafeRegion, display: Environment, level_on: float, most_k: float, most_b: float
 ) -> tuple[Floats, Floats]:
     """K from 0 and B round 0, so that the safe set and the display in force are inside."""
     free = replace(
@@ -71,7 +71,7 @@ def _end(interval: list[float] | None) -> float:
 
 
 def _edges(
-    judgement: Judgement, display: Environment, level: float, stiffness: Floats, damping: Floats
+    judgement: SafeRegion, display: Environment, level: float, stiffness: Floats, damping: Floats
 ) -> dict[str, list[float | None]]:
     """Lowest and highest safe B (columns,) of each K."""
     damped = replace(display, active_damping_ns_per_m=level)

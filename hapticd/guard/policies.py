@@ -29,10 +29,19 @@ import numpy as np
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES, DampingMode, Policy
-from hapticd.guard.allowed import Judgement
-from hapticd.guard.displays import between, environment_of, from_message, with_change
-from hapticd.guard.ways import POINTS, Leg, Plan, Request, Stage, Ways, groups, sampled
-from hapticd.guard.words import Verdicts, explained
+from hapticd.guard.allowed import SafeRegion
+from hapticd.guard.displays import apply_change, environment_of, from_message, interpolate
+from hapticd.guard.ways import (
+    POINTS,
+    Plan,
+    Request,
+    Segment,
+    Stage,
+    TransitionPlanner,
+    moving_groups,
+    sampled_segment,
+)
+from hapticd.guard.words import VerdictBuilder, explain
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
@@ -46,8 +55,8 @@ _WORSE = 1e-9  # a rounding is not worse
 
 
 def answer_change(
-    verdicts: Verdicts,
-    judgement: Judgement | None,
+    verdicts: VerdictBuilder,
+    judgement: SafeRegion | None,
     unknown: Explanation,
     request: Mapping[str, Any],
 ) -> dict[str, Any]:
@@ -64,7 +73,7 @@ def answer_change(
 class _Asked:
     """One `change` as it is asked for: where it starts, with what before and after it."""
 
-    def __init__(self, verdicts: Verdicts, request: Mapping[str, Any]) -> None:
+    def __init__(self, verdicts: VerdictBuilder, request: Mapping[str, Any]) -> None:
         self.verdicts = verdicts
         self.setup = verdicts.setup
         self.levels = verdicts.levels
@@ -78,7 +87,7 @@ class _Asked:
         for one in request["before"]:
             self.passed.append(self.target)
             self.now = self.target
-            self.target = with_change(self.target, one)
+            self.target = apply_change(self.target, one)
         self.now = replace(self.now, active_damping_ns_per_m=self._in_effect())
         self.asked: dict[str, Any] = dict(request["change"])
         self.request = request
@@ -93,14 +102,14 @@ class _Asked:
             return asked
         return max((level for level in self.levels if level <= reported), default=reported)
 
-    def ways(self, change: dict[str, Any]) -> Ways:
+    def ways(self, change: dict[str, Any]) -> TransitionPlanner:
         """The ways of `change`."""
         enable = bool(self.request["enable"])
-        return Ways(
+        return TransitionPlanner(
             Request(
                 now=self.now,
                 target=self.target,
-                wanted=with_change(self.target, change),
+                wanted=apply_change(self.target, change),
                 change=change,
                 passed=self.passed,
                 after=[dict(one) for one in self.request["after"]],
@@ -151,7 +160,7 @@ class _Judged(_Asked):
     """A change that is judged, and what the policy makes of it."""
 
     def __init__(
-        self, verdicts: Verdicts, judgement: Judgement, request: Mapping[str, Any]
+        self, verdicts: VerdictBuilder, judgement: SafeRegion, request: Mapping[str, Any]
     ) -> None:
         super().__init__(verdicts, request)
         self.judgement = judgement
@@ -164,7 +173,7 @@ class _Judged(_Asked):
         """The first way that is safe, or what the policy makes of it."""
         plan = next((plan for plan in self.plans if self._is_safe(plan)), None)
         if plan is not None:
-            spare = explained(self.judgement, self.wanted, True)
+            spare = explain(self.judgement, self.wanted, True)
             return self._taken(plan, Outcome.SAFE, spare, safe=True)
         why = self._trouble()
         safer = next((plan for plan in self.plans if self._is_safer(plan)), None)
@@ -205,7 +214,7 @@ class _Judged(_Asked):
     def _trouble(self) -> Explanation:
         """Why the first way is not safe: its end, or a point on it."""
         if not self.judgement.safe([self.wanted])[0]:
-            return explained(self.judgement, self.wanted, False)
+            return explain(self.judgement, self.wanted, False)
         path = self.way.path(self.plans[0])
         if not path:
             many = because(
@@ -215,13 +224,13 @@ class _Judged(_Asked):
         path = [*path, *self.way.mixture(self.plans[0])]
         flags = self.judgement.safe(path)
         bad = next((one for one, flag in zip(path, flags, strict=True) if not flag), path[-1])
-        return explained(self.judgement, bad, False, "on the way, ")
+        return explain(self.judgement, bad, False, "on the way, ")
 
     # --- damping that is chosen -------------------------------------------------------------------
 
     def _with_auto(self) -> dict[str, Any]:
         """The change with the level of mode `auto`, whatever level it names."""
-        level = self._least(with_change(self.target, self.asked))
+        level = self._least(apply_change(self.target, self.asked))
         rest = {name: value for name, value in self.asked.items() if name != "active_damping"}
         return (
             rest
@@ -242,7 +251,7 @@ class _Judged(_Asked):
             return needed
         spare = self.judgement.spare_ns_per_m + HYSTERESIS_NS_PER_M
         mine = self.judgement
-        easy = Judgement(mine.basis, mine.delay_periods, spare, mine.least_delay_periods)
+        easy = SafeRegion(mine.basis, mine.delay_periods, spare, mine.least_delay_periods)
         lower = easy.least_level(display, [level for level in levels if level < present])
         return present if lower is None else lower
 
@@ -268,7 +277,7 @@ class _Judged(_Asked):
         if request.enable or not request.moving or self.judgement.safe([self.now])[0]:
             return False
         path = self.way.path(plan)
-        if not path or any(groups(leg) > 1 for leg in plan.legs):
+        if not path or any(moving_groups(leg) > 1 for leg in plan.legs):
             return False
         merits = np.array([self._merit(one) for one in [self.now, *path]])
         steps = np.diff(merits, axis=0)
@@ -313,7 +322,7 @@ class _Judged(_Asked):
 
     def _spare(self, display: Environment) -> str:
         """What a safe display has to spare, in words."""
-        return explained(self.judgement, display, True).reasons[0].text
+        return explain(self.judgement, display, True).reasons[0].text
 
     def _shortened(self) -> list[Stage]:
         """The stages of the first way, each as far as its own part is safe."""
@@ -321,7 +330,7 @@ class _Judged(_Asked):
         for stage in self.plans[0].stages:
             leg = self.way.plan([*kept, stage]).legs[-1]
             share = self._exit(leg)
-            end = between(leg.under_way, leg.end, share, self.levels)
+            end = interpolate(leg.under_way, leg.end, share, self.levels)
             lower = self._lowered(leg.end.active_damping_ns_per_m, end)
             if share >= _LEAST_MOVE or lower != end:
                 kept.append(stage._replace(change=lower.fields(stage.change)))
@@ -348,14 +357,16 @@ class _Judged(_Asked):
         counted = ceil(level / count) * count if count > 0.0 else level
         return replace(end, active_damping_ns_per_m=min(counted, end.active_damping_ns_per_m))
 
-    def _exit(self, leg: Leg) -> float:
+    def _exit(self, leg: Segment) -> float:
         """The share of a leg up to which all of it is safe."""
         levels = self.levels
 
         def holds(share: float) -> bool:
-            end = between(leg.under_way, leg.end, share, levels)
+            end = interpolate(leg.under_way, leg.end, share, levels)
             part = leg._replace(end=end)
-            return self.judgement.all_safe(sampled(part, 2 ** max(1, groups(part)), levels))
+            return self.judgement.all_safe(
+                sampled_segment(part, 2 ** max(1, moving_groups(part)), levels)
+            )
 
         return _largest(holds, np.linspace(0.0, 1.0, POINTS).tolist())
 

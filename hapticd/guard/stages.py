@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_S
-from hapticd.guard.case import Case
+from hapticd.guard.case import PendingChange
 from hapticd.guard.in_force import IN_MOTION
 from hapticd.guard.outstanding import Outstanding
 from hapticd.mailbox.client_side import Answer
@@ -25,9 +25,9 @@ from hapticd.protocol.commands import Posting, parameters, values_given
 from hapticd.protocol.schemas import Enable, Request, Set
 from hapticd.protocol.view import ServoView
 
-__all__ = ["Told"]
+__all__ = ["ChangeReply"]
 
-UNJUDGED = (
+PASS_THROUGH_FIELDS = (
     "ramp_s",
     "limit_cycle_faults",
     "until_tick",
@@ -36,10 +36,10 @@ STAGE_NS = 2 * NS_PER_S  # beyond the time that the damping takes to rise
 LATCHED = frozenset({State.STOPPED, State.FAULT})
 
 
-class Told(NamedTuple):
+class ChangeReply(NamedTuple):
     """What is to be said of a case: a refusal, or a receipt."""
 
-    case: Case
+    case: PendingChange
     error: CommandError | None = None
     receipt: dict[str, Any] | None = None
 
@@ -49,12 +49,14 @@ def ramp_s(request: Request, default_s: float) -> float:
     return float(request.given.get("ramp_s", default_s))
 
 
-class Stages:
+class StagedChange:
     """The stages of one case, posted by `outstanding`; what is to be said of it goes to `told`."""
 
-    def __init__(self, view: ServoView, outstanding: Outstanding, told: list[Told]) -> None:
-        self.case: Case | None = None  # whose next stage waits
-        self._posted: Case | None = None  # whose stage was posted last; its answer may be due
+    def __init__(self, view: ServoView, outstanding: Outstanding, told: list[ChangeReply]) -> None:
+        self.case: PendingChange | None = None  # whose next stage waits
+        self._posted: PendingChange | None = (
+            None  # whose stage was posted last; its answer may be due
+        )
         self._view = view
         self._outstanding = outstanding
         self._told = told
@@ -74,14 +76,14 @@ class Stages:
             "stages": len(case.stages),
         }
 
-    def start(self, case: Case, now_ns: int) -> None:
+    def start(self, case: PendingChange, now_ns: int) -> None:
         """Post the first stage of `case`, or wait for what it waits for."""
         request = case.request
         expected = request.given.get("if_rev")
         if expected is not None and expected != self._view.revision:
             text = f"{case.cmd}: the revision is {self._view.revision} by now, not {expected}"
             error = CommandError("refused", f"{text}; look at what changed and ask again")
-            self._told.append(Told(case, error))
+            self._told.append(ChangeReply(case, error))
             return
         case.place = 0
         case.state = self._view.state
@@ -93,7 +95,7 @@ class Stages:
             self._post_stage(case, now_ns)
         else:
             self.case = case
-            self._told.append(Told(case, receipt=self._standing("staged")))
+            self._told.append(ChangeReply(case, receipt=self._standing("staged")))
 
     def advance(self, now_ns: int, free: bool) -> None:
         """The next stage, if it is time and nothing else is on its way (`free`)."""
@@ -121,7 +123,7 @@ class Stages:
             lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
             self.cancel(f"the next stage waited too long: {lacks}")
 
-    def take_back(self, concerned: Callable[[Case], bool], why: str) -> None:
+    def take_back(self, concerned: Callable[[PendingChange], bool], why: str) -> None:
         """Of an enable that is `concerned` no further stage comes, because of `why`."""
         case = self.case
         if case is not None and isinstance(case.request, Enable) and concerned(case):
@@ -130,25 +132,25 @@ class Stages:
         if posted is not None and isinstance(posted.request, Enable) and concerned(posted):
             posted.taken_back = why
 
-    def taken_back(self, case: Case) -> Told:
+    def taken_back(self, case: PendingChange) -> ChangeReply:
         """What is to be said of `case`, of which a stage came into force after it was taken back;
         force does not come.
         """
         self.case = None
         text = f"{case.taken_back}; what is in force stays"
         if case.replied:
-            return Told(case, receipt=self._standing("cancelled", text))
-        return Told(case, CommandError("refused", f"{case.cmd}: {text}; ask again"))
+            return ChangeReply(case, receipt=self._standing("cancelled", text))
+        return ChangeReply(case, CommandError("refused", f"{case.cmd}: {text}; ask again"))
 
-    def supersede(self, by: Case) -> None:
+    def supersede(self, by: PendingChange) -> None:
         """`by` comes into force: what is left is not done."""
         case = self.case
         self.case = None
         if case is not None and case is not by:
             text = f"a newer {by.cmd} of actor {by.actor} came; what is in force stays"
-            self._told.append(Told(case, receipt=self._standing("superseded", text)))
+            self._told.append(ChangeReply(case, receipt=self._standing("superseded", text)))
 
-    def applied(self, case: Case, answer: Answer, now_ns: int) -> bool:
+    def applied(self, case: PendingChange, answer: Answer, now_ns: int) -> bool:
         """A stage of `case` is in force; whether there are more."""
         case.place += 1
         case.ramp_end_tick = answer.ramp_end_tick
@@ -162,7 +164,7 @@ class Stages:
         self.case = case
         return True
 
-    def _met(self, case: Case) -> bool:
+    def _met(self, case: PendingChange) -> bool:
         """Whether what the next stage waits for is there, as the newest record has it."""
         stage = case.stages[case.place]
         record = self._view.record
@@ -173,7 +175,7 @@ class Stages:
         effect = float(record["active_damping_effect_ns_per_m"])
         return least is None or effect >= least - self.resolution_ns_per_m
 
-    def _patience_ns(self, case: Case) -> int:
+    def _patience_ns(self, case: PendingChange) -> int:
         safety = self._view.params.safety
         level = self._view.params.device.active_damping_limit_ns_per_m
         rising_s = level / safety.active_damping_slew_ns_per_m_s
@@ -185,7 +187,7 @@ class Stages:
         self.case = None
         if case is not None:
             text = f"{why}; what is in force stays"
-            self._told.append(Told(case, receipt=self._standing("cancelled", text)))
+            self._told.append(ChangeReply(case, receipt=self._standing("cancelled", text)))
 
     def _standing(self, result: str, text: str = "") -> dict[str, Any]:
         """A receipt of what is in force, for what has no answer of the servo of its own."""
@@ -198,14 +200,14 @@ class Stages:
             "effective": parameters(self._view.targets),
         } | ({"text": text} if text else {})
 
-    def _post_stage(self, case: Case, now_ns: int) -> None:
+    def _post_stage(self, case: PendingChange, now_ns: int) -> None:
         try:
             self._outstanding.post_case(case, self._posting(case), now_ns)
             self._posted = case
         except CommandError as error:
-            self._told.append(Told(case, error))
+            self._told.append(ChangeReply(case, error))
 
-    def _posting(self, case: Case) -> Posting:
+    def _posting(self, case: PendingChange) -> Posting:
         """The command of the stage that is due, bound to the environment it was judged for."""
         stage = case.stages[case.place]
         last = case.place == len(case.stages) - 1
@@ -226,7 +228,7 @@ class Stages:
         )
         return kind, case.at_tick if case.place == 0 else 0, values_of(values)
 
-    def _extras(self, case: Case) -> list[str]:
+    def _extras(self, case: PendingChange) -> list[str]:
         given = case.request.given
-        names = UNJUDGED if case.place == 0 else UNJUDGED[:1]
+        names = PASS_THROUGH_FIELDS if case.place == 0 else PASS_THROUGH_FIELDS[:1]
         return [name for name in names if name in given] if isinstance(case.request, Set) else []

@@ -23,7 +23,7 @@ from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES, GuardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.delay import LEAST_RECORDS, DelayHistogram
-from hapticd.guard.in_force import InForce
+from hapticd.guard.in_force import EnvironmentInForce
 from hapticd.guard.terms import Terms, TermsKeeper
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
 from hapticd.protocol.explanation import Outcome, Reason, because
@@ -44,7 +44,7 @@ MOST_RECORDS = LEAST_RECORDS + 100  # after which the delay cannot be known
 MOST_HANDS = 8  # that wait to be looked for
 
 
-class Line(Protocol):
+class WorkerLine(Protocol):
     """What is used of the line to the worker (`worker.Worker`)."""
 
     hello: dict[str, Any]
@@ -60,7 +60,7 @@ class Line(Protocol):
     def close(self) -> None: ...
 
 
-class Unsafe(NamedTuple):
+class UnsafeRequest(NamedTuple):
     """A request whose environment is not passive, for which a hand is to be found."""
 
     number: int  # of the question whose verdict said so
@@ -70,7 +70,7 @@ class Unsafe(NamedTuple):
     environment: Environment
 
 
-class About(NamedTuple):
+class LookKey(NamedTuple):
     """What a look at the environment in force is about."""
 
     life: int  # of the servo
@@ -87,10 +87,10 @@ class Guard:
         view: ServoView,
         journal: Journal,
         params: GuardParams,
-        worker: Line | None = None,
+        worker: WorkerLine | None = None,
     ) -> None:
         self._view = view
-        self.in_force = InForce(view)
+        self.in_force = EnvironmentInForce(view)
         self._journal = journal
         self._worker = worker
         self._worker_life = 0
@@ -111,11 +111,11 @@ class Guard:
         self._answers: dict[int, dict[str, Any]] = {}
         self._awaited: set[int] = set()  # questions of requests
         self._unanswered: dict[int, int] = {}  # when each question was asked that has no answer
-        self._hands: deque[Unsafe] = deque(maxlen=MOST_HANDS)
-        self._hand: tuple[int, Unsafe] | None = None  # number of the question, for what
-        self._look: tuple[int, About] | None = None  # number of the question, about what
+        self._hands: deque[UnsafeRequest] = deque(maxlen=MOST_HANDS)
+        self._hand: tuple[int, UnsafeRequest] | None = None  # number of the question, for what
+        self._look: tuple[int, LookKey] | None = None  # number of the question, about what
         self._looked: dict[str, Any] = {}
-        self._looked_at: About | None = None
+        self._looked_at: LookKey | None = None
         self._timing: dict[str, Any] | None = None  # what a delay costs of K, by the last look
         self._look_ns = -LOOK_NS
         self._told_ns = -LOOK_NS
@@ -221,7 +221,7 @@ class Guard:
         """The verdict on the environment in force; None: it has not been judged (yet)."""
         return self._looked.get("verdict") if self._same(self._looked_at) else None
 
-    def _same(self, about: About | None) -> bool:
+    def _same(self, about: LookKey | None) -> bool:
         """Whether `about` is the environment in force."""
         now = self._view.life, self.in_force.revision
         return about is not None and (about.life, about.revision) == now
@@ -355,7 +355,7 @@ class Guard:
         self._awaited.discard(number)
         self._answers.pop(number, None)
 
-    def want_hand(self, unsafe: Unsafe) -> None:
+    def want_hand(self, unsafe: UnsafeRequest) -> None:
         """Have the hand found that shakes this display."""
         self._hands.append(unsafe)
 
@@ -387,11 +387,11 @@ class Guard:
             self._looked = {"verdict": verdict}
             self._looked_at = self._about()
 
-    def _about(self) -> About:
+    def _about(self) -> LookKey:
         """What a look would now be about."""
-        return About(self._view.life, self.in_force.revision, self.delay.periods, self.changes)
+        return LookKey(self._view.life, self.in_force.revision, self.delay.periods, self.changes)
 
-    def _take_look(self, answer: dict[str, Any], about: About) -> None:
+    def _take_look(self, answer: dict[str, Any], about: LookKey) -> None:
         if about.changes != self.changes:
             return  # it was looked at by other terms
         before = self._looked.get("verdict", {}).get("safe")
@@ -429,7 +429,7 @@ class Guard:
         }
         self._hand = self._send(question, now_ns), unsafe
 
-    def _tell_hand(self, unsafe: Unsafe, hand: Any) -> None:
+    def _tell_hand(self, unsafe: UnsafeRequest, hand: Any) -> None:
         found = hand if isinstance(hand, dict) else {}
         text = f"a hand that would shake the device: {found['text']}" if found.get("text") else ""
         text += f"; {found['growth']}" if found.get("growth") else ""

@@ -43,7 +43,7 @@ def _strictness(policy: str) -> int:
     return len(LAXEST_FIRST) if policy in STRICT_POLICIES else LAXEST_FIRST.index(policy)
 
 
-def no_laxer(chosen: Terms, configured: Terms) -> Terms:
+def stricter_of(chosen: Terms, configured: Terms) -> Terms:
     """`chosen` as far as each of them is no laxer than `configured`, which counts for the rest.
 
     A basis counts again if it is the theorem, which counts on least; mode auto does in any case:
@@ -58,12 +58,12 @@ def no_laxer(chosen: Terms, configured: Terms) -> Terms:
     )
 
 
-def keep(folder: Path, epoch: int, terms: Terms) -> None:
+def write_terms(folder: Path, epoch: int, terms: Terms) -> None:
     """Keep `terms` for the servo life that began at `epoch`. MailboxError: no room, no right."""
     write_whole(folder / GUARD_TERMS, json.dumps({"epoch": epoch, **terms._asdict()}))
 
 
-def kept(folder: Path, epoch: int) -> Terms | None:
+def read_terms(folder: Path, epoch: int) -> Terms | None:
     """The terms kept for the servo life that began at `epoch`; None without any that are whole."""
     try:
         plain: dict[str, Any] = json.loads((folder / GUARD_TERMS).read_text())
@@ -102,7 +102,7 @@ class TermsKeeper:
         if self._life == 0 and terms == self._configured:
             terms = self._found(epoch)
         try:
-            keep(view.folder, epoch, terms)
+            write_terms(view.folder, epoch, terms)
         except MailboxError as error:
             if terms != self._failed:
                 self._journal.note("warning", text=f"what the guard goes by is not kept: {error}")
@@ -115,8 +115,8 @@ class TermsKeeper:
         return terms
 
     def _found(self, epoch: int) -> Terms:
-        before = kept(self._view.folder, epoch) or self._configured
-        terms = no_laxer(before, self._configured)
+        before = read_terms(self._view.folder, epoch) or self._configured
+        terms = stricter_of(before, self._configured)
         if before != self._configured:
             text = (
                 f"the gateway has started anew; asked of the guard was {before.words()}, configured"

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapticd.core.environment import Environment
-from hapticd.guard.displays import AXES, between, kept_level, mixed, with_change
+from hapticd.guard.displays import AXES, apply_change, corner_mixtures, interpolate, kept_level
 
 POINTS = 20  # of a whole way
 
@@ -42,7 +42,7 @@ class Stage(NamedTuple):
         return self._asdict()
 
 
-class Leg(NamedTuple):
+class Segment(NamedTuple):
     """A part of a way: from what is in force, with what is still under way, to what is asked."""
 
     start: Environment  # in force
@@ -55,7 +55,7 @@ class Plan(NamedTuple):
     """Stages with the way that they take."""
 
     stages: list[Stage]
-    legs: list[Leg]
+    legs: list[Segment]
     end: Environment
 
 
@@ -74,7 +74,7 @@ class Request(NamedTuple):
     count_ns_per_m: float  # of the damping DAC
 
 
-class Ways:
+class TransitionPlanner:
     """The ways to what `request` asks for, in the order in which they are tried."""
 
     def __init__(self, request: Request) -> None:
@@ -85,7 +85,7 @@ class Ways:
         wanted = self.request.wanted
         if not self.request.moving:
             whole = Stage(wanted.fields(self.request.change))
-            return [Plan([whole], [Leg(wanted, wanted, wanted)], wanted)]
+            return [Plan([whole], [Segment(wanted, wanted, wanted)], wanted)]
         if self.request.enable:
             return [self._enabling(False), self._enabling(True)]
         return [self.plan(stages) for stages in self._orders()]
@@ -100,8 +100,8 @@ class Ways:
                 now = replace(now, active_damping_ns_per_m=target.active_damping_ns_per_m)
             if stage.after_ramps:
                 now = replace(target, active_damping_ns_per_m=now.active_damping_ns_per_m)
-            end = with_change(target, stage.change)
-            legs.append(Leg(now, target, end))
+            end = apply_change(target, stage.change)
+            legs.append(Segment(now, target, end))
             target = end
         return Plan(stages, legs, target)
 
@@ -115,7 +115,7 @@ class Ways:
         more = room % len(legs)
         counts = [room // len(legs) + (place < more) for place in range(len(legs))]
         parts = [
-            sampled(leg, count, self.request.levels)
+            sampled_segment(leg, count, self.request.levels)
             for leg, count in zip(legs, counts, strict=True)
         ]
         return [display for part in parts for display in part] if all(parts) else []
@@ -138,7 +138,7 @@ class Ways:
             )
             displays[0] = here if request.enable else displays[0]
         environments = {replace(one, active_damping_ns_per_m=0.0) for one in displays}
-        return mixed(displays) if len(environments) > 1 else []
+        return corner_mixtures(displays) if len(environments) > 1 else []
 
     def _overlapping(self, plan: Plan) -> list[Environment]:
         """The same where two parameters or more are under way, each on a ramp of its own, until a
@@ -150,14 +150,14 @@ class Ways:
         together = takewhile(
             lambda one: not one[0].after_ramps, zip(plan.stages, plan.legs, strict=True)
         )
-        corners = [mixed([leg.start, leg.under_way, leg.end]) for _, leg in together]
+        corners = [corner_mixtures([leg.start, leg.under_way, leg.end]) for _, leg in together]
         return [display for part in corners for display in part]
 
-    def _later(self, start: Environment) -> list[Leg]:
+    def _later(self, start: Environment) -> list[Segment]:
         legs = []
         for change in self.request.after:
-            end = with_change(start, change)
-            legs.append(Leg(start, start, end))
+            end = apply_change(start, change)
+            legs.append(Segment(start, start, end))
             start = end
         return legs
 
@@ -208,12 +208,12 @@ class Ways:
         change = end.fields(self.request.change)
         if not waits:
             start = replace(end, active_damping_ns_per_m=self.request.now.active_damping_ns_per_m)
-            return Plan([Stage(change)], [Leg(start, start, end, gain=True)], end)
+            return Plan([Stage(change)], [Segment(start, start, end, gain=True)], end)
         level = self._reported(end.active_damping_ns_per_m)
         stages = [Stage(change)] if change else []
         return Plan(
             [*stages, Stage({}, active_damping_at_least=level)],
-            [Leg(end, end, end, gain=True)],
+            [Segment(end, end, end, gain=True)],
             end,
         )
 
@@ -226,7 +226,7 @@ def _with(stages: list[Stage], fields: dict[str, Any]) -> list[Stage]:
     return [stages[0]._replace(change=stages[0].change | fields), *stages[1:]]
 
 
-def groups(leg: Leg) -> int:
+def moving_groups(leg: Segment) -> int:
     """How many things move by themselves: what is asked, what is under way, the damping."""
     asked, under_way = _parts(leg)
     return (
@@ -234,7 +234,7 @@ def groups(leg: Leg) -> int:
     )
 
 
-def _parts(leg: Leg) -> tuple[bool, bool]:
+def _parts(leg: Segment) -> tuple[bool, bool]:
     """Whether what was asked moves the environment, and whether something else is under way."""
     asked = (
         replace(leg.end, active_damping_ns_per_m=leg.under_way.active_damping_ns_per_m)
@@ -254,7 +254,7 @@ def _numbers(display: Environment) -> tuple[float, ...]:
     return (*display.free, wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m, wall.side)
 
 
-def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Environment]:
+def sampled_segment(leg: Segment, count: int, levels: Sequence[float] = ()) -> list[Environment]:
     """At most `count` displays of a leg, its end the last: the line if one thing moves, a grid
     with all corners if several do. None if that takes more than `count`.
     """
@@ -262,12 +262,12 @@ def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Environm
         return []
     if leg.gain:
         return _gained(leg, count)
-    moving = groups(leg)
+    moving = moving_groups(leg)
     if moving <= 1:
         # filters and the side of a wall change at once, while everything else is where it was
         first = 0.0 if _jumps(leg) and count > 1 else 1.0 / count
         line = np.linspace(first, 1.0, count).tolist()
-        return [between(leg.start, leg.end, share, levels) for share in line]
+        return [interpolate(leg.start, leg.end, share, levels) for share in line]
     side = int(count ** (1.0 / moving) + 1e-9)
     if side < 2:
         return []
@@ -281,13 +281,13 @@ def sampled(leg: Leg, count: int, levels: Sequence[float] = ()) -> list[Environm
     return [_patch(leg, *place, levels) for place in grid]
 
 
-def _jumps(leg: Leg) -> bool:
+def _jumps(leg: Segment) -> bool:
     """Whether something of the display does not ramp."""
     sides = leg.start.wall.side, leg.end.wall.side
     return sides[0] != sides[1] or leg.start.filters != leg.end.filters
 
 
-def _gained(leg: Leg, count: int) -> list[Environment]:
+def _gained(leg: Segment, count: int) -> list[Environment]:
     """The gain from 0 to 1. Damping that is still on its way does not count before it is there."""
     if count < 3:
         return []
@@ -297,13 +297,13 @@ def _gained(leg: Leg, count: int) -> list[Environment]:
 
 
 def _patch(
-    leg: Leg, asked: float, left: float, level: float, levels: Sequence[float]
+    leg: Segment, asked: float, left: float, level: float, levels: Sequence[float]
 ) -> Environment:
     """A leg's display with what was asked, what was under way and damping at shares of their
     own.
     """
-    fast = between(leg.start, leg.end, asked)
-    slow = between(leg.start, leg.end, left)
+    fast = interpolate(leg.start, leg.end, asked)
+    slow = interpolate(leg.start, leg.end, left)
     still = [
         before == end
         for before, end in zip(_numbers(leg.under_way), _numbers(leg.end), strict=True)

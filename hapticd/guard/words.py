@@ -11,7 +11,7 @@ from typing import Any
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import GuardSetup
-from hapticd.guard.allowed import Judgement
+from hapticd.guard.allowed import SafeRegion
 from hapticd.guard.bases import Reading, cached_levels
 from hapticd.model.coupled import Hand
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
@@ -20,7 +20,7 @@ NOT_COVERED = ("contact switching", "varying delay")
 _NOTHING = Reading(None, None, None)
 
 
-class Verdicts:
+class VerdictBuilder:
     """Verdicts on displays of the device of `setup`, as plain maps (docs/guard.md).
 
     `levels`: those of active damping, N s/m, for which the sampled device is kept.
@@ -34,7 +34,7 @@ class Verdicts:
 
     def of(
         self,
-        judgement: Judgement | None,
+        judgement: SafeRegion | None,
         display: Environment,
         policy: str,
         outcome: Outcome,
@@ -60,7 +60,7 @@ class Verdicts:
             **why.plain(outcome),
         }
 
-    def _known(self, judgement: Judgement, display: Environment) -> dict[str, Any]:
+    def _known(self, judgement: SafeRegion, display: Environment) -> dict[str, Any]:
         contact = judgement.in_contact(display)
         return {
             "basis": judgement.basis.name,
@@ -88,11 +88,11 @@ def _of_nothing() -> dict[str, Any]:
     }
 
 
-def explained(judgement: Judgement, display: Environment, safe: bool, way: str = "") -> Explanation:
+def explain(judgement: SafeRegion, display: Environment, safe: bool, way: str = "") -> Explanation:
     """What is known of a display, with values, units and, if it is not safe, remedies; `way` stands
     before its name.
     """
-    where = f"{way}{named(display)}"
+    where = f"{way}{environment_text(display)}"
     if display.stiffness_n_per_m < 0.0:
         text = f"{where}: K < 0 pushes away and is active at low frequencies"
         negative = because(Reason.NEGATIVE_STIFFNESS, text)
@@ -115,12 +115,12 @@ def explained(judgement: Judgement, display: Environment, safe: bool, way: str =
     return short.and_remedy(Remedy.MORE_DAMPING, "for more active damping")
 
 
-def _shortage(judgement: Judgement, worst: Reading, side: str) -> tuple[Reason, str]:
+def _shortage(judgement: SafeRegion, worst: Reading, side: str) -> tuple[Reason, str]:
     margin = worst.margin_ns_per_m or 0.0
     rate_hz = judgement.basis.rate_hz
     if worst.radius is not None and worst.radius >= 1.0 and rate_hz is not None:
         return Reason.UNSTABLE, (
-            f"unstable by itself{side}, its motion {doubling(worst.radius, rate_hz)}, worst near"
+            f"unstable by itself{side}, its motion {doubling_text(worst.radius, rate_hz)}, worst near"
             f" {worst.worst_hz:.3g} Hz"
         )
     return Reason.SHORT, (
@@ -134,7 +134,7 @@ def doubling_s(radius: float, rate_hz: float) -> float:
     return log(2.0) / (log(radius) * rate_hz) if radius > 1.0 else inf
 
 
-def doubling(radius: float, rate_hz: float) -> str:
+def doubling_text(radius: float, rate_hz: float) -> str:
     """How fast such a motion grows: `doubles in 40 ms`."""
     seconds = doubling_s(radius, rate_hz)
     if seconds == inf:
@@ -142,7 +142,7 @@ def doubling(radius: float, rate_hz: float) -> str:
     return f"doubles in {1e3 * seconds:.3g} ms" if seconds < 1.0 else f"doubles in {seconds:.3g} s"
 
 
-def named(display: Environment) -> str:
+def environment_text(display: Environment) -> str:
     """A display by its numbers."""
     return (
         f"K = {display.stiffness_n_per_m:g} N/m, B = {display.virtual_damping_ns_per_m:g} N s/m,"
@@ -151,7 +151,7 @@ def named(display: Environment) -> str:
     )
 
 
-def in_words(hand: Hand, hz: float, in_wall: bool) -> dict[str, Any]:
+def hand_text(hand: Hand, hz: float, in_wall: bool) -> dict[str, Any]:
     """A hand as one thing that can be imagined: its mass, or its spring to the ground; small tuned
     masses beside it, which serve images, are left out.
     """

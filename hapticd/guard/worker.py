@@ -40,7 +40,7 @@ class Process(Protocol):
 Start = Callable[[socket.socket], Process]  # starts the worker, with its end of the line
 
 
-class Garbage(ValueError):
+class BadMessage(ValueError):
     """What the worker sent is no message, or not one that was expected."""
 
 
@@ -144,7 +144,7 @@ class Worker:
         while len(self._buffer) >= LENGTH.size:
             (length,) = LENGTH.unpack_from(self._buffer)
             if length > MAX_MESSAGE_BYTES:
-                raise Garbage(f"{length} bytes, at most {MAX_MESSAGE_BYTES}")
+                raise BadMessage(f"{length} bytes, at most {MAX_MESSAGE_BYTES}")
             end = LENGTH.size + length
             if len(self._buffer) < end:
                 return
@@ -152,7 +152,7 @@ class Worker:
             message = msgpack.unpackb(self._buffer[LENGTH.size : end], max_bin_len=0, max_ext_len=0)
             self._buffer = self._buffer[end:]
             if not isinstance(message, dict):
-                raise Garbage(f"{type(message).__name__} instead of a map")
+                raise BadMessage(f"{type(message).__name__} instead of a map")
             self._take(message)
 
     def _take(self, message: dict[str, Any]) -> None:
@@ -161,11 +161,11 @@ class Worker:
             return
         hello = message.get("hello")
         if not isinstance(hello, dict):
-            raise Garbage("no hello before its first answer")
+            raise BadMessage("no hello before its first answer")
         theirs = str(hello.get("config_hash", ""))
         if theirs != self._config_hash:
             why = f"it judges configuration {theirs[:12]}, the gateway {self._config_hash[:12]}"
-            raise Garbage(why)
+            raise BadMessage(why)
         self.hello = hello
 
     def close(self) -> None:

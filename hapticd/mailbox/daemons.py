@@ -26,20 +26,20 @@ from hapticd.mailbox.files import DEFAULT_INSTANCE, INSTANCE_PREFIX
 from hapticd.mailbox.stop_word import servo_lives
 
 __all__ = [
-    "Place",
-    "believe",
+    "RuntimeFolder",
     "console_place",
     "daemon_folder",
     "down",
     "instance_of",
     "living_report",
-    "looked_for",
-    "places",
     "read_report",
+    "require_trusted",
+    "runtime_folders",
+    "untrusted_daemon_folder",
 ]
 
 
-class Place(NamedTuple):
+class RuntimeFolder(NamedTuple):
     """A folder in which a daemon may run, and the name of that daemon."""
 
     folder: Path
@@ -52,35 +52,35 @@ def daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
 
     Only the default instance is a service. MailboxError: a folder that is there and not believed.
     """
-    folder = looked_for(instance)
-    believe(folder)
+    folder = untrusted_daemon_folder(instance)
+    require_trusted(folder)
     return folder
 
 
-def looked_for(instance: str = DEFAULT_INSTANCE) -> Path:
+def untrusted_daemon_folder(instance: str = DEFAULT_INSTANCE) -> Path:
     """As `daemon_folder`, to be looked at from outside: this folder need not be believed."""
     own = files.runtime_folder(instance)
     if instance != DEFAULT_INSTANCE or not os.path.lexists(files.SERVICE_FOLDER):
         return own
     try:
-        believe(own)
+        require_trusted(own)
     except MailboxError:
         return own
-    return own if lives(own) else files.SERVICE_FOLDER
+    return own if is_running(own) else files.SERVICE_FOLDER
 
 
-def places(instance: str | None) -> list[Place]:
+def runtime_folders(instance: str | None) -> list[RuntimeFolder]:
     """Where daemons of this user and the service may run; `instance` None: all of them.
 
     Not believed yet, and most of them do not exist.
     """
-    found: list[Place] = []
+    found: list[RuntimeFolder] = []
     for base in _bases():
         if instance in (None, DEFAULT_INSTANCE):
-            found.append(Place(base, DEFAULT_INSTANCE))
+            found.append(RuntimeFolder(base, DEFAULT_INSTANCE))
         names = _instances(base) if instance is None else [instance]
         found += [
-            Place(base / f"{INSTANCE_PREFIX}{name}", name)
+            RuntimeFolder(base / f"{INSTANCE_PREFIX}{name}", name)
             for name in names
             if name != DEFAULT_INSTANCE
         ]
@@ -98,7 +98,7 @@ def _bases() -> list[Path]:
 def _instances(base: Path) -> list[str]:
     """Names of the instances below `base`, if that is ours to look into."""
     try:
-        believe(base)
+        require_trusted(base)
         entries = sorted(os.listdir(base)) if os.path.isdir(base) else []
     except (OSError, MailboxError):
         return []
@@ -107,7 +107,7 @@ def _instances(base: Path) -> list[str]:
     ]
 
 
-def believe(folder: Path) -> None:
+def require_trusted(folder: Path) -> None:
     """Return if `folder` is not there or may be believed, else MailboxError with its name."""
     steps = (folder.parent, folder) if folder.name.startswith(INSTANCE_PREFIX) else (folder,)
     for step in steps:
@@ -136,7 +136,7 @@ def _believe_service(folder: Path) -> None:
         )
 
 
-def lives(folder: Path) -> bool:
+def is_running(folder: Path) -> bool:
     """Whether a servo or a gateway is alive in `folder`."""
     return servo_lives(folder) or gateway_lives(folder)
 
@@ -150,7 +150,7 @@ def running() -> tuple[str, ...]:
 
 def _reached(instance: str) -> bool:
     try:
-        return lives(daemon_folder(instance))
+        return is_running(daemon_folder(instance))
     except MailboxError:
         return False
 

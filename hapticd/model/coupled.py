@@ -13,7 +13,7 @@ without any loss. A node may be without a mass where a damper holds it, as in a 
 `held_by` puts the hand on the rotor of a composed device, exactly, so that the eigenvalues of its
 sampled loop can be computed.
 
-What they can do (`withstands`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's
+What they can do (`coupled_stable`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's
 1/P_vt at each harmonic w_k = w + 2 pi k / T. The inverse of their sum lies in a circle over the
 diameter 0..1/r_k, r_k = Re 1/P_vt. So does, harmonic by harmonic, what the law sees: with the terms
 of `theorem` the pulse transfer of device and hand together is
@@ -24,7 +24,7 @@ of `theorem` the pulse transfer of device and hand together is
 and the loop closes as 1 + C G_h. A hand can be let in slowly, s Z_h with s from 0 to 1: all of
 these are passive. If -1/C is outside the circle at every wT, no eigenvalue ever meets |z| = 1 on
 the way; what was stable alone is stable in every hand (zero exclusion). Inside it, masses and
-springs that reach the rim exist (`shaking_hand`): for hands that do not change with time this is
+springs that reach the rim exist (`destabilising_hand`): for hands that do not change with time this is
 necessary as well as sufficient. The theorem has sqrt(sum |h|^2/r sum |q|^2/r) in place of sum
 |hq|/r, the same for a rigid device and up to 4-15 % more for the calibrated ones, because it also
 holds for hands that mix harmonics, such as a grip that changes. What passes the theorem passes
@@ -48,12 +48,12 @@ from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.model.angles import least_between
 from hapticd.model.blueprint import StateVariable
-from hapticd.model.loop import PAPER_FILTERS, Filters, held, responses, spectral_radius
+from hapticd.model.loop import PAPER_FILTERS, Filters, held_force_model, responses, spectral_radius
 from hapticd.model.model import Model, Output, Outputs
 from hapticd.model.predict import environments
-from hapticd.model.theorem import Lift, lift
+from hapticd.model.theorem import LiftedSystem, lifted_system
 
-__all__ = ["GROWS", "Hand", "coupled_radius", "shaking_hand"]
+__all__ = ["GROWS", "Hand", "coupled_radius", "destabilising_hand"]
 
 GROUND = -1  # number of the node that is the wall
 GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
@@ -218,7 +218,7 @@ class ReachCircle:
     radius: Floats  # (A,) m/N
 
 
-def reach(lifted: Lift, friction_ns_per_m: float = 0.0) -> ReachCircle:
+def reach(lifted: LiftedSystem, friction_ns_per_m: float = 0.0) -> ReachCircle:
     """The circle of a device with that damper on its rotor. Without any damping of its own the
     circle is boundless.
     """
@@ -231,8 +231,8 @@ def reach(lifted: Lift, friction_ns_per_m: float = 0.0) -> ReachCircle:
     )
 
 
-def withstands(
-    lifted: Lift, points: npt.ArrayLike, friction_ns_per_m: npt.ArrayLike = 0.0
+def coupled_stable(
+    lifted: LiftedSystem, points: npt.ArrayLike, friction_ns_per_m: npt.ArrayLike = 0.0
 ) -> Flags:
     """Whether no passive hand makes environments (N, 3) oscillate that are stable without a hand:
     (N,).
@@ -249,7 +249,7 @@ def withstands(
     return np.asarray(least_between(lifted.angles, values) >= 0.0)
 
 
-def shaking_hand(
+def destabilising_hand(
     model: Model,
     point: npt.ArrayLike,
     active_damping_ns_per_m: float = 0.0,
@@ -265,7 +265,7 @@ def shaking_hand(
     images weigh, it may miss by some percent of damping; above 0.98 of half the rate none is
     sought.
     """
-    lifted = lift(model, active_damping_ns_per_m, filters)
+    lifted = lifted_system(model, active_damping_ns_per_m, filters)
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))[0]
     angles = lifted.angles
     short = -_outside(lifted, kbm, friction_ns_per_m)
@@ -281,7 +281,7 @@ def shaking_hand(
     own = 1.0 / p.velocity[0, 1]
     product = (
         p.velocity[0, 0]
-        * held(w / (2.0 * np.pi), model.rate_hz, model.delay_periods)
+        * held_force_model(w / (2.0 * np.pi), model.rate_hz, model.delay_periods)
         * p.encoder[1]
         * own**2
     )
@@ -336,7 +336,7 @@ def coupled_radius(
     )
 
 
-def _outside(lifted: Lift, point: Floats, friction_ns_per_m: float) -> Floats:
+def _outside(lifted: LiftedSystem, point: Floats, friction_ns_per_m: float) -> Floats:
     """How far -1/C is outside the circle, in radii (A,); inf where there is no law. It falls to
     0 with the square of the frequency.
     """

@@ -86,13 +86,13 @@ def linearise(
         for port in rubbing:
             alone = _alone(y, level, start, port)
             level[port] = fitting_damper(alone, GAIN * coulomb_n[port], weight)
-    seen = hung(y, level - start[:, None])[0, 0]
+    seen = add_port_dampers(y, level - start[:, None])[0, 0]
     power = (seen.real**2 + seen.imag**2) @ weight
     sd = np.sqrt(power) if perturbation is not None else np.full(len(points), np.nan)
     # a burst dies out where friction so much weaker leaves less motion than would weaken it so
     calm = np.ones(len(points), np.bool_)
     for port in rubbing:
-        moving = MovingPort(loop.frequency_hz, _alone(y, level, start, port), weight)
+        moving = CoupledFrictionPorts(loop.frequency_hz, _alone(y, level, start, port), weight)
         for burst in BURSTS:
             calm &= (level[port] / burst) * moving.sd(level[port] / burst) < GAIN * coulomb_n[port]
     return Linearised(1.0 / seen, level, sd, calm)
@@ -115,7 +115,7 @@ def impedance_each(
     kbm = np.column_stack((np.ones(len(points)), points)).T
     common = (kbm * loop.common[:, line]).sum(axis=0)
     y = (kbm * loop.admittance[..., line]).sum(axis=2)
-    z = 1.0 / hung((y / common)[..., None], dampers)[0, 0, :, 0]
+    z = 1.0 / add_port_dampers((y / common)[..., None], dampers)[0, 0, :, 0]
     return np.asarray(z * y[0, 0] / (kbm * loop.recorded[:, line]).sum(axis=0) if recorded else z)
 
 
@@ -133,7 +133,7 @@ def product(weights: Floats, basis: Complexes) -> Complexes:
     return np.asarray(weights @ basis.real + 1j * (weights @ basis.imag))
 
 
-def hung(y: Complexes, dampers: Floats, skip: int = -1) -> Complexes:
+def add_port_dampers(y: Complexes, dampers: Floats, skip: int = -1) -> Complexes:
     """Return `y` (ports, ports, N, F) with `dampers` (ports, N) on its ports, all but port
     `skip`.
     """
@@ -145,7 +145,7 @@ def hung(y: Complexes, dampers: Floats, skip: int = -1) -> Complexes:
 
 
 @dataclass(frozen=True, eq=False)
-class LonePort:
+class SingleFrictionPort:
     """A port i to which a damper is added while the others stay as they are."""
 
     drive: Floats  # (N, F) |Y_i0|^2, from the probe's force
@@ -160,7 +160,7 @@ class LonePort:
         return np.asarray(np.sqrt(power))
 
 
-class MovingPort:
+class CoupledFrictionPorts:
     """The same port moving more, with less friction: its resonance may be narrower than the grid.
 
     A sum over lines would then see the peak or step over it, and the edge of a set would be jagged.
@@ -169,7 +169,7 @@ class MovingPort:
     / 2), p to 0.4 %.
     """
 
-    def __init__(self, frequency_hz: Floats, alone: LonePort, weight: Floats) -> None:
+    def __init__(self, frequency_hz: Floats, alone: SingleFrictionPort, weight: Floats) -> None:
         own = alone.real + 1j * alone.imag
         size = alone.real**2 + alone.imag**2
         self._z = 1.0 / own
@@ -199,7 +199,7 @@ def _straight(q: Floats) -> Floats:
     return 0.5 * np.pi + q * (-1.0 + q * (_BEND + q * (2.0 - 0.5 * np.pi - _BEND)))
 
 
-def fitting_damper(alone: LonePort, gain_n: float, weight: Floats) -> Floats:
+def fitting_damper(alone: SingleFrictionPort, gain_n: float, weight: Floats) -> Floats:
     """Find b (N,) with b s(b) = `gain_n`.
 
     The iteration b <- g / s(b) starts at rest and goes downwards only: the damper of a body that
@@ -214,12 +214,14 @@ def fitting_damper(alone: LonePort, gain_n: float, weight: Floats) -> Floats:
     return b
 
 
-def _alone(y: Complexes, level: Floats, start: Floats, port: int) -> LonePort:
+def _alone(y: Complexes, level: Floats, start: Floats, port: int) -> SingleFrictionPort:
     """`port` of `y` with the dampers of the others changed from `start` to `level`."""
-    others = hung(y, level - start[:, None], skip=port)
+    others = add_port_dampers(y, level - start[:, None], skip=port)
     through = others[port, 0]
     own = others[port, port]
-    return LonePort(through.real**2 + through.imag**2, own.real, own.imag, float(start[port]))
+    return SingleFrictionPort(
+        through.real**2 + through.imag**2, own.real, own.imag, float(start[port])
+    )
 
 
 def density_weights(frequency_hz: Floats, perturbation: Perturbation) -> Floats:

@@ -46,7 +46,7 @@ __all__ = [
     "Tick",
     "close_loop",
     "derivatives",
-    "held",
+    "held_force_model",
     "radii",
     "spectral_radius",
     "tick_of",
@@ -95,7 +95,7 @@ def close_loop(
     turn = np.exp(2j * np.pi * f / model.rate_hz)
     ports = port_states(model)
     p = responses(model, f, active_damping_ns_per_m)
-    hold = held(f, model.rate_hz, model.delay_periods)
+    hold = held_force_model(f, model.rate_hz, model.delay_periods)
     law = np.stack((np.ones_like(turn), *derivatives(turn, model.rate_hz, filters)))
     pulse = pulse_transfer(model, turn, active_damping_ns_per_m)
     common = np.concatenate((np.ones((1, f.size)), pulse * law))
@@ -177,7 +177,7 @@ def _force_column(model: Model, state: int) -> int:
     return next(contact.column for contact in model.contacts if contact.velocity == state)
 
 
-def held(frequency_hz: Floats, rate_hz: float, delay_periods: float) -> Complexes:
+def held_force_model(frequency_hz: Floats, rate_hz: float, delay_periods: float) -> Complexes:
     """Hold and delay of a command: the transform of one held sample over T (F,)."""
     ratio = frequency_hz / rate_hz
     return np.asarray(np.sinc(ratio) * np.exp(-2j * np.pi * ratio * (0.5 + delay_periods)))

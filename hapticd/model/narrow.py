@@ -11,7 +11,7 @@ the aliases of its free modes (poles of G), both moved by the law. Steps of 6 % 
 
 1. `mode_lines` adds a few lines around each mode that is narrower than the grid, for all
    environments;
-2. `bottom` takes Z between three neighbouring lines for (a + b x) / (1 + c x), exact for one pole
+2. `min_real_part` takes Z between three neighbouring lines for (a + b x) / (1 + c x), exact for one pole
    on a constant; the least real part of that is known in closed form. Where it is below the least
    so far, Z is computed, of that environment alone, and the dip followed. Only computed values
    count.
@@ -41,7 +41,7 @@ _WORTH_NS_PER_M = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
-class Bottom:
+class MinimumRealPart:
     """Lowest points of Z of N environments."""
 
     margin: Floats  # (N,) least Re Z, N s/m
@@ -76,22 +76,24 @@ def _poles(model: Model, active_damping_ns_per_m: float, top_hz: float) -> Compl
     )
 
 
-def bottom(frequency_hz: Floats, z: Complexes, at: At) -> Bottom:
+def min_real_part(frequency_hz: Floats, z: Complexes, at: At) -> MinimumRealPart:
     """Lowest points of Z (N, F) at `frequency_hz` (F,) and between; `at` computes Z anywhere."""
     worst = np.argmin(z.real, axis=1)
     margin = z.real[np.arange(len(z)), worst]
-    found = Bottom(margin, 90.0 - np.degrees(np.abs(np.angle(z)).max(axis=1)), frequency_hz[worst])
+    found = MinimumRealPart(
+        margin, 90.0 - np.degrees(np.abs(np.angle(z)).max(axis=1)), frequency_hz[worst]
+    )
     if frequency_hz.size > 2:
         _follow(found, frequency_hz, z, at)
     return found
 
 
-def _follow(found: Bottom, f: Floats, z: Complexes, at: At) -> None:
+def _follow(found: MinimumRealPart, f: Floats, z: Complexes, at: At) -> None:
     """Lower `found` where a dip is expected between lines: the deepest first, others while
     deeper.
     """
     three = np.stack((f[:-2], f[1:-1], f[2:]))
-    _, expected = dip(three, np.stack((z[:, :-2], z[:, 1:-1], z[:, 2:])))
+    _, expected = min_between_lines(three, np.stack((z[:, :-2], z[:, 1:-1], z[:, 2:])))
     for _ in range(_DIPS):
         column = np.argmin(expected, axis=1)
         deepest = expected[np.arange(len(z)), column]
@@ -111,12 +113,12 @@ def _worth(margin: Floats) -> Floats:
     return np.where(margin > 0.0, np.minimum(least, margin), least)
 
 
-def _descend(found: Bottom, which: Integers, f: Floats, z: Complexes, at: At) -> None:
+def _descend(found: MinimumRealPart, which: Integers, f: Floats, z: Complexes, at: At) -> None:
     """Compute the dips of environments `which` (n,) between lines `f` (n, 3), and once more
     inside.
     """
     for _ in range(_ROUNDS):
-        x, _ = dip(f.T, z.T)
+        x, _ = min_between_lines(f.T, z.T)
         going = np.isfinite(x) & ~(f == x[:, None]).any(axis=1)
         which = which[going]
         x = x[going]
@@ -127,7 +129,7 @@ def _descend(found: Bottom, which: Integers, f: Floats, z: Complexes, at: At) ->
         f, z = _around(f, z, x, computed)
 
 
-def _lower(found: Bottom, which: Integers, hz: Floats, z: Complexes) -> None:
+def _lower(found: MinimumRealPart, which: Integers, hz: Floats, z: Complexes) -> None:
     found.angle[which] = np.minimum(found.angle[which], 90.0 - np.degrees(np.abs(np.angle(z))))
     lower = z.real < found.margin[which]
     found.margin[which[lower]] = z.real[lower]
@@ -145,7 +147,7 @@ def _around(three: Floats, values: Complexes, x: Floats, z: Complexes) -> tuple[
     return np.take_along_axis(f, first, 1), np.take_along_axis(all_z, first, 1)
 
 
-def dip(f: Floats, z: Complexes) -> tuple[Floats, Floats]:
+def min_between_lines(f: Floats, z: Complexes) -> tuple[Floats, Floats]:
     """Where [Hz] the real part of the one pole through three values is least, and that least value.
 
     `f` (3, ...), ascending, and `z` (3, ...); inf and inf where it is not between the outer two.

@@ -20,19 +20,19 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.model.coupled import GROWS, Hand, coupled_radius, shaking_hand, withstands
+from hapticd.model.coupled import GROWS, Hand, coupled_radius, coupled_stable, destabilising_hand
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import Filters, spectral_radius
 from hapticd.model.model import Model
 from hapticd.model.predict import Prediction, environments, predict
 from hapticd.model.rational import positive_everywhere, rational
-from hapticd.model.theorem import lift, lifted_margin
+from hapticd.model.theorem import lifted_margin, lifted_system
 
-__all__ = ["Outlook", "outlook"]
+__all__ = ["Forecast", "forecast"]
 
 
 @dataclass(frozen=True, eq=False)
-class Shaker:
+class DestabilisingHand:
     """A passive hand in which the display oscillates."""
 
     hand: Hand
@@ -41,7 +41,7 @@ class Shaker:
 
 
 @dataclass(frozen=True, eq=False)
-class Outlook:
+class Forecast:
     """What is known of one environment before any trial."""
 
     period_s: float  # of a tick
@@ -50,7 +50,7 @@ class Outlook:
     theorem_passive: bool  # with stability, which the theorem presumes
     withstands: bool  # whether no passive hand makes it oscillate
     # None where it withstands, is unstable by itself, or no hand could be built
-    shaker: Shaker | None
+    shaker: DestabilisingHand | None
     true: Prediction  # of Z itself, K < 0 let through
     recorded: Prediction  # of what the probe's channels show of Z, K < 0 let through
 
@@ -70,28 +70,28 @@ class Outlook:
         return bool(self.true.passive[0]) and not self.refused
 
 
-def outlook(
+def forecast(
     model: Model,
     point: npt.ArrayLike,
     active_damping_ns_per_m: float,
     filters: Filters,
     perturbation: Perturbation,
     band_hz: tuple[float, float],
-) -> Outlook:
+) -> Forecast:
     """Judge `point` (K [N/m], B [N s/m], M [kg]) on `model` before any trial. AnalysisError
     unless these are finite.
     """
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
-    lifted = lift(model, active_damping_ns_per_m, filters)
+    lifted = lifted_system(model, active_damping_ns_per_m, filters)
     radius = float(spectral_radius(model, kbm, active_damping_ns_per_m, filters)[0])
-    safe = radius < 1.0 and bool(kbm[0, 0] >= 0.0 and withstands(lifted, kbm)[0])
+    safe = radius < 1.0 and bool(kbm[0, 0] >= 0.0 and coupled_stable(lifted, kbm)[0])
     sought = radius < 1.0 and not safe and kbm[0, 0] >= 0.0
     proven = positive_everywhere(rational(model, active_damping_ns_per_m, filters, 0.0), kbm)
     true, recorded = (
         predict(model, kbm, active_damping_ns_per_m, filters, perturbation, band_hz, True, seen)
         for seen in (False, True)
     )  # fmt: skip
-    return Outlook(
+    return Forecast(
         period_s=1.0 / model.rate_hz,
         radius=radius,
         theorem_margin=float(lifted_margin(lifted, kbm)[0]),
@@ -105,10 +105,10 @@ def outlook(
 
 def _shaker(
     model: Model, kbm: npt.NDArray[np.float64], level: float, filters: Filters
-) -> Shaker | None:
-    found = shaking_hand(model, kbm[0], level, filters)
+) -> DestabilisingHand | None:
+    found = destabilising_hand(model, kbm[0], level, filters)
     if found is None:
         return None
     hand, hz = found
     radius = float(coupled_radius(model, kbm, [hand], level, filters)[0, 0])
-    return Shaker(hand, hz, radius) if radius > GROWS else None
+    return DestabilisingHand(hand, hz, radius) if radius > GROWS else None

@@ -30,7 +30,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.linearise import (
     Linearised,
     Perturbation,
-    hung,
+    add_port_dampers,
     impedance_each,
     linearise,
     port_admittance,
@@ -46,7 +46,7 @@ from hapticd.model.loop import (
     with_viscous,
 )
 from hapticd.model.model import Model
-from hapticd.model.narrow import Bottom, bottom, mode_lines
+from hapticd.model.narrow import MinimumRealPart, min_real_part, mode_lines
 
 __all__ = [
     "DEFAULT_BAND_HZ",
@@ -58,7 +58,7 @@ __all__ = [
     "predict",
     "predicted_impedance",
     "recorded_impedances",
-    "rubbed",
+    "with_equivalent_damping",
 ]
 
 DEFAULT_BAND_HZ = (2.0, 500.0)
@@ -119,17 +119,19 @@ def predict(
     f = loop.frequency_hz
     inside = (f >= band_hz[0]) & (f <= band_hz[1])
 
-    def judged(part: Floats) -> tuple[Bottom, Linearised]:
+    def judged(part: Floats) -> tuple[MinimumRealPart, Linearised]:
         found = linearise(loop, part, coulomb(model), start, perturbation)
         z = recorded_impedance(loop, part, found.impedance) if recorded else found.impedance
         dampers = found.friction - start[:, None]  # beside those that the loop has already
 
         def at(which: Integers, hz: Floats) -> Complexes:
             lines, line = np.unique(hz, return_inverse=True)
-            own = close_loop(rubbed(model, start), lines, active_damping_ns_per_m, filters)
+            own = close_loop(
+                with_equivalent_damping(model, start), lines, active_damping_ns_per_m, filters
+            )
             return impedance_each(own, line, part[which], dampers[:, which], recorded)
 
-        return bottom(f[inside], z[:, inside], at), found
+        return min_real_part(f[inside], z[:, inside], at), found
 
     least, found = zip(*(judged(part) for part in chunks(kbm)), strict=True)
     margin = np.concatenate([one.margin for one in least])
@@ -178,7 +180,7 @@ def predicted_impedance(
     kbm = environments(np.atleast_2d(np.asarray(point, np.float64)))
     start, loop = _nominal(model, DEFAULT_BAND_HZ, active_damping_ns_per_m, filters, perturbation)
     level = linearise(loop, kbm, coulomb(model), start, perturbation).friction[:, 0]
-    exact = close_loop(rubbed(model, level), f, active_damping_ns_per_m, filters)
+    exact = close_loop(with_equivalent_damping(model, level), f, active_damping_ns_per_m, filters)
     z = linearise(exact, kbm, np.zeros(len(level)), np.zeros(len(level)), None).impedance
     return np.asarray((recorded_impedance(exact, kbm, z) if recorded else z)[0])
 
@@ -199,11 +201,13 @@ def recorded_impedances(
     environment.
     """
     start, loop = _nominal(model, DEFAULT_BAND_HZ, active_damping_ns_per_m, filters, perturbation)
-    own = close_loop(rubbed(model, start), frequency_hz, active_damping_ns_per_m, filters)
+    own = close_loop(
+        with_equivalent_damping(model, start), frequency_hz, active_damping_ns_per_m, filters
+    )
     parts = []
     for part in chunks(points):
         level = linearise(loop, part, coulomb(model), start, perturbation).friction
-        z = 1.0 / hung(port_admittance(own, part), level - start[:, None])[0, 0]
+        z = 1.0 / add_port_dampers(port_admittance(own, part), level - start[:, None])[0, 0]
         parts.append(recorded_impedance(own, part, z))
     return np.concatenate(parts)
 
@@ -248,7 +252,7 @@ def coulomb(model: Model) -> Floats:
     return np.array([level.get(state, 0.0) for state in port_states(model)])
 
 
-def rubbed(model: Model, level: Floats) -> Model:
+def with_equivalent_damping(model: Model, level: Floats) -> Model:
     """Return `model` with the dampers `level` (ports,) on its bodies with friction."""
     by_state = dict(zip(port_states(model), level, strict=True))
     return with_viscous(
@@ -272,9 +276,11 @@ def _nominal(
     force = coulomb(model)
     start = np.where(force > 0.0, NOMINAL_NS_PER_M if perturbation else 0.0, 0.0)
     for _ in range(2 if start.any() else 0):
-        loop = close_loop(rubbed(model, start), f, active_damping_ns_per_m, filters)
+        loop = close_loop(
+            with_equivalent_damping(model, start), f, active_damping_ns_per_m, filters
+        )
         start = linearise(loop, np.zeros((1, 3)), force, start, perturbation).friction[:, 0]
-    near = rubbed(model, start)
+    near = with_equivalent_damping(model, start)
     lines = np.union1d(f, mode_lines(near, active_damping_ns_per_m, f[f <= band_hz[1]]))
     return start, close_loop(near, lines, active_damping_ns_per_m, filters)
 
@@ -318,6 +324,6 @@ def _radius_at(
     for place, node in enumerate(nodes.T):
         mine = which.ravel() == place
         radius[mine] = spectral_radius(
-            rubbed(model, node), kbm[mine], active_damping_ns_per_m, filters
+            with_equivalent_damping(model, node), kbm[mine], active_damping_ns_per_m, filters
         )
     return radius

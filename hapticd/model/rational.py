@@ -48,7 +48,7 @@ from hapticd.core.arrays import Complexes, Flags, Floats
 from hapticd.model.angles import held_poles
 from hapticd.model.loop import Filters, biquad_of, port_states
 from hapticd.model.model import Model
-from hapticd.model.theorem import NOWHERE, Circles, circles, lift, opened, terms_of
+from hapticd.model.theorem import NOWHERE, Circles, circles, lifted_system, open_loop, terms_of
 
 __all__ = ["Rational", "positive_everywhere", "rational"]
 
@@ -102,8 +102,8 @@ def rational(
     more = int(model.delay_periods) + 4
     angles = _angles_of(poles, more, 1)
     between = 0.5 * (angles[1:] + angles[:-1])
-    seen = opened(model, active_damping_ns_per_m, np.concatenate((angles, between)), _IMAGES)
-    sums = circles(lift(model, active_damping_ns_per_m, filters, seen), spare_ns_per_m)
+    seen = open_loop(model, active_damping_ns_per_m, np.concatenate((angles, between)), _IMAGES)
+    sums = circles(lifted_system(model, active_damping_ns_per_m, filters, seen), spare_ns_per_m)
     if sums is NOWHERE:
         return None
     form, checks = np.split(sums.form, [angles.size], axis=1)

@@ -17,7 +17,7 @@ with S0 and this is Colgate and Schenkel's
 White noise sees k = 0 alone, which asks for less (`baseband`): 0.405 times as much at Nyquist, 5 %
 less for a filtered B.
 
-A composed device (`lift`): flexible, smoothed, damped by a circuit, encoder not on the motor. At
+A composed device (`lifted_system`): flexible, smoothed, damped by a circuit, encoder not on the motor. At
 each wT the impedance at the probe between the harmonics w_k = w + 2 pi k / T is a diagonal and one
 product
 
@@ -48,22 +48,29 @@ import numpy.typing as npt
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.model.angles import angles_of, least_between, vertices
-from hapticd.model.loop import PAPER_FILTERS, Filters, derivatives, held, pulse_transfer, responses
+from hapticd.model.loop import (
+    PAPER_FILTERS,
+    Filters,
+    derivatives,
+    held_force_model,
+    pulse_transfer,
+    responses,
+)
 from hapticd.model.model import Model
 from hapticd.model.predict import environments
 
 __all__ = [
     "NOWHERE",
-    "Lift",
-    "Opened",
-    "lift",
+    "LiftedSystem",
+    "OpenLoop",
     "lifted_margin",
     "lifted_passive",
+    "lifted_system",
     "lifted_worst",
-    "opened",
+    "open_loop",
+    "outside_circles",
     "paper_equation_2",
     "required_damping",
-    "within",
 ]
 
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
@@ -133,7 +140,7 @@ def paper_equation_2(
 
 
 @dataclass(frozen=True, eq=False)
-class Lift:
+class LiftedSystem:
     """A device seen at A angles and H harmonics."""
 
     angles: Floats  # (A,) wT
@@ -146,7 +153,7 @@ class Lift:
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class OpenLoop:
     """A device without a law at A angles and H harmonics: what of a lift no delay and no filter
     changes.
     """
@@ -158,12 +165,12 @@ class Opened:
     back: Complexes  # (A, H) P_xt, m/N
 
 
-def opened(
+def open_loop(
     model: Model,
     active_damping_ns_per_m: float = 0.0,
     angles: Floats | None = None,  # (A,) wT
     images: int = _IMAGES,  # on each side
-) -> Opened:
+) -> OpenLoop:
     """Look at `model` at that level of active damping: nine tenths of the work of a lift.
 
     At `angles`, or else at those of its modes (`angles_of`).
@@ -173,7 +180,7 @@ def opened(
     f = (angles[:, None] / (2.0 * np.pi) + harmonics) * model.rate_hz
     p = responses(model, f.ravel(), active_damping_ns_per_m)
     own = p.velocity[0, 1].reshape(f.shape)
-    return Opened(
+    return OpenLoop(
         angles,
         f,
         1.0 / own,
@@ -182,20 +189,22 @@ def opened(
     )
 
 
-def lift(
+def lifted_system(
     model: Model,
     active_damping_ns_per_m: float = 0.0,
     filters: Filters = PAPER_FILTERS,
-    seen: Opened | None = None,
-) -> Lift:
+    seen: OpenLoop | None = None,
+) -> LiftedSystem:
     """Lift `model` at that level of active damping, without Coulomb friction, with filters of
-    velocity and acceleration. `seen` is what `opened` saw of it, at whatever delay.
+    velocity and acceleration. `seen` is what `open_loop` saw of it, at whatever delay.
     """
     rate_hz = model.rate_hz
-    device = opened(model, active_damping_ns_per_m) if seen is None else seen
+    device = open_loop(model, active_damping_ns_per_m) if seen is None else seen
     f = device.frequency_hz
     turn = np.exp(1j * device.angles)
-    out = device.forward * held(f.ravel(), rate_hz, model.delay_periods).reshape(f.shape)
+    out = device.forward * held_force_model(f.ravel(), rate_hz, model.delay_periods).reshape(
+        f.shape
+    )
     inner = pulse_transfer(model, turn, active_damping_ns_per_m) - (out * device.back).sum(axis=1)
     back = device.back * device.impedance  # only now q: E needs P_xt itself
     sizes = [np.abs(out) ** 2, np.abs(back) ** 2]
@@ -204,7 +213,7 @@ def lift(
     late = np.exp(2j * np.pi * f / rate_hz * model.delay_periods)
     tail_both = _last(out * back * late, f, rate_hz) * rest_late
     resistance = device.impedance.real
-    return Lift(
+    return LiftedSystem(
         device.angles,
         np.stack((np.ones_like(turn), *derivatives(turn, rate_hz, filters))),
         inner,
@@ -215,23 +224,23 @@ def lift(
     )
 
 
-class Spared(NamedTuple):
+class Margin(NamedTuple):
     """What one environment leaves of the device's damping, and where it takes most."""
 
     margin_ns_per_m: float  # that the device has to spare; negative where it falls short
     worst_hz: float  # between 0 and half the servo's rate
 
 
-def lifted_worst(lifted: Lift, point: npt.ArrayLike, rate_hz: float) -> Spared:
+def lifted_worst(lifted: LiftedSystem, point: npt.ArrayLike, rate_hz: float) -> Margin:
     """The margin of one environment (3,) as `lifted_margin`, and the frequency [Hz] that sets it.
 
     At servo rate `rate_hz`.
     """
     margin, angle = _spare(lifted, (environments(np.atleast_2d(np.asarray(point))) @ lifted.law)[0])
-    return Spared(margin, float(lifted.angles[angle]) * rate_hz / (2.0 * np.pi))
+    return Margin(margin, float(lifted.angles[angle]) * rate_hz / (2.0 * np.pi))
 
 
-def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
+def lifted_margin(lifted: LiftedSystem, points: npt.ArrayLike) -> Floats:
     """Damping (N,) [N s/m] that the device has to spare at the probe under `points` (N, 3);
     negative where it falls short.
 
@@ -240,14 +249,14 @@ def lifted_margin(lifted: Lift, points: npt.ArrayLike) -> Floats:
     return np.array([_spare(lifted, law)[0] for law in environments(points) @ lifted.law])
 
 
-def lifted_passive(lifted: Lift, points: npt.ArrayLike) -> Flags:
+def lifted_passive(lifted: LiftedSystem, points: npt.ArrayLike) -> Flags:
     """Whether there is damping to spare (N,), for maps: one evaluation instead of forty per
     environment, between the angles an estimate (`rational` has none). The loop must be stable.
 
     Never with K < 0, which is active below all angles that are looked at.
     """
     kbm = environments(points)
-    return within(circles(lifted), kbm) & (kbm[:, 0] >= 0.0)
+    return outside_circles(circles(lifted), kbm) & (kbm[:, 0] >= 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +275,7 @@ _PAIRS = np.triu_indices(3)
 NOWHERE = Circles(np.full(1, np.pi), -1.0 * (np.arange(10.0) == 0.0)[:, None])  # holds for none
 
 
-def circles(lifted: Lift, spare_ns_per_m: float = 0.0) -> Circles:
+def circles(lifted: LiftedSystem, spare_ns_per_m: float = 0.0) -> Circles:
     """The circles for that damping to spare. With c = C / (1 + C (G - E)) the module's condition
     is this one with g = G - E + p / 2 and R = sqrt(a b) / 2.
 
@@ -290,7 +299,7 @@ def terms_of(kbm: Floats) -> Floats:
     return np.column_stack((np.ones(len(kbm)), kbm, kbm[:, one] * kbm[:, other]))
 
 
-def within(allowed: Circles, kbm: Floats) -> Flags:
+def outside_circles(allowed: Circles, kbm: Floats) -> Flags:
     """True (N,) where -1/C of the environments `kbm` (N, 3) is outside all circles, as estimated
     also between the angles: passive, if stable.
     """
@@ -301,12 +310,14 @@ def within(allowed: Circles, kbm: Floats) -> Flags:
     return outside
 
 
-def _share(lifted: Lift, spare: float, angles: Integers) -> Floats:
+def _share(lifted: LiftedSystem, spare: float, angles: Integers) -> Floats:
     """1 / (r - x) (n, H) at some `angles`."""
     return np.asarray(1.0 / np.maximum(lifted.resistance[angles] - spare, _CLOSEST))
 
 
-def _sums(lifted: Lift, share: Floats, angles: Integers) -> tuple[Floats, Floats, Complexes]:
+def _sums(
+    lifted: LiftedSystem, share: Floats, angles: Integers
+) -> tuple[Floats, Floats, Complexes]:
     """a, b and p of the module's text at some `angles`, weighted by `share` (n, H)."""
     out, back, both = (
         np.einsum("ah,ah->a", weights[angles], share)
@@ -315,7 +326,7 @@ def _sums(lifted: Lift, share: Floats, angles: Integers) -> tuple[Floats, Floats
     return out, back, both
 
 
-def _circle(lifted: Lift, spare: float, angles: Integers) -> tuple[Complexes, Floats]:
+def _circle(lifted: LiftedSystem, spare: float, angles: Integers) -> tuple[Complexes, Floats]:
     """g and |g|^2 - R^2 of the circles at some `angles`.
 
     Of the harmonic next to 0 Hz alone a b = |p|^2, at low frequencies a million times what is left.
@@ -334,7 +345,7 @@ def _circle(lifted: Lift, spare: float, angles: Integers) -> tuple[Complexes, Fl
     return inner + 0.5 * (p + both), excess
 
 
-def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> Flags:
+def _positive(lifted: LiftedSystem, gain: Complexes, spare: float, angles: Integers) -> Flags:
     out, back, both = _sums(lifted, _share(lifted, spare, angles), angles)
     c = gain[angles]
     cp = c * both
@@ -342,7 +353,7 @@ def _positive(lifted: Lift, gain: Complexes, spare: float, angles: Integers) -> 
     return np.asarray(form >= 0.0)
 
 
-def _spare(lifted: Lift, law: Complexes) -> tuple[float, int]:
+def _spare(lifted: LiftedSystem, law: Complexes) -> tuple[float, int]:
     """The damping to spare, and the place of the angle that sets it. What is positive for more
     spare is so for less: only angles that fell short are looked at again, from the top downwards
     in steps that grow fourfold, then by halving.
@@ -373,7 +384,7 @@ def _spare(lifted: Lift, law: Complexes) -> tuple[float, int]:
     return _spare_between(lifted, law, low, span), worst
 
 
-def _spare_between(lifted: Lift, law: Complexes, spare: float, span: float) -> float:
+def _spare_between(lifted: LiftedSystem, law: Complexes, spare: float, span: float) -> float:
     """The damping to spare of an environment that spares that much at the angles themselves: less
     where the condition has a vertex below 0 between two of them.
     """
@@ -401,7 +412,7 @@ def _spare_between(lifted: Lift, law: Complexes, spare: float, span: float) -> f
     return low
 
 
-def _outside(lifted: Lift, law: Complexes, spare: float, angles: Integers) -> Floats:
+def _outside(lifted: LiftedSystem, law: Complexes, spare: float, angles: Integers) -> Floats:
     """How far -1/C is outside the circles of `circles`, |1 + C g|^2 - R^2 |C|^2 (n,)."""
     centre, excess = _circle(lifted, spare, angles)
     c = law[angles]

@@ -41,7 +41,7 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.environment import FilterParams
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S, percent
-from hapticd.model.loop import derivatives, held
+from hapticd.model.loop import derivatives, held_force_model
 from hapticd.recording.calibrations import doubts
 from hapticd.rig import vectors
 from hapticd.rig.excitation import loudest_n, noise
@@ -164,7 +164,7 @@ def expected(part: Part, frequency_hz: Floats, way: Rendering) -> Complexes:
     turn = np.exp(s / way.rate_hz)
     velocity, acceleration = derivatives(turn, way.rate_hz, way.filters)
     stiffness, damping, mass = np.array(part.environment.free) - np.array(BESIDE.free)
-    path = held(frequency_hz, way.rate_hz, way.delay_us * way.rate_hz / US_PER_S)
+    path = held_force_model(frequency_hz, way.rate_hz, way.delay_us * way.rate_hz / US_PER_S)
     if way.smoothing_hz:
         path = path / (1.0 + 1j * frequency_hz / way.smoothing_hz)
     return np.asarray((stiffness + damping * velocity + mass * acceleration) * path / s)

@@ -34,7 +34,7 @@ from hapticd.servo import host
 from hapticd.servo.loop import ServoLoop, spinning_wait
 from hapticd.usb.device import Device
 from hapticd.usb.link import UsbLink
-from hapticd.usb.search import Search
+from hapticd.usb.search import BoardSearch
 
 if TYPE_CHECKING:
     from hapticd.sim.backend import SimulatedBackend
@@ -62,7 +62,7 @@ def read_json(kind: Any, path: str) -> Any:
     return from_plain(kind, plain, path)
 
 
-def said(text: str) -> None:
+def startup_message(text: str) -> None:
     """`text` as systemd's status of the unit and as a line of the log."""
     try:
         notify(f"STATUS={text}")
@@ -118,9 +118,9 @@ class Servo:
 
         def tell(reason: str) -> None:
             mailbox.report({"waiting_for": reason, **self._about()})
-            said(f"waiting for the board: {reason}" if reason else "the board answers")
+            startup_message(f"waiting for the board: {reason}" if reason else "the board answers")
 
-        search = Search(self.device, tell)
+        search = BoardSearch(self.device, tell)
         while not self.stopping:
             if search.look(self.clock.now_ns()) is not None:
                 return True
@@ -135,7 +135,9 @@ class Servo:
         served = f"{rate_hz:g} Hz{', SIMULATED' if params.simulated else ''}"
 
         def tell(reason: str) -> None:
-            said(f"lost the board: {reason}" if reason else f"the board answers again, {served}")
+            startup_message(
+                f"lost the board: {reason}" if reason else f"the board answers again, {served}"
+            )
 
         wait = spinning_wait(int(params.realtime.spin_us * NS_PER_US), int(NS_PER_S / rate_hz))
         self.loop = ServoLoop(params, self.device, mailbox, self.clock, wait, tell)
@@ -144,10 +146,10 @@ class Servo:
         try:
             found = self.loop.board.report()
             for one in self.loop.board.differences:
-                said(f"not the board of the device file: {one}")
+                startup_message(f"not the board of the device file: {one}")
             for reason in (self.loop.board.uncompensated, self.loop.board.unsampled):
                 if reason:
-                    said(reason)
+                    startup_message(reason)
             rights = host.prepare(params.realtime)
             plain = {name: one._asdict() for name, one in rights.items()}
             mailbox.report({"realtime": plain, **self._about(), **found})

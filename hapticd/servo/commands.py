@@ -64,7 +64,7 @@ WAVEFORM = frozenset({Value.SAMPLES, Value.LOOP})  # what a perturbation has to 
 ENCODER_LIES = frozenset({BY_CODE["sensor_range"].number, BY_CODE["sensor_glitch"].number})
 
 
-class Now(NamedTuple):
+class CommandContext(NamedTuple):
     """What a command may depend on beside the plan."""
 
     tick: int
@@ -118,7 +118,7 @@ def force_acts(plan: Plan, tick: int) -> bool:
 
 
 def enter(
-    plan: Plan, state: State, now: Now, params: ServoParams, actor: int, fault: int = 0
+    plan: Plan, state: State, now: CommandContext, params: ServoParams, actor: int, fault: int = 0
 ) -> Plan:
     """`plan` in `state`: gain, remaining force, damping and perturbation as the safety table
     says.
@@ -153,7 +153,7 @@ class Ramps(NamedTuple):
     fade: Ramp  # of the force that was sent last, N, for ticks without a sample
 
 
-def _ramps_into(plan: Plan, state: State, now: Now, params: ServoParams) -> Ramps:
+def _ramps_into(plan: Plan, state: State, now: CommandContext, params: ServoParams) -> Ramps:
     rate_hz = params.realtime.rate_hz
     limits = params.safety
     gain = constant(0.0)
@@ -171,7 +171,7 @@ def _ramps_into(plan: Plan, state: State, now: Now, params: ServoParams) -> Ramp
     return Ramps(gain, fade)
 
 
-def _origin_kept(entered: Plan, now: Now) -> Plan:
+def _origin_kept(entered: Plan, now: CommandContext) -> Plan:
     """`entered`, a state just entered, with what that means for the position origin."""
     if entered.state is State.ENABLED:
         return entered._replace(origin_used=True)
@@ -181,7 +181,9 @@ def _origin_kept(entered: Plan, now: Now) -> Plan:
     return without_origin(entered) if entered.fault in ENCODER_LIES else entered
 
 
-def obey(plan: Plan, request: Request, now: Now, params: ServoParams) -> tuple[Plan, list[Answer]]:
+def obey(
+    plan: Plan, request: Request, now: CommandContext, params: ServoParams
+) -> tuple[Plan, list[Answer]]:
     """`plan` after `request`, with its receipts; a refused request changes nothing."""
     seq, kind, actor, _, values = request
     if kind == safety.ORPHANED_EVENT:
@@ -243,7 +245,7 @@ def held_until(plan: Plan, params: ServoParams) -> int:
     return plan.stop_tick + round_half_up(STOP_HELD_S * params.realtime.rate_hz)
 
 
-def _pressed(plan: Plan, actor: int, now: Now, params: ServoParams) -> Plan:
+def _pressed(plan: Plan, actor: int, now: CommandContext, params: ServoParams) -> Plan:
     """`plan` after a press of stop by `actor`. Who presses while another's press holds may not
     release that: then nobody may before the time.
     """
@@ -251,7 +253,9 @@ def _pressed(plan: Plan, actor: int, now: Now, params: ServoParams) -> Plan:
     return plan._replace(stop_tick=now.tick, stop_owner=0 if others else actor)
 
 
-def _target(plan: Plan, request: Request, now: Now, params: ServoParams) -> State | Result:
+def _target(
+    plan: Plan, request: Request, now: CommandContext, params: ServoParams
+) -> State | Result:
     _, kind, actor, _, values = request
     target = safety.transition(plan.state, kind)
     if isinstance(target, Result) or target is plan.state:
@@ -281,14 +285,14 @@ def _target(plan: Plan, request: Request, now: Now, params: ServoParams) -> Stat
     return target
 
 
-def _mute(plan: Plan, now: Now) -> Result | None:
+def _mute(plan: Plan, now: CommandContext) -> Result | None:
     """Why no perturbation may begin while force is withheld; it would play at its return."""
     if not now.heard:
         return Result.REFUSED_CAUSE
     return Result.REFUSED_NO_AUTHORITY if plan.unauthorised else None
 
 
-def _action(plan: Plan, request: Request, now: Now, params: ServoParams) -> Plan:
+def _action(plan: Plan, request: Request, now: CommandContext, params: ServoParams) -> Plan:
     seq, kind, actor, _, values = request
     if kind == Command.STOP:
         return _pressed(plan, actor, now, params)
@@ -307,7 +311,7 @@ def _action(plan: Plan, request: Request, now: Now, params: ServoParams) -> Plan
 
 
 def _settings(
-    plan: Plan, request: Request, now: Now, params: ServoParams
+    plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
     seq, _, actor, apply_tick, values = request
     here = (now.tick, now.tick)
@@ -360,7 +364,7 @@ def _schedule(plan: Plan, new: Scheduled, params: ServoParams) -> tuple[Plan, li
 
 
 def _cancel(
-    plan: Plan, request: Request, now: Now, params: ServoParams
+    plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
     """What others than its actor have scheduled of these places is cancelled, each one whole."""
     seq, _, actor, _, values = request
@@ -390,7 +394,7 @@ def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Pl
 
 
 def _terms(
-    plan: Plan, request: Request, now: Now, params: ServoParams
+    plan: Plan, request: Request, now: CommandContext, params: ServoParams
 ) -> tuple[Plan, list[Answer]]:
     """The terms that count from now on. What is scheduled was judged by them, is the end of what is
     bounded, or is cancelled.

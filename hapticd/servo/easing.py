@@ -29,13 +29,13 @@ from hapticd.mailbox.layout import Flag
 from hapticd.render.law import Coefficients, LawInputs, LawState, render
 from hapticd.render.ramp import Ramp
 from hapticd.servo import ramp_energy
-from hapticd.servo.plan import Plan, Settled, environment_of
+from hapticd.servo.plan import Plan, TickConstants, environment_of
 from hapticd.servo.safety import LATCHED, State
 
 HALVINGS = 40  # of the way of one tick: from the whole range of any value to nothing felt
 
 
-class Eased(NamedTuple):
+class RateLimited(NamedTuple):
     """A plan whose parameters went as far as they may in this tick."""
 
     plan: Plan
@@ -49,7 +49,7 @@ class Step(NamedTuple):
     environment: LawInputs
 
 
-class Here(NamedTuple):
+class StepContext(NamedTuple):
     """What a step of the parameters is judged by in this tick."""
 
     x: float  # m
@@ -64,13 +64,13 @@ class Here(NamedTuple):
 
 def eased(
     plan: Plan,
-    settled: Settled,
+    settled: TickConstants,
     x: float | None,
     law: LawState,
     coefficients: Coefficients,
     tick: int,
     params: ServoParams,
-) -> Eased:
+) -> RateLimited:
     """`plan` with its parameters as far on their way at `tick` as the device's force step and
     energy of ramps allow.
 
@@ -82,26 +82,26 @@ def eased(
     if plan.state in LATCHED:
         fading = plan.gain.value(tick) > 0.0 and isfinite(params.device.force_step_n)
         held = on_the_way(plan, before, last_tick, tick, 0.0) if fading else plan
-        return told(plan, held)
+        return with_flag(plan, held)
     if plan.state is not State.ENABLED or plan.gain.value(tick) < before.gain.value(last_tick):
-        return Eased(plan, 0)
+        return RateLimited(plan, 0)
     if x is None:
-        return told(plan, on_the_way(plan, before, last_tick, tick, 0.0))
+        return with_flag(plan, on_the_way(plan, before, last_tick, tick, 0.0))
     was = settled.environment
     force_n, _, v, *_ = render(x, law, was, coefficients)
-    here = Here(x, v, force_n, law, was, coefficients, tick, last_tick)
+    here = StepContext(x, v, force_n, law, was, coefficients, tick, last_tick)
     step = stepped(plan, before, here, params)
     if params.device.ramp_energy_j == inf or step.environment == was:
-        return told(plan, step.plan)
+        return with_flag(plan, step.plan)
     return budgeted(plan, before, step, here, params)
 
 
-def told(plan: Plan, slower: Plan) -> Eased:
+def with_flag(plan: Plan, slower: Plan) -> RateLimited:
     """`slower`, which is `plan` itself where nothing was held back."""
-    return Eased(slower, 0 if slower is plan else int(Flag.EASED))
+    return RateLimited(slower, 0 if slower is plan else int(Flag.EASED))
 
 
-def stepped(plan: Plan, before: Plan, here: Here, params: ServoParams) -> Step:
+def stepped(plan: Plan, before: Plan, here: StepContext, params: ServoParams) -> Step:
     """`plan` as far on its way as the force step allows."""
     bound_n = params.device.force_step_n
     limit_n = params.force_limit_n
@@ -118,7 +118,9 @@ def stepped(plan: Plan, before: Plan, here: Here, params: ServoParams) -> Step:
     return Step(on_the_way(plan, before, here.last_tick, here.tick, 0.0), here.environment)
 
 
-def budgeted(plan: Plan, before: Plan, step: Step, here: Here, params: ServoParams) -> Eased:
+def budgeted(
+    plan: Plan, before: Plan, step: Step, here: StepContext, params: ServoParams
+) -> RateLimited:
     """`step`, a step of `plan`, or where it would bring in too much one of what falls alone; with
     what it brings in booked.
     """
@@ -127,15 +129,15 @@ def budgeted(plan: Plan, before: Plan, step: Step, here: Here, params: ServoPara
     was = ramp_energy.stored(here.environment, here.x, here.v)
     now = ramp_energy.stored(step.environment, here.x, here.v)
     energy_j = ramp_energy.added(was, now)
-    _, flags = told(plan, step.plan)
+    _, flags = with_flag(plan, step.plan)
     if ramp_energy.too_much(plan, energy_j, here.tick, rate_hz, budget_j):
         waiting = ramp_energy.paused(plan, before, here.last_tick, here.tick, now.wall > was.wall)
         step = stepped(waiting, before, here, params)
-        flags = told(waiting, step.plan).flags | int(Flag.PAUSED)
+        flags = with_flag(waiting, step.plan).flags | int(Flag.PAUSED)
         energy_j = ramp_energy.added(was, ramp_energy.stored(step.environment, here.x, here.v))
     if not energy_j > 0.0:
-        return Eased(step.plan, flags)
-    return Eased(ramp_energy.booked(step.plan, energy_j, here.tick, rate_hz), flags)
+        return RateLimited(step.plan, flags)
+    return RateLimited(ramp_energy.booked(step.plan, energy_j, here.tick, rate_hz), flags)
 
 
 def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float) -> Plan:

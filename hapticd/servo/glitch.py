@@ -34,7 +34,7 @@ LEAST_SHARE: Final = 0.25  # of the way back was the way there; half of it witho
 LEAST_COUNTS: Final = 8
 
 
-class Verdict(Enum):
+class GlitchVerdict(Enum):
     """What the doubted samples were."""
 
     RETURNED = 1
@@ -51,7 +51,7 @@ def believed_bend_m(params: ServoParams) -> float:
     return max(of_motion_m, LEAST_COUNTS * device.position.per_count)
 
 
-def verdict(law: LawState, doubted: Sequence[float], x: float, bend_m: float) -> Verdict:
+def verdict(law: LawState, doubted: Sequence[float], x: float, bend_m: float) -> GlitchVerdict:
     """What the positions `doubted` [m] were, now that `x` [m] follows them.
 
     `law` is from before them; `bend_m` [m] is the second difference that is believed at once.
@@ -68,11 +68,11 @@ def verdict(law: LawState, doubted: Sequence[float], x: float, bend_m: float) ->
     away = abs(x - start - len(bends) * moved)
     # a hand leads off the straight line by less than that
     if away <= len(bends) * bend_m and away < newest:
-        return Verdict.RETURNED
+        return GlitchVerdict.RETURNED
     most = TAP if len(doubted) == MOST_DOUBTED else ONE_WAY
     if newest <= most * bend_m and one_way(bends, bend_m):
-        return Verdict.MOVED
-    return Verdict.OPEN
+        return GlitchVerdict.MOVED
+    return GlitchVerdict.OPEN
 
 
 def stuck_out(before: LawState, law: LawState, x: float, bend_m: float) -> bool:
@@ -84,7 +84,7 @@ def stuck_out(before: LawState, law: LawState, x: float, bend_m: float) -> bool:
     bent = law[1] - before[1]
     bends = x - law[0] - law[1]
     back = bent * bends < 0.0 and abs(bent) >= LEAST_SHARE * abs(bends)
-    return back and verdict(before, (law[0],), x, bend_m) is Verdict.RETURNED
+    return back and verdict(before, (law[0],), x, bend_m) is GlitchVerdict.RETURNED
 
 
 def one_way(bends: Sequence[float], bend_m: float) -> bool:

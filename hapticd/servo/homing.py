@@ -93,7 +93,7 @@ class Homing(NamedTuple):
     work_j: float = 0.0  # return less back-off, where the force of others is weighed
 
 
-class Seen(NamedTuple):
+class HomingSample(NamedTuple):
     """One sample, as homing needs it."""
 
     tick: int
@@ -141,7 +141,7 @@ def _entered(homing: Homing, phase: Phase, tick: int, count: int, push_n: float)
     )
 
 
-def _ticks(homing: Homing, seen: Seen) -> int:
+def _ticks(homing: Homing, seen: HomingSample) -> int:
     """Ticks since the sample before; two samples of one tick are as if of two."""
     return max(1, seen.tick - homing.tick)
 
@@ -153,7 +153,7 @@ def _pressed(passed_s: float) -> float:
     return min(1.0, 0.5 + 0.5 * (passed_s - RELAX_S) / LOAD_S)
 
 
-class Search:
+class HomingSearch:
     """The search on one device; `advance` is all there is to call. It keeps nothing between
     samples.
     """
@@ -169,7 +169,7 @@ class Search:
         self._weighed_m = WEIGHED * home.back_off_m
         self._tolerance_counts = home.tolerance_m / position.per_count
         self._stiffness = min(STIFFNESS_N_PER_M, self._force_n / (LOAD_S * home.speed_m_per_s))
-        self._phases: tuple[Callable[[Homing, Seen], Next], ...] = (
+        self._phases: tuple[Callable[[Homing, HomingSample], Next], ...] = (
             self._search,
             self._press,
             self._back_off,
@@ -177,7 +177,7 @@ class Search:
             self._press,
         )
 
-    def advance(self, homing: Homing, seen: Seen) -> Next:
+    def advance(self, homing: Homing, seen: HomingSample) -> Next:
         """`homing` after one sample, or its end."""
         if not seen.granted:
             return begin(seen.tick, seen.encoder)
@@ -190,7 +190,7 @@ class Search:
         force_n = max(-self._force_n, min(self._force_n, force_n))
         return found._replace(tick=seen.tick, encoder=seen.encoder, force_n=force_n)
 
-    def _noted(self, homing: Homing, seen: Seen) -> Homing:
+    def _noted(self, homing: Homing, seen: HomingSample) -> Homing:
         """`homing` with what the sample says of standing and reach."""
         if abs(seen.encoder - homing.still_count) > self._tolerance_counts:
             homing = homing._replace(still_tick=seen.tick, still_count=seen.encoder)
@@ -198,7 +198,7 @@ class Search:
             homing = homing._replace(reach_count=seen.encoder)
         return homing
 
-    def _speed(self, homing: Homing, seen: Seen) -> float:
+    def _speed(self, homing: Homing, seen: HomingSample) -> float:
         moved_m = self._m_per_count * (seen.encoder - homing.encoder)
         return moved_m * self._rate_hz / _ticks(homing, seen)
 
@@ -211,7 +211,7 @@ class Search:
         """`counts` as metres along the way of the phase."""
         return self._way(homing) * self._m_per_count * counts
 
-    def _weighed(self, homing: Homing, seen: Seen) -> Homing:
+    def _weighed(self, homing: Homing, seen: HomingSample) -> Homing:
         """`homing` with the work of this tick, where the handle passes the stretch of weighing."""
         if self._home.method != "stop" or homing.phase not in (Phase.BACK_OFF, Phase.RETURN):
             return homing
@@ -225,7 +225,7 @@ class Search:
         sign = -1.0 if homing.phase == Phase.BACK_OFF else 1.0
         return homing._replace(work_j=homing.work_j + sign * work_j)
 
-    def _pushed(self, homing: Homing, seen: Seen) -> Homing:
+    def _pushed(self, homing: Homing, seen: HomingSample) -> Homing:
         """The push after this sample: a spring to a point that moves on."""
         ahead_m = self._home.speed_m_per_s * _ticks(homing, seen) / self._rate_hz
         moved_m = self._along(homing, seen.encoder - homing.encoder)
@@ -239,7 +239,7 @@ class Search:
         full = homing.push_n >= part * self._force_n
         return full and tick - homing.still_tick >= STILL_S * self._rate_hz
 
-    def _search(self, homing: Homing, seen: Seen) -> Next:
+    def _search(self, homing: Homing, seen: HomingSample) -> Next:
         """APPROACH and RETURN."""
         again = homing.phase == Phase.RETURN
         if self._along(homing, homing.reach_count - seen.encoder) > RETREAT * self._home.back_off_m:
@@ -254,11 +254,11 @@ class Search:
         phase = Phase.CONFIRM if again else Phase.PRESS
         return _entered(pushed, phase, seen.tick, seen.encoder, pushed.push_n)
 
-    def _short(self, homing: Homing, seen: Seen) -> bool:
+    def _short(self, homing: Homing, seen: HomingSample) -> bool:
         """Whether the handle has still a way to go to where it was stopped before."""
         return self._along(homing, homing.found_count - seen.encoder) > self._near_m
 
-    def _search_mark(self, homing: Homing, seen: Seen, again: bool) -> Next:
+    def _search_mark(self, homing: Homing, seen: HomingSample, again: bool) -> Next:
         if seen.mark is not None:
             return self._found(homing, seen, seen.mark, again)
         beyond_m = self._along(homing, seen.encoder - homing.found_count)
@@ -272,7 +272,7 @@ class Search:
         turned = pushed._replace(turned=True)
         return _entered(turned, Phase.APPROACH, seen.tick, seen.encoder, -pushed.push_n)
 
-    def _press(self, homing: Homing, seen: Seen) -> Next:
+    def _press(self, homing: Homing, seen: HomingSample) -> Next:
         """PRESS and CONFIRM."""
         again = homing.phase == Phase.CONFIRM
         if homing.still_tick != homing.since_tick:  # it yields
@@ -287,11 +287,11 @@ class Search:
             else Failed(BY_CODE["home_no_current"].number)
         )
 
-    def _carries_current(self, seen: Seen) -> bool:
+    def _carries_current(self, seen: HomingSample) -> bool:
         n_per_a = self._home.current_n_per_a
         return not n_per_a or n_per_a * abs(seen.current_a) >= 0.5 * self._force_n
 
-    def _found(self, homing: Homing, seen: Seen, count: int, again: bool) -> Next:
+    def _found(self, homing: Homing, seen: HomingSample, count: int, again: bool) -> Next:
         """The stop or the mark is at `count`."""
         if not again:
             away = homing._replace(found_count=count)
@@ -304,7 +304,7 @@ class Search:
     def _mean_n(self, homing: Homing) -> float:
         return abs(homing.work_j) / (2.0 * self._weighed_m)
 
-    def _back_off(self, homing: Homing, seen: Seen) -> Next:
+    def _back_off(self, homing: Homing, seen: HomingSample) -> Next:
         if self._along(homing, seen.encoder - homing.found_count) >= self._home.back_off_m:
             return _entered(homing, Phase.RETURN, seen.tick, seen.encoder, -homing.push_n)
         pushed = self._pushed(homing, seen)

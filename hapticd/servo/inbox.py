@@ -29,7 +29,7 @@ from hapticd.core.params import ServoParams
 from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.mailbox.servo_side import ServoMailbox
-from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request, Settled, fault_request
+from hapticd.servo.plan import CLEARABLE, KIND, Plan, Request, TickConstants, fault_request
 from hapticd.servo.safety import GRANTED, ORPHANED_EVENT, PERTURB_DONE_EVENT
 from hapticd.usb.codec import HEAD_FIFO_LEVEL, HEAD_STATUS, I16_HIGHEST, I16_LOWEST, NO_SAMPLES
 from hapticd.usb.device import Device, Head
@@ -141,7 +141,7 @@ class Inbox:
         self.unlooked = False  # the loop has to look at the board before force
         self._leaving = False
 
-    def requests(self, tick: int, head: Head, settled: Settled) -> tuple[Request, ...]:
+    def requests(self, tick: int, head: Head, settled: TickConstants) -> tuple[Request, ...]:
         """What this tick has to obey, after one that came to be `settled`."""
         plan = settled.plan
         found: list[Request] = []

@@ -67,14 +67,14 @@ class Ticked(NamedTuple):
     late_cause: int  # of the tick before
 
 
-class Late(NamedTuple):
+class LateTick(NamedTuple):
     """What the next record says of a late tick."""
 
     cause: int  # LateCause
     late_ns: int  # from its next deadline to its end
 
 
-ON_TIME = Late(LateCause.NONE, 0)
+ON_TIME = LateTick(LateCause.NONE, 0)
 
 
 def cause_of(

@@ -44,7 +44,7 @@ from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
 from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
 from hapticd.servo.inbox import Inbox, Streamer
-from hapticd.servo.late import ON_TIME, Late, LateTicks
+from hapticd.servo.late import ON_TIME, LateTick, LateTicks
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
     LINK_UP,
@@ -70,7 +70,7 @@ from hapticd.usb.codec import (
 from hapticd.usb.device import NO_HEAD, SEED, UNKNOWN_US, Device, Head
 from hapticd.usb.events import NO_CODE, NO_TIME_US
 from hapticd.usb.frames import OutFlag
-from hapticd.usb.search import Search, Tell
+from hapticd.usb.search import BoardSearch, Tell
 
 __all__ = ["ServoLoop", "Wait", "first_deadline", "spinning_wait", "virtual_wait"]
 
@@ -141,7 +141,7 @@ _LATE = int(Flag.LATE)
 _WRITE_FAILED = int(Flag.WRITE_FAILED)
 
 
-class Overdue(NamedTuple):
+class OverdueDeadline(NamedTuple):
     """A tick without a sample."""
 
     arrival: int  # minus the periods without one, this one included
@@ -187,7 +187,7 @@ class ServoLoop:
         self._least_us = _NOTHING_US  # delays of the running 256 ticks
         self._most_us = 0
         self._stepped_ns = clock.now_ns()  # when the last OUT was ready
-        self._board_search = Search(device, self._told)
+        self._board_search = BoardSearch(device, self._told)
         self._tell = tell
         self._started_ns = clock.now_ns()
         self.deadline_ns = first_deadline(self._started_ns, self.period_ns)
@@ -252,7 +252,7 @@ class ServoLoop:
                 self._stepped_ns = stepped
                 self._pausing = pausing
                 late_ticks.publish_ns = publish_ns
-                late_ticks.told = Late(late_cause, late_ns)
+                late_ticks.told = LateTick(late_cause, late_ns)
                 break
             deadline = self.deadline_ns
             next_deadline = deadline + period_ns
@@ -596,7 +596,7 @@ class ServoLoop:
             self.restart_clock()
         return slow
 
-    def _late(self, end_ns: int, publish_ns: int) -> Late:
+    def _late(self, end_ns: int, publish_ns: int) -> LateTick:
         """Find the cause and drop the slots that have passed until then: nothing of it may hold
         up the next tick.
         """
@@ -615,9 +615,9 @@ class ServoLoop:
         if not grace:
             self._lost_slots = self._lost_slots + dropped & _U32
             self.inbox.lost_slots(now_ns, dropped)
-        return Late(cause, late_ns)
+        return LateTick(cause, late_ns)
 
-    def _overdue(self, tick: int, slot: int, read_ns: int) -> Overdue:
+    def _overdue(self, tick: int, slot: int, read_ns: int) -> OverdueDeadline:
         """How long there has been no sample, and whether the next tick does without a read.
 
         A read that waits in vain costs its time-out (at least 1 ms, and libusb takes 1.6). The
@@ -629,7 +629,7 @@ class ServoLoop:
             self._fresh_slot = slot - 1
         self._missed_tick = tick
         waited = 2 * read_ns > self.period_ns
-        return Overdue(self._fresh_slot - slot, self.linked and waited and not first)
+        return OverdueDeadline(self._fresh_slot - slot, self.linked and waited and not first)
 
     def _listens(self, slot: int) -> bool:
         """Whether the next tick of a silence reads, in vain: a lost link is noticed, and a

@@ -302,7 +302,7 @@ def coefficients_of(plan: Plan, rate_hz: float) -> Coefficients:
 
 
 @dataclass(frozen=True, slots=True)
-class Settled:
+class TickConstants:
     """What a tick needs of the plan, in the form it needs it; holds until the next transition."""
 
     wake_tick: int  # look at the plan again at this tick
@@ -323,7 +323,7 @@ class Settled:
 
 Former = tuple[LawState, Ledger]  # as they were before the last sample
 Held = tuple[int, float, Former]  # what was sent last: torque count, force [N]; and before it
-ServoState = tuple[Settled, LawState, Ledger, Held, Signs]
+ServoState = tuple[TickConstants, LawState, Ledger, Held, Signs]
 SETTLED: Final = 0  # place in a ServoState
 # encoder count, status, temperature count, arrival (usb.device), host flags, index offset, delay
 # from the sample to the force in effect [periods], negative while it is unknown, counts of the
@@ -379,18 +379,18 @@ ATTENTION = int(StatusBit.WATCHDOG | StatusBit.OVER_TEMPERATURE) | BOARD_FAULT
 AUTHORITY = int(StatusBit.ENABLED)
 
 
-class Watch(NamedTuple):
+class EventWatch(NamedTuple):
     """What the status of a board is compared with."""
 
     watched: int  # bits that count
     calm: int  # their values while nothing is wrong
 
 
-def watch(flags: int) -> Watch:
+def watch(flags: int) -> EventWatch:
     """What to look at in the answer to an OUT frame with `flags`: authority where it was asked."""
     if flags & OutFlag.ENABLE:
-        return Watch(ATTENTION | AUTHORITY, AUTHORITY)
-    return Watch(ATTENTION, 0)
+        return EventWatch(ATTENTION | AUTHORITY, AUTHORITY)
+    return EventWatch(ATTENTION, 0)
 
 
 class FlatPlan(NamedTuple):
@@ -466,14 +466,14 @@ def flat_plan(
     return FlatPlan(wake_tick(plan, tick, params), environment, count, blob)
 
 
-def settle(
+def tick_constants(
     plan: Plan, flat: FlatPlan, coefficients: Coefficients, flags: int, host: int
-) -> Settled:
+) -> TickConstants:
     """What the ticks from now on need of `plan`, whose flat form is `flat`, with `flags` in their
     OUT frames.
     """
     looks = watch(flags)
-    return Settled(
+    return TickConstants(
         wake_tick=flat.wake_tick,
         environment=flat.environment,
         coefficients=coefficients,
@@ -600,7 +600,7 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
     looks = watch(flags)
     flags = standing_flags(whole)
     dac_count = whole.winding.dac_count
-    settled = Settled(*before, origin, host, whole.wave, *looks, flags, whole, dac_count)
+    settled = TickConstants(*before, origin, host, whole.wave, *looks, flags, whole, dac_count)
     return settled, law, ledger, held, Signs(*signs)
 
 

@@ -15,9 +15,9 @@ from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import Flag
 from hapticd.render.energy import FORCE, Ledger, book
 from hapticd.render.law import LIMIT, MASS, LawState, clamp, render
-from hapticd.servo.glitch import Verdict, believed_bend_m, verdict
+from hapticd.servo.glitch import GlitchVerdict, believed_bend_m, verdict
 from hapticd.servo.monitors import bounds
-from hapticd.servo.plan import Plan, Sample, ServoState, Settled, without_origin
+from hapticd.servo.plan import Plan, Sample, ServoState, TickConstants, without_origin
 from hapticd.usb.device import SEED
 from hapticd.usb.frames import StatusBit
 from hapticd.usb.session import ENCODER_BITS
@@ -83,9 +83,9 @@ class Samples:
         if arrival:
             return believing, _line(law[0], x, arrival + len(doubted)), int(Flag.INTERPOLATED)
         found = verdict(law, doubted, x, self._bend_m)
-        if found is Verdict.OPEN:
+        if found is GlitchVerdict.OPEN:
             return plan, (), int(Flag.DOUBTED)
-        if found is Verdict.MOVED:
+        if found is GlitchVerdict.MOVED:
             return believing, tuple(doubted), int(Flag.BELIEVED)
         recent = tuple(one for one in plan.glitches if tick - one < self._rate_hz)
         counted = believing._replace(glitches=(*recent, *len(doubted) * (tick,)))
@@ -111,7 +111,7 @@ class Samples:
         law: LawState,
         ledger: Ledger,
         positions: Sequence[float],
-        settled: Settled,
+        settled: TickConstants,
         effect: int,
     ) -> tuple[LawState, Ledger]:
         """Feed the filters the `positions` [m] of samples without a tick of their own, while the

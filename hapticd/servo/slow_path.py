@@ -28,12 +28,12 @@ from hapticd.render.law import (
 from hapticd.render.ramp import Ramp, constant
 from hapticd.servo import silence
 from hapticd.servo.causes import SENSOR_GLITCH, Causes
-from hapticd.servo.commands import Now, apply_settings, enter, obey
+from hapticd.servo.commands import CommandContext, apply_settings, enter, obey
 from hapticd.servo.commissioning import followed, push_ended
 from hapticd.servo.compensation import compensated
 from hapticd.servo.easing import eased
 from hapticd.servo.energy_controller import controlled
-from hapticd.servo.homing import Failed, Homing, Search, Seen, force_limit_n
+from hapticd.servo.homing import Failed, Homing, HomingSample, HomingSearch, force_limit_n
 from hapticd.servo.monitors import CALM, OVERSPEED, bounds
 from hapticd.servo.plan import (
     AUTHORITY,
@@ -56,7 +56,7 @@ from hapticd.servo.plan import (
     coefficients_of,
     fault_request,
     flat_plan,
-    settle,
+    tick_constants,
     with_origin,
 )
 from hapticd.servo.safety import GRANTED, LATCHED, State
@@ -85,7 +85,7 @@ class SlowPath:
         self._home_counts = round_half_up(
             position.sign * self._home.position_m / position.per_count
         )
-        self._search = Search(params)
+        self._search = HomingSearch(params)
         self._homing_limit_n = force_limit_n(params)
 
     def tick(
@@ -123,7 +123,9 @@ class SlowPath:
         cause_now = self._causes.against_force(sample)
         sure = usable and self._samples.believable(plan, law, encoder, arrival)
         heard = -arrival < UNHEARD
-        now = Now(tick, last_tick, encoder, acting_n, gateway, cause_now, bar(host), sure, heard)
+        now = CommandContext(
+            tick, last_tick, encoder, acting_n, gateway, cause_now, bar(host), sure, heard
+        )
         plan = self._watched(plan, law[0], acting_n, tick)
         plan, answers = self._commanded(plan, commands, sample, now, signs.alarm)
         usable = usable and encoder_counts(plan, tick)
@@ -149,7 +151,7 @@ class SlowPath:
         flags |= _pending_flags(plan, ready.wake_tick, tick)
         if not usable and (plan.state not in GRANTED or plan.unauthorised):
             held = (*self._fading(plan, tick), former)
-        settled = settle(plan, ready, coefficients, out_flags(plan, tick), host)
+        settled = tick_constants(plan, ready, coefficients, out_flags(plan, tick), host)
         flags |= settled.flags
         return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
@@ -214,12 +216,14 @@ class SlowPath:
             and tick - plan.since_tick > self._home.timeout_s * self._rate_hz
         )
 
-    def _searched(self, plan: Plan, sample: Sample, now: Now) -> tuple[Plan, list[Answer]]:
+    def _searched(
+        self, plan: Plan, sample: Sample, now: CommandContext
+    ) -> tuple[Plan, list[Answer]]:
         """`plan` after one sample of homing: still searching, disabled with the origin found, or
         at fault.
         """
         encoder, status, _, _, _, index_offset, _, current, _ = sample
-        seen = Seen(
+        seen = HomingSample(
             now.tick,
             encoder,
             bool(status & StatusBit.ENABLED),
@@ -246,7 +250,12 @@ class SlowPath:
         return plan._replace(push=followed(plan.push, x, force_n, tick, self._params))
 
     def _commanded(
-        self, plan: Plan, commands: tuple[Request, ...], sample: Sample, now: Now, alarm: int
+        self,
+        plan: Plan,
+        commands: tuple[Request, ...],
+        sample: Sample,
+        now: CommandContext,
+        alarm: int,
     ) -> tuple[Plan, tuple[Answer, ...]]:
         found = self._causes.newly_lost(plan, sample, now.tick) or self._alarming(plan, alarm)
         found = found or push_ended(plan.push, now.tick, self._params)

@@ -37,7 +37,7 @@ from hapticd.servo.plan import (
     fault_request,
     flat_plan,
     initial_plan,
-    settle,
+    tick_constants,
 )
 from hapticd.servo.slow_path import SlowPath
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
@@ -69,7 +69,7 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     now = flat_plan(plan, tick, params, params.soft_ends, 0.0)
     count = params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST)
     held = (count, 0.0, (at_rest(0.0), EMPTY))
-    settled = settle(plan, now, coefficients, 0, LINK_UP)
+    settled = tick_constants(plan, now, coefficients, 0, LINK_UP)
     return settled, at_rest(0.0), EMPTY, held, CALM
 
 

@@ -24,7 +24,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from hapticd.core.arrays import Floats, once
+from hapticd.core.arrays import Floats, lazy_property
 from hapticd.core.errors import AnalysisError
 from hapticd.signal.kernels import kernels
 
@@ -67,7 +67,7 @@ class Moments:
             np.concatenate((self.tail, block))[-keep:],
         )
 
-    @once
+    @lazy_property
     def line(self) -> tuple[Floats, Floats]:
         """Value at k = 0 and slope per sample of the least-squares line, (1,) or (n, 1)."""
         n = self.length
@@ -77,12 +77,12 @@ class Moments:
         )
         return mean - 0.5 * (n - 1) * slope, slope
 
-    @once
+    @lazy_property
     def leaving(self) -> "Running":
         """Sums over the last samples, backwards from the end."""
         return Running.of(self.tail[..., ::-1])
 
-    @once
+    @lazy_property
     def entering(self) -> "Running":
         """Sums over the first samples."""
         return Running.of(self.head)

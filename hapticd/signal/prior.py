@@ -29,7 +29,13 @@ from hapticd.core.arrays import Floats
 from hapticd.model.linearise import BURSTS, Linearised, Perturbation, linearise, recorded_impedance
 from hapticd.model.loop import Filters, close_loop, spectral_radius
 from hapticd.model.model import Model
-from hapticd.model.predict import NOMINAL_NS_PER_M, chunks, coulomb, frequencies, rubbed
+from hapticd.model.predict import (
+    NOMINAL_NS_PER_M,
+    chunks,
+    coulomb,
+    frequencies,
+    with_equivalent_damping,
+)
 from hapticd.signal.passive_set import grid
 from hapticd.signal.surrogate import Box
 
@@ -69,7 +75,9 @@ class ModelPrior:
         f = np.union1d(frequencies((frequency_hz[0], frequency_hz[-1]), perturbation), frequency_hz)
         self._at = np.searchsorted(f, frequency_hz)
         self._start = np.where(self._coulomb > 0.0, NOMINAL_NS_PER_M, 0.0)
-        self._loop = close_loop(rubbed(model, self._start), f, active_damping_ns_per_m, filters)
+        self._loop = close_loop(
+            with_equivalent_damping(model, self._start), f, active_damping_ns_per_m, filters
+        )
         rest = self._linearised(np.zeros((1, 3)))[0].friction[:, 0]
         self._needed = _Table(box, _needed(model, box, rest, active_damping_ns_per_m, filters))
         self._last: Known | None = None
@@ -113,7 +121,10 @@ def _needed(
     places = grid(_axes(box))
     usual = float(rest.sum()) or 1.0
     growth = [
-        spectral_radius(rubbed(model, share * rest), places, active_damping_ns_per_m, filters) - 1.0
+        spectral_radius(
+            with_equivalent_damping(model, share * rest), places, active_damping_ns_per_m, filters
+        )
+        - 1.0
         for share in SHARES
     ]
     needed = np.full(len(places), SHARES[0])

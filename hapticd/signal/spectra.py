@@ -40,7 +40,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.core.arrays import Complexes, Flags, Floats, Integers, once
+from hapticd.core.arrays import Complexes, Flags, Floats, Integers, lazy_property
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.signal.covariances import (
@@ -113,7 +113,7 @@ class Spectra:
         """Lowest frequency of which the window says something, 1/(M T)."""
         return self.rate_hz / self.lag
 
-    @once
+    @lazy_property
     def whole(self) -> bool:
         """Whether these are all lines of the window, which hold the estimate between them as
         well.
@@ -149,7 +149,7 @@ class Spectra:
             self._bands[ends_hz] = self._cut(ends_hz)
         return self._bands[ends_hz]
 
-    @once
+    @lazy_property
     def _bands(self) -> "dict[tuple[float, float], Spectra]":
         """Bands that were cut before, by their ends [Hz]."""
         return {}
@@ -223,7 +223,7 @@ class Spectra:
         """What the values were taken over, in words."""
         return f"window of {self.lag} samples"
 
-    @once
+    @lazy_property
     def coherence(self) -> Floats:
         """Coherence g2 (F,), between 0 and 1; 0 where a channel has no power. Not to be written to:
         whoever asks gets the same array.

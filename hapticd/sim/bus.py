@@ -60,7 +60,7 @@ BAND = {  # what is not known of a bus, one thing at a time
 }
 
 
-class Passed(NamedTuple):
+class TransferTime(NamedTuple):
     """A transfer: when the board got or gave its packet, and when the host's kernel had done."""
 
     board_ns: int
@@ -75,7 +75,7 @@ class Bus(Protocol):
     def submitted_ns(self, t_ns: int) -> int:
         """When a submission that begins at `t_ns` returns."""
 
-    def out(self, t_ns: int, size: int) -> Passed:
+    def out(self, t_ns: int, size: int) -> TransferTime:
         """An OUT of `size` bytes that was submitted by `t_ns`."""
 
     def polled_ns(self, asked_ns: int, ready_ns: int) -> int:
@@ -103,8 +103,8 @@ class FixedBus:
     def submitted_ns(self, t_ns: int) -> int:
         return t_ns
 
-    def out(self, t_ns: int, size: int) -> Passed:
-        return Passed(t_ns + self._out_ns, t_ns + self._out_ns)
+    def out(self, t_ns: int, size: int) -> TransferTime:
+        return TransferTime(t_ns + self._out_ns, t_ns + self._out_ns)
 
     def polled_ns(self, asked_ns: int, ready_ns: int) -> int:
         return ready_ns if ready_ns > asked_ns else asked_ns
@@ -137,9 +137,9 @@ class FullSpeedBus:
     def submitted_ns(self, t_ns: int) -> int:
         return t_ns + self._cost_ns(self._params.submit_us)
 
-    def out(self, t_ns: int, size: int) -> Passed:
+    def out(self, t_ns: int, size: int) -> TransferTime:
         end_ns = self.transacted_ns(self._served_ns(t_ns, 0), self.wire_ns(size))
-        return Passed(end_ns, self._completed_ns(self._split_ns(end_ns)))
+        return TransferTime(end_ns, self._completed_ns(self._split_ns(end_ns)))
 
     def polled_ns(self, asked_ns: int, ready_ns: int) -> int:
         if self._params.transfer == "interrupt":

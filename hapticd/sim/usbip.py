@@ -76,7 +76,7 @@ MOST_PEERS = 8  # beyond that the oldest that has not imported the board goes
 Tell = Callable[[str], None]
 
 
-class Waiting(NamedTuple):
+class PendingSubmit(NamedTuple):
     """A transfer that has no answer yet."""
 
     number: int
@@ -84,7 +84,7 @@ class Waiting(NamedTuple):
     room: int
 
 
-class Gone(Exception):
+class PeerClosed(Exception):
     """The connection has ended, by whatever."""
 
 
@@ -95,7 +95,7 @@ class Peer:
         self.connection = connection
         self.name = name
         self.received = b""
-        self.waiting: list[Waiting] = []
+        self.waiting: list[PendingSubmit] = []
         connection.settimeout(PATIENCE_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
@@ -104,9 +104,9 @@ class Peer:
         try:
             more = self.connection.recv(RECEIVE_BYTES)
         except OSError as error:
-            raise Gone from error
+            raise PeerClosed from error
         if not more:
-            raise Gone
+            raise PeerClosed
         self.received += more
 
     def take(self, size: int) -> bytes | None:
@@ -122,7 +122,7 @@ class Peer:
         try:
             self.connection.sendall(b"".join(parts))
         except OSError as error:
-            raise Gone from error
+            raise PeerClosed from error
 
     def answer(self, number: int, status: int, length: int, data: bytes = b"") -> None:
         """RET_SUBMIT: the transfer has ended, with `status` 0 or a negative errno."""
@@ -210,7 +210,7 @@ class UsbipServer:
         except Unplugged as pulled:
             self._away_until_ns = self._clock.now_ns() + round(pulled.away_s * NS_PER_S)
             self._drop(peer)
-        except Gone:
+        except PeerClosed:
             self._drop(peer)
 
     def _drop(self, peer: Peer) -> None:
@@ -235,9 +235,9 @@ class UsbipServer:
             one = INTERFACE.pack(descriptors.VENDOR_CLASS, 0, 0, 0)
             head = OPERATION.pack(VERSION, OP_REP_DEVLIST, DONE)
             peer.send(head, COUNT.pack(1), self._about(), one)
-            raise Gone
+            raise PeerClosed
         if code != OP_REQ_IMPORT:
-            raise Gone
+            raise PeerClosed
         question = peer.take(OPERATION.size + BUS_ID_BYTES)
         if question is None:
             return False
@@ -251,7 +251,7 @@ class UsbipServer:
         reply = OPERATION.pack(VERSION, OP_REP_IMPORT, status)
         if status != DONE:
             peer.send(reply)
-            raise Gone
+            raise PeerClosed
         self._device.plug(now_ns)
         self._importer = peer
         self._tell(f"attached to {peer.name}")
@@ -289,17 +289,17 @@ class UsbipServer:
             return True
         _flags, length, _start, _packets, _interval, setup = SUBMIT.unpack(rest)
         if command != CMD_SUBMIT or not 0 <= length <= LONGEST_BYTES:
-            raise Gone
+            raise PeerClosed
         transfer = peer.take(URB.size + (0 if inwards else length))
         if transfer is None:
             return False
         data = memoryview(transfer)[URB.size :]
         address = endpoint | (IN_BIT if inwards and endpoint else 0)
         with _reported(peer, number):
-            self._submit(peer, Waiting(number, address, length), Setup.of(setup), data)
+            self._submit(peer, PendingSubmit(number, address, length), Setup.of(setup), data)
         return True
 
-    def _submit(self, peer: Peer, urb: Waiting, setup: Setup, data: memoryview) -> None:
+    def _submit(self, peer: Peer, urb: PendingSubmit, setup: Setup, data: memoryview) -> None:
         """Begin a transfer; it ends here or waits."""
         now_ns = self._clock.now_ns()
         if urb.endpoint == 0:
@@ -310,7 +310,7 @@ class UsbipServer:
         elif not urb.endpoint & IN_BIT and self._device.write(urb.endpoint, data, now_ns):
             return peer.answer(urb.number, DONE, urb.room)
         if len(peer.waiting) >= MOST_WAITING:
-            raise Gone
+            raise PeerClosed
         peer.waiting.append(urb)
         return None
 

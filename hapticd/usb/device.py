@@ -74,7 +74,7 @@ MOST_LAG = session.SEQ_MASK // 2  # an OUT further back than that was sent ahead
 NO_HEAD: Head = (0,) * codec.HEAD_FIELDS
 
 
-class Phase(NamedTuple):
+class SamplePhase(NamedTuple):
     """What a board was asked for, and in which of its lives."""
 
     life: int
@@ -109,7 +109,7 @@ class Device:
         self.counts = dict.fromkeys(kinds, 0)
         self.hello: HelloFrame | None = None
         self.events = PinEvents()
-        self._phase: Phase | None = None  # None: as the board has it
+        self._phase: SamplePhase | None = None  # None: as the board has it
         self._begin: Callable[[], None]
         self.receive: Callable[[], Received]
         self.send: Callable[..., bool]
@@ -144,7 +144,7 @@ class Device:
 
     def set_phase(self, phase_us: float) -> None:
         """Ask the board to latch each IN `phase_us` after its OUT; it has to be able to."""
-        phase = Phase(self.counts["lives"], round(phase_us))
+        phase = SamplePhase(self.counts["lives"], round(phase_us))
         self.link.request(Request.SAMPLE_PHASE, value=phase.phase_us)
         self._phase = phase
 

@@ -21,13 +21,13 @@ from hapticd.usb.base import backoff_s
 from hapticd.usb.device import Device
 from hapticd.usb.frames import HelloFrame
 
-__all__ = ["Search", "Tell"]
+__all__ = ["BoardSearch", "Tell"]
 
 MISMATCH_NS = 30 * NS_PER_S  # boot loaders wait for seconds, and flashing takes half a minute
 Tell = Callable[[str], None]
 
 
-class Search:
+class BoardSearch:
     """Looks for the board of `device`; `tell(reason)` is called when the reason changes."""
 
     def __init__(self, device: Device, tell: Tell) -> None:

@@ -14,11 +14,11 @@ import pytest
 from support.analysis_devices import rigid
 from support.coupled_hands import HANDS, LEVEL, ROUNDING, called
 
-from hapticd.model.coupled import coupled_radius, held_by, reach, shaking_hand, withstands
+from hapticd.model.coupled import coupled_radius, coupled_stable, destabilising_hand, held_by, reach
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import PAPER_FILTERS, pulse_transfer, with_viscous
 from hapticd.model.predict import predict
-from hapticd.model.theorem import lift, lifted_passive
+from hapticd.model.theorem import lifted_passive, lifted_system
 from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.studies.weir2008.run import POINTS, SCENES, conditions
 
@@ -36,7 +36,7 @@ def test_no_hand_leaves_its_circle(name, level):
     be.
     """
     device = conditions(name).display
-    lifted = lift(device.model, level, device.filters)
+    lifted = lifted_system(device.model, level, device.filters)
     turn = np.exp(1j * lifted.angles)
     found = reach(lifted)
     most = 0.0
@@ -100,14 +100,14 @@ def test_five_percent_outside_a_hand_shakes_it(name, level):
         if name in own
         else (conditions(name).display.model, conditions(name).display.filters)
     )
-    lifted = lift(model, level, filters)
+    lifted = lifted_system(model, level, filters)
     random = np.random.default_rng(5)
     for _ in range(12):
         direction = random.normal(0.0, (500.0, 3.0, 0.01))
         direction[0] = abs(direction[0])
         edge = boundary(lifted, direction) * direction
-        assert shaking_hand(model, 0.95 * edge, level, filters) is None
-        found = shaking_hand(model, 1.05 * edge, level, filters)
+        assert destabilising_hand(model, 0.95 * edge, level, filters) is None
+        found = destabilising_hand(model, 1.05 * edge, level, filters)
         assert found is not None
         inside, outside = coupled_radius(
             model, [0.95 * edge, 1.05 * edge], [found[0]], level, filters
@@ -134,15 +134,15 @@ def test_few_predictions_are_open_to_hands_and_with_little_margin(name, level, s
     """
     device = conditions(name).display
     found = predict(device.model, POINTS, level, device.filters, Perturbation())
-    lifted = lift(device.model, level, device.filters)
+    lifted = lifted_system(device.model, level, device.filters)
     passive = np.flatnonzero(found.passive)
     friction = found.friction_ns_per_m
-    exceptions = passive[~withstands(lifted, POINTS[passive], friction[passive])]
+    exceptions = passive[~coupled_stable(lifted, POINTS[passive], friction[passive])]
     assert len(exceptions) <= share * len(passive)
     shaken = 0
     for place in exceptions:
         assert found.margin_ns_per_m[place] < margin * (lifted.resistance.min() + friction[place])
-        hand, at_hz = shaking_hand(
+        hand, at_hz = destabilising_hand(
             device.model, POINTS[place], level, device.filters, friction[place]
         )
         rubbed = with_viscous(device.model, (friction[place],) * len(device.model.contacts))

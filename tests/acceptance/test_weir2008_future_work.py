@@ -14,7 +14,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.effects import Masses, Motor, Viscous
 from hapticd.model.predict import predict
 from hapticd.model.step import held_force_response
-from hapticd.model.theorem import lift, lifted_margin, paper_equation_2
+from hapticd.model.theorem import lifted_margin, lifted_system, paper_equation_2
 from hapticd.studies.weir2008 import future_work
 from hapticd.studies.weir2008.future_work import (
     GRID,
@@ -146,7 +146,7 @@ def test_safest_holds_for_every_input_not_only_for_noise(rigid):
     theorem.
     """
     asked = lightest_safe(rigid, LEVEL, -2.0, -0.012)
-    lifted = lift(rigid.display.model, LEVEL, rigid.display.filters)
+    lifted = lifted_system(rigid.display.model, LEVEL, rigid.display.filters)
     assert lifted_margin(lifted, [(0.0, *asked)])[0] >= 0.0
     tempting = np.array([[0.0, -1.8, -0.003]])
     assert rigid.display.passive(tempting, LEVEL, dry=False)[0]

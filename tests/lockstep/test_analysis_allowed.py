@@ -21,11 +21,11 @@ from hapticd.model.compose import compose
 from hapticd.model.loop import PAPER_FILTERS, spectral_radius
 from hapticd.model.theorem import (
     circles,
-    lift,
     lifted_margin,
+    lifted_system,
     lifted_worst,
+    outside_circles,
     required_damping,
-    within,
 )
 from hapticd.zwidth.scenes import device_scene
 
@@ -79,12 +79,12 @@ def test_yes_or_no_agrees_with_the_margin(level: float, spare: float) -> None:
     """The circles of many points at once against forty halvings for each."""
     scene = device_scene("weir2008")
     assert scene is not None
-    lifted = lift(compose(scene), level)
+    lifted = lifted_system(compose(scene), level)
     draw = np.random.default_rng(2)
     high = (500.0, 4.0, 0.03) if level else (100.0, 1.0, 0.004)  # damping enlarges the set
     points = draw.uniform((0.0, -0.5 * high[1], -0.5 * high[2]), high, (400, 3))
     margins = lifted_margin(lifted, points)
-    flags = within(circles(lifted, spare), points)
+    flags = outside_circles(circles(lifted, spare), points)
     assert 5 < flags.sum() < 395
     np.testing.assert_array_equal(flags, margins >= spare)
 
@@ -93,12 +93,12 @@ def test_worst_frequency_is_where_the_margin_ends() -> None:
     """At that frequency alone the device has no more to spare than the margin."""
     scene = device_scene("weir2008")
     assert scene is not None
-    lifted = lift(compose(scene), 0.0)
+    lifted = lifted_system(compose(scene), 0.0)
     found = lifted_worst(lifted, (100.0, 1.0, 0.0), 1000.0)
     assert found.margin_ns_per_m == lifted_margin(lifted, [(100.0, 1.0, 0.0)])[0]
     point = np.array([(100.0, 1.0, 0.0)])
-    assert within(circles(lifted, found.margin_ns_per_m - 1e-6), point)[0]
-    assert not within(circles(lifted, found.margin_ns_per_m + 1e-6), point)[0]
+    assert outside_circles(circles(lifted, found.margin_ns_per_m - 1e-6), point)[0]
+    assert not outside_circles(circles(lifted, found.margin_ns_per_m + 1e-6), point)[0]
     form = circles(lifted, found.margin_ns_per_m + 1e-3).form
     k, b = 100.0, 1.0
     values = np.array([1.0, k, b, 0.0, k * k, k * b, 0.0, b * b, 0.0, 0.0]) @ form
@@ -124,7 +124,7 @@ def test_a_stable_negative_stiffness_is_refused_too() -> None:
     theorem = Theorem(model)
     points = np.array([[-10.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
     assert (spectral_radius(model, points) < 1.0).all()
-    assert within(circles(lift(model)), points).all()
+    assert outside_circles(circles(lifted_system(model)), points).all()
     assert theorem.safe(points, conditions()).tolist() == [False, True]
 
 
@@ -144,7 +144,7 @@ def test_passive_but_unstable_is_not_safe() -> None:
     """
     model = model_of(with_hidden_growth(rigid()))
     points = np.array([[100.0, 0.5, 0.0]])
-    assert within(circles(lift(model)), points).all()
+    assert outside_circles(circles(lifted_system(model)), points).all()
     assert not Theorem(model).safe(points, conditions())[0]
     assert Theorem(model_of(rigid())).safe(points, conditions())[0]
 

@@ -6,14 +6,14 @@ from support.guard_device import change, setup_of
 from support.narrow_modes import ClosedForm, Narrow, drawn
 
 from hapticd.core.environment import Environment
-from hapticd.guard.allowed import Judgement, intervals
+from hapticd.guard.allowed import SafeRegion, intervals
 from hapticd.guard.bases import Conditions, Theorem
 from hapticd.guard.judge import Judge
 from hapticd.model.angles import angles_of, least_between, unresolved_hz
 from hapticd.model.coupled import GROUND, Network, coupled_radius
 from hapticd.model.effects import Coupling, Masses, Motor, Viscous
 from hapticd.model.loop import PAPER_FILTERS
-from hapticd.model.theorem import Circles, within
+from hapticd.model.theorem import Circles, outside_circles
 from hapticd.settings.guard import model_params
 
 LEAF = Narrow(0.0058, 0.002, 36.6, 0.01, 1.54, 0.25)
@@ -90,7 +90,7 @@ def test_circles_between_two_angles_count():
     form = np.zeros((10, 4))
     form[0] = (angles - 0.26) ** 2 - 1e-4
     assert form[0].min() > 0.0
-    assert not within(Circles(angles, form), np.zeros((1, 3)))[0]
+    assert not outside_circles(Circles(angles, form), np.zeros((1, 3)))[0]
 
 
 def test_no_value_below_is_made_of_a_straight_line():
@@ -106,7 +106,7 @@ def display(point):
 @pytest.mark.parametrize("seed", range(40))
 def test_an_axis_whose_own_value_is_safe_has_an_interval(seed):
     device = drawn(seed)
-    judgement = Judgement(Theorem(device.model()), device.delay_periods, 0.0)
+    judgement = SafeRegion(Theorem(device.model()), device.delay_periods, 0.0)
     random = np.random.default_rng((4, seed))
     points = random.uniform((0.0, -1.0, -0.004), (600.0, 2.0, 0.006), (60, 3))
     points *= np.exp(random.uniform(np.log(0.01), 0.0, (60, 1)))

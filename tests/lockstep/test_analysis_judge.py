@@ -10,8 +10,8 @@ from hapticd.core.errors import AnalysisError
 from hapticd.guard import policies
 from hapticd.guard.judge import Judge
 from hapticd.guard.ways import POINTS
-from hapticd.guard.words import doubling
-from hapticd.model.coupled import coupled_radius, shaking_hand
+from hapticd.guard.words import doubling_text
+from hapticd.model.coupled import coupled_radius, destabilising_hand
 
 LEVEL = 1.74
 DAMPED = {"active_damping": LEVEL}
@@ -336,9 +336,9 @@ def test_a_number_that_is_not_finite_is_an_error() -> None:
 
 def test_growth_is_told_by_the_time_in_which_it_doubles() -> None:
     """What each tick of 1 ms multiplies by 2^(1/40) doubles in 40 ms."""
-    assert doubling(2.0 ** (1 / 40), 1000.0) == "doubles in 40 ms"
-    assert doubling(2.0 ** (1 / 5000), 1000.0) == "doubles in 5 s"
-    assert doubling(1.0, 1000.0) == "does not die out"
+    assert doubling_text(2.0 ** (1 / 40), 1000.0) == "doubles in 40 ms"
+    assert doubling_text(2.0 ** (1 / 5000), 1000.0) == "doubles in 5 s"
+    assert doubling_text(1.0, 1000.0) == "does not die out"
     verdict = change(shipped_judge(), {"K": 2000.0, "B": 5.0}, policy="warn")["verdict"]
     assert verdict["radius"] > 1.0
     ticks = np.log(2.0) / np.log(verdict["radius"])
@@ -351,7 +351,7 @@ def test_hand_is_put_into_words() -> None:
     hand = shipped_judge().answer(asked)["hand"]
     assert hand["radius"] > 1.0
     assert hand["text"].startswith(("a mass of", "a spring of"))
-    assert hand["growth"] == f"its motion {doubling(hand['radius'], 1000.0)}"
+    assert hand["growth"] == f"its motion {doubling_text(hand['radius'], 1000.0)}"
     assert f"{hand['hz']:.3g} Hz" in hand["text"]
     safe = shipped_judge().answer(asked | {"environment": FREE})
     assert safe == {"n": 3, "hand": None}
@@ -366,7 +366,7 @@ def test_hand_that_is_named_shakes_harder_than_the_one_where_growth_was_guessed(
     assert hand["hz"] == pytest.approx(verdict["worst_hz"], rel=0.01)
     assert judge.theorem is not None
     model = judge.theorem.late(judge.theorem.model.delay_periods)
-    guessed, _ = shaking_hand(model, (500.0, 2.0, 0.0)) or pytest.fail("no hand")
+    guessed, _ = destabilising_hand(model, (500.0, 2.0, 0.0)) or pytest.fail("no hand")
     weaker = coupled_radius(model, np.array([[500.0, 2.0, 0.0]]), [guessed])[0, 0]
     assert hand["radius"] > weaker > 1.0
 

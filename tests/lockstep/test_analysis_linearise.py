@@ -8,11 +8,11 @@ from support.analysis_devices import display, rigid
 
 from hapticd.model.linearise import (
     GAIN,
-    LonePort,
-    MovingPort,
+    CoupledFrictionPorts,
     Perturbation,
+    SingleFrictionPort,
+    add_port_dampers,
     density_weights,
-    hung,
     port_admittance,
 )
 from hapticd.model.loop import close_loop, with_viscous
@@ -67,7 +67,9 @@ def test_hung_dampers_equal_dampers_in_the_device():
     both = display(coulomb=0.01, slider_coulomb=0.01)
     levels = (0.7, 1.3)
     nothing = np.zeros((1, 3))
-    afterwards = hung(port_admittance(close_loop(both, F), nothing), np.array(levels)[:, None])
+    afterwards = add_port_dampers(
+        port_admittance(close_loop(both, F), nothing), np.array(levels)[:, None]
+    )
     inside = port_admittance(close_loop(with_viscous(both, levels), F), nothing)
     assert afterwards == pytest.approx(inside, rel=1e-9)
 
@@ -104,8 +106,8 @@ def test_deviation_of_a_narrow_resonance_is_that_of_its_closed_form():
     f = np.arange(1.0, 200.0, 2.0)
     for stiffness in np.linspace(60.0, 70.0, 11):
         y = 1.0 / (0.3 + 2j * np.pi * f * 0.008 + stiffness / (2j * np.pi * f))[None]
-        alone = LonePort(np.abs(y) ** 2, y.real, y.imag, 0.3)
+        alone = SingleFrictionPort(np.abs(y) ** 2, y.real, y.imag, 0.3)
         weight = density_weights(f, Perturbation(2.5e-5, 1e9))
         for damper in (0.3, 0.1, 0.01):
-            found = MovingPort(f, alone, weight).sd(np.array([damper]))[0]
+            found = CoupledFrictionPorts(f, alone, weight).sd(np.array([damper]))[0]
             assert found == pytest.approx(np.sqrt(2.5e-5 / (4.0 * 0.008 * damper)), rel=0.05)

@@ -5,7 +5,7 @@ import pytest
 from support.analysis_devices import display, law_on_device, rigid
 
 from hapticd.model.effects import AntiAlias, Load, VelocityHighpass
-from hapticd.model.loop import derivatives, held, pulse_transfer, spectral_radius
+from hapticd.model.loop import derivatives, held_force_model, pulse_transfer, spectral_radius
 from hapticd.model.predict import predicted_impedance
 from hapticd.model.step import held_force_response
 
@@ -58,7 +58,7 @@ def test_pulse_transfer_of_a_free_mass(delay):
 
 
 def test_hold_is_half_a_period_late():
-    assert held(np.array([1.0]), 1000.0, 0.125)[0] == pytest.approx(
+    assert held_force_model(np.array([1.0]), 1000.0, 0.125)[0] == pytest.approx(
         np.exp(-2j * np.pi * 0.625e-3), rel=1e-5
     )
 

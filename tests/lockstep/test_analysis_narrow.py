@@ -7,7 +7,7 @@ from support.analysis_narrow import DENSE, DEVICES, GRID, drawn, flexible, resis
 
 from hapticd.model import predict as module
 from hapticd.model.linearise import Perturbation
-from hapticd.model.narrow import dip, mode_lines
+from hapticd.model.narrow import min_between_lines, mode_lines
 from hapticd.model.predict import predict
 
 
@@ -89,7 +89,7 @@ def test_dip_of_one_pole_is_found_from_three_lines(seed):
     def z(hz):
         return constant + residue / (hz - pole)
 
-    where, least = dip(f, z(f))
+    where, least = min_between_lines(f, z(f))
     lowest = np.argmin(z(dense).real)
     if 0 < lowest < dense.size - 1:
         assert where == pytest.approx(dense[lowest], abs=1e-4)

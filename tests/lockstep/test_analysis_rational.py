@@ -8,14 +8,14 @@ from support.guard_device import rigid
 from support.narrow_modes import ClosedForm, Narrow, directions, drawn, edge
 
 from hapticd.core.environment import FilterParams
-from hapticd.guard.bases import Conditions, Theorem, ends_of_line, model_of
+from hapticd.guard.bases import Conditions, Theorem, line_ends, model_of
 from hapticd.model import rational as subject
 from hapticd.model.angles import FIXED
 from hapticd.model.compose import compose
 from hapticd.model.coupled import GROUND, Network, coupled_radius
 from hapticd.model.loop import PAPER_FILTERS
 from hapticd.model.rational import positive_everywhere, rational
-from hapticd.model.theorem import circles, lift, opened, within
+from hapticd.model.theorem import circles, lifted_system, open_loop, outside_circles
 from hapticd.zwidth.scenes import device_scene
 
 LEAF = Narrow(0.0058, 0.002, 36.6, 0.0005, 1.54, 0.25)
@@ -25,7 +25,7 @@ DENSE = np.concatenate((np.geomspace(2e-3, 0.05, 300), np.linspace(0.051, 3.141,
 
 def at_angles(model, filters, angles):
     """The circles of the sums themselves."""
-    return circles(lift(model, 0.0, filters, opened(model, 0.0, angles, 100)))
+    return circles(lifted_system(model, 0.0, filters, open_loop(model, 0.0, angles, 100)))
 
 
 @pytest.mark.parametrize("filters", [PAPER_FILTERS, (None, None), SHARP, (SHARP[0], SHARP[0])])
@@ -69,7 +69,7 @@ def test_a_mode_that_angles_1_hz_apart_step_over_is_found():
     """Half a promille of critical damping: a spring shakes what the fixed angles call passive."""
     model = LEAF.model()
     point = np.array([[60.0, 0.0, 0.0]])
-    assert within(at_angles(model, PAPER_FILTERS, FIXED), point)[0]
+    assert outside_circles(at_angles(model, PAPER_FILTERS, FIXED), point)[0]
     assert not positive_everywhere(rational(model, 0.0, PAPER_FILTERS, 0.0), point)[0]
     assert coupled_radius(model, point, springs()).max() > 1.0 + 1e-6
 
@@ -78,11 +78,11 @@ def test_a_sharp_filter_that_angles_about_modes_step_over_is_found():
     """Poles of the law count as well: an edge lay 2 % too far by the angles of the device."""
     model = model_of(rigid(0.5))
     found = rational(model, 0.0, SHARP, 0.0)
-    lifted = circles(lift(model, 0.0, SHARP))
+    lifted = circles(lifted_system(model, 0.0, SHARP))
     dense = at_angles(model, SHARP, DENSE)
     direction = np.array([0.0, 1.0, 0.0])
-    true = edge(lambda points: within(dense, points), direction)
-    assert edge(lambda points: within(lifted, points), direction) > 1.003 * true
+    true = edge(lambda points: outside_circles(dense, points), direction)
+    assert edge(lambda points: outside_circles(lifted, points), direction) > 1.003 * true
     reached = edge(lambda points: positive_everywhere(found, points), direction)
     assert reached == pytest.approx(true, rel=1e-5)
 
@@ -123,8 +123,8 @@ def test_a_dip_of_the_resistance_is_found_without_a_grid():
     """Active damping through a slow circuit: the resistance is least at no frequency's end."""
     scene = device_scene("weir2008")
     model = compose(scene)
-    least = float(opened(model, 1.74, np.linspace(0.01, 3.13, 300), 3).impedance.real.min())
-    high = float(opened(model, 1.74, np.ones(1), 400).impedance.real[0, -1])
+    least = float(open_loop(model, 1.74, np.linspace(0.01, 3.13, 300), 3).impedance.real.min())
+    high = float(open_loop(model, 1.74, np.ones(1), 400).impedance.real[0, -1])
     assert least < high - 0.01
     assert subject._poles(model, 1.74, PAPER_FILTERS, least - 1e-4) is not None
     assert subject._poles(model, 1.74, PAPER_FILTERS, least + 1e-4) is None
@@ -161,9 +161,9 @@ def test_a_command_that_acts_on_the_slider_too_leaves_no_convex_set():
 def test_a_way_has_its_two_ends_and_a_triangle_has_none():
     share = np.linspace(0.0, 1.0, 20)[:, None]
     way = np.array([[10.0, 0.5, 0.0]]) + share * np.array([[300.0, -0.2, 1e-3]])
-    assert sorted(ends_of_line(way)) == [0, 19]
+    assert sorted(line_ends(way)) == [0, 19]
     shuffled = np.random.default_rng(1).permutation(20)
-    assert sorted(ends_of_line(way[shuffled])) == sorted(np.flatnonzero(shuffled % 19 == 0))
-    assert ends_of_line(np.eye(3)) is None
+    assert sorted(line_ends(way[shuffled])) == sorted(np.flatnonzero(shuffled % 19 == 0))
+    assert line_ends(np.eye(3)) is None
     way[7, 1] += 1e-9
-    assert ends_of_line(way) is None
+    assert line_ends(way) is None

@@ -9,11 +9,17 @@ import pytest
 from support.analysis_devices import display, rigid
 
 from hapticd.core.errors import AnalysisError
-from hapticd.model.loop import PAPER_FILTERS, derivatives, held, pulse_transfer, responses
+from hapticd.model.loop import (
+    PAPER_FILTERS,
+    derivatives,
+    held_force_model,
+    pulse_transfer,
+    responses,
+)
 from hapticd.model.theorem import (
-    lift,
     lifted_margin,
     lifted_passive,
+    lifted_system,
     paper_equation_2,
     required_damping,
 )
@@ -121,7 +127,7 @@ POINTS = [[100, 1, 0], [500, 0, 0], [0, 2, 0], [0, 0, -0.01], [300, -1, 0.005]]
 
 @pytest.mark.parametrize("delay", [0.0, 0.125, 0.5, 1.0, 1.7])
 def test_composed_rigid_device_agrees_with_the_closed_form(delay):
-    found = lifted_margin(lift(rigid(viscous=2.0, delay=delay)), POINTS)
+    found = lifted_margin(lifted_system(rigid(viscous=2.0, delay=delay)), POINTS)
     assert found == pytest.approx(2.0 - required_damping(POINTS, delay_periods=delay)[0], abs=1e-3)
 
 
@@ -138,7 +144,7 @@ def least_eigenvalue(model, point, images):
             (np.ones(1), *derivatives(turn, model.rate_hz, PAPER_FILTERS))
         )
         loop = law / (1 + pulse_transfer(model, turn) * law)
-        out = p.velocity[0, 0] * held(f, model.rate_hz, model.delay_periods)
+        out = p.velocity[0, 0] * held_force_model(f, model.rate_hz, model.delay_periods)
         z = np.linalg.inv(np.diag(p.velocity[0, 1]) - loop * np.outer(out, p.encoder[1]))
         least = min(least, np.linalg.eigvalsh(0.5 * (z + z.conj().T))[0])
     return least
@@ -146,12 +152,12 @@ def least_eigenvalue(model, point, images):
 
 @pytest.mark.parametrize("point", [(50.0, 0.0, 0.0), (100.0, 1.0, 0.01), (0.0, 0.0, -0.004)])
 def test_flexible_device_agrees_with_brute_force(point):
-    found = lifted_margin(lift(display()), [point])[0]
+    found = lifted_margin(lifted_system(display()), [point])[0]
     assert found == pytest.approx(least_eigenvalue(display(), point, 12), abs=2e-3)
 
 
 def test_lifted_yes_or_no_is_the_sign_of_the_margin():
-    lifted = lift(display(), 1.74)
+    lifted = lifted_system(display(), 1.74)
     points = np.random.default_rng(1).uniform((0, -1, -0.02), (3000, 6, 0.02), (40, 3))
     margin = lifted_margin(lifted, points)
     assert (margin > 0).any()
@@ -160,8 +166,8 @@ def test_lifted_yes_or_no_is_the_sign_of_the_margin():
 
 
 def test_friction_does_not_count_for_safety():
-    assert lifted_margin(lift(display(coulomb=0.0)), POINTS) == pytest.approx(
-        lifted_margin(lift(display(coulomb=0.05)), POINTS)
+    assert lifted_margin(lifted_system(display(coulomb=0.0)), POINTS) == pytest.approx(
+        lifted_margin(lifted_system(display(coulomb=0.05)), POINTS)
     )
 
 
@@ -196,11 +202,11 @@ def test_negative_stiffness_satisfies_neither_equation_2_nor_the_lifted_requirem
     with pytest.raises(AnalysisError, match=r"Eq\. 2 does not hold for K = -34 N/m"):
         paper_equation_2(-34.0, 0.0, 1.0)
     points = [[-34.0, -0.86, 0.0048], [0.0, 0.0, 0.0]]
-    assert lifted_passive(lift(rigid()), points).tolist() == [False, True]
+    assert lifted_passive(lifted_system(rigid()), points).tolist() == [False, True]
 
 
 @pytest.mark.parametrize("viscous", [0.3, 10.0, 1e5])
 def test_margin_without_a_law_is_the_damping_of_the_device(viscous: float) -> None:
     """However little is between the ends of the search, it ends."""
-    lifted = lift(rigid(viscous=viscous))
+    lifted = lifted_system(rigid(viscous=viscous))
     assert lifted_margin(lifted, [(0.0, 0.0, 0.0)])[0] == pytest.approx(viscous)

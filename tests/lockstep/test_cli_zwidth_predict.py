@@ -10,7 +10,7 @@ from hapticd.cli.app import main
 from hapticd.model.coupled import Hand, held_by
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import PAPER_FILTERS, spectral_radius
-from hapticd.model.outlook import outlook
+from hapticd.model.outlook import forecast
 from hapticd.model.theorem import required_damping
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.scenes import display
@@ -106,7 +106,7 @@ def test_prediction_is_that_of_a_map(capsys):
     "point", [(1000.0, 1.0, 0.0), (0.0, 3.0, 0.0), (3000.0, 0.0, 0.0), (4500.0, 0.0, 0.0)]
 )
 def test_theorem_of_a_rigid_device_is_colgate_and_schenkels(point):
-    found = outlook(rigid(viscous=2.0), point, 0.0, PAPER_FILTERS, Perturbation(), BAND)
+    found = forecast(rigid(viscous=2.0), point, 0.0, PAPER_FILTERS, Perturbation(), BAND)
     assert found.theorem_margin == pytest.approx(2.0 - required_damping([point])[0][0], abs=2e-3)
     assert found.theorem_passive == (found.theorem_margin > 0.0)
 

@@ -17,9 +17,9 @@ from support.analysis_devices import rigid
 from support.coupled_hands import HANDS, LEVEL, ROUNDING, called
 
 from hapticd.core.errors import AnalysisError
-from hapticd.model.coupled import Hand, coupled_radius, held_by, withstands
+from hapticd.model.coupled import Hand, coupled_radius, coupled_stable, held_by
 from hapticd.model.loop import responses, spectral_radius
-from hapticd.model.theorem import lift
+from hapticd.model.theorem import lifted_system
 from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, MAIN
 from hapticd.studies.weir2008.run import conditions
 
@@ -73,7 +73,7 @@ def test_no_called_environment_enters_it(name, level, count):
     """By the lifted requirement, which safety decides on: all of them, no exception."""
     _, _, lifted, points = called(name, level)
     assert len(points) > count
-    assert withstands(lifted, points).all()
+    assert coupled_stable(lifted, points).all()
 
 
 def test_whatever_a_hand_shakes_was_not_called():
@@ -84,7 +84,7 @@ def test_whatever_a_hand_shakes_was_not_called():
     random = np.random.default_rng(8)
     points = random.uniform((0.0, -1.0, -0.03), (3000.0, 12.0, 0.05), (60, 3))
     points = points[spectral_radius(device.model, points, ADDED_NS_PER_M, device.filters) < 1.0]
-    holds = withstands(lift(device.model, ADDED_NS_PER_M, device.filters), points)
+    holds = coupled_stable(lifted_system(device.model, ADDED_NS_PER_M, device.filters), points)
     shaken = (
         coupled_radius(device.model, points, HANDS[:150], ADDED_NS_PER_M, device.filters)
         > 1.0 + ROUNDING
@@ -94,8 +94,8 @@ def test_whatever_a_hand_shakes_was_not_called():
 
 
 def test_nothing_is_withstood_without_damping():
-    assert not withstands(lift(rigid(viscous=0.0)), [[10.0, 0.0, 0.0]])[0]
-    assert withstands(lift(rigid(viscous=0.0)), [[0.0, 0.0, 0.0]])[0]
+    assert not coupled_stable(lifted_system(rigid(viscous=0.0)), [[10.0, 0.0, 0.0]])[0]
+    assert coupled_stable(lifted_system(rigid(viscous=0.0)), [[0.0, 0.0, 0.0]])[0]
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from hapticd.core.params import (
     ServoParams,
     TouchParams,
 )
-from hapticd.guard.delivered import Delivered, Estimate, Low
+from hapticd.guard.delivered import Delivered, Estimate, Shortfall
 from hapticd.guard.judge import Judge
 from hapticd.mailbox.layout import Command, State, Value
 from hapticd.protocol.view import Records, as_records
@@ -118,7 +118,7 @@ def flown(
 
 def followed(
     servo: ServoParams, records: Records, at_once: int = 20, relied_on: float | None = None
-) -> tuple[Estimate, list[Low]]:
+) -> tuple[Estimate, list[Shortfall]]:
     delivered = Delivered(servo, lambda: relied_on)
     blocks = np.split(records, range(at_once, len(records), at_once))
     lows = [low for block in blocks for low in delivered.take(block)]

@@ -34,7 +34,7 @@ from hapticd.usb import codec
 from hapticd.usb.base import backoff_s
 from hapticd.usb.device import Device
 from hapticd.usb.link import UsbLink
-from hapticd.usb.search import MISMATCH_NS, Search
+from hapticd.usb.search import MISMATCH_NS, BoardSearch
 
 START_NS = 1000 * NS_PER_S
 FOREIGN_HELLO = b"\xff" * 8 + codec.encode_hello(hello(board_params()))[8:]
@@ -54,7 +54,7 @@ class Looking:
         self.backend = SimulatedBackend(BoardModel(board_params()), self.clock, "bulk", unready)
         self.device = Device(UsbLink(UsbParams(serial="SIM0001"), self.backend), 1000.0)
         self.told: list[str] = []
-        self.search = Search(self.device, self.told.append)
+        self.search = BoardSearch(self.device, self.told.append)
 
     def look_for(self, time_s: float) -> bool:
         """Look as a start does, for so long; whether the board was found."""

@@ -12,7 +12,7 @@ from hapticd.protocol.view import as_records
 from hapticd.run import lockstep
 from hapticd.run.lockstep import LockStep
 from hapticd.servo.safety import State
-from hapticd.sim.bus import Passed
+from hapticd.sim.bus import TransferTime
 from hapticd.sim.errors import usb_error
 from hapticd.usb.frames import Request
 
@@ -119,7 +119,9 @@ def uneven(monkeypatch, share_quick):
             return int(share_quick * done[0]) > before
 
         def out(t_ns, size):
-            return Passed(t_ns + 100_000, t_ns + 100_000) if quick() else out_usually(t_ns, size)
+            return (
+                TransferTime(t_ns + 100_000, t_ns + 100_000) if quick() else out_usually(t_ns, size)
+            )
 
         bus.out = out
         bus.received_ns = lambda t_ns: t_ns + 100_000 if quick() else received_usually(t_ns)

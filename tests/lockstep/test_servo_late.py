@@ -13,7 +13,7 @@ from hapticd.core.params import UsbParams
 from hapticd.mailbox.layout import STAGES, Command, LateCause, Value
 from hapticd.protocol.view import Records, as_records
 from hapticd.run.lockstep import LockStep
-from hapticd.sim.bus import BAND, Bus, Passed
+from hapticd.sim.bus import BAND, Bus, TransferTime
 
 pytestmark = pytest.mark.usefixtures("either_way")
 
@@ -56,11 +56,11 @@ class SeededBus:
     def submitted_ns(self, t_ns: int) -> int:
         return self._bus.submitted_ns(t_ns) + self._by("submission")
 
-    def out(self, t_ns: int, size: int) -> Passed:
+    def out(self, t_ns: int, size: int) -> TransferTime:
         slow_ns = self._by("bus")
         passed = self._bus.out(t_ns, size)
         board_ns, host_ns = passed.board_ns + slow_ns, passed.host_ns + slow_ns
-        return Passed(board_ns, host_ns + self._by("completion of OUT"))
+        return TransferTime(board_ns, host_ns + self._by("completion of OUT"))
 
     def received_ns(self, polled_ns: int) -> int:
         slow_ns = self._by("completion of IN")

@@ -12,7 +12,7 @@ display.
 import pytest
 
 from hapticd.model.loop import spectral_radius
-from hapticd.model.theorem import lift, lifted_passive
+from hapticd.model.theorem import lifted_passive, lifted_system
 from hapticd.studies.weir2008.paper import LEVELS
 from hapticd.studies.weir2008.run import POINTS, conditions
 from support.passive_hands import random_hands
@@ -25,7 +25,7 @@ LEVEL = pytest.mark.parametrize("level", LEVELS)
 def called(name, level):
     """(model, filters, lifted, points): what safety decides, without friction."""
     device = conditions(name).display
-    lifted = lift(device.model, level, device.filters)
+    lifted = lifted_system(device.model, level, device.filters)
     points = POINTS[lifted_passive(lifted, POINTS)]
     stable = spectral_radius(device.model, points, level, device.filters) < 1.0
     return device.model, device.filters, lifted, points[stable]

@@ -17,7 +17,7 @@ from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.gateway.desk import Desk
 from hapticd.gateway.server import GatewayServer
-from hapticd.guard.status import Guard, Line
+from hapticd.guard.status import Guard, WorkerLine
 from hapticd.guard.worker import Start
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.protocol.journal import Journal
@@ -39,7 +39,7 @@ class DeskRig:
     reply.
     """
 
-    def __init__(self, folder: Path, worker: Line | None = None) -> None:
+    def __init__(self, folder: Path, worker: WorkerLine | None = None) -> None:
         self.folder = folder
         self.worker = worker
         self.clock = VirtualClock(START_NS)

@@ -18,7 +18,7 @@ from hapticd.client import fast_stop
 from hapticd.client.fast_stop import main, stop
 from hapticd.core.errors import DaemonDown, MailboxError
 from hapticd.mailbox import daemons, files
-from hapticd.mailbox.daemons import Place
+from hapticd.mailbox.daemons import RuntimeFolder
 from hapticd.mailbox.layout import State
 from hapticd.mailbox.stop_word import NOT_PRESSED
 
@@ -128,7 +128,7 @@ def test_everyone_is_pressed_before_anyone_is_waited_for(
     with servo(files.runtime_folder()) as own, servo(service) as moving:
         seen: list[bool] = []
 
-        def waited(_pressed: list[Place]) -> list[Place]:
+        def waited(_pressed: list[RuntimeFolder]) -> list[RuntimeFolder]:
             seen.extend([own.stop_word.pressed, moving.stop_word.pressed])
             return []
 
@@ -214,7 +214,7 @@ def test_service_of_another_user_is_believed_where_only_root_places_folders(
     # what it is to everybody but the service's own user: a folder of somebody else
     if owner == 0:
         as_user(monkeypatch, 1)
-        daemons.believe(service)
+        daemons.require_trusted(service)
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from support.gateway_rig import DeskRig, packed
 from support.guard_stub import StubWorker
 
 from hapticd.core.params import GuardParams
-from hapticd.guard.terms import Terms, keep, kept, no_laxer
+from hapticd.guard.terms import Terms, read_terms, stricter_of, write_terms
 from hapticd.mailbox.files import GUARD_TERMS
 
 
@@ -87,10 +87,10 @@ def test_terms_end_with_their_servo(rig: DeskRig) -> None:
     assert mailbox is not None
     epoch = mailbox.header.start_ns
     rig.run()
-    found = kept(rig.folder, epoch)
+    found = read_terms(rig.folder, epoch)
     assert found is not None
     assert found.policy == "refuse"
-    assert kept(rig.folder, epoch + 1) is None
+    assert read_terms(rig.folder, epoch + 1) is None
 
 
 @pytest.mark.parametrize(
@@ -102,13 +102,13 @@ def test_terms_end_with_their_servo(rig: DeskRig) -> None:
 )  # fmt: skip
 def test_terms_that_are_damaged_are_none(tmp_path: Path, text: str) -> None:
     (tmp_path / GUARD_TERMS).write_text(text)
-    assert kept(tmp_path, 7) is None
+    assert read_terms(tmp_path, 7) is None
 
 
 def test_terms_come_back_as_they_were_kept(tmp_path: Path) -> None:
     terms = Terms("follow", "predicted", 0.25, True)
-    keep(tmp_path, 7, terms)
-    assert kept(tmp_path, 7) == terms
+    write_terms(tmp_path, 7, terms)
+    assert read_terms(tmp_path, 7) == terms
 
 
 @pytest.mark.parametrize(
@@ -123,5 +123,5 @@ def test_terms_come_back_as_they_were_kept(tmp_path: Path) -> None:
     ],
 )
 def test_no_policy_is_laxer_than_configured(chosen: str, configured: str, counts: str) -> None:
-    found = no_laxer(Terms(chosen, "theorem", 0.1), Terms(configured, "predicted", 0.4))
+    found = stricter_of(Terms(chosen, "theorem", 0.1), Terms(configured, "predicted", 0.4))
     assert found == Terms(counts, "theorem", 0.4)

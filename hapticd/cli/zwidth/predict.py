@@ -11,7 +11,7 @@ from hapticd.cli.zwidth import common
 if TYPE_CHECKING:
     from hapticd.model.coupled import Hand
     from hapticd.model.linearise import Perturbation
-    from hapticd.model.outlook import Outlook
+    from hapticd.model.outlook import Forecast
     from hapticd.model.predict import Prediction
 
 DEVICE_OF = "fig4"  # where no scene is named
@@ -36,7 +36,7 @@ def command(
     fades as the motion grows. Where the theorem finds damping missing, the passive hand that shakes
     the display is built and tried. K < 0 is always refused.
     """
-    from hapticd.model.outlook import outlook
+    from hapticd.model.outlook import forecast
     from hapticd.zwidth import scenes
     from hapticd.zwidth.sources import given
 
@@ -50,7 +50,7 @@ def command(
     common.require_within(
         scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "active_damping": level}
     )
-    found = outlook(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
+    found = forecast(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
     drive = shown.model.drive
     if as_json:
         about = {"ok": True, "simulated": True, "device": shown.scene.device}
@@ -72,7 +72,7 @@ def _require_finite(values: dict[str, float]) -> None:
             raise typer.BadParameter(f"{option} {value:g}: {needed}")
 
 
-def _lines(found: "Outlook", perturbation: "Perturbation") -> list[tuple[str, str]]:
+def _lines(found: "Forecast", perturbation: "Perturbation") -> list[tuple[str, str]]:
     motion = _motion(found.radius, found.period_s)
     prediction = f"{_least(found.true)}, {_friction(found.true)}"
     return [
@@ -85,7 +85,7 @@ def _lines(found: "Outlook", perturbation: "Perturbation") -> list[tuple[str, st
     ]
 
 
-def _verdict(found: "Outlook") -> str:
+def _verdict(found: "Forecast") -> str:
     prediction = found.true
     if found.refused:
         seen = "" if prediction.margin_ns_per_m[0] < 0.0 else ", though Re Z >= 0 all over the band"
@@ -112,7 +112,7 @@ def _motion(radius: float, period_s: float) -> str:
     return f"motion {how} in {seconds:.3g} s"
 
 
-def _theorem(found: "Outlook") -> str:
+def _theorem(found: "Forecast") -> str:
     if found.refused or not found.stable:
         return "says nothing: it presumes K >= 0 and a stable loop"
     if found.theorem_passive:
@@ -138,7 +138,7 @@ def _amplitude(perturbation: "Perturbation") -> str:
     return f"for noise of {density:.3g} N^2/Hz up to {band_hz:g} Hz, {force_n:.2g} N rms"
 
 
-def _hand(found: "Outlook") -> str:
+def _hand(found: "Forecast") -> str:
     if found.refused or not found.stable:
         return "none is needed: it is unstable by itself" if not found.stable else "not sought"
     if found.withstands:
@@ -161,7 +161,7 @@ def _named(hand: "Hand") -> str:
 
 
 def _outlook_json(
-    found: "Outlook", point: tuple[float, float, float], level: float
+    found: "Forecast", point: tuple[float, float, float], level: float
 ) -> dict[str, Any]:
     from hapticd.zwidth.store import to_json
 
@@ -201,7 +201,7 @@ def _judged(prediction: "Prediction") -> dict[str, Any]:
     }
 
 
-def _built(found: "Outlook") -> dict[str, Any] | None:
+def _built(found: "Forecast") -> dict[str, Any] | None:
     import numpy as np
 
     if found.shaker is None:

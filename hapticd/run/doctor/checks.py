@@ -21,7 +21,7 @@ from typing import NamedTuple
 from hapticd.core.errors import MailboxError
 from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.mailbox import files, layout
-from hapticd.mailbox.daemons import believe, looked_for
+from hapticd.mailbox.daemons import require_trusted, untrusted_daemon_folder
 from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.run.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, Machine, cores_in
 from hapticd.settings.build import gateway_params, servo_params
@@ -60,7 +60,7 @@ def requirements(
         realtime=servo.realtime,
         usb=servo.usb,
         simulated=servo.simulated,
-        runtime=looked_for(instance),
+        runtime=untrusted_daemon_folder(instance),
         recordings=recordings or Path.cwd(),
         keys=Path(keys) if keys else None,
     )
@@ -686,7 +686,7 @@ def runtime_folder(machine: Machine, asked: Requirements) -> CheckResult:
             f"chmod 0750 {asked.runtime}, or 0700 if you are alone",
         )
     try:
-        believe(asked.runtime)
+        require_trusted(asked.runtime)
     except MailboxError as error:
         return fail(name, error.found, why, error.remedy)
     open_files = list(_open_to_others(asked.runtime))

@@ -54,7 +54,7 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.model.effects import ShapedDamping
-from hapticd.model.theorem import lift, lifted_margin, lifted_passive, paper_equation_2
+from hapticd.model.theorem import lifted_margin, lifted_passive, lifted_system, paper_equation_2
 from hapticd.signal.compare import mean_over_ln_f
 from hapticd.signal.envelope import Edge
 from hapticd.signal.passive_set import grid, open_ends, passive_set, volume
@@ -549,7 +549,7 @@ def lightest_safe(
     points = grid((np.zeros(1), np.linspace(end, 0.0, DAMPINGS), masses))
     own = bench.display
     points = points[own.passive(points, level, dry=False)]
-    points = points[lifted_passive(lift(own.model, level, own.filters), points)]
+    points = points[lifted_passive(lifted_system(own.model, level, own.filters), points)]
     if not len(points):
         raise AnalysisError(
             f"{own.scene.name!r} at {level:g} N s/m: not passive without friction even where"
@@ -568,7 +568,7 @@ def _motion(
         -1, shown_hz().size
     )
     reserve = float(
-        lifted_margin(lift(bench.display.model, level, bench.display.filters), point)[0]
+        lifted_margin(lifted_system(bench.display.model, level, bench.display.filters), point)[0]
     )
     return Motion(name, level, damping, mass_kg, bench.sizes(point, level)[0], runs, reserve)
 
