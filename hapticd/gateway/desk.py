@@ -21,9 +21,9 @@ from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.params import LeaseParams
 from hapticd.gateway.lease_desk import LeaseDesk
 from hapticd.gateway.waveform import Waveform
-from hapticd.guard.case import PendingChange, concerns, damping_by
-from hapticd.guard.guarded import GuardedQueue
 from hapticd.guard.outstanding import Outstanding, Pending
+from hapticd.guard.pending_change import PendingChange, concerns, damping_by
+from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard
 from hapticd.mailbox.client_side import Answer
@@ -303,7 +303,7 @@ class Desk:
         """
         view = self._view
         about = view.life, self._guard.in_force.revision
-        own = self._guard.in_force.untold and not len(self._outstanding)
+        own = self._guard.in_force.ahead_of_answers and not len(self._outstanding)
         if (view.unsure or own) and about != self._asked_back and view.mailbox:
             seq = view.mailbox.post(Command.SET, GATEWAY_ACTOR, PAST_TICK, values_of({}))
             self._asked_back = self._asked_back if seq is None else about

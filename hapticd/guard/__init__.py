@@ -5,26 +5,26 @@ go into the mailbox one after the other. The direction is gateway -> guard -> ma
 
 The criterion, as pure functions of a device's model and of environments:
 
-    bases      Theorem, Predicted, Measured: how it is known what is safe
-    allowed    Judgement: which environments a device withstands, and how far K, B and M may go
-    displays   what lies between two environments
-    ways       the stages of a change and the points that it passes
-    policies   what is done with a change, by the policy in force
-    bounds     what a device renders of K, B and M, each alone; what the delay costs
-    plane      the K-B plane with and without active damping
-    judge      Judge: requests of the gateway in, answers out
-    words      verdict, reasons and remedies as they are sent
+    bases               Theorem, Predicted, Measured: how it is known what is safe
+    safe_region         SafeRegion: which environments are safe, and how far K, B and M may go
+    environments        what lies between two environments
+    transition_planner  the stages of a change and the points that it passes
+    policies            what is done with a change, by the policy in force
+    bounds              what a device renders of K, B and M, each alone; what the delay costs
+    plane               the K-B plane with and without active damping
+    judge               Judge: requests of the gateway in, answers out
+    explain             verdict, reasons and remedies as they are sent
 
 The life of a request:
 
-    status     the policy in force, and what the worker last said
-    guarded    requests on their way past the guard
-    case       one of them, and its parts
-    outstanding  commands that were posted, until they are answered
-    stages     the change of several stages that is under way
-    in_force   the environment in force, by record and answer
-    terms      what the guard goes by, and what is left of it when the gateway starts anew
-    delay      the delay that the loop had in the last minute
-    delivered  how much active damping the board delivers
-    worker     the line to the worker process; main: that process
+    status              the policy in force, and what the worker last said
+    request_queue       requests on their way past the guard
+    pending_change      one of them, and its parts
+    outstanding         commands that were posted, until they are answered
+    stages              the change of several stages that is under way
+    in_force            the environment in force, by record and answer
+    terms               what the guard goes by, and what is left of it when the gateway starts anew
+    delay               the delay that the loop had in the last minute
+    delivered           how much active damping the board delivers
+    worker              the line to the worker process; main: that process
 """

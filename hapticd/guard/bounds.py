@@ -11,9 +11,9 @@ from typing import Any
 
 from hapticd.core.environment import FilterParams
 from hapticd.core.params import GuardSetup
-from hapticd.guard.allowed import SafeRegion
 from hapticd.guard.bases import Theorem, model_of
-from hapticd.guard.displays import nothing_rendered
+from hapticd.guard.environments import nothing_rendered
+from hapticd.guard.safe_region import SafeRegion
 from hapticd.mailbox.environment_limits import WIDEST
 from hapticd.model.model import Model
 
@@ -32,8 +32,8 @@ def passive_ranges(
     `filters` are those of velocity and acceleration.
     """
     free = replace(nothing_rendered(filters), active_damping_ns_per_m=level_ns_per_m)
-    judgement = SafeRegion(Theorem(model), model.delay_periods, 0.0)
-    return judgement.allowed(free, WIDEST.lowest, WIDEST.highest)
+    region = SafeRegion(Theorem(model), model.delay_periods, 0.0)
+    return region.allowed(free, WIDEST.lowest, WIDEST.highest)
 
 
 def timing_cost(
@@ -50,8 +50,8 @@ def timing_cost(
     free = replace(nothing_rendered(filters), active_damping_ns_per_m=level_ns_per_m)
 
     def stiffest(least: float, most: float) -> float:
-        judgement = SafeRegion(theorem, most, 0.0, least)
-        ends = judgement.allowed(free, WIDEST.lowest, WIDEST.highest)["K"]
+        region = SafeRegion(theorem, most, 0.0, least)
+        ends = region.allowed(free, WIDEST.lowest, WIDEST.highest)["K"]
         return ends[1] if ends else 0.0
 
     stiffness = stiffest(*delays)

@@ -78,15 +78,16 @@ class EnvironmentInForce:
     @property
     def known(self) -> bool:
         """Whether record and answers tell of the same environment."""
-        return self._view.alive and not self._view.unsure and self._told == self.revision
+        same = self._answered_revision == self.revision
+        return self._view.alive and not self._view.unsure and same
 
     @property
-    def untold(self) -> bool:
-        """Whether the servo has gone on to an environment that no answer has told of yet."""
-        return self._view.alive and newer(self.revision, self._told)
+    def ahead_of_answers(self) -> bool:
+        """Whether the servo has gone on to an environment of which no answer is known yet."""
+        return self._view.alive and newer(self.revision, self._answered_revision)
 
     @property
-    def _told(self) -> int:
+    def _answered_revision(self) -> int:
         return int(self._view.targets[Value.ENVIRONMENT_REVISION])
 
     @property

@@ -1,9 +1,10 @@
 """The guard's judge: the requests of the gateway to the guard's worker, and their answers.
 
 `Judge` answers plain maps with plain maps (docs/guard.md). A `change` is judged where it leads to
-and at most 20 points of the way there (`ways`), in free space and in contact (`allowed`), by the
-basis asked for (`bases`); what is done with it is the policy's (`policies`). A `look` tells of the
-display in force and of what the delay costs, a `hand` names the passive hand that shakes one.
+and at most 20 points of the way there (`transition_planner`), in free space and in contact
+(`safe_region`), by the basis asked for (`bases`); the policy decides what is done with it
+(`policies`). A `look` tells of the environment in force and of what the delay costs, a `hand` names
+the passive hand that shakes one.
 
 What would break it: answering from anything but the request and the setup; the same request has the
 same answer, and tests and lock-step flights rely on it.
@@ -19,13 +20,13 @@ import numpy as np
 from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import GuardSetup
-from hapticd.guard.allowed import SafeRegion
 from hapticd.guard.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
 from hapticd.guard.bounds import IDEAL_PERIODS, timing_cost
-from hapticd.guard.displays import apply_change, from_message
+from hapticd.guard.environments import apply_change, from_message
+from hapticd.guard.explain import VerdictBuilder, doubling_text, explain, hand_text
 from hapticd.guard.plane import plane
 from hapticd.guard.policies import MODES, POLICIES, answer_change
-from hapticd.guard.words import VerdictBuilder, doubling_text, explain, hand_text
+from hapticd.guard.safe_region import SafeRegion
 from hapticd.model.angles import unresolved_hz
 from hapticd.model.coupled import GROWS, coupled_radius, destabilising_hand
 from hapticd.model.linearise import Perturbation
@@ -45,7 +46,7 @@ _FIELDS = {  # of what is asked
 
 
 class Judge:
-    """Answers requests about displays on the device of `setup`; plain maps in and out.
+    """Answers requests about environments on the device of `setup`; plain maps in and out.
 
     The same requests give the same answers. AnalysisError for a request that makes no sense.
     """
@@ -103,38 +104,38 @@ class Judge:
     def _change(self, request: Mapping[str, Any]) -> dict[str, Any]:
         _require_known("policy", request["policy"], POLICIES)
         _require_known("mode", request["mode"], MODES)
-        judgement, unknown = self._judgement(request)
-        return answer_change(self.verdicts, judgement, unknown, request)
+        region, unknown = self._region(request)
+        return answer_change(self.verdicts, region, unknown, request)
 
     def _look(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        judgement, unknown = self._judgement(request)
+        region, unknown = self._region(request)
         target = from_message(request["target"], self.setup.environment)
         timing = {"timing": self._timing(self._delay(request.get("delay_periods")))}
-        if judgement is None:
+        if region is None:
             nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
             return timing | {
                 "verdict": self.verdicts.of(None, target, "", Outcome.UNKNOWN, unknown, []),
                 "without_active_damping": nothing,
                 "with_active_damping": {"level": request["level_on"], **nothing},
             }
-        safe = judgement.safe([target])[0]
+        safe = region.safe([target])[0]
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         outcome = Outcome.SAFE if safe else Outcome.UNSAFE
-        why = explain(judgement, target, safe)
+        why = explain(region, target, safe)
         return timing | {
-            "verdict": self.verdicts.of(judgement, target, "", outcome, why, [target], safe),
+            "verdict": self.verdicts.of(region, target, "", outcome, why, [target], safe),
             "without_active_damping": self._seen(
-                judgement, replace(target, active_damping_ns_per_m=0.0)
+                region, replace(target, active_damping_ns_per_m=0.0)
             ),
             "with_active_damping": {
                 "level": on,
-                **self._seen(judgement, replace(target, active_damping_ns_per_m=on)),
+                **self._seen(region, replace(target, active_damping_ns_per_m=on)),
             },
         }
 
-    def _seen(self, judgement: SafeRegion, display: Environment) -> dict[str, Any]:
-        worse = judgement.worse(display)
-        allowed = judgement.allowed(display, self.setup.lowest, self.setup.highest)
+    def _seen(self, region: SafeRegion, environment: Environment) -> dict[str, Any]:
+        worse = region.worse(environment)
+        allowed = region.allowed(environment, self.setup.lowest, self.setup.highest)
         return {"margin_ns_per_m": worse.margin_ns_per_m, "allowed": allowed}
 
     def _timed(self, delay: float) -> dict[str, Any] | None:
@@ -155,22 +156,22 @@ class Judge:
         }
 
     def _plane(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        judgement, unknown = self._judgement(request)
-        if judgement is None:
+        region, unknown = self._region(request)
+        if region is None:
             return {"plane": None, "text": unknown.plain(Outcome.UNKNOWN)["text"]}
-        display = from_message(request["target"], self.setup.environment)
+        environment = from_message(request["target"], self.setup.environment)
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         most_k, most_b, _ = self.setup.highest
-        return {"plane": plane(judgement, display, on, most_k, most_b)}
+        return {"plane": plane(region, environment, on, most_k, most_b)}
 
     def _hand(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        display = from_message(request["environment"], self.setup.environment)
-        if self.theorem is None or _beyond_the_model([display]):
+        environment = from_message(request["environment"], self.setup.environment)
+        if self.theorem is None or _beyond_the_model([environment]):
             return {"hand": None}
         delay = self._delay(request.get("delay_periods"))
         found = [
-            self._shakers(self.theorem, delay, point, display, in_wall=place == 1)
-            for place, point in enumerate(display.points())
+            self._shakers(self.theorem, delay, point, environment, in_wall=place == 1)
+            for place, point in enumerate(environment.points())
             if point[0] >= 0.0
         ]
         hands = [one for ones in found for one in ones]
@@ -178,13 +179,13 @@ class Judge:
 
     @staticmethod
     def _shakers(
-        theorem: Theorem, delay: float, point: Point, display: Environment, in_wall: bool
+        theorem: Theorem, delay: float, point: Point, environment: Environment, in_wall: bool
     ) -> list[dict[str, Any]]:
         """Hands that shake it: where the motion should grow fastest, and where the most damping is
         missing, for neither is always the one that shakes it hardest.
         """
-        level = display.active_damping_ns_per_m
-        filters = display.filters
+        level = environment.active_damping_ns_per_m
+        filters = environment.filters
         model = theorem.late(delay)
         worst = theorem.reading(point, Conditions(level, filters, delay, 0.0))
         found: list[dict[str, Any]] = []
@@ -207,7 +208,7 @@ class Judge:
             return float(asked)
         return 0.0 if self.theorem is None else self.theorem.model.delay_periods
 
-    def _judgement(self, request: Mapping[str, Any]) -> tuple[SafeRegion | None, Explanation]:
+    def _region(self, request: Mapping[str, Any]) -> tuple[SafeRegion | None, Explanation]:
         """How to judge it, or None and why not."""
         # each question walks the whole change, so only where there is such a parameter
         if FURTHER and (beyond := _beyond_the_model(self._concerned(request))):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from hapticd.core.errors import CommandError
 from hapticd.core.units import NS_PER_S
-from hapticd.guard.case import PendingChange
+from hapticd.guard.pending_change import PendingChange
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Result
 from hapticd.protocol.commands import Posting

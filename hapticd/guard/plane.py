@@ -17,16 +17,16 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment
-from hapticd.guard.allowed import SafeRegion
+from hapticd.guard.safe_region import SafeRegion
 
 _COLUMNS = 60  # values of K
 _ROWS = 41  # values of B
 _HALVINGS = 5  # of a step of B, towards an edge
-_ROOM = 1.25  # of the axes beyond what is safe, and beyond the display in force
+_ROOM = 1.25  # of the axes beyond what is safe, and beyond the environment in force
 
 
 def plane(
-    judgement: SafeRegion, display: Environment, level_on: float, most_k: float, most_b: float
+    region: SafeRegion, environment: Environment, level_on: float, most_k: float, most_b: float
 ) -> dict[str, Any]:
     """The edges of the safe B over K, without active damping and with `level_on` [N s/m].
 
@@ -34,35 +34,35 @@ def plane(
     axis]}; `low` and `high` hold None where no B is safe. `most_k` [N/m] and `most_b` [N s/m] bound
     the axes.
     """
-    stiffness, damping = _axes(judgement, display, level_on, most_k, most_b)
+    stiffness, damping = _axes(region, environment, level_on, most_k, most_b)
     found = {
-        name: {"level": level, **_edges(judgement, display, level, stiffness, damping)}
+        name: {"level": level, **_edges(region, environment, level, stiffness, damping)}
         for name, level in (("without", 0.0), ("with", level_on))
     }
     return {"K": stiffness.tolist(), "B": [float(damping[0]), float(damping[-1])], **found}
 
 
 def _axes(
-    judgement: SafeRegion, display: Environment, level_on: float, most_k: float, most_b: float
+    region: SafeRegion, environment: Environment, level_on: float, most_k: float, most_b: float
 ) -> tuple[Floats, Floats]:
-    """K from 0 and B round 0, so that the safe set and the display in force are inside."""
+    """K from 0 and B round 0, so that the safe set and the environment in force are inside."""
     free = replace(
-        display,
+        environment,
         stiffness_n_per_m=0.0,
         virtual_damping_ns_per_m=0.0,
         active_damping_ns_per_m=level_on,
     )
-    lowest = (0.0, -most_b, display.mass_kg)
-    highest = (most_k, most_b, display.mass_kg)
-    alone = judgement.allowed(free, lowest, highest)
+    lowest = (0.0, -most_b, environment.mass_kg)
+    highest = (most_k, most_b, environment.mass_kg)
+    alone = region.allowed(free, lowest, highest)
     low, high = alone["B"] or [-1.0, 1.0]
     middle = replace(free, virtual_damping_ns_per_m=0.5 * (low + high))
-    farthest = max(_end(alone["K"]), _end(judgement.allowed(middle, lowest, highest)["K"]), 1.0)
-    stiffest = _ROOM * max(farthest, min(display.stiffness_n_per_m, 4.0 * farthest))
+    farthest = max(_end(alone["K"]), _end(region.allowed(middle, lowest, highest)["K"]), 1.0)
+    stiffest = _ROOM * max(farthest, min(environment.stiffness_n_per_m, 4.0 * farthest))
     reach = _ROOM * max(
-        -low, high, min(abs(display.virtual_damping_ns_per_m), 4.0 * max(-low, high))
+        -low, high, min(abs(environment.virtual_damping_ns_per_m), 4.0 * max(-low, high))
     )
-    bottom = max(-reach, 2.0 * min(low, display.virtual_damping_ns_per_m, -0.1 * reach))
+    bottom = max(-reach, 2.0 * min(low, environment.virtual_damping_ns_per_m, -0.1 * reach))
     return np.linspace(0.0, stiffest, _COLUMNS), np.linspace(bottom, reach, _ROWS)
 
 
@@ -71,16 +71,16 @@ def _end(interval: list[float] | None) -> float:
 
 
 def _edges(
-    judgement: SafeRegion, display: Environment, level: float, stiffness: Floats, damping: Floats
+    region: SafeRegion, environment: Environment, level: float, stiffness: Floats, damping: Floats
 ) -> dict[str, list[float | None]]:
     """Lowest and highest safe B (columns,) of each K."""
-    damped = replace(display, active_damping_ns_per_m=level)
+    damped = replace(environment, active_damping_ns_per_m=level)
 
     def safe(at_k: Floats, at_b: Floats) -> Flags:
-        points = np.column_stack((at_k, at_b, np.full(len(at_k), display.mass_kg)))
+        points = np.column_stack((at_k, at_b, np.full(len(at_k), environment.mass_kg)))
         flags = np.ones(len(points), np.bool_)
-        for at in judgement.conditions(damped):
-            flags &= judgement.basis.safe(points, at)
+        for at in region.conditions(damped):
+            flags &= region.basis.safe(points, at)
         return flags
 
     grid = safe(np.repeat(stiffness, len(damping)), np.tile(damping, len(stiffness)))

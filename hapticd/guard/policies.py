@@ -1,6 +1,6 @@
 """What the guard does with a change, by the policy in force.
 
-The first way that is safe is taken (`ways`, judged by `allowed`). If none is:
+The first way that is safe is taken (`transition_planner`, judged by `safe_region`). If none is:
 
     refuse   nothing moves
     clamp    as far as the first exit from the safe set on the way, the result judged again; not for
@@ -29,9 +29,10 @@ import numpy as np
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES, DampingMode, Policy
-from hapticd.guard.allowed import SafeRegion
-from hapticd.guard.displays import apply_change, environment_of, from_message, interpolate
-from hapticd.guard.ways import (
+from hapticd.guard.environments import apply_change, environment_of, from_message, interpolate
+from hapticd.guard.explain import VerdictBuilder, explain
+from hapticd.guard.safe_region import SafeRegion
+from hapticd.guard.transition_planner import (
     POINTS,
     Plan,
     Request,
@@ -41,7 +42,6 @@ from hapticd.guard.ways import (
     moving_groups,
     sampled_segment,
 )
-from hapticd.guard.words import VerdictBuilder, explain
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
@@ -56,18 +56,18 @@ _WORSE = 1e-9  # a rounding is not worse
 
 def answer_change(
     verdicts: VerdictBuilder,
-    judgement: SafeRegion | None,
+    region: SafeRegion | None,
     unknown: Explanation,
     request: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The answer to a request `change`: action, stages and verdict (docs/guard.md).
 
-    `judgement` is how to judge it; None where nothing is known, for the reason `unknown`.
+    `region` is how to judge it; None where nothing is known, for the reason `unknown`.
     AnalysisError for a number that is not finite.
     """
-    if judgement is None or request["policy"] == "off":
+    if region is None or request["policy"] == "off":
         return _Unjudged(verdicts, request).answer(unknown)
-    return _Judged(verdicts, judgement, request).answer()
+    return _Judged(verdicts, region, request).answer()
 
 
 class _Asked:
@@ -78,7 +78,7 @@ class _Asked:
         self.setup = verdicts.setup
         self.levels = verdicts.levels
         self.policy: str = request["policy"]
-        # while an enable still comes up only a part of the display acts
+        # while an enable still comes up only a part of the environment acts
         gain = float(request.get("gain", 1.0)) if request["state"] == "enabled" else 1.0
         reported = from_message(request["now"], self.setup.environment)
         self.now = reported.scaled(gain)
@@ -102,8 +102,8 @@ class _Asked:
             return asked
         return max((level for level in self.levels if level <= reported), default=reported)
 
-    def ways(self, change: dict[str, Any]) -> TransitionPlanner:
-        """The ways of `change`."""
+    def planner_of(self, change: dict[str, Any]) -> TransitionPlanner:
+        """The planner of `change`."""
         enable = bool(self.request["enable"])
         return TransitionPlanner(
             Request(
@@ -137,8 +137,8 @@ class _Unjudged(_Asked):
     def answer(self, why: Explanation) -> dict[str, Any]:
         """Refused where safety was asked for, otherwise done in the right order."""
         change = self.with_level()
-        ways = self.ways(change)
-        wanted = ways.request.wanted
+        planner = self.planner_of(change)
+        wanted = planner.request.wanted
         if self.policy in STRICT_POLICIES:
             text = f"the policy {self.policy!r} refuses what is unknown"
             refused = why.and_reason(Reason.POLICY, text)
@@ -147,7 +147,7 @@ class _Unjudged(_Asked):
             stage = Stage(wanted.fields(change))
             off = because(Reason.POLICY, "not judged: the policy is off")
             return _answer([stage], self._verdict(wanted, Outcome.NOT_JUDGED, off, wanted))
-        stages = ways.plans()[0].stages
+        stages = planner.plans()[0].stages
         return _answer(stages, self._verdict(wanted, Outcome.UNKNOWN, why, wanted))
 
     def _verdict(
@@ -160,20 +160,20 @@ class _Judged(_Asked):
     """A change that is judged, and what the policy makes of it."""
 
     def __init__(
-        self, verdicts: VerdictBuilder, judgement: SafeRegion, request: Mapping[str, Any]
+        self, verdicts: VerdictBuilder, region: SafeRegion, request: Mapping[str, Any]
     ) -> None:
         super().__init__(verdicts, request)
-        self.judgement = judgement
+        self.region = region
         self.change = self._with_auto() if request["mode"] == "auto" else self.with_level()
-        self.way = self.ways(self.change)
-        self.wanted = self.way.request.wanted
-        self.plans = self.way.plans()
+        self.planner = self.planner_of(self.change)
+        self.wanted = self.planner.request.wanted
+        self.plans = self.planner.plans()
 
     def answer(self) -> dict[str, Any]:
         """The first way that is safe, or what the policy makes of it."""
         plan = next((plan for plan in self.plans if self._is_safe(plan)), None)
         if plan is not None:
-            spare = explain(self.judgement, self.wanted, True)
+            spare = explain(self.region, self.wanted, True)
             return self._taken(plan, Outcome.SAFE, spare, safe=True)
         why = self._trouble()
         safer = next((plan for plan in self.plans if self._is_safer(plan)), None)
@@ -196,35 +196,35 @@ class _Judged(_Asked):
     def _taken(
         self, plan: Plan, outcome: Outcome, why: Explanation, safe: bool = False
     ) -> dict[str, Any]:
-        path = self.way.path(plan)
+        path = self.planner.path(plan)
         clamped = outcome is Outcome.CLAMPED
         verdict = self.verdicts.of(
-            self.judgement, self.wanted, self.policy, outcome, why, path, safe, plan.end, clamped
+            self.region, self.wanted, self.policy, outcome, why, path, safe, plan.end, clamped
         )
         return _answer(plan.stages, verdict)
 
     def _refused(self, why: Explanation) -> dict[str, Any]:
-        path = self.way.path(self.plans[0])
+        path = self.planner.path(self.plans[0])
         refused = Outcome.REFUSED
         verdict = self.verdicts.of(
-            self.judgement, self.wanted, self.policy, refused, why, path, False, self.target
+            self.region, self.wanted, self.policy, refused, why, path, False, self.target
         )
         return _answer([], verdict)
 
     def _trouble(self) -> Explanation:
         """Why the first way is not safe: its end, or a point on it."""
-        if not self.judgement.safe([self.wanted])[0]:
-            return explain(self.judgement, self.wanted, False)
-        path = self.way.path(self.plans[0])
+        if not self.region.safe([self.wanted])[0]:
+            return explain(self.region, self.wanted, False)
+        path = self.planner.path(self.plans[0])
         if not path:
             many = because(
                 Reason.TOO_MANY_POINTS, f"more than {POINTS} points would have to be judged at once"
             )
             return many.and_remedy(Remedy.WAIT, "wait for ramps under way, or schedule less")
-        path = [*path, *self.way.mixture(self.plans[0])]
-        flags = self.judgement.safe(path)
+        path = [*path, *self.planner.mixture(self.plans[0])]
+        flags = self.region.safe(path)
         bad = next((one for one, flag in zip(path, flags, strict=True) if not flag), path[-1])
-        return explain(self.judgement, bad, False, "on the way, ")
+        return explain(self.region, bad, False, "on the way, ")
 
     # --- damping that is chosen -------------------------------------------------------------------
 
@@ -238,26 +238,26 @@ class _Judged(_Asked):
             else rest | {"active_damping": level}
         )
 
-    def _least(self, display: Environment) -> float:
+    def _least(self, environment: Environment) -> float:
         """The least level that will do; down only with some to spare. Where none will, the one
         with the largest margin, and not less than now.
         """
         present = self.target.active_damping_ns_per_m
         levels = self.levels
-        needed = self.judgement.least_level(display, levels)
+        needed = self.region.least_level(environment, levels)
         if needed is None:
-            return max(present, self._most_spare(display))
+            return max(present, self._most_spare(environment))
         if needed >= present:
             return needed
-        spare = self.judgement.spare_ns_per_m + HYSTERESIS_NS_PER_M
-        mine = self.judgement
+        spare = self.region.spare_ns_per_m + HYSTERESIS_NS_PER_M
+        mine = self.region
         easy = SafeRegion(mine.basis, mine.delay_periods, spare, mine.least_delay_periods)
-        lower = easy.least_level(display, [level for level in levels if level < present])
+        lower = easy.least_level(environment, [level for level in levels if level < present])
         return present if lower is None else lower
 
-    def _most_spare(self, display: Environment) -> float:
+    def _most_spare(self, environment: Environment) -> float:
         def margin(level: float) -> float:
-            found = self.judgement.worse(replace(display, active_damping_ns_per_m=level))
+            found = self.region.worse(replace(environment, active_damping_ns_per_m=level))
             return found.margin_ns_per_m or 0.0
 
         return max(self.levels, key=margin)
@@ -265,31 +265,31 @@ class _Judged(_Asked):
     # --- what is safe, or safer -------------------------------------------------------------------
 
     def _is_safe(self, plan: Plan) -> bool:
-        if not self.judgement.all_safe(self.way.path(plan)):
+        if not self.region.all_safe(self.planner.path(plan)):
             return False
-        return all(self.judgement.safe(self.way.mixture(plan)))
+        return all(self.region.safe(self.planner.mixture(plan)))
 
     def _is_safer(self, plan: Plan) -> bool:
         """Whether it leads from outside the set to a better point, no point worse than the one
         before.
         """
-        request = self.way.request
-        if request.enable or not request.moving or self.judgement.safe([self.now])[0]:
+        request = self.planner.request
+        if request.enable or not request.moving or self.region.safe([self.now])[0]:
             return False
-        path = self.way.path(plan)
-        if not path or any(moving_groups(leg) > 1 for leg in plan.legs):
+        path = self.planner.path(plan)
+        if not path or any(moving_groups(segment) > 1 for segment in plan.segments):
             return False
         merits = np.array([self._merit(one) for one in [self.now, *path]])
         steps = np.diff(merits, axis=0)
         return bool((steps >= -_WORSE).all() and (merits[-1] - merits[0] > _WORSE).any())
 
-    def _merit(self, display: Environment) -> list[float]:
+    def _merit(self, environment: Environment) -> list[float]:
         """What must not fall on the way to a safer point: K, margin and radius, free and in
         contact. A basis without margins says nan, which is never better.
         """
-        free = self.judgement.reading(display)
-        contact = self.judgement.in_contact(display) or free
-        merit = [min(display.stiffness_n_per_m, 0.0)]
+        free = self.region.reading(environment)
+        contact = self.region.in_contact(environment) or free
+        merit = [min(environment.stiffness_n_per_m, 0.0)]
         for one in (free, contact):
             margin = one.margin_ns_per_m
             radius = one.radius
@@ -301,15 +301,15 @@ class _Judged(_Asked):
 
     def _clamped(self, why: Explanation) -> dict[str, Any]:
         """As far as the first exit, the result judged again."""
-        request = self.way.request
+        request = self.planner.request
         if "filters" in self.change:
             return self._not_clamped(why, "filters are not clamped")
         if request.enable or not request.moving:
             return self._not_clamped(why, "there is no way to clamp to")
-        if not all(self.judgement.safe([self.now, self.target])):
+        if not all(self.region.safe([self.now, self.target])):
             inside = why.and_remedy(Remedy.POINT_INSIDE, "for a point inside")
-            return self._not_clamped(inside, "the display is outside the safe set already")
-        plan = self.way.plan(self._shortened())
+            return self._not_clamped(inside, "the environment is outside the safe set already")
+        plan = self.planner.plan(self._shortened())
         if plan.end == self.target:
             return self._not_clamped(why, "nothing of it is safe")
         if not self._is_safe(plan):
@@ -320,18 +320,18 @@ class _Judged(_Asked):
     def _not_clamped(self, why: Explanation, text: str) -> dict[str, Any]:
         return self._refused(why.and_reason(Reason.NOT_CLAMPED, text))
 
-    def _spare(self, display: Environment) -> str:
-        """What a safe display has to spare, in words."""
-        return explain(self.judgement, display, True).reasons[0].text
+    def _spare(self, environment: Environment) -> str:
+        """What a safe environment has to spare, in words."""
+        return explain(self.region, environment, True).reasons[0].text
 
     def _shortened(self) -> list[Stage]:
         """The stages of the first way, each as far as its own part is safe."""
         kept: list[Stage] = []
         for stage in self.plans[0].stages:
-            leg = self.way.plan([*kept, stage]).legs[-1]
-            share = self._exit(leg)
-            end = interpolate(leg.under_way, leg.end, share, self.levels)
-            lower = self._lowered(leg.end.active_damping_ns_per_m, end)
+            segment = self.planner.plan([*kept, stage]).segments[-1]
+            share = self._exit(segment)
+            end = interpolate(segment.under_way, segment.end, share, self.levels)
+            lower = self._lowered(segment.end.active_damping_ns_per_m, end)
             if share >= _LEAST_MOVE or lower != end:
                 kept.append(stage._replace(change=lower.fields(stage.change)))
         return kept
@@ -350,21 +350,21 @@ class _Judged(_Asked):
             return safe + share * (unsafe - safe)
 
         def holds(share: float) -> bool:
-            return self.judgement.safe([replace(end, active_damping_ns_per_m=lower(share))])[0]
+            return self.region.safe([replace(end, active_damping_ns_per_m=lower(share))])[0]
 
         level = lower(_largest(holds, (0.0, 1.0), _LEVEL_HALVINGS))
-        count = self.way.request.count_ns_per_m
+        count = self.planner.request.count_ns_per_m
         counted = ceil(level / count) * count if count > 0.0 else level
         return replace(end, active_damping_ns_per_m=min(counted, end.active_damping_ns_per_m))
 
-    def _exit(self, leg: Segment) -> float:
-        """The share of a leg up to which all of it is safe."""
+    def _exit(self, segment: Segment) -> float:
+        """The share of a segment up to which all of it is safe."""
         levels = self.levels
 
         def holds(share: float) -> bool:
-            end = interpolate(leg.under_way, leg.end, share, levels)
-            part = leg._replace(end=end)
-            return self.judgement.all_safe(
+            end = interpolate(segment.under_way, segment.end, share, levels)
+            part = segment._replace(end=end)
+            return self.region.all_safe(
                 sampled_segment(part, 2 ** max(1, moving_groups(part)), levels)
             )
 
@@ -380,7 +380,7 @@ class _Judged(_Asked):
             return self._refused(why.and_reason(Reason.NOT_FOLLOWED, text))
         first = Stage(environment_of(small, self.wanted))
         second = Stage({"active_damping": self.wanted.active_damping_ns_per_m}, after_ramps=True)
-        plan = self.way.plan([first, second])
+        plan = self.planner.plan([first, second])
         if not self._is_safe(plan):
             text = "the way into the smaller set is not safe"
             return self._refused(why.and_reason(Reason.NOT_FOLLOWED, text))
@@ -390,13 +390,13 @@ class _Judged(_Asked):
     def _smaller(self) -> Environment | None:
         """The largest share of the environment that is safe with less damping; None for none."""
         shares = np.linspace(0.0, 1.0, _SHARES).tolist()
-        flags = self.judgement.safe([self.wanted.scaled(share) for share in shares])
+        flags = self.region.safe([self.wanted.scaled(share) for share in shares])
         if not any(flags):
             return None
         inside = max(place for place, flag in enumerate(flags) if flag)
 
         def holds(share: float) -> bool:
-            return self.judgement.safe([self.wanted.scaled(share)])[0]
+            return self.region.safe([self.wanted.scaled(share)])[0]
 
         return self.wanted.scaled(_largest(holds, shares[inside : inside + 2]))
 

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_S
-from hapticd.guard.case import PendingChange
 from hapticd.guard.in_force import IN_MOTION
 from hapticd.guard.outstanding import Outstanding
+from hapticd.guard.pending_change import PendingChange
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, State, Value, values_of
 from hapticd.protocol.commands import Posting, parameters, values_given
@@ -50,16 +50,17 @@ def ramp_s(request: Request, default_s: float) -> float:
 
 
 class StagedChange:
-    """The stages of one case, posted by `outstanding`; what is to be said of it goes to `told`."""
+    """The stages of one change, posted by `outstanding`; its replies go to `replies`."""
 
-    def __init__(self, view: ServoView, outstanding: Outstanding, told: list[ChangeReply]) -> None:
+    def __init__(
+        self, view: ServoView, outstanding: Outstanding, replies: list[ChangeReply]
+    ) -> None:
         self.case: PendingChange | None = None  # whose next stage waits
-        self._posted: PendingChange | None = (
-            None  # whose stage was posted last; its answer may be due
-        )
+        # whose stage was posted last; its answer may be due
+        self._posted: PendingChange | None = None
         self._view = view
         self._outstanding = outstanding
-        self._told = told
+        self._replies = replies
         half_count = abs(view.params.device.active_damping.per_count) / 2
         self.resolution_ns_per_m = half_count + 1e-6  # the wire rounds to the nearest count
 
@@ -83,7 +84,7 @@ class StagedChange:
         if expected is not None and expected != self._view.revision:
             text = f"{case.cmd}: the revision is {self._view.revision} by now, not {expected}"
             error = CommandError("refused", f"{text}; look at what changed and ask again")
-            self._told.append(ChangeReply(case, error))
+            self._replies.append(ChangeReply(case, error))
             return
         case.place = 0
         case.state = self._view.state
@@ -95,7 +96,7 @@ class StagedChange:
             self._post_stage(case, now_ns)
         else:
             self.case = case
-            self._told.append(ChangeReply(case, receipt=self._standing("staged")))
+            self._replies.append(ChangeReply(case, receipt=self._standing("staged")))
 
     def advance(self, now_ns: int, free: bool) -> None:
         """The next stage, if it is time and nothing else is on its way (`free`)."""
@@ -148,7 +149,7 @@ class StagedChange:
         self.case = None
         if case is not None and case is not by:
             text = f"a newer {by.cmd} of actor {by.actor} came; what is in force stays"
-            self._told.append(ChangeReply(case, receipt=self._standing("superseded", text)))
+            self._replies.append(ChangeReply(case, receipt=self._standing("superseded", text)))
 
     def applied(self, case: PendingChange, answer: Answer, now_ns: int) -> bool:
         """A stage of `case` is in force; whether there are more."""
@@ -187,7 +188,7 @@ class StagedChange:
         self.case = None
         if case is not None:
             text = f"{why}; what is in force stays"
-            self._told.append(ChangeReply(case, receipt=self._standing("cancelled", text)))
+            self._replies.append(ChangeReply(case, receipt=self._standing("cancelled", text)))
 
     def _standing(self, result: str, text: str = "") -> dict[str, Any]:
         """A receipt of what is in force, for what has no answer of the servo of its own."""
@@ -205,7 +206,7 @@ class StagedChange:
             self._outstanding.post_case(case, self._posting(case), now_ns)
             self._posted = case
         except CommandError as error:
-            self._told.append(ChangeReply(case, error))
+            self._replies.append(ChangeReply(case, error))
 
     def _posting(self, case: PendingChange) -> Posting:
         """The command of the stage that is due, bound to the environment it was judged for."""

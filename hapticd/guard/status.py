@@ -4,7 +4,7 @@ The gateway asks a worker process (`worker`) whether an environment withstands e
 and goes on meanwhile. Questions are numbered: a late answer belongs to no question any more and is
 dropped. There are three:
 
-    change   may this be done from here, and how (`guarded` asks it for each request)
+    change   may this be done from here, and how (`request_queue` asks it for each request)
     look     how far is the environment in force from the edge; for the topic `guard` and `status`
     hand     which hand would shake what was asked; asked last, told as an event
 

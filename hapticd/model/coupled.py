@@ -13,10 +13,10 @@ without any loss. A node may be without a mass where a damper holds it, as in a 
 `held_by` puts the hand on the rotor of a composed device, exactly, so that the eigenvalues of its
 sampled loop can be computed.
 
-What they can do (`coupled_stable`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the device's
-1/P_vt at each harmonic w_k = w + 2 pi k / T. The inverse of their sum lies in a circle over the
-diameter 0..1/r_k, r_k = Re 1/P_vt. So does, harmonic by harmonic, what the law sees: with the terms
-of `theorem` the pulse transfer of device and hand together is
+What they can do (`coupled_stable`). A hand adds Z_h(jw_k), anything with Re Z_h >= 0, to the
+device's 1/P_vt at each harmonic w_k = w + 2 pi k / T. The inverse of their sum lies in a circle
+over the diameter 0..1/r_k, r_k = Re 1/P_vt. So does, harmonic by harmonic, what the law sees: with
+the terms of `theorem` the pulse transfer of device and hand together is
 
     G_h(wT) = e + sum h_k q_k / (1/P_vt + Z_h),    |G_h - g| <= R,
     g = e + sum h q / (2 r),   R = sum |h q| / (2 r)
@@ -24,8 +24,8 @@ of `theorem` the pulse transfer of device and hand together is
 and the loop closes as 1 + C G_h. A hand can be let in slowly, s Z_h with s from 0 to 1: all of
 these are passive. If -1/C is outside the circle at every wT, no eigenvalue ever meets |z| = 1 on
 the way; what was stable alone is stable in every hand (zero exclusion). Inside it, masses and
-springs that reach the rim exist (`destabilising_hand`): for hands that do not change with time this is
-necessary as well as sufficient. The theorem has sqrt(sum |h|^2/r sum |q|^2/r) in place of sum
+springs that reach the rim exist (`destabilising_hand`): for hands that do not change with time this
+is necessary as well as sufficient. The theorem has sqrt(sum |h|^2/r sum |q|^2/r) in place of sum
 |hq|/r, the same for a rigid device and up to 4-15 % more for the calibrated ones, because it also
 holds for hands that mix harmonics, such as a grip that changes. What passes the theorem passes
 this.

@@ -11,10 +11,10 @@ the aliases of its free modes (poles of G), both moved by the law. Steps of 6 % 
 
 1. `mode_lines` adds a few lines around each mode that is narrower than the grid, for all
    environments;
-2. `min_real_part` takes Z between three neighbouring lines for (a + b x) / (1 + c x), exact for one pole
-   on a constant; the least real part of that is known in closed form. Where it is below the least
-   so far, Z is computed, of that environment alone, and the dip followed. Only computed values
-   count.
+2. `min_real_part` takes Z between three neighbouring lines for (a + b x) / (1 + c x), exact for one
+   pole on a constant; the least real part of that is known in closed form. Where it is below the
+   least so far, Z is computed, of that environment alone, and the dip followed. Only computed
+   values count.
 
 What would break it: two modes within one step that are narrower than it, or a law that moves a mode
 by many of its widths without damping it, away from the lines, so that it hardly shows on any of

@@ -17,9 +17,9 @@ with S0 and this is Colgate and Schenkel's
 White noise sees k = 0 alone, which asks for less (`baseband`): 0.405 times as much at Nyquist, 5 %
 less for a filtered B.
 
-A composed device (`lifted_system`): flexible, smoothed, damped by a circuit, encoder not on the motor. At
-each wT the impedance at the probe between the harmonics w_k = w + 2 pi k / T is a diagonal and one
-product
+A composed device (`lifted_system`): flexible, smoothed, damped by a circuit, encoder not on the
+motor. At each wT the impedance at the probe between the harmonics w_k = w + 2 pi k / T is a
+diagonal and one product
 
     Z = diag(1 / P_vt) + C / (1 + C (G - E)) h q,
     h_k = P_vF H0 / P_vt,  q_l = P_xt / P_vt,  E = sum h_k P_xt(w_k)

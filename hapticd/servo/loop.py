@@ -56,8 +56,8 @@ from hapticd.servo.plan import (
     flatten,
     in_slots,
 )
-from hapticd.servo.silence import WITHHELD
 from hapticd.servo.step import initial_state, make_step
+from hapticd.servo.watchdog_test import WITHHELD
 from hapticd.usb.base import backoff_s
 from hapticd.usb.codec import (
     HEAD_ENCODER,

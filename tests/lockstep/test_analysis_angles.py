@@ -6,9 +6,9 @@ from support.guard_device import change, setup_of
 from support.narrow_modes import ClosedForm, Narrow, drawn
 
 from hapticd.core.environment import Environment
-from hapticd.guard.allowed import SafeRegion, intervals
 from hapticd.guard.bases import Conditions, Theorem
 from hapticd.guard.judge import Judge
+from hapticd.guard.safe_region import SafeRegion, intervals
 from hapticd.model.angles import angles_of, least_between, unresolved_hz
 from hapticd.model.coupled import GROUND, Network, coupled_radius
 from hapticd.model.effects import Coupling, Masses, Motor, Viscous

@@ -8,9 +8,9 @@ from support.guard_device import FREE, change, rigid, rigid_judge, setup_of, shi
 
 from hapticd.core.errors import AnalysisError
 from hapticd.guard import policies
+from hapticd.guard.explain import doubling_text
 from hapticd.guard.judge import Judge
-from hapticd.guard.ways import POINTS
-from hapticd.guard.words import doubling_text
+from hapticd.guard.transition_planner import POINTS
 from hapticd.model.coupled import coupled_radius, destabilising_hand
 
 LEVEL = 1.74

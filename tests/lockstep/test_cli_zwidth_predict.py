@@ -8,9 +8,9 @@ from support.analysis_devices import rigid
 
 from hapticd.cli.app import main
 from hapticd.model.coupled import Hand, held_by
+from hapticd.model.forecast import forecast
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import PAPER_FILTERS, spectral_radius
-from hapticd.model.outlook import forecast
 from hapticd.model.theorem import required_damping
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth.scenes import display

@@ -164,5 +164,5 @@ def test_gateway_follows_the_revisions_over_their_wrap(tmp_path: Path) -> None:
         assert reply["rev"] == (expected + 1) % WORD
         rig.run(2)
         assert rig.guard.in_force.known
-        assert not rig.guard.in_force.untold
+        assert not rig.guard.in_force.ahead_of_answers
         assert rig.view.revision == rig.view.record["revision"]

@@ -10,8 +10,8 @@ from hapticd.cli.zwidth import common
 
 if TYPE_CHECKING:
     from hapticd.model.coupled import Hand
+    from hapticd.model.forecast import Forecast
     from hapticd.model.linearise import Perturbation
-    from hapticd.model.outlook import Forecast
     from hapticd.model.predict import Prediction
 
 DEVICE_OF = "fig4"  # where no scene is named
@@ -36,7 +36,7 @@ def command(
     fades as the motion grows. Where the theorem finds damping missing, the passive hand that shakes
     the display is built and tried. K < 0 is always refused.
     """
-    from hapticd.model.outlook import forecast
+    from hapticd.model.forecast import forecast
     from hapticd.zwidth import scenes
     from hapticd.zwidth.sources import given
 

@@ -1,8 +1,8 @@
 """A request that changes what is rendered or damped, on its way past the guard, and its parts.
 
-A case is what `guarded` keeps of one request. Here are also the two translations: what a request
-changes of an environment, as the guard's worker is asked, and the stages in which the worker says
-to do it. The worker is another process: its answer is looked at before it is believed.
+`request_queue` keeps a `PendingChange` of each request. Here are also the two translations: what a
+request changes of an environment, as the guard's worker is asked, and the stages in which the
+worker says to do it. The worker is another process: its answer is checked before it is used.
 """
 
 from dataclasses import dataclass, field

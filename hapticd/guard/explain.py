@@ -1,4 +1,4 @@
-"""How a judgement is told: the verdict as it is sent, the reasons and remedies for a display, and
+"""Explain a verdict: the verdict as it is sent, the reasons and remedies for an environment, and
 the hand that shakes it.
 
 What would break it: a sentence without value, unit and remedy, or `safe` without what no verdict
@@ -11,8 +11,8 @@ from typing import Any
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import GuardSetup
-from hapticd.guard.allowed import SafeRegion
 from hapticd.guard.bases import Reading, cached_levels
+from hapticd.guard.safe_region import SafeRegion
 from hapticd.model.coupled import Hand
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
@@ -21,7 +21,7 @@ _NOTHING = Reading(None, None, None)
 
 
 class VerdictBuilder:
-    """Verdicts on displays of the device of `setup`, as plain maps (docs/guard.md).
+    """Verdicts on environments of the device of `setup`, as plain maps (docs/guard.md).
 
     `levels`: those of active damping, N s/m, for which the sampled device is kept.
     """
@@ -34,8 +34,8 @@ class VerdictBuilder:
 
     def of(
         self,
-        judgement: SafeRegion | None,
-        display: Environment,
+        region: SafeRegion | None,
+        environment: Environment,
         policy: str,
         outcome: Outcome,
         why: Explanation,
@@ -44,9 +44,9 @@ class VerdictBuilder:
         given: Environment | None = None,
         clamped: bool = False,
     ) -> dict[str, Any]:
-        """What is told of `display`, judged along `path`; `given` is where the stages lead."""
-        known = _of_nothing() if judgement is None else self._known(judgement, display)
-        if judgement is not None and known["least_active_damping_ns_per_m"] is None:
+        """What is told of `environment`, judged along `path`; `given` is where the stages lead."""
+        known = _of_nothing() if region is None else self._known(region, environment)
+        if region is not None and known["least_active_damping_ns_per_m"] is None:
             no_level = (one for one in why.remedies if one.code != Remedy.MORE_DAMPING)
             why = Explanation(why.reasons, tuple(no_level))
         return {
@@ -54,21 +54,21 @@ class VerdictBuilder:
             "policy": policy,
             **known,
             "clamped": clamped,
-            "given": (display if given is None else given).message(),
+            "given": (environment if given is None else given).message(),
             "path_points": sum(len(one.points()) for one in path),
             "not_covered": self._not_covered(),
             **why.plain(outcome),
         }
 
-    def _known(self, judgement: SafeRegion, display: Environment) -> dict[str, Any]:
-        contact = judgement.in_contact(display)
+    def _known(self, region: SafeRegion, environment: Environment) -> dict[str, Any]:
+        contact = region.in_contact(environment)
         return {
-            "basis": judgement.basis.name,
-            **judgement.reading(display)._asdict(),
+            "basis": region.basis.name,
+            **region.reading(environment)._asdict(),
             "contact": None if contact is None else contact._asdict(),
-            "delay_periods": judgement.delay_periods,
-            "allowed": judgement.allowed(display, self.setup.lowest, self.setup.highest),
-            "least_active_damping_ns_per_m": judgement.least_level(display, self.levels),
+            "delay_periods": region.delay_periods,
+            "allowed": region.allowed(environment, self.setup.lowest, self.setup.highest),
+            "least_active_damping_ns_per_m": region.least_level(environment, self.levels),
         }
 
     def _not_covered(self) -> list[str]:
@@ -88,19 +88,19 @@ def _of_nothing() -> dict[str, Any]:
     }
 
 
-def explain(judgement: SafeRegion, display: Environment, safe: bool, way: str = "") -> Explanation:
-    """What is known of a display, with values, units and, if it is not safe, remedies; `way` stands
-    before its name.
+def explain(region: SafeRegion, environment: Environment, safe: bool, way: str = "") -> Explanation:
+    """Say what is known of an environment, with values, units and, if it is not safe, remedies;
+    `way` stands before its name.
     """
-    where = f"{way}{environment_text(display)}"
-    if display.stiffness_n_per_m < 0.0:
+    where = f"{way}{environment_text(environment)}"
+    if environment.stiffness_n_per_m < 0.0:
         text = f"{where}: K < 0 pushes away and is active at low frequencies"
         negative = because(Reason.NEGATIVE_STIFFNESS, text)
         return negative.and_remedy(Remedy.POSITIVE_STIFFNESS, "ask for K >= 0")
-    worst = judgement.worse(display)
-    side = "" if worst == judgement.reading(display) else " in the wall"
+    worst = region.worse(environment)
+    side = "" if worst == region.reading(environment) else " in the wall"
     if worst.margin_ns_per_m is None:
-        limits = f"the limits of {judgement.basis.name}"
+        limits = f"the limits of {region.basis.name}"
         if safe:
             return because(Reason.INSIDE, f"{where}: inside {limits}")
         outside = because(Reason.OUTSIDE, f"{where}: not inside {limits}")
@@ -110,22 +110,22 @@ def explain(judgement: SafeRegion, display: Environment, safe: bool, way: str = 
             f"{worst.margin_ns_per_m:.3g} N s/m to spare{side}, least at {worst.worst_hz:.3g} Hz"
         )
         return because(Reason.SPARE, f"{where}: {spare}")
-    code, text = _shortage(judgement, worst, side)
+    code, text = _shortage(region, worst, side)
     short = because(code, f"{where}: {text}").and_remedy(Remedy.LESS, "ask for less")
     return short.and_remedy(Remedy.MORE_DAMPING, "for more active damping")
 
 
-def _shortage(judgement: SafeRegion, worst: Reading, side: str) -> tuple[Reason, str]:
+def _shortage(region: SafeRegion, worst: Reading, side: str) -> tuple[Reason, str]:
     margin = worst.margin_ns_per_m or 0.0
-    rate_hz = judgement.basis.rate_hz
+    rate_hz = region.basis.rate_hz
     if worst.radius is not None and worst.radius >= 1.0 and rate_hz is not None:
         return Reason.UNSTABLE, (
-            f"unstable by itself{side}, its motion {doubling_text(worst.radius, rate_hz)}, worst near"
-            f" {worst.worst_hz:.3g} Hz"
+            f"unstable by itself{side}, its motion {doubling_text(worst.radius, rate_hz)},"
+            f" worst near {worst.worst_hz:.3g} Hz"
         )
     return Reason.SHORT, (
-        f"{judgement.spare_ns_per_m - margin:.3g} N s/m short{side} at {worst.worst_hz:.3g} Hz"
-        f" ({judgement.basis.name})"
+        f"{region.spare_ns_per_m - margin:.3g} N s/m short{side} at {worst.worst_hz:.3g} Hz"
+        f" ({region.basis.name})"
     )
 
 
@@ -142,13 +142,12 @@ def doubling_text(radius: float, rate_hz: float) -> str:
     return f"doubles in {1e3 * seconds:.3g} ms" if seconds < 1.0 else f"doubles in {seconds:.3g} s"
 
 
-def environment_text(display: Environment) -> str:
-    """A display by its numbers."""
-    return (
-        f"K = {display.stiffness_n_per_m:g} N/m, B = {display.virtual_damping_ns_per_m:g} N s/m,"
-        f" M = {display.mass_kg:g} kg with {display.active_damping_ns_per_m:.4g} N s/m of active"
-        " damping"
-    )
+def environment_text(environment: Environment) -> str:
+    """An environment by its numbers."""
+    k, b, m = environment.free
+    level = environment.active_damping_ns_per_m
+    kbm = f"K = {k:g} N/m, B = {b:g} N s/m, M = {m:g} kg"
+    return f"{kbm} with {level:.4g} N s/m of active damping"
 
 
 def hand_text(hand: Hand, hz: float, in_wall: bool) -> dict[str, Any]:

@@ -1,9 +1,9 @@
-"""What a device withstands: whether displays are safe, by how much, and how far each of K, B and M
-may go.
+"""The safe region of a device: whether environments are safe, by how much, and how far each of K, B
+and M may go.
 
-A display (`displays`) is safe if its environment in free space and that in its wall are, by a basis
-(`bases`), at each delay that is judged. How far K, B or M may go is looked for on a grid that gets
-finer towards the display's own value, and then between its last two points at either end.
+An environment is safe if its K, B, M in free space and those in its wall are, by a basis (`bases`),
+at each delay that is judged. How far K, B or M may go is looked for on a grid that gets
+finer towards the environment's own value, and then between its last two points at either end.
 
 What would break it: a delay that changes from tick to tick, or a hand that makes and breaks
 contact with the wall in step with its motion: each side is judged for itself, and neither is
@@ -19,7 +19,7 @@ import numpy as np
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment, Point
 from hapticd.guard.bases import Basis, Conditions, Reading
-from hapticd.guard.displays import AXES
+from hapticd.guard.environments import AXES
 
 _GRID = 40  # distances at which an axis is looked at, on either side
 _FINER = 9  # values between the last that holds and the first that does not, three times
@@ -46,21 +46,23 @@ class SafeRegion:
         least = delay_periods if least_delay_periods is None else least_delay_periods
         self._delays = list(dict.fromkeys((delay_periods, least)))
 
-    def conditions(self, display: Environment) -> list[Conditions]:
-        """Those of one display, by delay."""
+    def conditions(self, environment: Environment) -> list[Conditions]:
+        """Those of one environment, by delay."""
         return [
-            Conditions(display.active_damping_ns_per_m, display.filters, delay, self.spare_ns_per_m)
+            Conditions(
+                environment.active_damping_ns_per_m, environment.filters, delay, self.spare_ns_per_m
+            )
             for delay in self._delays
         ]
 
-    def safe(self, displays: Sequence[Environment]) -> list[bool]:
+    def safe(self, environments: Sequence[Environment]) -> list[bool]:
         """Whether each is safe, in free space and in contact."""
-        found = [True] * len(displays)
+        found = [True] * len(environments)
         groups: dict[Conditions, list[tuple[int, Point]]] = {}
-        for place, display in enumerate(displays):
-            for at in self.conditions(display):
+        for place, environment in enumerate(environments):
+            for at in self.conditions(environment):
                 rows = groups.setdefault(at, [])
-                rows.extend((place, point) for point in display.points())
+                rows.extend((place, point) for point in environment.points())
         for at, rows in groups.items():
             flags = self.basis.safe(np.array([point for _, point in rows]), at)
             for (place, _), flag in zip(rows, flags.tolist(), strict=True):
@@ -71,67 +73,67 @@ class SafeRegion:
         """Whether a way is safe; one without points is not known to be."""
         return bool(path) and all(self.safe(path))
 
-    def reading(self, display: Environment) -> Reading:
+    def reading(self, environment: Environment) -> Reading:
         """How safe it is in free space."""
-        return self._read(display.free, display)
+        return self._read(environment.free, environment)
 
-    def in_contact(self, display: Environment) -> Reading | None:
+    def in_contact(self, environment: Environment) -> Reading | None:
         """How safe it is in its wall; None without one."""
-        point = display.contact
-        return None if point is None else self._read(point, display)
+        point = environment.contact
+        return None if point is None else self._read(point, environment)
 
-    def _read(self, point: Point, display: Environment) -> Reading:
-        found = [self.basis.reading(point, at) for at in self.conditions(display)]
+    def _read(self, point: Point, environment: Environment) -> Reading:
+        found = [self.basis.reading(point, at) for at in self.conditions(environment)]
         known = [one for one in found if one.margin_ns_per_m is not None]
         return min(known, key=lambda one: one.margin_ns_per_m or 0.0) if known else found[0]
 
-    def worse(self, display: Environment) -> Reading:
+    def worse(self, environment: Environment) -> Reading:
         """The reading of free space or contact, whichever has less margin."""
-        free = self.reading(display)
-        contact = self.in_contact(display)
+        free = self.reading(environment)
+        contact = self.in_contact(environment)
         if contact is None or contact.margin_ns_per_m is None or free.margin_ns_per_m is None:
             return free
         return contact if contact.margin_ns_per_m < free.margin_ns_per_m else free
 
-    def least_level(self, display: Environment, levels: Sequence[float]) -> float | None:
+    def least_level(self, environment: Environment, levels: Sequence[float]) -> float | None:
         """The least of `levels` (rising) at which it is safe; None for none."""
         return next(
             (
                 level
                 for level in levels
-                if self.safe([replace(display, active_damping_ns_per_m=level)])[0]
+                if self.safe([replace(environment, active_damping_ns_per_m=level)])[0]
             ),
             None,
         )
 
     def allowed(
-        self, display: Environment, lowest: Sequence[float], highest: Sequence[float]
+        self, environment: Environment, lowest: Sequence[float], highest: Sequence[float]
     ) -> dict[str, list[float] | None]:
         """How far each of K, B, M may go with the others as they are, within `lowest`..`highest`:
         the interval round its value if that is safe, else the nearest that is, None for none.
 
         Ends are safe themselves, and lie within a thousandth of a step of the grid.
         """
-        points = [np.array(point) for point in display.points()]
-        cases = list(product(points, self.conditions(display)))
+        points = [np.array(point) for point in environment.points()]
+        cases = list(product(points, self.conditions(environment)))
 
         def safe(values: list[Floats], sure: bool) -> list[Flags]:
             test = self.basis.safe if sure else self.basis.hopeful
             flags = np.concatenate([np.ones(one.size, np.bool_) for one in values])
             for point, at in cases:
-                moved = [_moved(point, axis, one, display) for axis, one in enumerate(values)]
+                moved = [_moved(point, axis, one, environment) for axis, one in enumerate(values)]
                 flags &= test(np.concatenate(moved), at)
             return np.split(flags, np.cumsum([one.size for one in values])[:-1])
 
         ranges = [(max(lowest[0], 0.0), highest[0]), *zip(lowest[1:], highest[1:], strict=True)]
-        found = intervals(safe, ranges, display.free)
+        found = intervals(safe, ranges, environment.free)
         return dict(zip(AXES, found, strict=True))
 
 
-def _moved(point: Floats, axis: int, values: Floats, display: Environment) -> Floats:
-    """The point (N, 3) with one of the display's K, B, M at other values (N,)."""
+def _moved(point: Floats, axis: int, values: Floats, environment: Environment) -> Floats:
+    """The point (N, 3) with one of the environment's K, B, M at other values (N,)."""
     moved = np.tile(point, (len(values), 1))
-    moved[:, axis] += values - display.free[axis]
+    moved[:, axis] += values - environment.free[axis]
     return moved
 
 
@@ -174,7 +176,7 @@ def _made_sure(
 
 def _checks(ends: list[float], own: float) -> Floats:
     """Where an interval is made sure of: at its middle, at each end or a little inside, for an
-    end is an estimate, and at the value inside that is the display's own.
+    end is an estimate, and at the value inside that is the environment's own.
     """
     start, end = ends
     inside = start + (end - start) * np.array([0.0, _INSIDE, 0.5, 1.0 - _INSIDE, 1.0])

@@ -1,20 +1,20 @@
-"""The ways of a change: its stages in the order in which they may come, and the points they pass.
+"""Plan a change: its stages in the order in which they may come, and the points they pass.
 
     what ramps        the line from what is in force now to what is asked; where an earlier change
                       is still under way too, the patch that both span, with its corners
     enable            the gain from 0 to 1, which scales every force
-    damping           the levels on the way, of those that are kept
+    active damping    the levels on the way, of those that are kept
     scheduled         this change comes after those before it, and those after it come after it
 
-Damping rises before K and B grow; K and B shrink before damping falls. Each `Stage` waits for what
-the board reports as damping, or for the ramps of the stage before, never for a time. Other ways are
+Active damping rises before K and B grow; K and B shrink before it falls. Each `Stage` waits for
+what the board reports, or for the ramps of the stage before, never for a time. Other orders are
 tried next: with what is under way brought to its end first, with what shrinks first, with what
 grows first. A longer ramp goes through the same points, so none is asked for.
 
 Where it is not known what comes first, a scheduled change or the end of the ramps before it, all
 corners of what may then act have to be safe (`mixture`).
 
-What would break it: a parameter that moves without being asked.
+Limitations: a parameter that moves without being asked.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hapticd.core.environment import Environment
-from hapticd.guard.displays import AXES, apply_change, corner_mixtures, interpolate, kept_level
+from hapticd.guard.environments import AXES, apply_change, corner_mixtures, interpolate, kept_level
 
 POINTS = 20  # of a whole way
 
@@ -55,7 +55,7 @@ class Plan(NamedTuple):
     """Stages with the way that they take."""
 
     stages: list[Stage]
-    legs: list[Segment]
+    segments: list[Segment]
     end: Environment
 
 
@@ -94,31 +94,33 @@ class TransitionPlanner:
         """The way that these stages take, from what is in force."""
         now = self.request.now
         target = self.request.target
-        legs = []
+        segments = []
         for stage in stages:
             if stage.active_damping_at_least is not None:
                 now = replace(now, active_damping_ns_per_m=target.active_damping_ns_per_m)
             if stage.after_ramps:
                 now = replace(target, active_damping_ns_per_m=now.active_damping_ns_per_m)
             end = apply_change(target, stage.change)
-            legs.append(Segment(now, target, end))
+            segments.append(Segment(now, target, end))
             target = end
-        return Plan(stages, legs, target)
+        return Plan(stages, segments, target)
 
     def path(self, plan: Plan) -> list[Environment]:
         """At most POINTS points of the way of `plan`, and of what is scheduled after it; each
         part has its end among them. None at all where they would be more.
         """
-        legs = [*plan.legs, *self._later(plan.end)]
-        size = max(len(one.points()) for leg in legs for one in (leg.start, leg.end))
+        segments = [*plan.segments, *self._later(plan.end)]
+        size = max(
+            len(one.points()) for segment in segments for one in (segment.start, segment.end)
+        )
         room = POINTS // size
-        more = room % len(legs)
-        counts = [room // len(legs) + (place < more) for place in range(len(legs))]
+        more = room % len(segments)
+        counts = [room // len(segments) + (place < more) for place in range(len(segments))]
         parts = [
-            sampled_segment(leg, count, self.request.levels)
-            for leg, count in zip(legs, counts, strict=True)
+            sampled_segment(segment, count, self.request.levels)
+            for segment, count in zip(segments, counts, strict=True)
         ]
-        return [display for part in parts for display in part] if all(parts) else []
+        return [environment for part in parts for environment in part] if all(parts) else []
 
     def mixture(self, plan: Plan) -> list[Environment]:
         """Corners of what may act where the order in time is not known: with changes that are
@@ -126,19 +128,19 @@ class TransitionPlanner:
         at an enable while something is on its way.
         """
         request = self.request
-        later = [leg.end for leg in self._later(plan.end)]
+        later = [segment.end for segment in self._later(plan.end)]
         known = not later and len(request.passed) == 1
         if known and not request.enable:
             return self._overlapping(plan)
-        displays = [*request.passed, request.target, plan.end, *later]
+        environments = [*request.passed, request.target, plan.end, *later]
         if plan.stages[-1].active_damping_at_least is not None:
             # nothing is felt before the damping that is asked for is in effect
             here = replace(
                 request.passed[0], active_damping_ns_per_m=plan.end.active_damping_ns_per_m
             )
-            displays[0] = here if request.enable else displays[0]
-        environments = {replace(one, active_damping_ns_per_m=0.0) for one in displays}
-        return corner_mixtures(displays) if len(environments) > 1 else []
+            environments[0] = here if request.enable else environments[0]
+        rendered = {replace(one, active_damping_ns_per_m=0.0) for one in environments}
+        return corner_mixtures(environments) if len(rendered) > 1 else []
 
     def _overlapping(self, plan: Plan) -> list[Environment]:
         """The same where two parameters or more are under way, each on a ramp of its own, until a
@@ -148,18 +150,21 @@ class TransitionPlanner:
         if not self.request.moving or sum(start != end for start, end in pairs) < 2:
             return []
         together = takewhile(
-            lambda one: not one[0].after_ramps, zip(plan.stages, plan.legs, strict=True)
+            lambda one: not one[0].after_ramps, zip(plan.stages, plan.segments, strict=True)
         )
-        corners = [corner_mixtures([leg.start, leg.under_way, leg.end]) for _, leg in together]
-        return [display for part in corners for display in part]
+        corners = [
+            corner_mixtures([segment.start, segment.under_way, segment.end])
+            for _, segment in together
+        ]
+        return [environment for part in corners for environment in part]
 
     def _later(self, start: Environment) -> list[Segment]:
-        legs = []
+        segments = []
         for change in self.request.after:
             end = apply_change(start, change)
-            legs.append(Segment(start, start, end))
+            segments.append(Segment(start, start, end))
             start = end
-        return legs
+        return segments
 
     def _orders(self) -> list[list[Stage]]:
         change = self.request.change
@@ -226,98 +231,102 @@ def _with(stages: list[Stage], fields: dict[str, Any]) -> list[Stage]:
     return [stages[0]._replace(change=stages[0].change | fields), *stages[1:]]
 
 
-def moving_groups(leg: Segment) -> int:
+def moving_groups(segment: Segment) -> int:
     """How many things move by themselves: what is asked, what is under way, the damping."""
-    asked, under_way = _parts(leg)
+    asked, under_way = _parts(segment)
     return (
-        asked + under_way + (leg.start.active_damping_ns_per_m != leg.end.active_damping_ns_per_m)
+        asked
+        + under_way
+        + (segment.start.active_damping_ns_per_m != segment.end.active_damping_ns_per_m)
     )
 
 
-def _parts(leg: Segment) -> tuple[bool, bool]:
+def _parts(segment: Segment) -> tuple[bool, bool]:
     """Whether what was asked moves the environment, and whether something else is under way."""
     asked = (
-        replace(leg.end, active_damping_ns_per_m=leg.under_way.active_damping_ns_per_m)
-        != leg.under_way
+        replace(segment.end, active_damping_ns_per_m=segment.under_way.active_damping_ns_per_m)
+        != segment.under_way
     )
     left = any(
         start != end and before == end
         for start, before, end in zip(
-            _numbers(leg.start), _numbers(leg.under_way), _numbers(leg.end), strict=True
+            _numbers(segment.start), _numbers(segment.under_way), _numbers(segment.end), strict=True
         )
     )
-    return asked or leg.gain, left
+    return asked or segment.gain, left
 
 
-def _numbers(display: Environment) -> tuple[float, ...]:
-    wall = display.wall
-    return (*display.free, wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m, wall.side)
+def _numbers(environment: Environment) -> tuple[float, ...]:
+    wall = environment.wall
+    return (*environment.free, wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m, wall.side)
 
 
-def sampled_segment(leg: Segment, count: int, levels: Sequence[float] = ()) -> list[Environment]:
-    """At most `count` displays of a leg, its end the last: the line if one thing moves, a grid
-    with all corners if several do. None if that takes more than `count`.
+def sampled_segment(
+    segment: Segment, count: int, levels: Sequence[float] = ()
+) -> list[Environment]:
+    """At most `count` environments of a segment, its end the last: the line if one thing moves, a
+    grid with all corners if several do. None if that takes more than `count`.
     """
     if count < 1:
         return []
-    if leg.gain:
-        return _gained(leg, count)
-    moving = moving_groups(leg)
+    if segment.gain:
+        return _gained(segment, count)
+    moving = moving_groups(segment)
     if moving <= 1:
         # filters and the side of a wall change at once, while everything else is where it was
-        first = 0.0 if _jumps(leg) and count > 1 else 1.0 / count
+        first = 0.0 if _jumps(segment) and count > 1 else 1.0 / count
         line = np.linspace(first, 1.0, count).tolist()
-        return [interpolate(leg.start, leg.end, share, levels) for share in line]
+        return [interpolate(segment.start, segment.end, share, levels) for share in line]
     side = int(count ** (1.0 / moving) + 1e-9)
     if side < 2:
         return []
     shares = np.linspace(0.0, 1.0, side).tolist()
     still = [1.0]
-    asked, left = _parts(leg)
-    damped = leg.start.active_damping_ns_per_m != leg.end.active_damping_ns_per_m
+    asked, left = _parts(segment)
+    damped = segment.start.active_damping_ns_per_m != segment.end.active_damping_ns_per_m
     grid = product(
         shares if asked else still, shares if left else still, shares if damped else still
     )
-    return [_patch(leg, *place, levels) for place in grid]
+    return [_patch(segment, *place, levels) for place in grid]
 
 
-def _jumps(leg: Segment) -> bool:
-    """Whether something of the display does not ramp."""
-    sides = leg.start.wall.side, leg.end.wall.side
-    return sides[0] != sides[1] or leg.start.filters != leg.end.filters
+def _jumps(segment: Segment) -> bool:
+    """Whether something of the environment does not ramp."""
+    sides = segment.start.wall.side, segment.end.wall.side
+    return sides[0] != sides[1] or segment.start.filters != segment.end.filters
 
 
-def _gained(leg: Segment, count: int) -> list[Environment]:
+def _gained(segment: Segment, count: int) -> list[Environment]:
     """The gain from 0 to 1. Damping that is still on its way does not count before it is there."""
     if count < 3:
         return []
-    here = replace(leg.end, active_damping_ns_per_m=leg.start.active_damping_ns_per_m)
+    here = replace(segment.end, active_damping_ns_per_m=segment.start.active_damping_ns_per_m)
     rising = [here.scaled((place + 1) / (count - 1)) for place in range(count - 1)]
-    return [*rising, leg.end]
+    return [*rising, segment.end]
 
 
 def _patch(
-    leg: Segment, asked: float, left: float, level: float, levels: Sequence[float]
+    segment: Segment, asked: float, left: float, level: float, levels: Sequence[float]
 ) -> Environment:
-    """A leg's display with what was asked, what was under way and damping at shares of their
-    own.
+    """A segment's environment with what was asked, what was under way and active damping at shares
+    of their own.
     """
-    fast = interpolate(leg.start, leg.end, asked)
-    slow = interpolate(leg.start, leg.end, left)
+    fast = interpolate(segment.start, segment.end, asked)
+    slow = interpolate(segment.start, segment.end, left)
     still = [
         before == end
-        for before, end in zip(_numbers(leg.under_way), _numbers(leg.end), strict=True)
+        for before, end in zip(_numbers(segment.under_way), _numbers(segment.end), strict=True)
     ]
     numbers = [
         s if own else f for own, s, f in zip(still, _numbers(slow), _numbers(fast), strict=True)
     ]
     wall = replace(
-        leg.end.wall,
+        segment.end.wall,
         stiffness_n_per_m=numbers[3],
         virtual_damping_ns_per_m=numbers[4],
         side=int(numbers[5]),
     )
     added = kept_level(
-        leg.start.active_damping_ns_per_m, leg.end.active_damping_ns_per_m, level, levels
+        segment.start.active_damping_ns_per_m, segment.end.active_damping_ns_per_m, level, levels
     )
-    return replace(leg.end.with_free(numbers[:3]), wall=wall, active_damping_ns_per_m=added)
+    return replace(segment.end.with_free(numbers[:3]), wall=wall, active_damping_ns_per_m=added)

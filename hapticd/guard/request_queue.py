@@ -31,7 +31,8 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.guard.case import (
+from hapticd.guard.outstanding import Outstanding
+from hapticd.guard.pending_change import (
     PendingChange,
     Stage,
     auto_of,
@@ -41,7 +42,6 @@ from hapticd.guard.case import (
     stages_of,
     until_tick,
 )
-from hapticd.guard.outstanding import Outstanding
 from hapticd.guard.stages import ChangeReply, StagedChange, ramp_s
 from hapticd.guard.status import VERDICT_NS, Guard, UnsafeRequest
 from hapticd.mailbox.client_side import Answer
@@ -106,13 +106,13 @@ class GuardedQueue:
         self._queue: deque[PendingChange] = deque()
         self._asked: PendingChange | None = None
         self._beside: PendingChange | None = None  # posted at once, judged meanwhile
-        self._told: list[ChangeReply] = []
-        self._under_way = StagedChange(view, outstanding, self._told)
+        self._replies: list[ChangeReply] = []
+        self._under_way = StagedChange(view, outstanding, self._replies)
         self._scheduled: dict[
             int, ScheduledChange
         ] = {}  # by sequence number, of the present servo life
         self._life = 0
-        self._terms_told = (0, ANY_TERMS)  # servo life, number of the terms that it knows
+        self._terms_sent = (0, ANY_TERMS)  # servo life, number of the terms that it knows
         self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
         self._chosen_for: tuple[Any, ...] = ()
 
@@ -178,8 +178,8 @@ class GuardedQueue:
         case.verdict = self._verdict_beside(case, answer)
         if case.verdict["safe"] is False:
             self._want_hand(case)
-        if case.held is not None and (told := self.answered(case, case.held, now_ns)):
-            self._told.append(told)
+        if case.held is not None and (reply := self.answered(case, case.held, now_ns)):
+            self._replies.append(reply)
 
     def _verdict_beside(self, case: PendingChange, answer: dict[str, Any] | None) -> dict[str, Any]:
         verdict = answer.get("verdict") if answer else None
@@ -200,7 +200,7 @@ class GuardedQueue:
             if isinstance(case.request, Enable):
                 self._drop(case)
                 text = f"{case.cmd}: {why} was asked before it was judged; ask again"
-                self._told.append(ChangeReply(case, CommandError("refused", text)))
+                self._replies.append(ChangeReply(case, CommandError("refused", text)))
         self._under_way.take_back(lambda case: True, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
@@ -236,9 +236,9 @@ class GuardedQueue:
         elif self._under_way.case is None and idle:
             self._choose_level(now_ns)
         self._under_way.advance(now_ns, idle and self._asked is None)
-        told = list(self._told)
-        self._told.clear()
-        return told
+        replies = list(self._replies)
+        self._replies.clear()
+        return replies
 
     def _forget_other_lives(self) -> None:
         life = self._view.life if self._view.mailbox else 0
@@ -248,7 +248,7 @@ class GuardedQueue:
         self._scheduled = {}
         if self._beside is not None and self._beside.held is not None:
             text = f"{self._beside.cmd}: {SERVO_GONE}"
-            self._told.append(ChangeReply(self._beside, CommandError("servo_down", text)))
+            self._replies.append(ChangeReply(self._beside, CommandError("servo_down", text)))
         self._beside = None  # without an answer the desk has told its end
         for case in filter(None, (*self._queue, self._asked, self._under_way.case)):
             if case.life != life:
@@ -272,11 +272,11 @@ class GuardedQueue:
         if number != ANY_TERMS and case is not None and case.terms != number:
             self._under_way.cancel("the guard goes by other terms than it was judged by")
         mailbox = self._view.mailbox
-        if mailbox is None or not self._view.record or self._terms_told == (self._life, number):
+        if mailbox is None or not self._view.record or self._terms_sent == (self._life, number):
             return
         values = values_of({Value.TERMS: number})
         if number == ANY_TERMS or mailbox.post(Command.TERMS, GATEWAY_ACTOR, 0, values):
-            self._terms_told = self._life, number
+            self._terms_sent = self._life, number
 
     def _expire(self, now_ns: int) -> None:
         for case in [one for one in self._queue if now_ns - one.came_ns >= WAITING_NS]:
@@ -295,7 +295,7 @@ class GuardedQueue:
             self._under_way.case = None
         else:
             self._drop(case)
-        self._told.append(ChangeReply(case, error))
+        self._replies.append(ChangeReply(case, error))
 
     def _policy(self, case: PendingChange) -> str:
         """The policy that `case` goes by: the one in force, or `refuse` where its client asks for
@@ -454,10 +454,10 @@ class GuardedQueue:
             self._want_hand(case)
         leased = forbidden_by(self._leases, case) if case.message is not None else None
         if leased is not None:
-            self._told.append(ChangeReply(case, leased))
+            self._replies.append(ChangeReply(case, leased))
         elif action == "refuse":
             text = f"{case.cmd}: {verdict.get('text', 'the guard gave no reason')}"
-            self._told.append(ChangeReply(case, CommandError("guard", text, guard=case.verdict)))
+            self._replies.append(ChangeReply(case, CommandError("guard", text, guard=case.verdict)))
         else:
             self._start(case, now_ns)
 
@@ -466,7 +466,7 @@ class GuardedQueue:
         if until_tick(case.request) and len(case.stages) > 1:
             text = f"{case.cmd}: with an end it needs one stage, and would take {len(case.stages)}"
             remedy = "bring in the active damping first, then ask again"
-            self._told.append(ChangeReply(case, CommandError("guard", f"{text}; {remedy}")))
+            self._replies.append(ChangeReply(case, CommandError("guard", f"{text}; {remedy}")))
             return
         self._under_way.start(case, now_ns)
 
@@ -497,7 +497,7 @@ class GuardedQueue:
         try:
             self._unjudged(case, now_ns, why)
         except CommandError as error:
-            self._told.append(ChangeReply(case, error))
+            self._replies.append(ChangeReply(case, error))
 
     def _unjudged(self, case: PendingChange, now_ns: int, why: str = "") -> None:
         """Post it as asked, or refuse it, as the policy says."""
@@ -518,7 +518,7 @@ class GuardedQueue:
             self._under_way.supersede(case)
         self._outstanding.post_case(case, posting(case.request, 0), now_ns)
         if case.at_tick:
-            self._terms_told = (0, ANY_TERMS)  # no terms came with it: those that count go after it
+            self._terms_sent = (0, ANY_TERMS)  # no terms came with it: those that count go after it
 
     def _unknown_refused(self, case: PendingChange) -> CommandError:
         """The refusal of what nobody judged, with what would do it all the same."""
