@@ -9,7 +9,7 @@ import pytest
 from matplotlib.text import Text
 from support.report_paper import drawn
 
-from hapticd.zwidth.report.paper import LEAST_PT, WIDTHS_MM, fit
+from hapticd.zwidth.report.paper import LEAST_PT, WIDTHS_MM, settle
 from hapticd.zwidth.report.style import save, styled
 
 
@@ -24,14 +24,14 @@ def seen(figure: Any) -> list[Any]:
 
 @pytest.fixture(scope="module")
 def column() -> Any:
-    figure = drawn()
+    figure = drawn(WIDTHS_MM["column"])
     with styled():
-        fit(figure, WIDTHS_MM["column"])
+        settle(figure)
     return figure
 
 
 def test_same_figure_gives_the_same_files(tmp_path: Path) -> None:
-    first, second = (save(drawn(), tmp_path / name, "x", 88.9) for name in "ab")
+    first, second = (save(drawn(88.9), tmp_path / name, "x") for name in "ab")
     assert [one.read_bytes() for one in first] == [other.read_bytes() for other in second]
 
 

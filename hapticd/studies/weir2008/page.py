@@ -98,7 +98,7 @@ class Drawing:
 
     name: str
     caption: str
-    draw: Callable[[], Figure]
+    draw: Callable[..., Figure]  # with `width_mm`
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ def parts(found: Iterable[PaperRow]) -> dict[str, Section]:
 def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
     """Drawings of the paper's figures; Fig. 2 only where walls were hit."""
     off, on = LABELS
-    drawn: list[tuple[int, str, Callable[[str], Figure], str]] = [
+    drawn: list[tuple[int, str, Callable[..., Figure], str]] = [
         (3, f"Z-width {off}", partial(envelope_figure, result, (0,)), OWNERS),
         (
             4,
@@ -273,7 +273,7 @@ def _draw(
     for drawing in drawings:
         steps.next(f"drawing {drawing.name}")
         with style.styled():
-            style.save(drawing.draw(), folder, drawing.name, width_mm)
+            style.save(drawing.draw(width_mm=width_mm), folder, drawing.name)
     steps.end()
 
 
