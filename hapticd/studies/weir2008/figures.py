@@ -226,7 +226,7 @@ def limits_figure(result: ReproduceResult, width_mm: float | None = None) -> Fig
     axis.plot([], [], "o", color=BLACK, label="predicted (hollow)", **HOLLOW)
     axis.set_yscale("symlog", linthresh=20.0)
     axis.set_yticks(TICKS, [f"{tick:+d}" if tick else "0" for tick in TICKS])
-    axis.set_xticks(range(len(names)), [_labelled(name) for name in names])
+    axis.set_xticks(range(len(names)), [_labelled(name) for name in names], fontsize="small")
     axis.set(ylim=(-160, 800), ylabel="difference from the paper (%)")
     axis.minorticks_off()
     legends(figure, legend_handles(axis), 5)

@@ -40,7 +40,7 @@ SMALL = 0.833  # of font.size: what matplotlib calls small
 NARROW_PT = 8.5  # font.size there; `small` is 7.1 pt
 PANEL_IN = 1.6  # a panel is not narrower
 PANEL_SHARE = 0.5  # nor less than that of its width on a screen
-FLATTEST = 0.7  # of the height of a panel on a screen
+FLATTEST = 0.9  # of the height of a panel on a screen
 HIGHEST_IN = 9.0  # that a page holds
 LINE = 1.35  # height of a line of words, over its type
 EDGE_IN = 0.1  # kept free beside words
@@ -141,24 +141,30 @@ def settle(figure: "Figure") -> None:
     """Lay out a figure once for all of its files: titles and labels that are longer than their axes
     are broken into lines.
     """
-    from matplotlib.text import Text
-
     set_type(figure.get_figwidth())
-    figure.draw_without_rendering()
-    for axis in figure.axes:
-        box = axis.get_window_extent()
-        wide_in, high_in = box.width / figure.dpi, box.height / figure.dpi
-        title = axis.get_title("left")
-        rooms = [(axis.xaxis.label, wide_in + EDGE_IN), (axis.yaxis.label, high_in + EDGE_IN)]
-        rooms += [
-            (one, wide_in)
-            for one in axis.get_children()
-            if isinstance(one, Text) and one.get_text() == title
-        ]
-        for words, room_in in rooms:
-            words.set_text(fitted(words.get_text(), room_in, float(words.get_fontsize())))
+    for _ in range(2):  # panels are narrower beside broken labels
+        figure.draw_without_rendering()
+        for axis in figure.axes:
+            _break_words(axis)
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
+
+
+def _break_words(axis: "Axes") -> None:
+    from matplotlib.text import Text
+
+    figure: Any = axis.figure
+    box = axis.get_window_extent()
+    wide_in, high_in = box.width / figure.dpi, box.height / figure.dpi
+    title = axis.get_title("left")
+    rooms = [(axis.xaxis.label, wide_in + EDGE_IN), (axis.yaxis.label, high_in + EDGE_IN)]
+    rooms += [
+        (one, wide_in)
+        for one in axis.get_children()
+        if isinstance(one, Text) and one.get_text() == title
+    ]
+    for words, room_in in rooms:
+        words.set_text(fitted(words.get_text(), room_in, float(words.get_fontsize())))
 
 
 def legends(

@@ -131,7 +131,7 @@ UNDATED: dict[str, dict[str, Any]] = {
 }
 FINE = ((1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
 ROUND = ((1.0,), *FINE)
-DECADE_IN = 1.05  # that ticks at 1, 2 and 5 take
+DECADE_IN = 0.95  # that ticks at 1, 2 and 5 take
 RATIOS = ("height_ratios", "width_ratios")
 FEWEST_TICKS = 3
 LEAST_RANGE = 2.5  # of a logarithmic axis
