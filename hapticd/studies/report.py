@@ -48,6 +48,7 @@ from hapticd.zwidth.report.style import (
     mosaic,
     patch,
     plain_axis,
+    size_in,
     styled,
 )  # fmt: skip
 from hapticd.zwidth.report.table import Cell, Table, changed, duration, shown, table
@@ -83,6 +84,7 @@ QUESTIONS = {
     "phase": "what the phase of Z needs",
     "peak": "what the peak of |Z| needs",
 }
+ROOMY_IN = 4.0  # for all TICKS
 TICKS = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)
 DROPPED = "#c8d7e6"
 PANELS_OF_NOISE = [["tier", "sub-steps", "effect"], ["trial length", "window", "effect"]]
@@ -476,7 +478,8 @@ def effects_figure(result: EffectsResult, width_mm: float | None = None) -> Figu
         ylim=(-0.6, len(rows) + 0.2),
         xlabel=f"change of {params.question} when left out",
     )
-    axis.set_xticks(TICKS, [changed(tick) for tick in TICKS])
+    shown_ticks = TICKS if size_in(axis)[0] > ROOMY_IN else TICKS[::2]
+    axis.set_xticks(shown_ticks, [changed(tick) for tick in shown_ticks])
     kinds = (
         ("kept", BLUE, ""),
         ("left out", DROPPED, ""),
@@ -577,6 +580,7 @@ def accuracy_figure(result: AccuracyResult, width_mm: float | None = None) -> Fi
     panels = PANELS_OF_NOISE if noise else PANELS_OF_NOISE[:1]
     figure, places = mosaic(panels, 12.5, 7.0 if noise else 5.0, title, width_mm)
     _draw_effects(result, places.pop("effect"))
+    ways = places["tier"]
     for name, axis in places.items():
         _draw_sweep(result, name, axis)
     handles = [
@@ -584,7 +588,7 @@ def accuracy_figure(result: AccuracyResult, width_mm: float | None = None) -> Fi
         mark("defaults", **DEFAULT),
         mark(f"the {CHEAPEST}", **KNEE),
     ]
-    legends(figure, handles, 6)
+    legends(figure, handles, 6, "", (ways, legend_handles(ways), {"loc": "best"}))
     return figure
 
 
@@ -625,8 +629,6 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
     axis.margins(x=0.2, y=0.9 if ways else 0.2)
     plain_axis(axis.xaxis, TIMES, duration)
     plain_axis(axis.yaxis)
-    if ways:
-        axis.legend(loc="best")
 
 
 def _draw_step_errors(result: AccuracyResult, rows: list[AccuracyRow], axis: Axes) -> None:

@@ -142,29 +142,28 @@ def settle(figure: "Figure") -> None:
     are broken into lines.
     """
     set_type(figure.get_figwidth())
-    for _ in range(2):  # panels are narrower beside broken labels
+    for part in (_labels, _titles):  # panels are narrower beside broken labels
         figure.draw_without_rendering()
-        for axis in figure.axes:
-            _break_words(axis)
+        for words, room_in in chain.from_iterable(map(part, figure.axes)):
+            words.set_text(fitted(words.get_text(), room_in, float(words.get_fontsize())))
     figure.draw_without_rendering()
     figure.set_layout_engine("none")
 
 
-def _break_words(axis: "Axes") -> None:
-    from matplotlib.text import Text
-
+def _labels(axis: "Axes") -> list[tuple[Any, float]]:
+    """The labels of axes, and the length [in] that each may have."""
     figure: Any = axis.figure
     box = axis.get_window_extent()
     wide_in, high_in = box.width / figure.dpi, box.height / figure.dpi
-    title = axis.get_title("left")
-    rooms = [(axis.xaxis.label, wide_in + EDGE_IN), (axis.yaxis.label, high_in + EDGE_IN)]
-    rooms += [
-        (one, wide_in)
-        for one in axis.get_children()
-        if isinstance(one, Text) and one.get_text() == title
-    ]
-    for words, room_in in rooms:
-        words.set_text(fitted(words.get_text(), room_in, float(words.get_fontsize())))
+    return [(axis.xaxis.label, wide_in + EDGE_IN), (axis.yaxis.label, high_in + EDGE_IN)]
+
+
+def _titles(axis: "Axes") -> list[tuple[Any, float]]:
+    """The title of axes, and the length [in] that it may have."""
+    figure: Any = axis.figure
+    wide_in = axis.get_window_extent().width / figure.dpi
+    texts = (one for one in axis.get_children() if hasattr(one, "get_text"))
+    return [(one, wide_in) for one in texts if one.get_text() == axis.get_title("left")]
 
 
 def legends(
