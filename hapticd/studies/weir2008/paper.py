@@ -34,7 +34,7 @@ NUMBERS = {
     row["quantity"]: row["paper"]
     for section in SECTIONS.values()
     if isinstance(section, dict)
-    for row in section["rows"]
+    for row in section.get("rows", ())
     if "paper" in row
 }
 # the six limits, section 5

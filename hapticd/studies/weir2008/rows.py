@@ -142,8 +142,8 @@ def told(section: str, device: str, found: Found) -> Iterator[PaperRow]:
             part=content.get("part", section),
         )
         case = one.differs if one.differs and not row.matches else one.case
-        note = {**content.get("notes", {}), **asked.get("note", {})}.get(case, "")
-        yield replace(row, note=note.format_map(one.facts))
+        notes = SECTIONS["notes"] | content.get("notes", {}) | asked.get("note", {})
+        yield replace(row, note=notes.get(case, "").format_map(one.facts))
 
 
 def by_quantity(rows: Iterable[PaperRow]) -> dict[str, dict[str, PaperRow]]:
