@@ -116,7 +116,8 @@ def height_in(before: Panels, after: Panels, own_in: tuple[float, float], page_i
     columns, beside = (len(dict.fromkeys(panels[0])) for panels in (before, after))
     share = page_in / own_in[0] * columns / beside
     flat = min(1.0, max(FLATTEST, share**0.5))
-    return float(min(HIGHEST_IN, flat * own_in[1] * len(after) / len(before)))
+    highest_in = HIGHEST_IN if page_in < own_in[0] else own_in[1]
+    return float(min(highest_in, flat * own_in[1] * len(after) / len(before)))
 
 
 def fitted(words: str, room_in: float, type_pt: float) -> str:
