@@ -283,10 +283,10 @@ def _drawn(
     from hapticd.zwidth.report.trial import replay_figure
     from hapticd.zwidth.store import FIGURE_KINDS
 
-    figure = replay_figure(result, title, changed or "replayed")
+    figure = replay_figure(result, title, changed or "replayed", width_mm)
     named = path.suffix in {f".{kind}" for kind in FIGURE_KINDS}
     name = path.stem if named else path.name
-    return [str(one) for one in save(figure, path.parent, name, width_mm)]
+    return [str(one) for one in save(figure, path.parent, name)]
 
 
 def _replay_verdict(found: dict[str, Any]) -> str:

@@ -69,8 +69,8 @@ def sim_run(
         result = run_scene(plan, tell)
     paths = []
     if plot:
-        figure = scene_figure(result)
-        paths = terminal.save_figure(figure, out, plan.scene.name, figure_width, as_json)
+        figure = scene_figure(result, figure_width)
+        paths = terminal.save_figure(figure, out, plan.scene.name, as_json)
     if as_json:
         terminal.data_json({**_result_json(result), "figures": paths})
         return
@@ -177,8 +177,8 @@ def sim_effects(
     paths = []
     if plot:
         name = f"{loaded.name}-effects-{question.value}"
-        figure = effects_figure(result)
-        paths = terminal.save_figure(figure, out, name, figure_width, as_json)
+        figure = effects_figure(result, figure_width)
+        paths = terminal.save_figure(figure, out, name, as_json)
     if as_json:
         about = {"ok": True, "simulated": True, "scene": loaded.name}
         asked = {"question": question.value, "tolerance": plan.params.tolerance}
@@ -259,12 +259,12 @@ def accuracy(
     paths = []
     if plot:
         figures = {
-            "accuracy": accuracy_figure(result),
-            "integrators": integrators_figure(explicit, loaded.title),
+            "accuracy": accuracy_figure(result, figure_width),
+            "integrators": integrators_figure(explicit, loaded.title, figure_width),
         }
         for name, figure in figures.items():
             named = f"{loaded.name}-{name}"
-            paths += terminal.save_figure(figure, out, named, figure_width, as_json)
+            paths += terminal.save_figure(figure, out, named, as_json)
     if as_json:
         about = {"ok": True, "simulated": True, "scene": loaded.name, "title": loaded.title}
         found = {**to_json(result, skip=("plan",)), "integrators": to_json(explicit)}

@@ -318,13 +318,11 @@ FigureWidth = Annotated[
 ]
 
 
-def save_figure(
-    figure: "Figure", folder: Path, name: str, width_mm: float | None, as_json: bool
-) -> list[str]:
+def save_figure(figure: "Figure", folder: Path, name: str, as_json: bool) -> list[str]:
     """Save the figure's files and say where; the paths."""
     from hapticd.zwidth.report import style
 
-    paths = [str(path) for path in style.save(figure, folder, name, width_mm)]
+    paths = [str(path) for path in style.save(figure, folder, name)]
     if not as_json:
         talk(f"drawn: {', '.join(paths)}")
     return paths

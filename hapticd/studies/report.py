@@ -24,8 +24,8 @@ from hapticd.signal.verdict import DEFAULT_BAND_HZ
 from hapticd.studies.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
 from hapticd.studies.effects import EffectsResult, LeftOut
 from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
+from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
-    BELOW,
     BLACK,
     BLUE,
     FINE,
@@ -38,7 +38,6 @@ from hapticd.zwidth.report.style import (
     PURPLE,
     RED,
     SKY,
-    SMALL_PT,
     Axes,
     Figure,
     Look,
@@ -49,6 +48,7 @@ from hapticd.zwidth.report.style import (
     mosaic,
     patch,
     plain_axis,
+    size_in,
     styled,
 )  # fmt: skip
 from hapticd.zwidth.report.table import Cell, Table, changed, duration, shown, table
@@ -84,6 +84,7 @@ QUESTIONS = {
     "phase": "what the phase of Z needs",
     "peak": "what the peak of |Z| needs",
 }
+ROOMY_IN = 4.0  # for all TICKS
 TICKS = (1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0)
 DROPPED = "#c8d7e6"
 PANELS_OF_NOISE = [["tier", "sub-steps", "effect"], ["trial length", "window", "effect"]]
@@ -121,16 +122,17 @@ GONE = 3.0
 
 
 @styled()
-def scene_figure(result: SceneResult) -> Figure:
+def scene_figure(result: SceneResult, width_mm: float | None = None) -> Figure:
     """Traces; beside them |Z| and phase where the scene is moved by noise. ConfigError without
     matplotlib.
     """
-    return _with_impedance(result) if result.plan.impedance else _traces_alone(result)
+    drawn = _with_impedance if result.plan.impedance else _traces_alone
+    return drawn(result, width_mm)
 
 
-def _with_impedance(result: SceneResult) -> Figure:
+def _with_impedance(result: SceneResult, width_mm: float | None) -> Figure:
     figure, (position, size, force, phase) = axes(
-        2, 2, 10.0, 6.2, _title(result), width_ratios=(1.0, 1.3)
+        2, 2, 10.0, 6.2, _title(result), width_mm=width_mm, width_ratios=(1.0, 1.3)
     )
     begin_s = min(1.0, 0.5 * result.plan.seconds)
     band_hz = DEFAULT_BAND_HZ
@@ -143,8 +145,8 @@ def _with_impedance(result: SceneResult) -> Figure:
     dress(size, phase, band_hz)
     phase.set(ylim=(-105.0, 140.0), yticks=range(-90, 91, 30))
     words = f"passive: within ±90 degrees in {band_hz[0]:g}..{band_hz[1]:g} Hz"
-    phase.text(0.98 * band_hz[1], 122.0, words, ha="right", va="center", fontsize=SMALL_PT)
-    figure.legend(handles=legend_handles(size), ncols=3, **BELOW)
+    phase.text(0.98 * band_hz[1], 122.0, words, ha="right", va="center", fontsize="small")
+    legends(figure, legend_handles(size), 3)
     return figure
 
 
@@ -163,7 +165,7 @@ def _draw_impedance(size: Axes, phase: Axes, trial: SceneTrial, look: Look) -> N
     )
 
 
-def _traces_alone(result: SceneResult) -> Figure:
+def _traces_alone(result: SceneResult, width_mm: float | None) -> Figure:
     """With the steps of damping, and the temperature of a winding that warms up."""
     panels = _traces(result, (0.0, result.plan.seconds))
     pairs = list(zip(result.trials, STYLES, strict=True))
@@ -178,11 +180,14 @@ def _traces_alone(result: SceneResult) -> Figure:
             (*trial.winding_c, {**look, "marker": "."}) for trial, look in pairs if trial.winding_c
         ]
         panels.append(("winding (°C)", heated))
-    figure, places = axes(len(panels), 1, 9.0, 2.2 + 1.6 * len(panels), _title(result), sharex=True)
+    high_in = 2.2 + 1.6 * len(panels)
+    figure, places = axes(
+        len(panels), 1, 9.0, high_in, _title(result), width_mm=width_mm, sharex=True
+    )
     draw_traces(places, panels)
     places[2].margins(y=0.15)
     places[0].set_xlim(0.0, result.plan.seconds)
-    figure.legend(*places[0].get_legend_handles_labels(), ncols=2, **BELOW)
+    legends(figure, legend_handles(places[0]), 2)
     return figure
 
 
@@ -446,12 +451,12 @@ def effects_words(result: EffectsResult) -> str:
 
 
 @styled()
-def effects_figure(result: EffectsResult) -> Figure:
+def effects_figure(result: EffectsResult, width_mm: float | None = None) -> Figure:
     """Change of the answer, effect by effect. ConfigError without matplotlib."""
     params = result.plan.params
     rows = result.rows[::-1]
     title = f"{params.scene.title}: {QUESTIONS[params.question]}"
-    figure, (axis,) = axes(1, 1, 8.5, 1.8 + 0.3 * len(rows), title)
+    figure, (axis,) = axes(1, 1, 8.5, 1.8 + 0.3 * len(rows), title, width_mm=width_mm)
     changes = [min(max(row.change, LEAST), MOST) for row in rows]
     colours = [BLUE if row.effect in result.kept else DROPPED for row in rows]
     hatches = ["" if row.method == "predicted" else "///" for row in rows]
@@ -466,26 +471,23 @@ def effects_figure(result: EffectsResult) -> Figure:
     axis.axvline(params.tolerance, color=RED)
     words = f"tolerance {changed(params.tolerance)}"
     axis.text(
-        1.05 * params.tolerance, len(rows) - 0.45, words, color=RED, va="bottom", fontsize=SMALL_PT
+        1.05 * params.tolerance, len(rows) - 0.45, words, color=RED, va="bottom", fontsize="small"
     )
     axis.set(
         xlim=(LEAST, 4 * MOST),
         ylim=(-0.6, len(rows) + 0.2),
         xlabel=f"change of {params.question} when left out",
     )
-    axis.set_xticks(TICKS, [changed(tick) for tick in TICKS])
+    shown_ticks = TICKS if size_in(axis)[0] > ROOMY_IN else TICKS[::2]
+    axis.set_xticks(shown_ticks, [changed(tick) for tick in shown_ticks])
     kinds = (
         ("kept", BLUE, ""),
         ("left out", DROPPED, ""),
         ("by prediction", GREY, ""),
         ("by simulation", GREY, "///"),
     )
-    axis.legend(
-        handles=[
-            patch(name, colour, hatch=hatch, edgecolor="white") for name, colour, hatch in kinds
-        ],
-        loc="lower right",
-    )
+    handles = [patch(name, colour, hatch=hatch, edgecolor="white") for name, colour, hatch in kinds]
+    legends(figure, (), 1, "", (axis, handles, {"loc": "lower right"}))
     return figure
 
 
@@ -502,7 +504,7 @@ def _bars(
         linewidth=0.0,
         **look,
     )
-    axis.bar_label(bars, labels, padding=3, fontsize=SMALL_PT)
+    axis.bar_label(bars, labels, padding=3, fontsize="small")
     axis.grid(visible=False, axis="y")
 
 
@@ -565,7 +567,7 @@ def _cheapest(result: AccuracyResult, sweep: str) -> str:
 
 
 @styled()
-def accuracy_figure(result: AccuracyResult) -> Figure:
+def accuracy_figure(result: AccuracyResult, width_mm: float | None = None) -> Figure:
     """Error over seconds, a panel for each sweep, and what leaving an effect out does. ConfigError
     without matplotlib.
     """
@@ -576,8 +578,9 @@ def accuracy_figure(result: AccuracyResult) -> Figure:
         f" {result.reference}"
     )
     panels = PANELS_OF_NOISE if noise else PANELS_OF_NOISE[:1]
-    figure, places = mosaic(panels, 12.5, 7.0 if noise else 5.0, title)
+    figure, places = mosaic(panels, 12.5, 7.0 if noise else 5.0, title, width_mm)
     _draw_effects(result, places.pop("effect"))
+    ways = places["tier"]
     for name, axis in places.items():
         _draw_sweep(result, name, axis)
     handles = [
@@ -585,7 +588,7 @@ def accuracy_figure(result: AccuracyResult) -> Figure:
         mark("defaults", **DEFAULT),
         mark(f"the {CHEAPEST}", **KNEE),
     ]
-    figure.legend(handles=handles, ncols=6, **BELOW)
+    legends(figure, handles, 6, "", (ways, legend_handles(ways), {"loc": "best"}))
     return figure
 
 
@@ -610,9 +613,7 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
             label="total error of one trial",
         )
         for place, label in zip(places, labels, strict=True):
-            axis.annotate(
-                label, place, xytext=(4, 6), textcoords="offset points", fontsize=SMALL_PT
-            )
+            axis.annotate(label, place, xytext=(4, 6), textcoords="offset points", fontsize="small")
     for place, row in zip(places, rows, strict=True):
         for look in (look for asked, look in ((row.default, DEFAULT), (row.knee, KNEE)) if asked):
             axis.plot(*place, **look)
@@ -628,8 +629,6 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
     axis.margins(x=0.2, y=0.9 if ways else 0.2)
     plain_axis(axis.xaxis, TIMES, duration)
     plain_axis(axis.yaxis)
-    if ways:
-        axis.legend(loc="best")
 
 
 def _draw_step_errors(result: AccuracyResult, rows: list[AccuracyRow], axis: Axes) -> None:
@@ -667,7 +666,7 @@ def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
     errors = [min(max(row.step, least), 3.0 * worst) for row in rows]
     _bars(axis, [row.label for row in rows], errors, labels, color=GREEN)
     axis.axvline(own, color=BLACK, linewidth=0.8)
-    axis.text(own, top - 0.4, "one trial's error", fontsize=SMALL_PT, ha="center", va="bottom")
+    axis.text(own, top - 0.4, "one trial's error", fontsize="small", ha="center", va="bottom")
     axis.set(
         xlim=(least, 60.0 * worst),
         ylim=(-0.6, top + 0.3),
@@ -680,11 +679,11 @@ def _draw_effects(result: AccuracyResult, axis: Axes) -> None:
 
 
 @styled()
-def integrators_figure(found: Integrators, title: str) -> Figure:
+def integrators_figure(found: Integrators, title: str, width_mm: float | None = None) -> Figure:
     """Error over steps per millisecond; crosses where nothing is left of the answer. ConfigError
     without matplotlib.
     """
-    figure, (axis,) = axes(1, 1, 8.0, 4.8, title)
+    figure, (axis,) = axes(1, 1, 8.0, 4.8, title, width_mm=width_mm)
     for method, (name, colour, marker) in METHODS.items():
         error = found.error[method]
         steps = found.steps_per_ms
@@ -710,6 +709,6 @@ def integrators_figure(found: Integrators, title: str) -> Figure:
         ylabel="relative error after 20 ms",
     )
     axis.xaxis.set_major_formatter(lambda value, place: f"{value:g}")
-    axis.text(found.steps_per_ms[-1], GONE, "blown up", ha="right", va="center", fontsize=SMALL_PT)
-    axis.legend(loc="center right")
+    axis.text(found.steps_per_ms[-1], GONE, "blown up", ha="right", va="center", fontsize="small")
+    legends(figure, (), 1, "", (axis, legend_handles(axis), {"loc": "center right"}))
     return figure

@@ -112,7 +112,7 @@ def test_interrupted_drawing_leaves_the_run_before(
     (tmp_path / "table.json").write_text("before")
     saved: list[str] = []
 
-    def save(figure: object, folder: Path, name: str, width_mm: float | None) -> None:
+    def save(figure: object, folder: Path, name: str) -> None:
         if saved:
             raise KeyboardInterrupt
         saved.append(name)
@@ -131,14 +131,14 @@ def test_smaller_run_leaves_no_figure_of_the_run_before(
 ) -> None:
     from hapticd.zwidth.report import style
 
-    def save(figure: object, folder: Path, name: str, width_mm: float | None) -> None:
+    def save(figure: object, folder: Path, name: str) -> None:
         for kind in ("png", "svg", "pdf"):
             (folder / f"{name}.{kind}").write_text("drawn")
 
     monkeypatch.setattr(style, "save", save)
     told = {"quick": True, "seeds": 1, "provenance": {"libraries": {}, "date": "", "hapticd": ""}}
     one, *more = (replace(section, drawings=()) for section in sections(quick))
-    drawn = [Drawing(name, "caption", lambda: None) for name in ("fig02", "fig03")]  # type: ignore[arg-type,return-value]
+    drawn = [Drawing(name, "caption", lambda width_mm: None) for name in ("fig02", "fig03")]  # type: ignore[arg-type,return-value]
     keep([replace(one, drawings=tuple(drawn)), *more], tmp_path, told)
     for foreign in ("fig02_mine.png", "notes.txt", "fig12.svg"):
         (tmp_path / foreign).write_text("mine")

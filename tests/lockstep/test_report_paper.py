@@ -11,16 +11,8 @@ from support.report_paper import drawn
 
 from hapticd.cli.app import main
 from hapticd.core.errors import ConfigError
-from hapticd.zwidth.report.paper import WIDTHS_MM, fit, width_mm
+from hapticd.zwidth.report.paper import WIDTHS_MM, settle, width_mm
 from hapticd.zwidth.report.style import mosaic, save, styled
-
-
-@pytest.fixture(scope="module")
-def column() -> Any:
-    figure = drawn()
-    with styled():
-        fit(figure, WIDTHS_MM["column"])
-    return figure
 
 
 def test_widths_have_names_and_are_millimetres() -> None:
@@ -43,7 +35,7 @@ def test_command_line_refuses_before_it_works(
 
 
 def test_picture_is_as_wide_as_asked_at_300_dpi(tmp_path: Path) -> None:
-    png, _, pdf = save(drawn(), tmp_path, "x", WIDTHS_MM["column"])
+    png, _, pdf = save(drawn(WIDTHS_MM["column"]), tmp_path, "x")
     (pixels,) = struct.unpack(">I", png.read_bytes()[16:20])
     assert pixels == 1050  # 3.5 in
     assert b"/MediaBox [ 0 0 252 " in pdf.read_bytes()  # 3.5 in of 72 pt
@@ -57,13 +49,13 @@ def mixed() -> Any:
     with styled():
         rows = [["solid", "plane"], ["words", "narrow"]]
         solid = {"solid": {"projection": "3d"}}
-        figure, panels = mosaic(rows, 6.7, 6.0, "SIMULATED", per_subplot_kw=solid)
+        asked = (6.7, 6.0, "SIMULATED", WIDTHS_MM["column"], 2.2)
+        figure, panels = mosaic(rows, *asked, per_subplot_kw=solid)
         painted = panels["plane"].pcolormesh(np.eye(4))
         figure.colorbar(painted, ax=panels["plane"], label="K (N/m)")
         panels["words"].set_xticks(range(3), ["without\nany", "with\nactive", "damping"])
         panels["narrow"].set(title="damping below the corner", ylabel="a long label " * 6)
-        fit(figure, WIDTHS_MM["column"])
-        figure.draw_without_rendering()
+        settle(figure)
     return figure, panels
 
 

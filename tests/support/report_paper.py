@@ -4,17 +4,17 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.zwidth.report.style import BELOW, axes, hertz_axis, legend_handles, styled
+from hapticd.zwidth.report.paper import legends
+from hapticd.zwidth.report.style import axes, hertz_axis, legend_handles, styled
 
 LONG = "a label of a line that is longer than half of a column, in words"
 
 
 @styled()
-def drawn() -> Any:
+def drawn(width_mm: float | None = None) -> Any:
     """Six panels in two rows, wide as a screen, with long words, narrow ticks and a legend."""
-    figure, places = axes(
-        2, 3, 9.6, 6.0, "A title that goes on, SIMULATED, for K = 100 N/m " * 3, sharey=True
-    )
+    title = "A title that goes on, SIMULATED, for K = 100 N/m " * 3
+    figure, places = axes(2, 3, 9.6, 6.0, title, width_mm=width_mm, sharey=True)
     f = np.geomspace(1.0, 1000.0, 50)
     for at, place in enumerate(places):
         place.plot(f, f * (1 + at), label=f"{LONG} {at % 2}")
@@ -22,5 +22,5 @@ def drawn() -> Any:
         place.set(title=f"M = {at} g, and what else is to be said of it", ylabel="force (N)")
         place.label_outer()
         place.set_xlabel("frequency (Hz)")
-    figure.legend(handles=legend_handles(places[0]) + legend_handles(places[1]), ncols=3, **BELOW)
+    legends(figure, legend_handles(places[0]) + legend_handles(places[1]), 3)
     return figure

@@ -50,7 +50,7 @@ def command(
     folder = common.folder(out, "compare")
     with common.drawing(folder):
         paths = (
-            style.save(comparison_figure(found), folder, "compare", figure_width) if plot else ()
+            style.save(comparison_figure(found, figure_width), folder, "compare") if plot else ()
         )
     if as_json:
         figures = [str(path) for path in paths]

@@ -101,7 +101,7 @@ def command(
     with common.drawing(folder):
         width_mm = results.figure_width
         paths = (
-            style.save(limits_figure(result), folder, "limits", width_mm) if results.plot else ()
+            style.save(limits_figure(result, width_mm), folder, "limits") if results.plot else ()
         )
     if results.as_json:
         common.print_result({"made": result.made, "limits": rows}, folder, paths)

@@ -166,8 +166,10 @@ class _Redrawn:
                 self._passed.setdefault(outcome.active_damping_ns_per_m, []).append(outcome)
         if self._passed and monotonic() - self._drawn_s > REDRAW_S:
             self._drawn_s = monotonic()
-            figure = envelope_figure(self._conditions, list(self._passed.items()))
-            style.save(figure, self._folder, "envelope_so_far", self._width_mm)
+            figure = envelope_figure(
+                self._conditions, list(self._passed.items()), width_mm=self._width_mm
+            )
+            style.save(figure, self._folder, "envelope_so_far")
 
 
 def _level(level: "LevelMap") -> dict[str, Any]:
@@ -218,14 +220,14 @@ def draw_map(result: "MapResult", folder: Path, width_mm: float | None) -> list[
     from hapticd.zwidth.report.envelope import envelope_figure
     from hapticd.zwidth.report.passive_set import set_figure
 
-    paths = [*style.save(set_figure(result), folder, "set", width_mm)]
+    paths = [*style.save(set_figure(result, width_mm), folder, "set")]
     drawn = [
         (level.active_damping_ns_per_m, level.outcomes) for level in result.levels if level.envelope
     ]
     if drawn:
         conditions = result.plan.params.conditions
-        impedance = envelope_figure(conditions, drawn)
-        admittance = envelope_figure(conditions, drawn, inverse=True)
-        paths += style.save(impedance, folder, "envelope", width_mm)
-        paths += style.save(admittance, folder, "envelope_admittance", width_mm)
+        impedance = envelope_figure(conditions, drawn, width_mm=width_mm)
+        admittance = envelope_figure(conditions, drawn, inverse=True, width_mm=width_mm)
+        paths += style.save(impedance, folder, "envelope")
+        paths += style.save(admittance, folder, "envelope_admittance")
     return paths

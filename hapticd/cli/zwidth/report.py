@@ -199,7 +199,7 @@ def _of_device(
     device_file = device_path(what if what.endswith(".toml") else scene.device)
     _write(folder, name, device_file, limits, found)
     paths = _own_trial(scene, seconds, folder, width_mm)
-    paths += style.save(limits_figure(limits), folder, "limits", width_mm)
+    paths += style.save(limits_figure(limits, width_mm), folder, "limits")
     paths += draw_map(found, folder, width_mm)
     return DrawnReport([*paths, folder / f"{name}{SUFFIX}"], found.judged)
 

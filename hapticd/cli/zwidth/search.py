@@ -80,7 +80,7 @@ def command(
     common.write_summary(folder, about, seed=trials.seed)
     with common.drawing(folder):
         width_mm = results.figure_width
-        paths = style.save(search_figure(found), folder, "search", width_mm) if results.plot else ()
+        paths = style.save(search_figure(found, width_mm), folder, "search") if results.plot else ()
     if results.as_json:
         common.print_result({"levels": to_json(levels)}, folder, paths)
         return

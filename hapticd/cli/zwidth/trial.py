@@ -532,10 +532,10 @@ def draw_trial(
     from hapticd.zwidth.report import style
     from hapticd.zwidth.report.trial import trial_figure
 
-    paths = [*style.save(trial_figure(result, sines), folder, "trial", width_mm)]
+    paths = [*style.save(trial_figure(result, sines, width_mm=width_mm), folder, "trial")]
     if admittance:
-        figure = trial_figure(result, sines, admittance=True)
-        paths += style.save(figure, folder, "trial_admittance", width_mm)
+        figure = trial_figure(result, sines, admittance=True, width_mm=width_mm)
+        paths += style.save(figure, folder, "trial_admittance")
     return paths
 
 

@@ -66,7 +66,9 @@ def command(
     folder = common.folder(out, "walls")
     common.write_summary(folder, {"kind": "walls", "scene": scene, "lines": result.lines})
     with common.drawing(folder):
-        paths = style.save(walls_figure(result), folder, "walls", figure_width) if plot else ()
+        paths = (
+            style.save(walls_figure(result, width_mm=figure_width), folder, "walls") if plot else ()
+        )
     if as_json:
         common.print_result({"lines": to_json(result.lines)}, folder, paths)
         return

@@ -1,7 +1,8 @@
 """Weir, Colgate and Peshkin (2008), "Measuring and Increasing Z-Width with Active Electrical
 Damping", measured again with the bench.
 
-paper           what the paper prints, and the devices that stand for the paper's
+paper           what the paper prints, and the devices that stand for the paper's; its numbers, and
+                the words of the report, stand in rows.toml
 run             what is measured, in terms of `zwidth`: trials, limits, map, walls
 rows            each quantity beside the paper's, with the reason where they differ
 table           the rows as text, Markdown and JSON

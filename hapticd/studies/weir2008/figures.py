@@ -36,16 +36,15 @@ from hapticd.studies.weir2008.run import (
     ReproduceResult,
 )
 from hapticd.zwidth.report.envelope import SHOWN_HZ, Drawn, envelopes_figure
+from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.passive_set import draw_predicted
 from hapticd.zwidth.report.style import (
-    BELOW,
     BLACK,
     DEVICES,
     FINE,
     HOLLOW,
     NORMAL,
     PREDICTED,
-    SMALL_PT,
     WIDTH_IN,
     Axes,
     Figure,
@@ -76,6 +75,7 @@ COLOURED: Look = {
     "vmin": 0,
     "vmax": len(AXES[0]) - 1,
 }  # by the place of K on the grid
+COLOURED_IN = 2.2  # of a panel and its bar of colours
 SPACE = {"space": {"projection": "3d"}}
 PREDICTED_HZ = np.geomspace(*SHOWN_HZ, 400)
 
@@ -88,15 +88,20 @@ def _subtitle(result: ReproduceResult) -> str:
 # --- impedances and envelopes ---------------------------------------------------------------------
 
 
-def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) -> Figure:
+def single_figure(
+    result: ReproduceResult,
+    places: tuple[int, ...],
+    title: str,
+    width_mm: float | None = None,
+) -> Figure:
     """|Z| and phase of single trials of the first seed, dotted what is predicted.
 
     The prediction stands alone where there was no trial; of two places, the phase that the second
     gains over the first.
     """
-    figure, (size, phase) = axes(
-        2, 1, WIDTH_IN, 5.8, f"{title}\n{_subtitle(result)}", sharex=True, height_ratios=[3.0, 2.4]
-    )
+    panels: Look = {"width_mm": width_mm, "sharex": True, "height_ratios": (3.0, 2.4)}
+    whole = f"{title}\n{_subtitle(result)}"
+    figure, (size, phase) = axes(2, 1, WIDTH_IN, 5.8, whole, **panels)
     shown = [result.singles[MAIN][place] for place in places]
     hertz_axis(phase, *SHOWN_HZ)
     known = []
@@ -122,7 +127,8 @@ def single_figure(result: ReproduceResult, places: tuple[int, ...], title: str) 
     if len(shown) == 2:
         _advantage(phase, float(compared(shown[0], shown[1], MAIN).mean(axis=0)[1]))
     grey = dress(size, phase, TRUSTED_HZ, where=" at the probe")
-    size.legend(handles=[*legend_handles(size), *known, grey], loc="upper left")
+    handles = [*legend_handles(size), *known, grey]
+    legends(figure, (), 1, "", (size, handles, {"loc": "upper left"}))
     return figure
 
 
@@ -133,18 +139,24 @@ def _advantage(phase: Axes, degrees: float) -> None:
         float(np.sqrt(MIDDLE_HZ[0] * MIDDLE_HZ[1])),
         -45.0,
         words,
-        fontsize=SMALL_PT,
+        fontsize="small",
         ha="center",
         va="center",
     )
 
 
-def envelope_figure(result: ReproduceResult, places: tuple[int, ...], title: str) -> Figure:
+def envelope_figure(
+    result: ReproduceResult,
+    places: tuple[int, ...],
+    title: str,
+    width_mm: float | None = None,
+) -> Figure:
     """|Z| and phase envelopes of damping levels, with the owners' strips; of active damping alone
     with the paper's peak.
     """
     shown = [drawn(result, place) for place in places]
-    figure = envelopes_figure(shown, f"{title}\n{_subtitle(result)}", SHOWN_HZ, TRUSTED_HZ)
+    whole = f"{title}\n{_subtitle(result)}"
+    figure = envelopes_figure(shown, whole, SHOWN_HZ, TRUSTED_HZ, width_mm=width_mm)
     peak = result.found[1].peak() if places == (1,) else None
     if peak is not None:
         _peak(figure.axes[0], peak)
@@ -177,7 +189,7 @@ def _peak(axis: Axes, peak: Peak) -> None:
         (peak.frequency_hz, peak.size_ns_per_m),
         (peak.frequency_hz, 2.6 * peak.size_ns_per_m),
         ha="center",
-        fontsize=SMALL_PT,
+        fontsize="small",
         arrowprops={"arrowstyle": "-|>", "color": BLACK, "linewidth": 0.8},
     )
 
@@ -185,16 +197,15 @@ def _peak(axis: Axes, peak: Peak) -> None:
 # --- limits ---------------------------------------------------------------------------------------
 
 
-def limits_figure(result: ReproduceResult) -> Figure:
+def limits_figure(result: ReproduceResult, width_mm: float | None = None) -> Figure:
     """Ours over the paper's in percent, for each limit and device, with the scatter between seeds;
     a full mark at -100 % where nothing is passive.
     """
     seeds = (
         f"bars: one sd over {len(result.plan.seeds)} seeds" if result.plan.seeds else "predicted"
     )
-    figure, (axis,) = axes(
-        1, 1, WIDTH_IN, 4.1, f"Limits on their axes beside the paper's, SIMULATED; {seeds}"
-    )
+    title = f"Limits on their axes beside the paper's, SIMULATED; {seeds}"
+    figure, (axis,) = axes(1, 1, WIDTH_IN, 4.1, title, width_mm=width_mm)
     names = list(PAPER)
     percent = 100.0 * TOLERANCE
     axis.axhspan(-percent, percent, color="#e4e4e4", zorder=0.4, label=f"±{percent:g} %")
@@ -215,10 +226,10 @@ def limits_figure(result: ReproduceResult) -> Figure:
     axis.plot([], [], "o", color=BLACK, label="predicted (hollow)", **HOLLOW)
     axis.set_yscale("symlog", linthresh=20.0)
     axis.set_yticks(TICKS, [f"{tick:+d}" if tick else "0" for tick in TICKS])
-    axis.set_xticks(range(len(names)), [_labelled(name) for name in names])
+    axis.set_xticks(range(len(names)), [_labelled(name) for name in names], fontsize="small")
     axis.set(ylim=(-160, 800), ylabel="difference from the paper (%)")
     axis.minorticks_off()
-    figure.legend(ncols=5, handletextpad=0.4, columnspacing=1.2, **BELOW)
+    legends(figure, legend_handles(axis), 5)
     return figure
 
 
@@ -228,7 +239,7 @@ def _labelled(name: str) -> str:
     return f"{name[0]} {name[2:5]}\n{mode}\nactive\ndamping\n{scale * PAPER[name]:g} {unit}"
 
 
-def edges_figure(result: ReproduceResult) -> Figure:
+def edges_figure(result: ReproduceResult, width_mm: float | None = None) -> Figure:
     """K limits over the lower edge of the judged band, 0 where none is passive: they separate a lag
     in the force path from a high-pass in the probe.
     """
@@ -238,7 +249,7 @@ def edges_figure(result: ReproduceResult) -> Figure:
         else ", predicted"
     )
     title = f"K limits over the lower band edge, SIMULATED{seeds}"
-    figure, pair = axes(1, 2, WIDTH_IN, 3.8, title, sharex=True)
+    figure, pair = axes(1, 2, WIDTH_IN, 3.8, title, width_mm=width_mm, sharex=True)
     unseen: Look = {"facecolor": "none", "edgecolor": "#bbbbbb", "hatch": "///", "linewidth": 0}
     pair[1].set(yscale="log")
     for axis, level, words in zip(pair, LEVELS, LABELS, strict=True):
@@ -261,14 +272,14 @@ def edges_figure(result: ReproduceResult) -> Figure:
     pair[0].set(ylim=(-15, None), ylabel="largest passive K on its axis (N/m)")
     pair[1].set(ylim=(250, 4000))
     plain_axis(pair[1].yaxis, FINE[1:])
-    figure.legend(*pair[1].get_legend_handles_labels(), ncols=3, **BELOW)
+    legends(figure, legend_handles(pair[1]), 3)
     return figure
 
 
 # --- the set on the paper's grid ------------------------------------------------------------------
 
 
-def passive_figure(found: GridResult, title: str) -> Figure:
+def passive_figure(found: GridResult, title: str, width_mm: float | None = None) -> Figure:
     """The passive set in three dimensions, and the largest K over B and M as a colour."""
     count = int(found.passive.sum())
     how = (
@@ -277,11 +288,19 @@ def passive_figure(found: GridResult, title: str) -> Figure:
         else "predicted"
     )
     whole = f"{title}\nSIMULATED {MAIN}, {count} of {len(POINTS)} environments ({how})"
-    figure, panels = mosaic([["space", "flat"]], WIDTH_IN, 4.1, whole, per_subplot_kw=SPACE)
+    figure, panels = mosaic(
+        [["space", "flat"]],
+        WIDTH_IN,
+        4.1,
+        whole,
+        width_mm,
+        panel_in=COLOURED_IN,
+        per_subplot_kw=SPACE,
+    )
     _space(panels["space"], found)
     painted = _flat(panels["flat"], found)
     bar = figure.colorbar(painted, ax=panels["flat"], label="K (N/m)", aspect=30)
-    bar.set_ticks(range(len(AXES[0])), labels=[f"{k:g}" for k in AXES[0]], fontsize=SMALL_PT)
+    bar.set_ticks(range(len(AXES[0])), labels=[f"{k:g}" for k in AXES[0]], fontsize="small")
     bar.ax.minorticks_off()
     return figure
 
@@ -303,7 +322,7 @@ def _space(axis: Any, found: GridResult) -> None:
     axis.set_xlabel("M (g)", labelpad=-4)
     axis.set_ylabel("B (N s/m)", labelpad=-4)
     axis.set_title("K (N/m) upwards")  # a label beside the axis would lie on the next panel's
-    axis.tick_params(labelsize=SMALL_PT, pad=-2)
+    axis.tick_params(labelsize="small", pad=-2)
     axis.tick_params(axis="z", pad=1)
     axis.view_init(elev=20, azim=-60)
     axis.set_box_aspect((1.0, 1.0, 1.15), zoom=0.85)

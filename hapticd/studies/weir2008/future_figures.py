@@ -32,8 +32,8 @@ from hapticd.studies.weir2008.future_work import (
 from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
 from hapticd.studies.weir2008.run import SECONDS
 from hapticd.zwidth.report.envelope import keys, strip, weightiest
+from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
-    BELOW,
     BLACK,
     BLUE,
     FOREST,
@@ -44,7 +44,6 @@ from hapticd.zwidth.report.style import (
     PARTS,
     PREDICTED,
     PURPLE,
-    SMALL_PT,
     WIDTH_IN,
     Axes,
     Figure,
@@ -120,14 +119,17 @@ def _by_trials(
 # --- future work, over frequency ------------------------------------------------------------------
 
 
-def edge_figure(result: FutureWorkResult) -> Figure:
+def edge_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figure:
     """Envelopes without and with active damping and with B < 0, by the paper's rule and without
     counting on friction, with the owners of their lower edges.
     """
     title = f"Negative virtual damping and the lower edge of the Z-width\n{_subtitle(result)}"
+    heights = (3.4, 0.3, 0.3, 0.3)
     figure, grid = axes(
-        4, 2, WIDTH_IN, 5.9, title, sharex=True, sharey="row", height_ratios=[3.4, 0.3, 0.3, 0.3]
+        4, 2, WIDTH_IN, 5.9, title, width_mm=width_mm, sharex=True, height_ratios=heights
     )
+    grid[1].sharey(grid[0])
+    grid[1].tick_params(labelleft=False)
     kinds = (
         ("", "passive at the perturbation of the trials"),
         ("_safe", "passive without counting on dry friction"),
@@ -141,21 +143,17 @@ def edge_figure(result: FutureWorkResult) -> Figure:
         draw_bracket(size, LOW_HZ)
         for axis, found, (_, _, label) in zip(strips, bounds, CASES, strict=True):
             which = weightiest(shown_hz(), found.points[found.lower.owner])
-            strip(
-                axis, shown_hz(), [which], f"{label}: {found.lower_db().mean():+.1f} dB", columns=2
-            )
+            strip(axis, shown_hz(), [which], f"{label}: {found.lower_db().mean():+.1f} dB")
         for axis in (size, *strips):
             axis.set_xlabel("frequency (Hz)" if axis is strips[-1] else "")
     grid[0].set_ylabel("|Z| at the probe (N s/m)")
     predicted = [mark("lower edge, predicted", **PREDICTED)] if result.plan.seeds else []
-    grid[1].legend(
-        handles=[*(mark(label, **look) for _, look, label in CASES), *predicted], loc="upper center"
-    )
+    cases = [*(mark(label, **look) for _, look, label in CASES), *predicted]
     foot = (
         f"strips: owner of the lower edge, weightiest part; its mean over {BAND} (bracket), dB re 1"
         " N s/m"
     )
-    figure.legend(handles=keys(), ncols=6, title=foot, **BELOW)
+    legends(figure, keys(), 6, foot, (grid[1], cases, {"loc": "upper center"}))
     return figure
 
 
@@ -192,10 +190,10 @@ def _line(
         axis.plot(shown_hz(), predicted, **{**PREDICTED, "color": look["color"]})
 
 
-def free_figure(result: FutureWorkResult) -> Figure:
+def free_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figure:
     """|Z| over frequency where no stiffness is rendered, for each way of making that lighter."""
     title = f"Free motion: passive for any input, friction not counted\n{_subtitle(result)}"
-    figure, (axis,) = axes(1, 1, WIDTH_IN, 4.4, title)
+    figure, (axis,) = axes(1, 1, WIDTH_IN, 4.4, title, width_mm=width_mm)
     for motion, look in zip(result.free.motions, (OFF, ON, NEGATIVE, WITH_MASS), strict=True):
         words = f"{_rendered(motion)}: {motion.low_db().mean():.1f} dB"
         _line(
@@ -212,9 +210,7 @@ def free_figure(result: FutureWorkResult) -> Figure:
     _ends(axis)
     draw_bracket(axis, LOW_HZ)
     axis.set_ylabel("|Z| at the probe, K = 0 (N s/m)")
-    figure.legend(
-        handles=[*legend_handles(axis), mark("predicted", **PREDICTED), bracket], ncols=2, **BELOW
-    )
+    legends(figure, [*legend_handles(axis), mark("predicted", **PREDICTED), bracket], 2)
     return figure
 
 
@@ -227,14 +223,14 @@ def _rendered(motion: Motion) -> str:
 # --- future work, over a corner and over a level --------------------------------------------------
 
 
-def shape_figure(result: FutureWorkResult) -> Figure:
+def shape_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figure:
     """Limits, free motion and envelope over the corner frequency of the active damping."""
     shaped = result.shaped
     title = (
         f"Frequency-shaped active damping, {shaped.level:g} N"
         f" s/m\n{_subtitle(result, 'lines predicted, marks ')}"
     )
-    figure, (above, below, free, size) = axes(2, 2, WIDTH_IN, 5.6, title)
+    figure, (above, below, free, size) = axes(2, 2, WIDTH_IN, 5.6, title, width_mm=width_mm)
     _shares(above, shaped, shaped.highpass, "damping above the corner only")
     _shares(below, shaped, shaped.lowpass, "damping below the corner only")
     for each in shaped.confirmed:
@@ -251,9 +247,16 @@ def shape_figure(result: FutureWorkResult) -> Figure:
     )
     size.set(ylabel="envelope, B ≥ 0 (N s/m)", ylim=(0.003, None))
     _ends(size)
-    size.legend(loc="lower left", title="active damping")
     undamped = mark("without active damping", color=BLACK, linestyle=OFF["linestyle"])
-    figure.legend(handles=[*legend_handles(above), undamped], ncols=4, **BELOW)
+    within = {"loc": "lower left"}
+    legends(
+        figure,
+        [*legend_handles(above), undamped],
+        4,
+        "",
+        (size, legend_handles(size), {**within, "title": "active damping"}),
+        (free, legend_handles(free), within),
+    )
     return figure
 
 
@@ -290,7 +293,7 @@ def _free(axis: Axes, shaped: ShapedResult) -> None:
         (shaped.undamped.free_db, "without active damping", OFF),
     ):
         axis.axhline(level, linewidth=0.9, **look)
-        axis.text(0.45, level + 0.3, words, fontsize=SMALL_PT, color=look["color"])
+        axis.text(0.45, level + 0.3, words, fontsize="small", color=look["color"])
     if len(shaped.free.runs):
         _by_trials(axis, shaped.best.corner_hz, [shaped.free.low_db()])
     hertz_axis(axis, *CORNERS_HZ)
@@ -300,10 +303,9 @@ def _free(axis: Axes, shaped: ShapedResult) -> None:
         ylim=(-2.0, None),
         xticks=[0.5, 2, 10, 50, 200],
     )
-    axis.legend(loc="lower left")
 
 
-def levels_figure(result: FutureWorkResult) -> Figure:
+def levels_figure(result: FutureWorkResult, width_mm: float | None = None) -> Figure:
     """Limits, volume of the passive set and free motion over active damping."""
     levels = result.levels
     how = _subtitle(result, "lines predicted, marks ")
@@ -313,6 +315,7 @@ def levels_figure(result: FutureWorkResult) -> Figure:
         WIDTH_IN,
         5.4,
         f"Levels of active damping; the two upright lines are those of the paper\n{how}",
+        width_mm=width_mm,
     )
     for axis, (panel, (name, unit, scale, look)) in enumerate(zip(grid, LIMITS, strict=False)):
         panel.plot(
@@ -325,16 +328,19 @@ def levels_figure(result: FutureWorkResult) -> Figure:
         tried = [limit for limit in levels.confirmed if limit.axis == axis]
         _by_trials(panel, [each.level for each in tried], [each.values for each in tried], scale)
         panel.set_ylabel(f"{name} ({unit})")
-    _volume(grid[3], result)
+    lines = _volume(grid[3], result)
     for panel in grid:
         for level in LEVELS:
             panel.axvline(level, color="#bbbbbb", linewidth=1.0, zorder=0.4)
         panel.set_xlabel("active damping (N s/m)")
-    grid[0].legend(loc="upper left")
+    above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
+    first = (grid[0], legend_handles(grid[0]), {"loc": "upper left"})
+    legends(figure, (), 1, "", first, (grid[3], lines, above))
     return figure
 
 
-def _volume(axis: Axes, result: FutureWorkResult) -> None:
+def _volume(axis: Axes, result: FutureWorkResult) -> list[Any]:
+    """Draw both; the handles of their legend."""
     levels = result.levels
     beside = axis.twinx()
     growth = levels.volume / levels.volume[0]
@@ -354,4 +360,4 @@ def _volume(axis: Axes, result: FutureWorkResult) -> None:
     beside.set_ylabel("free motion (dB re 1 N s/m)", color=OLIVE)
     beside.grid(visible=False)
     beside.spines["right"].set_visible(True)
-    axis.legend(handles=lines, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
+    return lines

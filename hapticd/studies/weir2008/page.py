@@ -31,6 +31,7 @@ from hapticd.studies.weir2008.figures import (  # fmt: skip
     passive_figure,
     single_figure,
 )
+from hapticd.studies.weir2008.paper import SECTIONS
 from hapticd.studies.weir2008.rows import PaperRow, rows
 from hapticd.studies.weir2008.run import ReproduceResult
 from hapticd.studies.weir2008.table import as_json, markdown, notes, paper_table, readings_table
@@ -42,45 +43,6 @@ from hapticd.zwidth.store import FIGURE_KINDS, Progress, Steps, silent
 
 __all__ = ["TABLE_JSON", "keep", "sections", "terminal"]
 
-WORDED = {
-    "limits": (
-        "Limits on their axes",
-        (
-            "The other two parameters are 0 while one is searched. After ± one standard deviation"
-            " between seeds, in round brackets\nthe difference from the paper, in square brackets"
-            " the note below the table. *Calibrated*: fitted, or so by\nconstruction;"
-            " *independent*: not used in any fit; *arithmetic*: follows from printed numbers alone."
-        ),
-    ),
-    "readings": (
-        "Axis and set readings",
-        (
-            '"The maximum passive virtual stiffness" can be the limit on its axis, or the largest'
-            " over the whole passive set. Both,\nside by side; the notes are those of the set"
-            " readings."
-        ),
-    ),
-    "figures": (
-        "Figures",
-        (
-            "The paper's curves exist only as pictures, so its words are compared. Active damping"
-            " is a solid line, none a dashed one;\ndotted lines are predicted; grey is not judged."
-            " A tinted band holds the true value with 95 % probability, as far as the\nnoise of the"
-            " trial goes (in an envelope of the owning trial alone). An envelope's lower edge is"
-            " the smallest of many\nnoisy values: it lies below its prediction partly because it is"
-            " a minimum. `share` is that of the seeds which pass."
-        ),
-    ),
-    "band_edge": (
-        "Two explanations, one experiment",
-        (
-            "A lag in the path of the force costs K at every frequency, a high-pass in the velocity"
-            " channel only at the lowest:\nmoving the lower edge of the judged band tells them"
-            " apart, on an archived record too."
-        ),
-    ),
-    "arithmetic": ("Arithmetic", "No simulation: the paper's own numbers and equations."),
-}
 SHAPE = "The paper does not say how its walls were hit: only the shape can be compared."
 OWNERS = (
     "The strip names the parameter of the owner that weighs most at each frequency: of K/w, B and"
@@ -98,7 +60,7 @@ class Drawing:
 
     name: str
     caption: str
-    draw: Callable[[], Figure]
+    draw: Callable[..., Figure]  # with `width_mm`
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +116,10 @@ def parts(found: Iterable[PaperRow]) -> dict[str, Section]:
     by_part: dict[str, tuple[PaperRow, ...]] = {}
     for row in found:
         by_part[row.part] = (*by_part.get(row.part, ()), row)
-    made = {part: Section(*WORDED.get(part, (part, "")), kept) for part, kept in by_part.items()}
+    made = {}
+    for part, kept in by_part.items():
+        content = SECTIONS.get(part, {"title": part, "words": ""})
+        made[part] = Section(content["title"], content["words"], kept)
     if "readings" in made:
         made["readings"] = replace(
             made["readings"], content=readings_table(by_part["limits"], by_part["readings"])
@@ -165,7 +130,7 @@ def parts(found: Iterable[PaperRow]) -> dict[str, Section]:
 def _drawings(result: ReproduceResult) -> tuple[Drawing, ...]:
     """Drawings of the paper's figures; Fig. 2 only where walls were hit."""
     off, on = LABELS
-    drawn: list[tuple[int, str, Callable[[str], Figure], str]] = [
+    drawn: list[tuple[int, str, Callable[..., Figure], str]] = [
         (3, f"Z-width {off}", partial(envelope_figure, result, (0,)), OWNERS),
         (
             4,
@@ -273,7 +238,7 @@ def _draw(
     for drawing in drawings:
         steps.next(f"drawing {drawing.name}")
         with style.styled():
-            style.save(drawing.draw(), folder, drawing.name, width_mm)
+            style.save(drawing.draw(width_mm=width_mm), folder, drawing.name)
     steps.end()
 
 

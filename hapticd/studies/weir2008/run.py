@@ -115,7 +115,7 @@ class Limit:
 
     device: str
     level: float  # active damping, N s/m
-    axis: int  # place in NAMES, whose UNITS the limit has
+    axis: int  # place in NAMES; in N/m, N s/m or kg
     base: Point  # K, B, M that the others stay at
     predicted: float
     values: Floats

@@ -2,7 +2,7 @@
 prints or opens a window.
 
 style        colours, lines and axes that all figures share; `save` writes PNG, SVG and PDF
-paper        a finished figure at the width of a column: type, panels, legend, words
+paper        what the width of a figure asks for: type, panels, legend, words
 trial        one trial: impedance with its interval, escape, replayed recordings
 envelope     the Z-width envelope and which environments own its edges
 passive_set  maps, limits, directed search, walls

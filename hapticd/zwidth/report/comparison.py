@@ -16,8 +16,8 @@ from hapticd.signal.passive_set import AXES
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth.portable import Compared, Comparison, Level, Reach
 from hapticd.zwidth.report.envelope import edges
+from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
-    BELOW,
     DEVICES,
     FINE,
     OFF,
@@ -43,14 +43,13 @@ PANELS = (("size",) * 3 + ("mass",) * 3, ("K", "K", "B", "B", "M", "M"))
 
 
 @styled()
-def comparison_figure(found: Comparison) -> Figure:
+def comparison_figure(found: Comparison, width_mm: float | None = None) -> Figure:
     """Envelopes |Z| [N s/m] and |Z| per mass [1/s] of all displays on the same axes, below them how
     far K, B and M go alone, with their intervals. A dashed line is without active damping.
     """
     names = " and ".join(one.name for one in found.displays)
-    figure, places = mosaic(
-        PANELS, WIDTH_IN, 5.6, f"{_badge(found)}{names}\n{how(found)}", height_ratios=(1.5, 1.0)
-    )
+    title = f"{_badge(found)}{names}\n{how(found)}"
+    figure, places = mosaic(PANELS, WIDTH_IN, 5.6, title, width_mm, height_ratios=(1.5, 1.0))
     for rank, display in enumerate(found.displays):
         for level in display.levels:
             look = {
@@ -75,7 +74,7 @@ def comparison_figure(found: Comparison) -> Figure:
         plain_axis(places[name].yaxis, FINE)
     for name in AXES:
         _limits(places[name], found, name)
-    figure.legend(handles=legend_handles(places["size"]), ncols=2, **BELOW)
+    legends(figure, legend_handles(places["size"]), 2)
     return figure
 
 

@@ -21,12 +21,11 @@ from hapticd.core.arrays import Floats
 from hapticd.model.predict import frequencies
 from hapticd.signal.envelope import Edge, Envelope, admittance, of_predicted
 from hapticd.zwidth.outcomes import Conditions, Outcome, envelope_of, judged, kept_frequencies
+from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
-    BELOW,
     NORMAL,
     PARTS,
     PREDICTED,
-    SMALL_PT,
     WIDTH_IN,
     Axes,
     Figure,
@@ -39,6 +38,7 @@ from hapticd.zwidth.report.style import (
     level_styles,
     patch,
     simulated,
+    size_in,
     styled,
     tint,
 )  # fmt: skip
@@ -57,7 +57,7 @@ __all__ = [
 Levels = Sequence[tuple[float, Sequence[Outcome]]]
 
 SHOWN_HZ = (2.0, 1000.0)
-WIDE = 0.09  # of a strip as wide as a page: room for a name
+NAME_IN = 0.45  # that a name takes in a strip
 NOBODY = -1.0
 NOTHING = "#ffffff"
 
@@ -77,7 +77,12 @@ class Drawn:
 
 
 @styled()
-def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = False) -> Figure:
+def envelope_figure(
+    conditions: Conditions,
+    levels: Levels,
+    inverse: bool = False,
+    width_mm: float | None = None,
+) -> Figure:
     """Largest and smallest |Z| [N s/m] and phase [deg] of the trials that pass, a strip of owners
     for each level; dotted what is predicted of the same trials. AnalysisError for a level of
     which none passes.
@@ -95,7 +100,8 @@ def envelope_figure(conditions: Conditions, levels: Levels, inverse: bool = Fals
     made = f"{simulated(conditions.scene.device, conditions.seconds)}, {seen}"
     title = f"Z-width envelope{' as admittance' if inverse else ''}\n{made}"
     view = ADMITTANCE if inverse else IMPEDANCE
-    return envelopes_figure(shown, title, (float(f[0]), float(f[-1])), conditions.band_hz, view)
+    ends_hz = (float(f[0]), float(f[-1]))
+    return envelopes_figure(shown, title, ends_hz, conditions.band_hz, view, width_mm)
 
 
 def _of_trials(
@@ -122,6 +128,7 @@ def envelopes_figure(
     ends_hz: tuple[float, float],
     band_hz: tuple[float, float],
     view: View = IMPEDANCE,
+    width_mm: float | None = None,
 ) -> Figure:
     """Edges of size, a strip of owners for each envelope, edges of phase. Call it within
     `styled`.
@@ -129,7 +136,14 @@ def envelopes_figure(
     count = len(shown)
     heights = [3.0, *([0.36] * count), 1.9]
     figure, (size, *strips, phase) = axes(
-        2 + count, 1, WIDTH_IN, 6.4 + 0.42 * count, title, sharex=True, height_ratios=heights
+        2 + count,
+        1,
+        WIDTH_IN,
+        6.4 + 0.42 * count,
+        title,
+        width_mm=width_mm,
+        sharex=True,
+        height_ratios=heights,
     )
     hertz_axis(phase, *ends_hz)
     size.set_yscale("log")
@@ -146,7 +160,7 @@ def envelopes_figure(
     for axis, drawn in zip(strips, shown, strict=True):
         rows = [weighty(drawn, edge) for edge in (drawn.envelope.lower, drawn.envelope.upper)]
         strip(axis, drawn.envelope.frequency_hz, rows, f"owner of the envelope {drawn.words}")
-        axis.set_yticks([0.5, 1.5], ["min", "max"], fontsize=SMALL_PT)
+        axis.set_yticks([0.5, 1.5], ["min", "max"], fontsize="small")
     grey = dress(size, phase, band_hz, view, " at the probe")
     known = (
         [interval(shown[-1].look, " of the owning trial")]
@@ -154,9 +168,9 @@ def envelopes_figure(
         else []
     )
     handles = [*legend_handles(size), *known, grey]
-    size.legend(handles=handles, loc="lower right" if view is IMPEDANCE else "lower center")
     negative = any((drawn.environments[:, 1] < 0.0).any() for drawn in shown)
-    figure.legend(handles=keys(negative), ncols=6, **BELOW)
+    where = {"loc": "lower right" if view is IMPEDANCE else "lower center"}
+    legends(figure, keys(negative), 6, "", (size, handles, where))
     return figure
 
 
@@ -220,9 +234,7 @@ def _majority(which: Floats, count: int) -> Floats:
     return np.asarray(kinds[(near[:, :, None] == kinds).sum(axis=1).argmax(axis=1)])
 
 
-def strip(
-    axis: Axes, frequency_hz: Floats, rows: Sequence[Floats], title: str, columns: int = 1
-) -> None:
+def strip(axis: Axes, frequency_hz: Floats, rows: Sequence[Floats], title: str) -> None:
     """Paint rows (F,) of indices into PARTS from below, white for NOBODY, with the names where they
     are wide enough, so that nobody needs the colours.
     """
@@ -244,12 +256,13 @@ def strip(
     axis.grid(visible=False)
     axis.tick_params(length=0)
     axis.set_yticks([])
-    axis.set_title(title, fontsize=SMALL_PT, pad=2)
+    axis.set_title(title, fontsize="small", pad=2)
     for height, row in enumerate(rows):
-        _names(axis, borders, row, 0.5 + height, WIDE * columns)
+        _names(axis, borders, row, 0.5 + height)
 
 
-def _names(axis: Axes, borders: Floats, row: Floats, height: float, wide: float) -> None:
+def _names(axis: Axes, borders: Floats, row: Floats, height: float) -> None:
+    wide = NAME_IN / size_in(axis)[0]
     changes = [0, *(np.flatnonzero(np.diff(row)) + 1), row.size]
     low_hz, high_hz = axis.get_xlim()
     for first, last in pairwise(changes):
@@ -263,7 +276,7 @@ def _names(axis: Axes, borders: Floats, row: Floats, height: float, wide: float)
             float(np.sqrt(low * high)),
             height,
             name,
-            fontsize=SMALL_PT,
+            fontsize="small",
             ha="center",
             va="center",
             color=ink,

@@ -21,15 +21,14 @@ from hapticd.signal.verdict import Judged
 from hapticd.zwidth.limits import AxisLimit, LimitsResult
 from hapticd.zwidth.map import LevelMap, MapResult
 from hapticd.zwidth.outcomes import Conditions
+from hapticd.zwidth.report.paper import legends, spread
 from hapticd.zwidth.report.style import (
     ANSWERS,
-    BELOW,
     BLACK,
     HOLLOW,
     LEVEL_MARKS,
     MARKS,
     PREDICTED,
-    SMALL_PT,
     WIDTH_IN,
     Axes,
     Figure,
@@ -41,6 +40,7 @@ from hapticd.zwidth.report.style import (
     mark,
     mosaic,
     simulated,
+    size_in,
     styled,
     tint,
 )  # fmt: skip
@@ -55,9 +55,6 @@ ASIDE = 0.12  # of a step of B: how far apart the marks of two levels stand at o
 SHARES = (0.0, 0.2, 0.5, 0.8, 1.0)  # of the set's masses: between two of them it is sliced once
 NEAR = 0.02  # of the range of masses: trials so near to a slice are shown in it
 APART_IN = 0.17  # least distance of two numbers
-# axes of a slice, about
-WIDE_IN = 2.4
-HIGH_IN = 2.3
 AXIS_LABELS = {
     "K": ("largest K (N/m)", 1.0),
     "B": ("largest B (N s/m)", 1.0),
@@ -94,7 +91,7 @@ def _closed(edge: Floats) -> Floats:
 
 
 @styled()
-def set_figure(result: MapResult) -> Figure:
+def set_figure(result: MapResult, width_mm: float | None = None) -> Figure:
     """The largest passive K over B, a panel for each of up to six virtual masses, a line and marks
     for each damping level.
 
@@ -109,7 +106,14 @@ def set_figure(result: MapResult) -> Figure:
         f" B\n{how(result.plan.params.conditions, [result.judged])}"
     )
     figure, places = axes(
-        rows, columns, 0.6 + 3.0 * columns, 2.7 * rows + 1.2, title, sharex=True, sharey=True
+        rows,
+        columns,
+        0.6 + 3.0 * columns,
+        2.7 * rows + 1.2,
+        title,
+        width_mm=width_mm,
+        sharex=True,
+        sharey=True,
     )
     styles = level_styles([level.active_damping_ns_per_m for level in result.levels])
     for panel, place in zip(shown, places, strict=True):
@@ -126,7 +130,7 @@ def set_figure(result: MapResult) -> Figure:
         mark("trial fails or escapes", marker=ANSWERS["fails"], **MARKS),
         mark("no trial: predicted, or between neighbours, to pass", marker="o", **MARKS, **HOLLOW),
     ]
-    figure.legend(handles=handles, ncols=3, **BELOW)
+    legends(figure, handles, 3)
     return figure
 
 
@@ -181,7 +185,7 @@ def highest(found: PassiveSet, panel: int) -> Floats:
 
 
 @styled()
-def search_figure(results: Sequence[SearchResult]) -> Figure:
+def search_figure(results: Sequence[SearchResult], width_mm: float | None = None) -> Figure:
     """For each damping level a row of slices through the set; below, each trial's expected and
     found least Re Z.
     """
@@ -192,8 +196,8 @@ def search_figure(results: Sequence[SearchResult]) -> Figure:
         "Directed search: the set in slices of one M, and its"
         f" trials\n{how(results[0].plan.params.conditions, seen)}"
     )
-    panels = [[[row]] for row in (*rows, below)]
-    figure, places = mosaic(panels, 11.0, 3.1 * len(panels) + 1.3, title)
+    panels = spread([*rows, below])
+    figure, places = mosaic(panels, 11.0, 3.1 * len(panels) + 1.3, title, width_mm)
     levels = [one.plan.params.active_damping_ns_per_m for one in results]
     styles = level_styles(levels)
     for row, foreseen, result, look in zip(rows, below, results, styles, strict=True):
@@ -216,7 +220,7 @@ def search_figure(results: Sequence[SearchResult]) -> Figure:
         mark("below: expected before the trial", marker="o", **MARKS, **HOLLOW),
         mark(f"slices show trials within {100 * NEAR:g} % of the range of M", linestyle=""),
     ]
-    figure.legend(handles=handles, ncols=3, **BELOW)
+    legends(figure, handles, 3)
     return figure
 
 
@@ -263,6 +267,7 @@ def _trials(place: Axes, steps: tuple[Step, ...], near: Flags, look: Look) -> No
     """Those of this slice; with their numbers where no other number stands."""
     left, right = place.get_xlim()
     foot, head = place.get_ylim()
+    wide_in, high_in = size_in(place)
     numbered: list[tuple[float, float]] = []
     for at in np.flatnonzero(near):
         k, b, _ = steps[at].outcome.environment
@@ -275,11 +280,11 @@ def _trials(place: Axes, steps: tuple[Step, ...], near: Flags, look: Look) -> No
             clip_on=False,
             zorder=3,
         )
-        here = WIDE_IN * (b - left) / (right - left), HIGH_IN * (k - foot) / (head - foot)
+        here = wide_in * (b - left) / (right - left), high_in * (k - foot) / (head - foot)
         if all(abs(here[0] - x) > APART_IN or abs(here[1] - y) > APART_IN for x, y in numbered):
             numbered.append(here)
             place.annotate(
-                str(at + 1), (b, k), (4.0, 3.0), textcoords="offset points", fontsize=SMALL_PT
+                str(at + 1), (b, k), (4.0, 3.0), textcoords="offset points", fontsize="small"
             )
 
 
@@ -344,7 +349,7 @@ def _foreseen(place: Axes, result: SearchResult, look: Look) -> None:
 
 
 @styled()
-def limits_figure(result: LimitsResult) -> Figure:
+def limits_figure(result: LimitsResult, width_mm: float | None = None) -> Figure:
     """Axis limits over active damping, or over the perturbation where several amplitudes were
     scanned.
     """
@@ -358,7 +363,12 @@ def limits_figure(result: LimitsResult) -> Figure:
         f" 0\n{how(params.conditions, (limit.judged for limit in result.limits))}"
     )
     figure, places = axes(
-        1, len(params.axes), max(NARROWEST_IN, 3.2 * len(params.axes)), 4.2, title
+        1,
+        len(params.axes),
+        max(NARROWEST_IN, 3.2 * len(params.axes)),
+        4.2,
+        title,
+        width_mm=width_mm,
     )
     for place, axis in zip(places, params.axes, strict=True):
         mine = [limit for limit in result.limits if limit.scan.axis == axis]
@@ -380,7 +390,7 @@ def limits_figure(result: LimitsResult) -> Figure:
         mark("predicted", **PREDICTED, marker="o", **HOLLOW),
         mark("bar: from surely passive to surely not", marker="|", markersize=12, **MARKS),
     ]
-    figure.legend(handles=[*legend_handles(places[0]), *more], ncols=2, **BELOW)
+    legends(figure, [*legend_handles(places[0]), *more], 2)
     return figure
 
 
@@ -424,7 +434,11 @@ def _perturbation_axis(place: Axes, psd: list[float]) -> None:
 
 
 @styled()
-def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> Figure:
+def walls_figure(
+    result: WallResult,
+    title: str = "Walls that come to rest",
+    width_mm: float | None = None,
+) -> Figure:
     """A line and an area for each damping level: marks are the stiffest stable walls, crosses the
     softest that was not.
     """
@@ -432,9 +446,8 @@ def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> 
     scene = result.plan.params.scene
     impact = f"impact at {scene.start_velocity_m_per_s:g} m/s, push {scene.excitation.force_n:g} N"
     rest = f"below {1e3 * params.still_m_per_s:g} mm/s after {params.settle_s:g} s"
-    figure, (place,) = axes(
-        1, 1, WIDTH_IN, 4.2, f"{title}\nSIMULATED {scene.device}: {impact}; {rest}"
-    )
+    whole = f"{title}\nSIMULATED {scene.device}: {impact}; {rest}"
+    figure, (place,) = axes(1, 1, WIDTH_IN, 4.2, whole, width_mm=width_mm)
     for rank, (level, look) in enumerate(
         zip(params.levels, level_styles(params.levels), strict=True)
     ):
@@ -449,7 +462,7 @@ def walls_figure(result: WallResult, title: str = "Walls that come to rest") -> 
         ylabel="stiffness K of the wall (N/m)",
         ylim=(0.0, None),
     )
-    figure.legend(handles=[*legend_handles(place), *more], ncols=2, **BELOW)
+    legends(figure, [*legend_handles(place), *more], 2)
     return figure
 
 

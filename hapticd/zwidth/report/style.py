@@ -14,7 +14,8 @@ marks mean.
 A tinted band about a line is its interval of 95 %. Colours are Okabe and Ito's (2008), distinct to
 every eye; whatever a colour means, a line style or a marker means as well. Figures are drawn
 without a window and kept as PNG of 300 dpi, SVG and PDF; the same data give the same bytes, for
-none of them carries a date or random names. A width in print is `paper.fit`.
+none of them carries a date or random names. Sizes stand in `figure.mplstyle`, what a width asks for
+in `paper`.
 
 What would break it: a figure that chooses colours of its own, or one that is drawn outside
 `styled`.
@@ -22,7 +23,7 @@ What would break it: a figure that chooses colours of its own, or one that is dr
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from math import sqrt
+from math import log10, sqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +34,8 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.signal.verdict import student_quantile
+from hapticd.zwidth.report import paper
+from hapticd.zwidth.report.paper import PANEL_IN, Panels
 from hapticd.zwidth.store import FIGURE_KINDS
 
 if TYPE_CHECKING:
@@ -42,7 +45,6 @@ else:
     Axes = Figure = Any  # matplotlib is optional: it is imported where something is drawn
 
 __all__ = [
-    "BELOW",
     "BLACK",
     "BLUE",
     "DEVICES",
@@ -62,7 +64,6 @@ __all__ = [
     "PURPLE",
     "RED",
     "SKY",
-    "SMALL_PT",
     "WIDTH_IN",
     "Axes",
     "Figure",
@@ -81,6 +82,7 @@ __all__ = [
     "plain_axis",
     "save",
     "simulated",
+    "size_in",
     "styled",
 ]
 
@@ -120,36 +122,8 @@ NOT_JUDGED = "#e9e9e9"
 LOWEST_HZ = 1e-3
 HIGHEST_HZ = 1e6
 
-PNG_DPI = 300  # of a journal, for figures with type
 WIDTH_IN = 6.69  # 17 cm, two columns: type keeps its size in print
-SMALL_PT = 8.0  # nothing is smaller
-BELOW: Look = {"loc": "outside lower center", "frameon": False}  # a legend
-STYLE: Any = {
-    "figure.dpi": 110,
-    "savefig.dpi": PNG_DPI,
-    "font.size": 9.5,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9.5,
-    "axes.titlelocation": "left",
-    "figure.titlesize": 10,
-    "legend.fontsize": SMALL_PT,
-    "legend.title_fontsize": SMALL_PT,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "legend.frameon": True,
-    "legend.framealpha": 0.9,
-    "legend.edgecolor": "#cccccc",
-    "lines.linewidth": 1.3,
-    "lines.markersize": 4.5,
-    "errorbar.capsize": 3,
-    "svg.hashsalt": "hapticd",
-    "svg.fonttype": "none",
-    "pdf.fonttype": 42,  # TrueType: journals refuse Type 3
-}
+STYLE = Path(__file__).with_name("figure.mplstyle")
 UNDATED: dict[str, dict[str, Any]] = {
     ".png": {"Software": None},
     ".svg": {"Date": None},
@@ -157,6 +131,8 @@ UNDATED: dict[str, dict[str, Any]] = {
 }
 FINE = ((1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
 ROUND = ((1.0,), *FINE)
+DECADE_IN = 0.95  # that ticks at 1, 2 and 5 take
+RATIOS = ("height_ratios", "width_ratios")
 FEWEST_TICKS = 3
 LEAST_RANGE = 2.5  # of a logarithmic axis
 
@@ -166,52 +142,59 @@ def styled() -> Iterator[None]:
     """Within it, or in a function that it decorates, figures look like ours. MissingLibrary without
     matplotlib.
     """
-    with need("matplotlib", "a figure").rc_context(STYLE):
+    with need("matplotlib", "a figure").rc_context(fname=STYLE):
         yield
 
 
 # --- figures and axes -----------------------------------------------------------------------------
 
 
-def blank_figure(width_in: float, height_in: float, title: str = "") -> Figure:
-    """A figure without a window and without axes. Call it within `styled`."""
+def mosaic(
+    panels: Panels,
+    width_in: float,
+    height_in: float,
+    title: str = "",
+    width_mm: float | None = None,
+    panel_in: float = PANEL_IN,
+    **more: Any,
+) -> tuple[Figure, dict[str, Axes]]:
+    """A figure whose axes have names; one that is named twice spans both places. It is `width_mm`
+    [mm] wide, its panels in more lines where they need it, or else of the size `width_in` by
+    `height_in` [in]. Call it within `styled`.
+    """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    if title:
-        figure.suptitle(title, x=0.01, ha="left")
-    return figure
+    page_in = width_in if width_mm is None else width_mm / paper.MM_PER_IN
+    type_pt = paper.set_type(page_in)
+    lines = paper.arranged(panels, width_in, page_in, panel_in)
+    if lines is not panels:
+        more = {key: each for key, each in more.items() if key not in RATIOS}
+    words = paper.fitted(title, page_in - paper.EDGE_IN, type_pt)
+    longer_in = (words.count("\n") - title.count("\n")) * paper.LINE * type_pt / paper.PT_PER_IN
+    high_in = paper.height_in(panels, lines, (width_in, height_in), page_in) + longer_in
+    figure = Figure(figsize=(page_in, high_in))
+    figure.suptitle(words, x=0.01, ha="left")
+    return figure, figure.subplot_mosaic([[*line] for line in lines], **more)
 
 
 def axes(
     rows: int, columns: int, width_in: float, height_in: float, title: str = "", **more: Any
 ) -> tuple[Figure, list[Axes]]:
-    """A figure and its axes row by row. Call it within `styled`."""
-    figure = blank_figure(width_in, height_in, title)
-    return figure, list(figure.subplots(rows, columns, squeeze=False, **more).ravel())
+    """A figure as `mosaic`, and its axes row by row. Call it within `styled`."""
+    panels = [[f"{row} {column}" for column in range(columns)] for row in range(rows)]
+    figure, found = mosaic(panels, width_in, height_in, title, **more)
+    return figure, [found[name] for row in panels for name in row]
 
 
-def mosaic(
-    panels: Any, width_in: float, height_in: float, title: str = "", **more: Any
-) -> tuple[Figure, dict[str, Axes]]:
-    """A figure whose axes have names; one that is named twice spans both places. Call it within
-    `styled`.
-    """
-    figure = blank_figure(width_in, height_in, title)
-    return figure, figure.subplot_mosaic(panels, **more)
-
-
-def save(
-    figure: Figure, folder: Path, name: str, width_mm: float | None = None
-) -> tuple[Path, ...]:
-    """NAME.png, NAME.svg and NAME.pdf in `folder`, which is made; as wide as `width_mm` [mm], or as
-    it was drawn. The same figure gives the same bytes. ConfigError if it cannot be written to.
+def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
+    """NAME.png, NAME.svg and NAME.pdf in `folder`, which is made. The same figure gives the same
+    bytes. ConfigError if it cannot be written to.
     """
     paths = tuple(folder / f"{name}.{kind}" for kind in FIGURE_KINDS)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with styled():
-            _settle(figure, width_mm)
+            paper.settle(figure)
             for path in paths:
                 figure.savefig(path, metadata=UNDATED[path.suffix])
     except OSError as error:
@@ -219,17 +202,6 @@ def save(
             f"{folder}: {error.strerror}; name a folder that you may write to with --out"
         ) from error
     return paths
-
-
-def _settle(figure: Figure, width_mm: float | None) -> None:
-    """Arrange the figure, once for all files."""
-    from hapticd.zwidth.report.paper import fit  # which takes looks from here
-
-    if width_mm is None:
-        figure.draw_without_rendering()
-    else:
-        fit(figure, width_mm)
-    figure.set_layout_engine("none")
 
 
 def simulated(device: str, seconds: float, more: str = "") -> str:
@@ -241,10 +213,18 @@ def simulated(device: str, seconds: float, more: str = "") -> str:
     )
 
 
+def size_in(axis: Axes) -> tuple[float, float]:
+    """Width and height [in] of axes, about: their figure is not laid out yet."""
+    figure: Any = axis.figure
+    wide_in, high_in = axis.get_position().size * figure.get_size_inches()
+    return float(wide_in), float(high_in)
+
+
 def hertz_axis(axis: Axes, low_hz: float, high_hz: float) -> None:
-    """A logarithmic frequency axis with ticks at 1, 2 and 5 of each decade."""
+    """A logarithmic frequency axis with ticks at 1, 2 and 5 of each decade where there is room."""
     axis.set(xscale="log", xlim=(low_hz, high_hz), xlabel="frequency (Hz)")
-    plain_axis(axis.xaxis, FINE[:1])
+    roomy = size_in(axis)[0] > DECADE_IN * log10(high_hz / low_hz)
+    plain_axis(axis.xaxis, FINE[:1] if roomy else ROUND[:1])
 
 
 def plain_axis(

@@ -22,8 +22,8 @@ from hapticd.signal.impedance import Impedance, relative_sd
 from hapticd.signal.periodic import PeriodicSpectra
 from hapticd.signal.verdict import student_quantile
 from hapticd.zwidth.ending import EndReason
+from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
-    BELOW,
     BLACK,
     FINE,
     GREEN,
@@ -141,7 +141,10 @@ def interval(look: Look, more: str = "") -> Any:
 
 @styled()
 def trial_figure(
-    result: TrialResult, sines: ReferenceSines | None = None, admittance: bool = False
+    result: TrialResult,
+    sines: ReferenceSines | None = None,
+    admittance: bool = False,
+    width_mm: float | None = None,
 ) -> Figure:
     """Size, phase and coherence of Z (or Y) of one trial, with the stepped sine's as points.
     ConfigError without matplotlib.
@@ -152,15 +155,15 @@ def trial_figure(
     look = level_styles([result.plan.params.trial.active_damping_ns_per_m])[0]
     ended = result.recorded.ended
     if ended and ended.reason is EndReason.ESCAPE:
-        return _undrawn(result, view, f"ESCAPED, so there is no impedance to draw: {ended.text}")
+        why = f"ESCAPED, so there is no impedance to draw: {ended.text}"
+        return _undrawn(result, view, why, width_mm)
     z = result.measured
     seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1]) & (z.coherence > 0.0)
     if not seen.any():
         why = "no impedance to draw: force and velocity have nothing in common at any frequency"
-        return _undrawn(result, view, why)
-    figure, (size, phase, known) = axes(
-        3, 1, 7.2, 8.4, _title(result, view), sharex=True, height_ratios=(2.2, 2.2, 1.0)
-    )  # fmt: skip
+        return _undrawn(result, view, why, width_mm)
+    panels: Look = {"width_mm": width_mm, "sharex": True, "height_ratios": (2.2, 2.2, 1.0)}
+    figure, (size, phase, known) = axes(3, 1, 7.2, 8.4, _title(result, view), **panels)
     worst = result.verdict.margin_deg
     f = z.frequency_hz[seen]
     draw(
@@ -192,11 +195,7 @@ def trial_figure(
     hertz_axis(known, max(SHOWN_HZ[0], float(f[0])), min(SHOWN_HZ[1], float(f[-1])))
     judged = result.verdict.judged
     grey = dress(size, phase, (judged.first_hz, judged.last_hz), view, more=(known,))
-    figure.legend(
-        handles=[*legend_handles(phase), interval(look, RANDOM), grey],
-        ncols=3,
-        **BELOW,
-    )
+    legends(figure, [*legend_handles(phase), interval(look, RANDOM), grey], 3)
     figure.align_ylabels([size, phase, known])
     return figure
 
@@ -250,13 +249,14 @@ def draw_traces(places: Sequence[Axes], panels: Sequence[tuple[str, Sequence[Tra
     places[-1].figure.align_ylabels(places)
 
 
-def _undrawn(result: TrialResult, view: View, why: str) -> Figure:
+def _undrawn(result: TrialResult, view: View, why: str, width_mm: float | None) -> Figure:
     """Force and velocity over time, for `why` there is no spectrum of them."""
     recorded = result.recorded
     title = _title(result, view).rsplit("\n", 1)[0]
     look = level_styles([result.plan.params.trial.active_damping_ns_per_m])[0]
     line = {"color": look["color"], "linewidth": 0.6, "rasterized": True}
-    figure, places = axes(2, 1, 7.2, 5.4, f"{title}\n{fill(why, REASON_WIDTH)}", sharex=True)
+    title = f"{title}\n{fill(why, REASON_WIDTH)}"
+    figure, places = axes(2, 1, 7.2, 5.4, title, width_mm=width_mm, sharex=True)
     time_s = np.arange(recorded.force_n.size) / recorded.rate_hz
     channels = (
         ("force of the probe (N)", recorded.force_n),
@@ -268,11 +268,16 @@ def _undrawn(result: TrialResult, view: View, why: str) -> Figure:
 
 
 @styled()
-def replay_figure(result: ReplayResult, title: str, changed: str = "replayed") -> Figure:
+def replay_figure(
+    result: ReplayResult,
+    title: str,
+    changed: str = "replayed",
+    width_mm: float | None = None,
+) -> Figure:
     """A motion, the force that was, the force that would have been, and their difference over time;
     `changed`: what was held otherwise. ConfigError without matplotlib.
     """
-    figure, places = axes(3, 1, 10.0, 8.0, title, sharex=True)
+    figure, places = axes(3, 1, 10.0, 8.0, title, width_mm=width_mm, sharex=True)
     was = {"color": GREY, "linewidth": 3.0, "label": "recorded"}  # seen below the other one
     would = {"color": GREEN, "linewidth": 0.9, "label": changed}
     time_s = result.time_s
@@ -284,5 +289,6 @@ def replay_figure(result: ReplayResult, title: str, changed: str = "replayed") -
         ("difference (N)", [(time_s, replayed - recorded, would)]),
     ]
     draw_traces(places, panels)
-    places[1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+    above = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "ncols": 2}
+    legends(figure, (), 2, "", (places[1], legend_handles(places[1]), above))
     return figure
