@@ -25,6 +25,7 @@ import { Watchdog } from './watchdog.mjs';
 
 const PIECE_NS = 62_500; // of the plant: within one its force is held
 const MOST_KEPT = 4096; // changes of outputs
+const NEAR_NS = 0.001; // of times: a nap of less may be none, by rounding
 const ESHUTDOWN = -108;
 const FIRST_SEED = 12345;
 
@@ -171,7 +172,7 @@ export class Chip {
   run(until) {
     this.stop = this.finished.length > 0;
     this.limit = this.changed ? Math.min(until, this.pieceEnd) : until;
-    while (!this.stop && this.nanos < this.limit) {
+    while (!this.stop && this.nanos < this.limit - NEAR_NS) {
       if (this.mcu.core.waiting || this.halted) this.nap();
       else this.work();
       if (!this.bitten) continue;

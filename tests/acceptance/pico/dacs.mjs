@@ -1,7 +1,7 @@
 // The two-channel DACs that the board may have, and the analog circuit behind them, in counts of
 // the wire: a torque from A and a damping factor from B, or a damping factor from A and a trim of
-// the resistance from B. They have power of their own: a reset of the processor leaves their outputs
-// as they are.
+// the resistance from B. They have power of their own: a reset of the processor leaves their
+// outputs as they are.
 const MID = 0x8000;
 const ALL = 0x10000;
 const CR0 = 0x0;
@@ -98,7 +98,7 @@ class Mcp4922 {
 
 // DAC8812 (SBAS349): frames of which the last 18 bits count, sampled at the rising edge; it
 // multiplies, so its codes are shares of what the circuit puts in. With MSB at ground it starts at
-// zero. Its select has a pull-up, so that a reset of the processor is no frame. LDAC lies at ground.
+// zero. Its select has a pull-up, so that a reset of the processor is no frame. LDAC is at ground.
 class Dac8812 {
   static takes = (bits) => bits >= 18;
   static fastestHz = 50e6;
