@@ -27,7 +27,7 @@ static const struct socket torque = {&dac_parts[DAC_PART], 1u << PIN_DAC_SELECT}
 static const struct socket damping = {
     &dac_parts[DAMPING_PART], 1u << (ONE_PART ? PIN_DAC_SELECT : PIN_DAMPING_SELECT)};
 
-/* 4.4.3.4: it is set up while it is off. */
+/* 4.4.3: it is set up while it is off. */
 static void spi_start(uint32_t mode)
 {
     SPI_CR1 = 0;

@@ -158,7 +158,7 @@ export class SpiBus {
     this.word = 0;
   }
 
-  // 4.4.3.4 of the chip's datasheet: format and rate are set while the SPI is off.
+  // 4.4.3 of the chip's datasheet: format and rate are set while the SPI is off.
   watchFormat(spi) {
     const write = spi.writeUint32.bind(spi);
     spi.writeUint32 = (offset, value) => {
