@@ -2,9 +2,14 @@
 #ifndef CONFIG_H
 #define CONFIG_H
 
-/* the row of dac_parts.c that is soldered: DAC8563 or MCP4922 */
+/* the row of dac_parts.c that makes the torque: DAC8563 or MCP4922 */
 #ifndef DAC_PART
 #define DAC_PART DAC8563
+#endif
+/* and the one that makes the damping: the DAC8812 of firmware_iface/hardware, whose other channel
+ * trims the resistance; or DAC_PART again, whose channel B is then a voltage */
+#ifndef DAMPING_PART
+#define DAMPING_PART DAC8812
 #endif
 
 /* nominal full scales, as HELLO states them; the device file on the host holds the measured ones */

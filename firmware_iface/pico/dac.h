@@ -1,10 +1,10 @@
-/* dac.h - the DAC at SPI0. */
+/* dac.h - the DACs at SPI0: one for the torque; the same, or another, for the damping. */
 #ifndef DAC_H
 #define DAC_H
 
 #include <stdint.h>
 
-/* No torque and no damping; then what the part needs to start. */
+/* No torque, no damping, no trim; then what the part of the torque needs to start. */
 void dac_start(void);
 
 void dac_set_torque(int16_t count);
@@ -13,5 +13,8 @@ void dac_set_torque(int16_t count);
 void dac_rest(void);
 
 void dac_set_damping(uint16_t count);
+
+/* Nothing where the part of the damping has no channel for it. */
+void dac_set_resistance(int16_t count);
 
 #endif

@@ -7,6 +7,7 @@
 #define PIN_EVENT_FIRST 4
 #define PIN_EVENT_COUNT 8
 /* 12 to 15 are SPI1: left free for a sampling ADC */
+#define PIN_DAMPING_SELECT 16
 #define PIN_DAC_SELECT 17
 #define PIN_DAC_CLOCK 18
 #define PIN_DAC_DATA 19

@@ -6,6 +6,7 @@
 #include "chip.h"
 #include "config.h"
 #include "dac.h"
+#include "dac_parts.h"
 #include "encoder.h"
 #include "events.h"
 #include "pins.h"
@@ -13,9 +14,11 @@
 #include "usb.h"
 
 #define AMPLIFIER (1u << PIN_AMPLIFIER_ENABLE)
+#define SELECTS (1u << PIN_DAC_SELECT | 1u << PIN_DAMPING_SELECT)
+#define TRIM (DAMPING_PART == DAC8812 ? HAPTICD_CAPABILITY_RESISTANCE : 0)
 #define CAPABILITIES                                                                               \
     (HAPTICD_CAPABILITY_EMERGENCY_STOP | HAPTICD_CAPABILITY_AMPLIFIER_READY |                      \
-     HAPTICD_CAPABILITY_EVENT | HAPTICD_CAPABILITY_SAMPLE_PHASE)
+     HAPTICD_CAPABILITY_EVENT | TRIM | HAPTICD_CAPABILITY_SAMPLE_PHASE)
 
 /* --- pins ------------------------------------------------------------------------------------- */
 
@@ -35,10 +38,11 @@ static void input(uint32_t pin, uint32_t pull, uint32_t function)
 void port_start(void)
 {
     SIO_GPIO_OUT_CLR = AMPLIFIER;
-    SIO_GPIO_OUT_SET = 1u << PIN_DAC_SELECT;
-    SIO_GPIO_OE_SET = AMPLIFIER | 1u << PIN_DAC_SELECT | 1u << PIN_LED;
+    SIO_GPIO_OUT_SET = SELECTS;
+    SIO_GPIO_OE_SET = AMPLIFIER | SELECTS | 1u << PIN_LED;
     output(PIN_AMPLIFIER_ENABLE, PAD_PULL_DOWN, FUNCTION_SIO);
     output(PIN_DAC_SELECT, 0, FUNCTION_SIO);
+    output(PIN_DAMPING_SELECT, 0, FUNCTION_SIO);
     output(PIN_DAC_CLOCK, 0, FUNCTION_SPI);
     output(PIN_DAC_DATA, 0, FUNCTION_SPI);
     output(PIN_LED, 0, FUNCTION_SIO);
@@ -106,8 +110,14 @@ static void set_damping(void *device, uint16_t count)
     dac_set_damping(count);
 }
 
-/* Perturbation and resistance have no DAC here. */
-static void set_nothing(void *device, int16_t count)
+static void set_resistance(void *device, int16_t count)
+{
+    (void)device;
+    dac_set_resistance(count);
+}
+
+/* The perturbation has no DAC here. */
+static void set_perturbation(void *device, int16_t count)
 {
     (void)device;
     (void)count;
@@ -131,9 +141,9 @@ const struct hapticd_port port = {
     .sense = sense,
     .measure_pair = measure_pair,
     .set_torque = set_torque,
-    .set_perturbation = set_nothing,
+    .set_perturbation = set_perturbation,
     .set_damping = set_damping,
-    .set_resistance = set_nothing,
+    .set_resistance = set_resistance,
     .send = send,
     .event_code = event_code,
 };

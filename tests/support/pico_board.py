@@ -11,6 +11,7 @@ import errno
 import struct
 import weakref
 from collections.abc import Callable
+from math import ceil
 
 from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_US
@@ -66,6 +67,7 @@ class PicoBoard:
     """The board of `params`, run by the image in the emulator."""
 
     patience_ns = TAKEN_NS
+    read_ns = READ_NS
 
     def __init__(self, params: BoardParams, _on_slip: Callable[[int], None] | None = None) -> None:
         self.params = params
@@ -103,6 +105,13 @@ class PicoBoard:
         intervals = (self.rig.now_ns - begun_ns - self._boot_ns) // INTERVAL_NS + 2
         self._base_ns = begun_ns + self._boot_ns + intervals * INTERVAL_NS + INTO_INTERVAL_NS
         self._origin_ns: int | None = None
+        self._due_ns: list[int] = []  # when the frames that were asked for are latched
+
+    def _begin(self, t_ns: int) -> None:
+        """The first OUT; a host that has read before it comes some intervals later."""
+        behind_ns = max(0.0, self.rig.now_ns - self._base_ns)
+        self._base_ns += ceil(behind_ns / INTERVAL_NS) * INTERVAL_NS
+        self._origin_ns = t_ns
 
     # --- the methods of BoardModel ----------------------------------------------------------------
     def _chip_ns(self, t_ns: int) -> float:
@@ -119,7 +128,7 @@ class PicoBoard:
 
     def on_out(self, data: memoryview, t_ns: int) -> None:
         if self._origin_ns is None:
-            self._origin_ns = t_ns
+            self._begin(t_ns)
         self._advance(t_ns)
         late_ns = self.rig.now_ns - self._chip_ns(t_ns)
         # an instruction that was begun before its time ends after it
@@ -127,14 +136,18 @@ class PicoBoard:
         self._base_ns += self.late_ns  # from now on all is so much later
         result = self.rig.wait(self.chip.submit(OUT, 0, bytes(data)), NS_PER_MS)
         assert result.status == 0
+        self._due_ns.append(t_ns + PHASE_US * NS_PER_US)
         self.rig.advance(self._chip_ns(t_ns) + HANDLED_NS)
 
     def poll_in(self, t_ns: int) -> bytes | None:
-        if self._origin_ns is None:
-            return None
-        self._advance(t_ns + READ_NS)
+        self._due_ns = [due_ns for due_ns in self._due_ns if due_ns > t_ns]
+        self._advance(t_ns + self.read_ns)
         result = self.rig.wait(self.chip.submit(IN, PACKET_BYTES), self.patience_ns)
         return None if result.status == -errno.ETIMEDOUT else result.data
+
+    def next_in_ns(self) -> int | None:
+        """When the next frame is latched, if the OUT that asks for it was not refused."""
+        return self._due_ns[0] if self._due_ns else None
 
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
         setup = struct.pack("<BBHHH", request_type, request, value, 0, length)

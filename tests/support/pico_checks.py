@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from hapticd.core.errors import LinkError
 from hapticd.usb import codec, session
-from hapticd.usb.frames import HELLO_BYTES, Request, StatusBit
+from hapticd.usb.frames import HELLO_BYTES, Capability, Request, StatusBit
 from support.pico_backend import CONFIGURATION, DEVICE
 from support.pico_chip import B1, OPEN, PicoChip, Verb
 from support.pico_host import TICK_NS, PicoHost
@@ -17,11 +17,14 @@ USB_VENDOR, USB_PRODUCT = 0x1209, 0x0001
 OUT = 0x01  # the endpoint
 TORQUE_N = 1.0
 DAMPING = 2.0  # N s/m
+TRIM = 1000  # counts of the resistance
 STOP_BUSY_US = 60.0
 STOP_US = 10.0  # from the stop's pin to the amplifier's; the chip adds its interrupt entry
 WATCHDOG_MS = 6.0  # of the hardware; 5 ms and what it was last fed before
-# steps of torque and damping, in counts of the wire: the first has damping on its upper half
-DAC_STEPS = {"dac8563": (1, 2), "mcp4922": (16, 16)}
+# steps of a part, in counts of the wire; the first has damping on its upper half
+TORQUE_STEPS = {"dac8563": 1, "mcp4922": 16}
+DAMPING_STEPS = {"dac8563": 2, "mcp4922": 16, "dac8812": 1}
+RESET_MS = 5.0  # from the reset of the processor until the firmware has written to its DACs
 LIFE = 0x100
 
 
@@ -32,7 +35,7 @@ def check_power_up(chip: PicoChip, rig: Rig) -> None:
     told = chip.told()
     assert told["resets"] == 0
     assert chip.state.amplifier == 0
-    assert (chip.state.torque, chip.state.damping) == (0.0, 0.0)
+    assert (chip.state.torque, chip.state.damping, chip.state.resistance) == (0.0, 0.0, 0.0)
     assert told["complaints"] == []
 
 
@@ -115,12 +118,24 @@ def check_outputs(host: PicoHost) -> None:
     for torque_n in (TORQUE_N, -TORQUE_N, 0.0, 7.99, -7.99):
         host.tick(torque_n, DAMPING)
         state = host.chip.state
-        torque_step, damping_step = DAC_STEPS[host.chip.wiring.dac]
+        wiring = host.chip.wiring
         asked = round(torque_n / host.params.force_n_per_count)
-        assert abs(state.torque - asked) <= torque_step / 2
+        assert abs(state.torque - asked) <= TORQUE_STEPS[wiring.dac] / 2
         damping = round(DAMPING / host.params.active_damping_ns_per_m_per_count)
-        assert abs(state.damping - damping) <= damping_step / 2
+        assert abs(state.damping - damping) <= DAMPING_STEPS[wiring.damping_dac] / 2
         assert state.amplifier == 1
+
+
+def check_trim(host: PicoHost) -> None:
+    """The resistance trim acts without ENABLE, never below 0; the protocol's watchdog leaves it."""
+    told = session.greet(host.link.request(Request.HELLO, HELLO_BYTES))
+    assert told.capabilities & Capability.RESISTANCE
+    for count in (1, 32767, -1, 20000):
+        host.write(host.out(enable=False, trim=count))
+        host.read()
+        assert host.chip.state.resistance == max(0, count)
+    host.pause(host.params.watchdog_ms + 2.0)
+    assert host.chip.state.resistance == 20000
 
 
 def check_encoder(host: PicoHost) -> None:
@@ -234,6 +249,28 @@ def check_silence(host: PicoHost) -> None:
     assert not host.start(TORQUE_N).status & StatusBit.WATCHDOG
 
 
+def check_reset(host: PicoHost) -> None:
+    """In a reset of the processor the DACs keep what they put out: only the amplifier's enable
+    takes the force. The firmware writes none of anything when it starts again.
+    """
+    host.start(TORQUE_N, DAMPING)
+    host.write(host.out(TORQUE_N, DAMPING, trim=TRIM))
+    host.read()
+    host.chip.told()
+    host.chip.tell(Verb.HANG)
+    host.rig.advance(host.rig.now_ns + 30e6)
+    changes = host.chip.told()["changes"]
+    (off_ns,) = [at for at, name, value in changes if name == "amplifier"]
+    zeroed = {name: at for at, name, value in changes if name != "amplifier" and value == 0}
+    assert set(zeroed) == {"torque", "damping", *_trim(host)}
+    assert all(0 < at - off_ns < RESET_MS * 1e6 for at in zeroed.values())
+
+
+def _trim(host: PicoHost) -> set[str]:
+    """The output that only a part with a channel for it has."""
+    return {"resistance"} if host.chip.wiring.damping_dac == "dac8812" else set()
+
+
 def _check_dies(host: PicoHost, how: Verb) -> None:
     life = host.start(TORQUE_N, DAMPING).life
     host.chip.told()
@@ -272,6 +309,7 @@ CHECKS: dict[str, Callable[[PicoHost], None]] = {
     "race": check_race,
     "burst": check_burst,
     "outputs": check_outputs,
+    "trim": check_trim,
     "encoder": check_encoder,
     "skip": check_skip,
     "stop": check_stop,
@@ -279,6 +317,7 @@ CHECKS: dict[str, Callable[[PicoHost], None]] = {
     "ready": check_ready,
     "events": check_events,
     "silence": check_silence,
+    "reset": check_reset,
     "hang": check_hang,
     "deaf": check_deaf,
 }

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from support.pico_modules import EMULATOR, modules, node
 
 LENGTH = struct.Struct("<I")
-STATE = struct.Struct("<3d3B2IiH")
+STATE = struct.Struct("<4d3B2IiH")
 ENDED = struct.Struct("<IiI")
 SUBMIT = struct.Struct("<IBB8sI")
 B2 = 0x20002927  # of SYSINFO CHIP_ID
@@ -53,6 +53,7 @@ class State(NamedTuple):
     now_ns: float
     torque: float
     damping: float
+    resistance: float
     amplifier: int
     connected: int
     changed: int  # an output, since the last plan
@@ -68,6 +69,7 @@ class Wiring:
 
     pins: dict[str, int]
     dac: str = "dac8563"
+    damping_dac: str = "dac8812"
     chip_id: int = B2
     unique_id: str = UNIQUE_ID
 
@@ -76,6 +78,7 @@ class Wiring:
         told = {
             "pins": self.pins,
             "dac": self.dac,
+            "dampingDac": self.damping_dac,
             "chipId": self.chip_id,
             "uniqueId": self.unique_id,
         }

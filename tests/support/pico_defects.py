@@ -98,6 +98,16 @@ DEFECTS = {
     "no tick": _one(
         "chip.c", "    WATCHDOG_TICK = TICK_CYCLES | WATCHDOG_TICK_ENABLE;\n", "", POWER_UP, "clock"
     ),
+    "random bit of a register that is not there": _one(
+        "rp2040.h", "REG(0x4006001cu)", "REG(0x40060024u)", POWER_UP, "unknown"
+    ),
+    "decoder at a fraction of the clock": _one(
+        "encoder.c",
+        "CLOCK_DIVIDER_1 (1u << 16)",
+        "CLOCK_DIVIDER_1 (1u << 16 | 128u << 8)",
+        POWER_UP,
+        "unmodelled",
+    ),
     "SSI set up while it is enabled": _one(
         "flash_id.c", "    SSI_SSIENR = 0;\n", "", POWER_UP, "flash"
     ),
@@ -122,6 +132,13 @@ DEFECTS = {
     "watchdog that resets the processor alone": _one(
         "chip.c", "    PSM_WDSEL = PSM_ALL_BUT_OSCILLATORS;\n", "", "hang", "watchdog"
     ),
+    "life kept in flash, which a store does not write": _one(
+        "chip.c",
+        "    WATCHDOG_SCRATCH0 = LIFE_MAGIC | life;\n",
+        "    REG(0x101ff000u) = LIFE_MAGIC | life;\n",
+        "hang",
+        "address",
+    ),
     "life not counted": _one("chip.c", "    WATCHDOG_SCRATCH0 = LIFE_MAGIC | life;\n", "", "hang"),
     # --- pins and parts
     "DAC channels swapped": Defect(
@@ -131,7 +148,37 @@ DEFECTS = {
     "DAC at the other edge": _one(
         "dac_parts.c", "{16, 3, 1, true", "{16, 3, 0, true", POWER_UP, "spi"
     ),
-    "reference of the DAC off": _one("dac_parts.c", "0x190000, 0x380001", "0x190000, 0", "outputs"),
+    "reference of the DAC off": _one(
+        "dac_parts.c", "0x190000, 0, 0x380001", "0x190000, 0, 0", "outputs"
+    ),
+    "channels of the DAC8812 swapped": _one(
+        "dac_parts.c", "0x010000, 0x020000", "0x020000, 0x010000", "outputs"
+    ),
+    "word of the DAC8812 too short": _one(
+        "dac_parts.c", "[DAC8812] = {16, 3,", "[DAC8812] = {16, 2,", POWER_UP, "spi"
+    ),
+    "DAC8812 at the other edge": _one(
+        "dac_parts.c", "{16, 3, 0, false", "{16, 3, 1, false", POWER_UP, "spi"
+    ),
+    "one word to both DACs": _one(
+        "dac.c",
+        "1u << (ONE_PART ? PIN_DAC_SELECT : PIN_DAMPING_SELECT)",
+        "1u << PIN_DAC_SELECT | 1u << PIN_DAMPING_SELECT",
+        POWER_UP,
+        "spi",
+    ),
+    "edge of the SPI changed while it is on": _one(
+        "dac.c", "    SPI_CR1 = 0;\n", "", POWER_UP, "spi"
+    ),
+    "trim stated and not set": _one(
+        "port.c", "    dac_set_resistance(count);\n", "    (void)count;\n", "trim"
+    ),
+    "trim below the coldest winding": _one(
+        "dac_parts.c", "count > 0 ? 2u * (uint32_t)count : 0", "2u * (uint32_t)count", "trim"
+    ),
+    "words of the PIO program two bytes apart": _one(
+        "rp2040.h", "0x50200048u + 4u * (i)", "0x50200048u + 2u * (i)", POWER_UP, "alignment"
+    ),
     "encoder's A and B swapped": Defect(
         (
             (

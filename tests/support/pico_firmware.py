@@ -9,6 +9,7 @@ import tempfile
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from firmware_iface.pico.build import COMPILER, SOURCES, build
 from hapticd.core.params import BoardParams
@@ -22,6 +23,7 @@ NAMES = {  # of pins.h, in the emulator
     "ENCODER_A": "a",
     "ENCODER_B": "b",
     "DAC_SELECT": "select",
+    "DAMPING_SELECT": "dampingSelect",
     "AMPLIFIER_ENABLE": "amplifier",
     "EMERGENCY_STOP": "stop",
     "AMPLIFIER_READY": "ready",
@@ -32,12 +34,26 @@ Defines = tuple[tuple[str, str], ...]
 Change = tuple[str, str, str]  # file, text, what takes its place
 
 
-def wiring(dac: str = "dac8563") -> Wiring:
+class Dacs(NamedTuple):
+    """The parts that make torque and damping: rows of dac_parts.c, in the emulator's words."""
+
+    torque: str = "dac8563"
+    damping: str = "dac8812"
+
+    def defines(self) -> Defines:
+        """The macros of config.h by which the firmware is for these parts."""
+        return (("DAC_PART", self.torque.upper()), ("DAMPING_PART", self.damping.upper()))
+
+
+AS_SHIPPED = Dacs()
+
+
+def wiring(dacs: Dacs = AS_SHIPPED) -> Wiring:
     """The parts at the pins of pins.h."""
     found = {name: int(pin) for name, pin in PIN.findall((SOURCES / "pins.h").read_text())}
     pins = {ours: found[name] for name, ours in NAMES.items()}
     events = {f"event{bit}": found["EVENT_FIRST"] + bit for bit in range(found["EVENT_COUNT"])}
-    return Wiring({**pins, **events, "spi": SPI_OF_DAC}, dac)
+    return Wiring({**pins, **events, "spi": SPI_OF_DAC}, *dacs)
 
 
 def pico_params(**changes: object) -> BoardParams:
@@ -72,7 +88,7 @@ def _apply(sources: Path, change: Change) -> None:
     (sources / name).write_text(text.replace(old, new))
 
 
-def start_chip(built: Path | None = None, dac: str = "dac8563", chip_id: int = 0) -> PicoChip:
+def start_chip(built: Path | None = None, dacs: Dacs = AS_SHIPPED, chip_id: int = 0) -> PicoChip:
     """A board that has just got its supply; `close` it."""
-    wired = wiring(dac)
+    wired = wiring(dacs)
     return PicoChip(built or image(), replace(wired, chip_id=chip_id or wired.chip_id))

@@ -63,13 +63,16 @@ class PicoHost:
         assert complaints == []
 
     # --- frames -----------------------------------------------------------------------------------
-    def out(self, torque_n: float = 0.0, damping: float = 0.0, enable: bool = True) -> OutFrame:
-        """The next OUT frame, with a torque [N] and active damping [N s/m]."""
+    def out(
+        self, torque_n: float = 0.0, damping: float = 0.0, enable: bool = True, trim: int = 0
+    ) -> OutFrame:
+        """The next OUT frame, with a torque [N], active damping [N s/m] and resistance [counts]."""
         frame = OutFrame(
             self.seq & 0xFFFF,
             flags=int(OutFlag.ENABLE) if enable else 0,
             torque=round(torque_n / self.params.force_n_per_count),
             damping=round(damping / self.params.active_damping_ns_per_m_per_count),
+            resistance=trim,
         )
         self.seq += 1
         return frame

@@ -18,6 +18,7 @@ from support.programs import program
 SERIAL = "E66118604B3A5C2F"  # of a flash chip
 FLASH = range(0x10000000, 0x10000000 + 2 * 1024 * 1024)
 RAM = range(0x20000000, 0x20000000 + 256 * 1024)
+Defines = tuple[tuple[str, str], ...]  # macros of config.h
 
 
 class Symbol(NamedTuple):
@@ -42,14 +43,14 @@ class Block(NamedTuple):
 
 
 @cache
-def built() -> Path:
-    """The folder with the firmware of this checkout, built once in this process. The test is
-    skipped without the compiler.
+def built(defines: Defines = ()) -> Path:
+    """The folder with the firmware of this checkout, built once in this process with these macros.
+    The test is skipped without the compiler.
     """
     program(COMPILER)
     folder = Path(tempfile.mkdtemp(prefix="hapticd-pico-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    build(folder)
+    build(folder, defines=dict(defines))
     return folder
 
 
@@ -68,9 +69,9 @@ def _block(raw: bytes) -> Block:
 
 
 @cache
-def symbols() -> dict[str, Symbol]:
+def symbols(defines: Defines = ()) -> dict[str, Symbol]:
     """What the linked firmware names."""
-    words = ["arm-none-eabi-nm", "--print-size", str(built() / "hapticd.elf")]
+    words = ["arm-none-eabi-nm", "--print-size", str(built(defines) / "hapticd.elf")]
     text = subprocess.run(words, capture_output=True, text=True, check=True).stdout
     found = {}
     for line in text.splitlines():
@@ -80,10 +81,10 @@ def symbols() -> dict[str, Symbol]:
     return found
 
 
-def words_at(address: int, count: int) -> tuple[int, ...]:
+def words_at(address: int, count: int, defines: Defines = ()) -> tuple[int, ...]:
     """32-bit words as they are after start-up has copied the program to RAM."""
-    image = (built() / "hapticd.bin").read_bytes()
-    known = symbols()
+    image = (built(defines) / "hapticd.bin").read_bytes()
+    known = symbols(defines)
     offset = address - FLASH.start
     if address in RAM:
         assert address < known["__ram_end"].address
@@ -99,10 +100,11 @@ def program_words() -> tuple[int, ...]:
     return tuple(halves[: symbol.size // 2])
 
 
-def hello() -> HelloFrame:
+def hello(defines: Defines = ()) -> HelloFrame:
     """HELLO as it stands in the image, with what start-up fills in: a hash and a serial number."""
-    (name,) = [one for one in symbols() if re.fullmatch(r"config\.\d+", one)]
-    words = words_at(symbols()[name].address, HELLO_BYTES // 4)
+    known = symbols(defines)
+    (name,) = [one for one in known if re.fullmatch(r"config\.\d+", one)]
+    words = words_at(known[name].address, HELLO_BYTES // 4, defines)
     raw = bytearray(struct.pack(f"<{len(words)}I", *words))
     raw[: len(PROTOCOL_HASH)] = PROTOCOL_HASH
     raw[16:32] = SERIAL.encode()

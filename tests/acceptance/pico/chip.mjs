@@ -14,7 +14,7 @@
 import { enter } from './boot.mjs';
 import { Bus } from './bus.mjs';
 import { Controller } from './controller.mjs';
-import { DacBus, PARTS } from './dacs.mjs';
+import { PARTS, SpiBus } from './dacs.mjs';
 import { Flash } from './flash.mjs';
 import { EncoderPlan, Pins } from './pins.mjs';
 import { Pios } from './pio.mjs';
@@ -25,16 +25,19 @@ import { Watchdog } from './watchdog.mjs';
 
 const PIECE_NS = 62_500; // of the plant: within one its force is held
 const MOST_KEPT = 4096; // changes of outputs
+const NEAR_NS = 0.001; // of times: a nap of less may be none, by rounding
 const ESHUTDOWN = -108;
 const FIRST_SEED = 12345;
 
 export class Chip {
-  // `options`: pins by name, dac, chipId, uniqueId
+  // `options`: pins by name, dac, dampingDac, chipId, uniqueId
   constructor(image, options) {
     this.image = image;
     this.options = options;
     this.pins = new Pins(options.pins);
-    this.part = new PARTS[options.dac]();
+    this.torqueDac = new PARTS[options.dac]();
+    const { dac, dampingDac } = options;
+    this.dampingDac = dampingDac === dac ? this.torqueDac : new PARTS[dampingDac]();
     this.startNanos = 0;
     this.unplugs = 0;
     this.resets = 0;
@@ -46,7 +49,7 @@ export class Chip {
     this.naps = 0;
     this.seed = FIRST_SEED;
     const complain = (kind, text) => this.complain(kind, text);
-    this.dac = new DacBus(this.part, options.pins.select, complain, () => this.note());
+    this.dacs = new SpiBus(this.sockets, complain, () => this.note());
     this.plan = new EncoderPlan(this);
     this.standing = this.outputs;
     this.boot(null);
@@ -63,13 +66,24 @@ export class Chip {
     return this.startNanos + this.mcu.clock.nanosCounter;
   }
 
+  get sockets() {
+    const { torqueDac, dampingDac } = this;
+    const { select, dampingSelect } = this.options.pins;
+    const sockets = [{ part: torqueDac, select }];
+    if (dampingDac !== torqueDac) sockets.push({ part: dampingDac, select: dampingSelect });
+    return sockets;
+  }
+
   get outputs() {
-    return { torque: this.part.torque, damping: this.part.damping, amplifier: this.amplifier };
+    const { amplifier, torqueDac, dampingDac } = this;
+    const { damping, resistance = 0 } = dampingDac;
+    return { torque: torqueDac.torque, damping, resistance, amplifier };
   }
 
   // --- power and resets --------------------------------------------------------------------------
   powerUp() {
-    this.part.powerUp();
+    this.torqueDac.powerUp();
+    this.dampingDac.powerUp();
     this.restart(null);
   }
 
@@ -103,7 +117,7 @@ export class Chip {
     this.watchdog = new Watchdog(mcu, kept, complain, () => (this.bitten = true));
     this.controller = new Controller(mcu, complain, chipId);
     this.bus = new Bus(this);
-    this.dac.attach(mcu, pins.spi);
+    this.dacs.attach(mcu, pins.spi);
     this.pins.attach(mcu, this.pios, (level) => this.enable(level));
     if (enter(mcu, this.image)) return;
     this.complain('boot', 'the boot ROM refuses the second stage');
@@ -158,7 +172,7 @@ export class Chip {
   run(until) {
     this.stop = this.finished.length > 0;
     this.limit = this.changed ? Math.min(until, this.pieceEnd) : until;
-    while (!this.stop && this.nanos < this.limit) {
+    while (!this.stop && this.nanos < this.limit - NEAR_NS) {
       if (this.mcu.core.waiting || this.halted) this.nap();
       else this.work();
       if (!this.bitten) continue;

@@ -1,8 +1,10 @@
-// The two-channel DACs that the board may have, and the analog circuit behind them: a torque from
-// A, a damping factor from B, in counts of the wire. They have power of their own: a reset of the
-// processor leaves their outputs as they are.
+// The two-channel DACs that the board may have, and the analog circuit behind them, in counts of
+// the wire: a torque from A and a damping factor from B, or a damping factor from A and a trim of
+// the resistance from B. They have power of their own: a reset of the processor leaves their
+// outputs as they are.
 const MID = 0x8000;
 const ALL = 0x10000;
+const CR0 = 0x0;
 const SPO = 1 << 6;
 const SPH = 1 << 7;
 
@@ -10,7 +12,7 @@ const SPH = 1 << 7;
 // reference off. Torque is the difference to the reference's pin, so it is 0 until that is on;
 // damping takes the upper half of B. LDAC lies at ground: what is written acts.
 class Dac8563 {
-  static frameBits = 24;
+  static takes = (bits) => bits === 24;
   static fastestHz = 50e6;
   static falling = true;
 
@@ -66,7 +68,7 @@ class Dac8563 {
 // MCP4922 (DS22250): 16-bit frames, sampled at the rising edge; starts in shutdown, where the bias
 // of the circuit holds torque at mid-scale and damping at 0.
 class Mcp4922 {
-  static frameBits = 16;
+  static takes = (bits) => bits === 16;
   static fastestHz = 20e6;
   static falling = false;
 
@@ -94,21 +96,50 @@ class Mcp4922 {
   }
 }
 
-export const PARTS = { dac8563: Dac8563, mcp4922: Mcp4922 };
+// DAC8812 (SBAS349): frames of which the last 18 bits count, sampled at the rising edge; it
+// multiplies, so its codes are shares of what the circuit puts in. With MSB at ground it starts at
+// zero. Its select has a pull-up, so that a reset of the processor is no frame. LDAC is at ground.
+class Dac8812 {
+  static takes = (bits) => bits >= 18;
+  static fastestHz = 50e6;
+  static falling = false;
 
-// A part at an SPI of the chip, selected by the pin `select`: either the SPI's own, or one that the
-// firmware moves.
-export class DacBus {
-  constructor(part, select, complain, onOutput) {
-    Object.assign(this, { part, select, complain, onOutput });
+  constructor() {
+    this.powerUp();
+  }
+
+  powerUp() {
+    this.codes = [0, 0];
+  }
+
+  obey(word) {
+    const channels = (word >> 16) & 3;
+    if (channels & 1) this.codes[0] = word & 0xffff;
+    if (channels & 2) this.codes[1] = word & 0xffff;
+    return channels !== 0;
+  }
+
+  get damping() {
+    return this.codes[0];
+  }
+
+  get resistance() {
+    return this.codes[1] / 2;
+  }
+}
+
+export const PARTS = { dac8563: Dac8563, mcp4922: Mcp4922, dac8812: Dac8812 };
+
+// Parts at an SPI of the chip, each selected by a pin: `sockets` are pairs of part and pin.
+export class SpiBus {
+  constructor(sockets, complain, onOutput) {
+    Object.assign(this, { sockets, complain, onOutput });
   }
 
   attach(mcu, number) {
-    this.mcu = mcu;
     const spi = mcu.spi[number];
-    this.bits = 0;
-    this.word = 0;
-    this.low = false;
+    this.selected = new Set();
+    this.clear();
     let frame = 0;
     const done = mcu.clock.createAlarm(() => this.sent(spi, frame));
     spi.onTransmit = (value) => {
@@ -116,46 +147,54 @@ export class DacBus {
       this.check(spi);
       done.schedule((spi.dataBits * 1e9) / (spi.clockFrequency || 1));
     };
-    const pin = mcu.gpio[this.select];
-    pin.addListener((state) => this.selected(state === 0));
+    this.watchFormat(spi);
+    for (const { part, select } of this.sockets) {
+      mcu.gpio[select].addListener((state) => this.select(part, state === 0));
+    }
   }
 
-  get bySpi() {
-    return this.mcu.gpio[this.select].functionSelect === 1;
+  clear() {
+    this.bits = 0;
+    this.word = 0;
+  }
+
+  // 4.4.3 of the chip's datasheet: format and rate are set while the SPI is off.
+  watchFormat(spi) {
+    const write = spi.writeUint32.bind(spi);
+    spi.writeUint32 = (offset, value) => {
+      if (offset === CR0 && spi.enabled) this.complain('spi', 'format of an SPI that is on');
+      write(offset, value);
+    };
   }
 
   check(spi) {
-    const { falling, fastestHz } = this.part.constructor;
     const falls = !!(spi.control0 & SPO) !== !!(spi.control0 & SPH);
-    if (!spi.enabled || falls !== falling) this.complain('spi', 'edge or enable of the SPI');
-    if (spi.clockFrequency > fastestHz) this.complain('spi', `${spi.clockFrequency} Hz`);
-    if (!this.bySpi && !this.low) this.complain('spi', 'a frame without select');
+    if (this.selected.size !== 1) this.complain('spi', `${this.selected.size} parts selected`);
+    if (!spi.enabled) this.complain('spi', 'the SPI is off');
+    for (const { constructor } of this.selected) {
+      if (falls !== constructor.falling) this.complain('spi', 'the other edge of the clock');
+      if (spi.clockFrequency > constructor.fastestHz) {
+        this.complain('spi', `${spi.clockFrequency} Hz`);
+      }
+    }
   }
 
   sent(spi, frame) {
-    this.word = this.word * 2 ** spi.dataBits + frame;
+    this.word = (this.word * 2 ** spi.dataBits + frame) % ALL ** 2;
     this.bits += spi.dataBits;
-    const more = spi.control0 & SPH && !spi.txFIFO.empty;
-    if (this.bySpi && !more) this.take();
     spi.completeTransmit(0);
   }
 
-  selected(low) {
-    if (this.low && !low) this.take();
-    this.low = low;
-    this.bits = 0;
-    this.word = 0;
+  select(part, low) {
+    if (!low && this.selected.delete(part)) this.take(part);
+    if (low) this.selected.add(part);
+    this.clear();
   }
 
   // Select goes high: the frame acts.
-  take() {
-    const { frameBits } = this.part.constructor;
-    if (this.bits !== frameBits) this.complain('spi', `${this.bits} bits in place of ${frameBits}`);
-    else if (!this.part.obey(this.word % ALL ** 2)) {
-      this.complain('spi', `no command of the DAC: ${this.word}`);
-    }
-    this.bits = 0;
-    this.word = 0;
+  take(part) {
+    if (!part.constructor.takes(this.bits)) this.complain('spi', `a frame of ${this.bits} bits`);
+    else if (!part.obey(this.word)) this.complain('spi', `no command of the DAC: ${this.word}`);
     this.onOutput();
   }
 }

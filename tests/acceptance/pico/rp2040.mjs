@@ -19,11 +19,11 @@ const NAMES = {
   'pio.0.machines.0': ['step', 'enabled', 'clockDivInt', 'clockDivFrac', 'clkDivRestart', 'x'],
   'spi.0': [
     'onTransmit', 'completeTransmit', 'dataBits', 'control0', 'clockFrequency', 'enabled',
-    'txFIFO',
+    'writeUint32',
   ],
   'gpio.0': [
     'setInputValue', 'addListener', 'padValue', 'pullupEnabled', 'pulldownEnabled', 'inputValue',
-    'functionSelect', 'value',
+    'value',
   ],
   'peripherals.98304': ['baudr', 'readUint32', 'writeUint32'], // 0x18000, SSI
   'peripherals.262228.alarms.0': ['clockAlarm'], // 0x40054, TIMER

@@ -6,7 +6,7 @@ import { readImage } from './boot.mjs';
 import { Chip } from './chip.mjs';
 import { missingNames } from './rp2040.mjs';
 
-const STATE_BYTES = 41;
+const STATE_BYTES = 49;
 const ENDED_BYTES = 12;
 const SETUP_BYTES = 8;
 const MISSING = 3; // exit status: names of rp2040js are gone
@@ -31,13 +31,14 @@ function state() {
   head.writeDoubleLE(chip.nanos, 0);
   head.writeDoubleLE(chip.standing.torque, 8);
   head.writeDoubleLE(chip.standing.damping, 16);
-  head.writeUInt8(chip.standing.amplifier, 24);
-  head.writeUInt8(chip.controller.connected ? 1 : 0, 25);
-  head.writeUInt8(chip.changed ? 1 : 0, 26);
-  head.writeUInt32LE(chip.unplugs, 27);
-  head.writeUInt32LE(chip.complaints.size, 31);
-  head.writeInt32LE(chip.pins.count, 35);
-  head.writeUInt16LE(chip.finished.length, 39);
+  head.writeDoubleLE(chip.standing.resistance, 24);
+  head.writeUInt8(chip.standing.amplifier, 32);
+  head.writeUInt8(chip.controller.connected ? 1 : 0, 33);
+  head.writeUInt8(chip.changed ? 1 : 0, 34);
+  head.writeUInt32LE(chip.unplugs, 35);
+  head.writeUInt32LE(chip.complaints.size, 39);
+  head.writeInt32LE(chip.pins.count, 43);
+  head.writeUInt16LE(chip.finished.length, 47);
   const parts = chip.finished.flatMap(({ id, status, data }) => {
     const one = Buffer.alloc(ENDED_BYTES);
     one.writeUInt32LE(id, 0);

@@ -19,9 +19,15 @@ BOOT_BYTES = 252
 HANDLERS = {16: "timer_irq", 16 + 5: "usb_irq", 16 + 13: "io_irq"}
 REFERENCE = ROOT / "firmware_iface" / "reference"
 PORT = ["clock_us", "inputs", "sense", "measure_pair", "set_torque"]
-PORT += ["set_nothing", "set_damping", "set_nothing", "send"]
+PORT += ["set_perturbation", "set_damping", "set_resistance", "send"]
+CONFIGURATIONS: list[dict[str, str]] = [
+    {},
+    {"DAC_PART": "MCP4922"},
+    {"DAMPING_PART": "DAC8563"},
+    {"DAC_PART": "MCP4922", "DAMPING_PART": "MCP4922"},
+]
 # GPIO to the pin of the Pico's board, from its pinout
-BOARD_PIN = {2: 4, 3: 5, 4: 6, 11: 15, 17: 22, 18: 24, 19: 25, 20: 26, 21: 27, 22: 29}
+BOARD_PIN = {2: 4, 3: 5, 4: 6, 11: 15, 16: 21, 17: 22, 18: 24, 19: 25, 20: 26, 21: 27, 22: 29}
 
 
 @pytest.fixture(scope="module")
@@ -47,14 +53,28 @@ def thumb(name: str) -> int:
 # --- the same each time ---------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("defines", CONFIGURATIONS, ids=str)
 def test_copy_of_the_sources_built_elsewhere_gives_the_same_bytes(
-    folder: Path, tmp_path: Path
+    defines: dict[str, str], tmp_path: Path
 ) -> None:
     copy = tmp_path / "another place"
     shutil.copytree(SOURCES, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    again = build(tmp_path / "out", sources=copy)
+    once = build(tmp_path / "once", defines=defines)
+    again = build(tmp_path / "out", sources=copy, defines=defines)
     for kind in (".uf2", ".bin"):
-        assert again.with_suffix(kind).read_bytes() == (folder / f"hapticd{kind}").read_bytes()
+        assert again.with_suffix(kind).read_bytes() == once.with_suffix(kind).read_bytes()
+
+
+def test_shipped_configuration_is_for_the_circuit(folder: Path, tmp_path: Path) -> None:
+    named = build(tmp_path, defines={"DAC_PART": "DAC8563", "DAMPING_PART": "DAC8812"})
+    assert named.read_bytes() == (folder / "hapticd.uf2").read_bytes()
+
+
+@pytest.mark.parametrize("defines", [{"DAC_PART": "DAC8812"}, {"DAMPING_PART": "MCP4922"}], ids=str)
+def test_parts_that_do_not_go_together_are_refused(defines: dict[str, str], tmp_path: Path) -> None:
+    with pytest.raises(subprocess.CalledProcessError) as refused:
+        build(tmp_path, defines=defines)
+    assert "dac.c" in refused.value.stderr
 
 
 def test_source_with_a_warning_is_refused(folder: Path, tmp_path: Path) -> None:

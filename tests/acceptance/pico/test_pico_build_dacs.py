@@ -14,7 +14,7 @@ from firmware_iface.pico.build import SOURCES
 
 TORQUES = range(-32768, 32768)
 DAMPINGS = range(65536)
-DAC8563, MCP4922 = 0, 1
+DAC8563, MCP4922, DAC8812 = range(3)
 
 
 class Part(ctypes.Structure):
@@ -27,6 +27,7 @@ class Part(ctypes.Structure):
         ("damping_upper_half", c_bool),
         ("torque_word", c_uint32),
         ("damping_word", c_uint32),
+        ("resistance_word", c_uint32),
         ("start_word", c_uint32),
     )
 
@@ -34,15 +35,15 @@ class Part(ctypes.Structure):
 @cache
 def library() -> ctypes.CDLL:
     found = ctypes.CDLL(str(build_library([SOURCES / "dac_parts.c"], [*WARNINGS, "-O2"])))
-    for name, count in (("dac_torque_word", c_int16), ("dac_damping_word", c_uint16)):
-        function = getattr(found, name)
+    for name, count in (("torque", c_int16), ("damping", c_uint16), ("resistance", c_int16)):
+        function = getattr(found, f"dac_{name}_word")
         function.argtypes = [POINTER(Part), count]
         function.restype = c_uint32
     return found
 
 
 def part(index: int) -> Part:
-    return (Part * 2).in_dll(library(), "dac_parts")[index]
+    return (Part * 3).in_dll(library(), "dac_parts")[index]
 
 
 def torque_word(index: int, count: int) -> int:
@@ -51,6 +52,10 @@ def torque_word(index: int, count: int) -> int:
 
 def damping_word(index: int, count: int) -> int:
     return library().dac_damping_word(part(index), count)
+
+
+def resistance_word(index: int, count: int) -> int:
+    return library().dac_resistance_word(part(index), count)
 
 
 def nearest(numerator: int, denominator: int, highest: int) -> int:
@@ -85,6 +90,20 @@ def test_command_and_channel_are_the_same_for_every_count(index: int) -> None:
     damping = {damping_word(index, count) & ~data for count in DAMPINGS}
     assert torque == {part(index).torque_word}
     assert damping == {part(index).damping_word}
+
+
+def test_damping_of_the_dac8812_is_its_code() -> None:
+    assert [damping_word(DAC8812, count) % 65536 for count in DAMPINGS] == list(DAMPINGS)
+
+
+def test_trim_of_the_dac8812_is_twice_its_count_and_never_below_0() -> None:
+    found = [resistance_word(DAC8812, count) % 65536 for count in TORQUES]
+    assert found == [max(0, 2 * count) for count in TORQUES]
+
+
+def test_channels_of_the_dac8812_are_the_same_for_every_count() -> None:
+    assert {damping_word(DAC8812, count) >> 16 for count in DAMPINGS} == {0b01}
+    assert {resistance_word(DAC8812, count) >> 16 for count in TORQUES} == {0b10}
 
 
 # --- the data sheets ------------------------------------------------------------------------------
@@ -141,3 +160,28 @@ def test_mcp4922_is_framed_as_its_data_sheet_says() -> None:
     """Data are taken at the rising edge: polarity 0, phase 0. It needs no start word."""
     found = part(MCP4922)
     assert (found.bits, found.bytes, found.spi_mode, found.start_word) == (12, 2, 0b00, 0)
+
+
+@pytest.mark.parametrize(("count", "word"), [(0, 0x10000), (1, 0x10001), (65535, 0x1FFFF)])
+def test_damping_word_of_the_dac8812(count: int, word: int) -> None:
+    """Of 24 bits the last 18 count: address 01 (A), 16 of data. 0 is where the part powers up."""
+    assert damping_word(DAC8812, count) == word
+
+
+@pytest.mark.parametrize(
+    ("count", "word"), [(0, 0x20000), (1, 0x20002), (-1, 0x20000), (32767, 0x2FFFE)]
+)
+def test_resistance_word_of_the_dac8812(count: int, word: int) -> None:
+    """Address 10 (B)."""
+    assert resistance_word(DAC8812, count) == word
+
+
+def test_dac8812_is_framed_as_its_data_sheet_says() -> None:
+    """Data are taken at the rising edge: polarity 0, phase 0. It makes no torque."""
+    found = part(DAC8812)
+    assert (found.bits, found.bytes, found.spi_mode) == (16, 3, 0b00)
+    assert (found.torque_word, found.start_word) == (0, 0)
+
+
+def test_only_the_dac8812_has_a_channel_for_the_trim() -> None:
+    assert [index for index in range(3) if part(index).resistance_word] == [DAC8812]

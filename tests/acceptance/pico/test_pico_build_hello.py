@@ -18,10 +18,15 @@ TEMPLATE = ROOT / "config" / "devices" / "example-board.toml"
 def test_board_states_only_what_it_has() -> None:
     told = hello()
     inputs = Capability.EMERGENCY_STOP | Capability.AMPLIFIER_READY | Capability.EVENT
-    assert told.capabilities == inputs | Capability.SAMPLE_PHASE
+    assert told.capabilities == inputs | Capability.RESISTANCE | Capability.SAMPLE_PHASE
     assert told.axis_count == 1
     assert told.watchdog_ms == 20
     assert told.force_limit_n <= told.force_full_scale_n
+
+
+def test_board_whose_damping_is_a_voltage_states_no_trim() -> None:
+    told = hello((("DAMPING_PART", "DAC8563"),))
+    assert told == hello()._replace(capabilities=hello().capabilities & ~Capability.RESISTANCE)
 
 
 def test_template_as_the_page_changes_it_agrees_with_the_board(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 that the shipped image passes (test_pico_board.py).
 """
 
+import re
 from pathlib import Path
 
 import pytest
@@ -10,12 +11,14 @@ from support.pico_chip import PicoChip
 from support.pico_defects import DEFECTS, POWER_UP, Defect
 from support.pico_firmware import image, pico_params, start_chip
 from support.pico_host import PicoHost
+from support.pico_modules import EMULATOR
 from support.pico_plant import Rig
 
 from hapticd.core.errors import HapticdError
 
 FOUND = (AssertionError, HapticdError)
 UF2_HEAD = 32
+CHECKSUM = "boot"  # the complaint that a changed image meets, below
 
 
 @pytest.mark.parametrize("defect", DEFECTS.values(), ids=DEFECTS)
@@ -28,6 +31,12 @@ def test_defect_is_found(defect: Defect) -> None:
             assert defect.complaint in chip.complaint_kinds()
     finally:
         chip.close()
+
+
+def test_every_kind_of_complaint_is_shown_by_a_defect() -> None:
+    sources = [path.read_text() for path in EMULATOR.glob("*.mjs")]
+    kinds = {kind for text in sources for kind in re.findall(r"complain\('(\w+)'", text)}
+    assert kinds == {defect.complaint for defect in DEFECTS.values()} - {""} | {CHECKSUM}
 
 
 def passes(chip: PicoChip, check: str) -> None:
@@ -52,6 +61,6 @@ def test_boot_rom_refuses_a_wrong_checksum(tmp_path: Path) -> None:
     try:
         with pytest.raises(AssertionError):
             check_power_up(chip, Rig(chip, pico_params()))
-        assert chip.complaint_kinds() == {"boot"}
+        assert chip.complaint_kinds() == {CHECKSUM}
     finally:
         chip.close()
