@@ -50,7 +50,7 @@ from hapticd.usb.session import PROBE_INDEX_BITS, unwrap
 __all__ = [
     "BY_NAME",
     "NAMES",
-    "PROBE_DESCR",
+    "PROBE_DTYPE",
     "TICK_DESCR",
     "TOPICS",
     "Feed",
@@ -308,8 +308,9 @@ def packed_block(
     return bytes(msgpack.packb(origin.header | place | more | {"d": data}))
 
 
-PROBE_DESCR = [["index", "<u8"], ["time_ns", "<i8"], ["torque", "<i2"], ["velocity", "<i2"]]
-PROBE_DTYPE = np.dtype([(name, kind) for name, kind in PROBE_DESCR])
+PROBE_DTYPE = np.dtype(
+    [("index", "<u8"), ("time_ns", "<i8"), ("torque", "<i2"), ("velocity", "<i2")]
+)
 # an index that falls back further is no late frame but a board that started anew
 RESTART = PROBE_RATE_HZ // 10
 
@@ -425,7 +426,7 @@ class ProbeDecoder:
                 after,
                 len(samples),
                 lost,
-                PROBE_DESCR,
+                PROBE_DTYPE.descr,
                 samples.tobytes(),
                 run=self.run,
                 **self._more,
