@@ -19,8 +19,8 @@ where it comes from, can be replayed bit by bit, and is exported to MATLAB and C
                      the monotonic clock, note
 
 Rules. Numbers are int64, float64, float32, small unsigned integers or fixed-length text: what
-Octave 7 and MATLAB load. The live file is no HDF5: `file` reads it while it grows. After kill -9 all
-whole frames are there, and `rec recover` packs them. What would break it: two writers of one file.
+Octave 7 and MATLAB load. The live file is no HDF5: `file` reads it while it grows. After kill -9 it
+holds all whole frames, and `rec recover` packs them. What would break it: two writers of one file.
 
 For scripts:
 
