@@ -38,7 +38,7 @@ from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.peers import HANDSHAKE_NS, MOST_PEERS, PROBE_S, SILENCE_S
 from hapticd.guard.worker import LENGTH
-from hapticd.protocol import monitored
+from hapticd.protocol import zmq_monitor
 from hapticd.protocol.keys import Clients, server_pair
 
 MOST_DESCRIPTORS = MOST_PEERS + 32  # connections, and what the process itself needs
@@ -213,7 +213,7 @@ class Relay:
         self._zap.send_multipart([b"1.0", number, status, b"", name.encode(), b""])
 
     def _note(self) -> None:
-        self._connections.take(*monitored.take(self._monitor))
+        self._connections.take(*zmq_monitor.take(self._monitor))
 
     def _report(self) -> None:
         """Tell the gateway what changed, and once that all is well: counts at most every LOOK_MS,

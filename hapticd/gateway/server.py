@@ -34,7 +34,7 @@ from hapticd.core.params import GatewaySetup, to_plain
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.gateway import zmtp
 from hapticd.gateway.addresses import Sockets
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.publisher import Publisher
 from hapticd.guard.status import Guard
 from hapticd.guard.worker import Start, Worker
@@ -88,15 +88,17 @@ class GatewayServer:
         self._view = ServoView(folder, setup.servo, unix_ns)
         worker = start_worker and Worker(start_worker, self._selector, setup.servo.config_hash)
         self._guard = Guard(self._view, self._journal, setup.guard, worker)
-        self._desk = Desk(self._view, self._journal, self._inquire, self._guard, setup.lease)
+        self._commands = CommandServer(
+            self._view, self._journal, self._inquire, self._guard, setup.lease
+        )
         self._publisher = Publisher(
             self._view,
-            self._desk.actors,
+            self._commands.actors,
             self._journal,
             setup,
             self._guard,
             unix_ns,
-            self._desk.leases,
+            self._commands.leases,
         )
         self._passed_ns = self._settled_ns = self._drained_ns = clock.now_ns()
         self._deadline_ns = 0
@@ -138,9 +140,9 @@ class GatewayServer:
     def _await(self, wait_ms: int) -> None:
         """Wait until something has come or is due, and read what has come."""
         sockets = self._sockets
-        if sockets.command.busy or sockets.telemetry.busy or self._desk.queued:
+        if sockets.command.busy or sockets.telemetry.busy or self._commands.queued:
             wait_ms = 0
-        elif self._desk.waiting and wait_ms and not self._selector.select(0):
+        elif self._commands.waiting and wait_ms and not self._selector.select(0):
             self._clock.sleep_until_ns(self._clock.now_ns() + PEEK_NS)
             wait_ms = 0
         if self._clock.now_ns() < self._watchful_ns:
@@ -159,8 +161,8 @@ class GatewayServer:
         requests = self._sockets.command.receive(REQUESTS_PER_PASS)
         came = [[identity, *parts] for identity, parts in requests]
         outdated = now_ns < self._settled_ns
-        replies = self._desk.serve(came, now_ns, outdated, self._in_time)
-        if receipts := self._desk.collect(now_ns):
+        replies = self._commands.serve(came, now_ns, outdated, self._in_time)
+        if receipts := self._commands.collect(now_ns):
             self._watchful_ns = now_ns + WATCHFUL_NS
         for identity, *parts in replies + receipts:
             self._sockets.command.send(identity, zmtp.message(parts))
@@ -184,7 +186,7 @@ class GatewayServer:
                 self._sockets.telemetry.send(identity, data)
 
     def _left(self, identity: bytes) -> None:
-        self._desk.leave(identity)
+        self._commands.leave(identity)
 
     def _forget(self, identity: bytes) -> None:
         self._publisher.leave(identity)
@@ -200,7 +202,9 @@ class GatewayServer:
             "server": "hapticd",
             "version": hapticd.__version__,
             "protocol": PROTOCOL_VERSION,
-            "schema_hash": hashlib.sha256(json.dumps(self._desk.schema).encode()).hexdigest()[:16],
+            "schema_hash": hashlib.sha256(json.dumps(self._commands.schema).encode()).hexdigest()[
+                :16
+            ],
             "layout": LAYOUT_HASH.hex(),
             "instance": servo.instance,
             "simulated": servo.simulated,
@@ -211,7 +215,7 @@ class GatewayServer:
         }
 
     def _status(self) -> dict[str, Any]:
-        outside = self._sockets.outside
+        relay = self._sockets.relay
         return {
             **self._publisher.without_guard(self._unix_ns()),
             "stages": self._publisher.stages.summary(),
@@ -223,9 +227,9 @@ class GatewayServer:
                 "pid": os.getpid(),
                 "cpu_s": time.process_time(),
                 "telemetry_lost": self._publisher.feed.lost,
-                "outside": outside.summary() if outside else None,
+                "outside": relay.summary() if relay else None,
             },
-            "guard": self._desk.guard_summary(),
+            "guard": self._commands.guard_summary(),
             "events": list(self._journal.recent),
         }
 

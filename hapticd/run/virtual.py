@@ -37,7 +37,7 @@ from hapticd.core.params import (
     from_plain,
     to_plain,
 )
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.publisher import state_map
 from hapticd.guard.judge import Judge
 from hapticd.guard.status import MOST_RECORDS, Guard
@@ -119,14 +119,14 @@ class VirtualBoard(LockStepClient):
     """
 
     def __init__(self, setup: GatewaySetup, guard: GuardSetup, board: BoardParams) -> None:
-        self._desk: Desk | None = None
+        self._desk: CommandServer | None = None
         self._replies: list[list[bytes]] = []
         self._asked = 0  # requests, by which later answers are told apart
         super().__init__(setup.servo, board)
         self._journal = Journal(time.time_ns)
         self._view = ServoView(self._folder, setup.servo, time.time_ns)
         judged = Guard(self._view, self._journal, setup.guard, _Judging(guard))
-        self._desk = Desk(self._view, self._journal, self._inquire, judged, setup.lease)
+        self._desk = CommandServer(self._view, self._journal, self._inquire, judged, setup.lease)
         self.run(MOST_RECORDS + LOOK_TICKS)  # until the guard knows the delay
         self.hello()
 

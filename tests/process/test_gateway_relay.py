@@ -142,7 +142,7 @@ def test_relay_that_is_killed_comes_back_at_its_port(rig: RelayRig) -> None:
     port = rig.port
     friend = rig.listener("friend")
     rig.receive(friend)
-    relay = rig.gateway._sockets.outside._relay  # type: ignore[union-attr]
+    relay = rig.gateway._sockets.relay._relay  # type: ignore[union-attr]
     process = relay._process
     assert process
     process.kill()
@@ -156,9 +156,9 @@ def test_relay_that_is_killed_comes_back_at_its_port(rig: RelayRig) -> None:
 
 
 def test_relay_ends_with_its_gateway(rig: RelayRig) -> None:
-    process = rig.gateway._sockets.outside._relay._process  # type: ignore[union-attr]
+    process = rig.gateway._sockets.relay._relay._process  # type: ignore[union-attr]
     assert process
-    rig.gateway._sockets.outside._relay._socket.close()  # type: ignore[union-attr]
+    rig.gateway._sockets.relay._relay._socket.close()  # type: ignore[union-attr]
     assert process.wait(60) == 0  # type: ignore[attr-defined]
 
 

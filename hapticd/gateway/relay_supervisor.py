@@ -18,7 +18,7 @@ from hapticd.protocol.keys import server_pair
 MODULE = "hapticd.gateway.relay"
 
 
-class Outside:
+class RelaySupervisor:
     """Telemetry of endpoint `inside` at `listener`, whose endpoint is `outside`, for those with a
     key that folder `keys` knows.
 
