@@ -16,7 +16,7 @@ It renders nothing and may be killed at any time.
     lease_server      what leases mean at the servo
     waveform          the perturbation waveform on its way to the servo
     winding           what the servo follows of the winding's resistance
-    late              late ticks by cause
+    tick_times        how long ticks took, by stage, and the late ones by cause
     publisher         what is due to subscribers; the servo's state in words
 
 `zmtp` and `command_server` do no socket work and read no clock: bytes, messages, records and times

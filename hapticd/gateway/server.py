@@ -216,11 +216,12 @@ class GatewayServer:
 
     def _status(self) -> dict[str, Any]:
         relay = self._sockets.relay
+        times = self._publisher.times
         return {
             **self._publisher.without_guard(self._unix_ns()),
-            "stages": self._publisher.stages.summary(),
-            "late": self._publisher.late.summary(),
-            "room": asdict(self._publisher.room),
+            "stages": times.stages(),
+            "late": times.late(),
+            "room": asdict(times.room),
             "endpoints": self.endpoints,
             "servo": self._view.report(),
             "gateway": {

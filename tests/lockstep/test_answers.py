@@ -18,12 +18,12 @@ from hapticd.client.conversation import accepted, receipt_of
 from hapticd.core.environment import Environment
 from hapticd.core.errors import CommandError
 from hapticd.core.units import UNITS
+from hapticd.gateway.tick_times import PERCENTILES
 from hapticd.guard.delivered import Estimate
 from hapticd.protocol import answers
 from hapticd.protocol.answers import GuardStatus, Hello, LeaseHeld, Receipt, Status, answer_of
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import ANSWERS, json_schema
-from hapticd.protocol.telemetry import PERCENTILES
 
 NUMBERS_WITHOUT_UNIT = {
     *("actor", "actors", "revision", "epoch", "tick", "slot", "first_tick", "ramp_end_tick"),
