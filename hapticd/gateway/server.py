@@ -23,6 +23,7 @@ import os
 import selectors
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -75,19 +76,28 @@ class GatewayServer:
         self._setup = setup
         self._clock = clock
         self._unix_ns = unix_ns
-        self._claim = files.claim(files.prepare_folder(folder), files.GATEWAY_LOCK)
-        self._selector = selectors.DefaultSelector()
-        try:
-            self._sockets = Sockets(folder, setup, self._selector, self._left, self._forget)
-        except BaseException:
-            self._selector.close()
-            files.release(folder, files.GATEWAY_LOCK, self._claim)
-            raise
-        self.endpoints = self._sockets.endpoints
-        self._journal = Journal(unix_ns)
-        self._view = ServoView(folder, setup.servo, unix_ns)
+        with ExitStack() as opened:
+            self._open(folder, start_worker, opened)
+            self._opened = opened.pop_all()
+        self._passed_ns = self._settled_ns = self._drained_ns = clock.now_ns()
+        self._deadline_ns = 0
+        self._watchful_ns = clock.now_ns()
+        for warning in (self._sockets.warning, self._sockets.elsewhere):
+            if warning:
+                self._journal.note("warning", text=warning)
+
+    def _open(self, folder: Path, start_worker: Start | None, opened: ExitStack) -> None:
+        """Take the folder and make all parts; `opened` gets what the end closes, last one first."""
+        setup = self._setup
+        claim = files.claim(files.prepare_folder(folder), files.GATEWAY_LOCK)
+        opened.callback(files.release, folder, files.GATEWAY_LOCK, claim)
+        self._selector = opened.enter_context(selectors.DefaultSelector())
+        self._journal = Journal(self._unix_ns)
+        self._view = ServoView(folder, setup.servo, self._unix_ns)
+        opened.callback(self._view.drop)
         worker = start_worker and Worker(start_worker, self._selector, setup.servo.config_hash)
         self._guard = Guard(self._view, self._journal, setup.guard, worker)
+        opened.callback(self._guard.close)
         self._commands = CommandServer(
             self._view, self._journal, self._inquire, self._guard, setup.lease
         )
@@ -97,15 +107,15 @@ class GatewayServer:
             self._journal,
             setup,
             self._guard,
-            unix_ns,
+            self._unix_ns,
             self._commands.leases,
         )
-        self._passed_ns = self._settled_ns = self._drained_ns = clock.now_ns()
-        self._deadline_ns = 0
-        self._watchful_ns = clock.now_ns()
-        for warning in (self._sockets.warning, self._sockets.elsewhere):
-            if warning:
-                self._journal.note("warning", text=warning)
+        opened.callback(self._publisher.flight.close)
+        self._sockets = Sockets(
+            folder, setup, self._selector, self._commands.leave, self._publisher.leave
+        )
+        opened.callback(self._sockets.close)
+        self.endpoints = self._sockets.endpoints
 
     @property
     def foreign(self) -> str:
@@ -172,24 +182,15 @@ class GatewayServer:
             if not (self._sockets.telemetry.busy and self._in_time()):
                 break
             for identity, (message, *more) in self._sockets.telemetry.receive(1):
-                told = [] if more else self._subscribed(identity, message)
+                told = [] if more else self._publisher.subscribe(identity, message, self._unix_ns())
                 for topic, payload in told:
                     self._sockets.telemetry.send(identity, _telemetry(topic, payload))
-
-    def _subscribed(self, identity: bytes, message: bytes) -> list[tuple[str, bytes]]:
-        return self._publisher.subscribe(identity, message, self._unix_ns())
 
     def _publish(self, messages: list[tuple[str, bytes]]) -> None:
         for topic, payload in messages:
             data = _telemetry(topic, payload)
             for identity in self._publisher.listeners(topic):
                 self._sockets.telemetry.send(identity, data)
-
-    def _left(self, identity: bytes) -> None:
-        self._commands.leave(identity)
-
-    def _forget(self, identity: bytes) -> None:
-        self._publisher.leave(identity)
 
     def _inquire(self, cmd: str) -> dict[str, Any]:
         if cmd == "dump":
@@ -236,12 +237,7 @@ class GatewayServer:
 
     def close(self) -> None:
         """Close the sockets, give up the claim."""
-        self._publisher.flight.close()
-        self._guard.close()
-        self._sockets.close()
-        self._selector.close()
-        self._view.drop()
-        files.release(self._view.folder, files.GATEWAY_LOCK, self._claim)
+        self._opened.close()
 
 
 def _telemetry(topic: str, payload: bytes) -> bytes:

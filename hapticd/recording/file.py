@@ -189,19 +189,21 @@ class Recording:
     def _segment(self, first: int, after: int, epoch: int) -> Segment | None:
         begin_tick = int(self.column("servo", "tick", first, first + 1)[0])
         end_tick = begin_tick + after - first
-        breaks = [lost for life, lost in self._epoch_and_tick("break") if life == epoch]
-        checkpoints = zip(self._epoch_and_tick("checkpoint"), self._states(), strict=True)
-        for (life, tick), state in checkpoints:
+        breaks = [lost["tick"] for lost in self._table("break") if lost["epoch"] == epoch]
+        for checkpoint, state in zip(self._table("checkpoint"), self._states(), strict=True):
+            tick = checkpoint["tick"]
             end = min([end_tick, *(lost for lost in breaks if lost >= tick)])
-            if life == epoch and begin_tick <= tick < end:
+            if checkpoint["epoch"] == epoch and begin_tick <= tick < end:
                 row = first + tick - begin_tick
                 records = self.records(row, row + end - tick)
                 return Segment(tick, state, records, self._requests(epoch, tick, end))
         return None
 
-    def _epoch_and_tick(self, group: str) -> list[list[int]]:
-        columns = [self.column(group, name) for name in ("epoch", "tick")]
-        return list(np.stack(columns, axis=1).tolist())
+    def _table(self, group: str) -> list[dict[str, Any]]:
+        """The rows of a group as maps of plain values."""
+        names = self.names(group)
+        columns = [self.column(group, name).tolist() for name in names]
+        return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
     def _states(self) -> list[Any]:
         text = self.column(TEXT, "bytes").tobytes()
@@ -211,19 +213,14 @@ class Recording:
         ]
 
     def _requests(self, epoch: int, begin: int, end: int) -> list[Noted]:
-        numbers = np.stack(
-            [self.column("request", name) for name in ("epoch", *REQUEST)], axis=1
-        ).tolist()
-        values = np.stack(
-            [self.column("request", name) for name in self.names("request") if "value_" in name],
-            axis=1,
-        ).tolist()
-        found = (
-            Noted(**dict(zip(REQUEST, row, strict=True)), values=tuple(given))
-            for (one, *row), given in zip(numbers, values, strict=True)
-            if one == epoch
-        )
-        return [noted for noted in found if begin <= noted.tick < end]
+        return [
+            Noted(
+                **{name: row[name] for name in REQUEST},
+                values=tuple(value for name, value in row.items() if "value_" in name),
+            )
+            for row in self._table("request")
+            if row["epoch"] == epoch and begin <= row["tick"] < end
+        ]
 
 
 def open_recording(path: Path) -> Recording:

@@ -160,20 +160,25 @@ def _write_energy(file: Any, recording: Recording) -> None:
     )
     target = file.create_group(GROUP)
     for name, column in zip(DATASETS, sums.T, strict=True):
-        storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, len(column)),)} if len(column) else {}
-        target.create_dataset(name, data=column, **storage).attrs["units"] = of_fixed_length("J")
+        _dataset(target, name, column.shape, column.dtype, "J")[:] = column
 
 
 def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -> None:
     first = recording.column(group, name, 0, 1)
-    shape = (rows, *first.shape[1:])
-    # HDF5 makes no chunks of nothing
-    storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, rows), *shape[1:])} if rows else {}
-    dataset = target.create_dataset(name, shape, first.dtype, **storage)
-    dataset.attrs["units"] = of_fixed_length(recording.unit(group, name))
+    unit = recording.unit(group, name)
+    dataset = _dataset(target, name, (rows, *first.shape[1:]), first.dtype, unit)
     for begin in range(0, rows, ROWS_AT_ONCE):
         end = min(begin + ROWS_AT_ONCE, rows)
         dataset[begin:end] = recording.column(group, name, begin, end)
+
+
+def _dataset(group: Any, name: str, shape: tuple[int, ...], kind: np.dtype[Any], unit: str) -> Any:
+    rows, *row = shape
+    # HDF5 makes no chunks of nothing
+    storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, rows), *row)} if rows else {}
+    dataset = group.create_dataset(name, shape, kind, **storage)
+    dataset.attrs["units"] = of_fixed_length(unit)
+    return dataset
 
 
 def to_mat(recording: Recording, path: Path) -> Path:

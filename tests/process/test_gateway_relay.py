@@ -90,13 +90,13 @@ def test_key_that_is_made_known_lets_in_at_once_and_one_that_is_removed_does_not
 def test_what_a_listener_sends_is_a_subscription_or_nothing(rig: RelayRig) -> None:
     """Neither a message of several parts nor other bytes reach the gateway's port."""
     taken: list[bytes] = []
-    subscribed = rig.gateway._subscribed
+    subscribe = rig.gateway._publisher.subscribe
 
-    def noted(identity: bytes, message: bytes) -> list[tuple[str, bytes]]:
+    def noted(identity: bytes, message: bytes, unix_ns: int) -> list[tuple[str, bytes]]:
         taken.append(message)
-        return subscribed(identity, message)
+        return subscribe(identity, message, unix_ns)
 
-    rig.gateway._subscribed = noted  # type: ignore[method-assign]
+    rig.gateway._publisher.subscribe = noted  # type: ignore[method-assign]
     public, secret = zmq.auth.load_certificate(rig.away / "friend.key_secret")
     server, _ = zmq.auth.load_certificate(rig.keys / SERVER_PUBLIC)
     keys = {"CURVE_SERVERKEY": server, "CURVE_PUBLICKEY": public, "CURVE_SECRETKEY": secret}
