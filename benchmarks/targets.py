@@ -244,7 +244,9 @@ TABLE: dict[str, dict[str, Target]] = {
             "h5py appending the same bytes to two datasets as often, at the same time",
             "messages decoded, gaps found, a checksum, events and checkpoints kept",
         ),
-        "record_bytes_ratio": Target("<= 1.15x", "the bytes that came", "the header, events, checkpoints"),
+        "record_bytes_ratio": Target(
+            "<= 1.15x", "the bytes that came", "the header, events, checkpoints"
+        ),
         "replay_speed": Target(
             ">= 50x",
             "recorded time",
