@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from hapticd.core.errors import CommandError, MailboxError
-from hapticd.core.params import LeaseParams
+from hapticd.core.params import LeaseParams, to_plain
 from hapticd.gateway.lease_server import LeaseServer
 from hapticd.gateway.waveform import Waveform
 from hapticd.guard.case import Case, concerns, damping_by
@@ -105,7 +105,7 @@ class CommandServer:
         self._journal = journal
         self._inquire = inquire
         self._guard = guard
-        self.limits = CommandLimits(view.params)
+        self.limits = CommandLimits.announced(to_plain(view.params))
         self.schema = json_schema(self.limits)
         self.actors = Actors(view.next_actor)
         self._leasing = LeaseServer(view, self.actors, journal, lease or LeaseParams())

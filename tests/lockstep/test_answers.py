@@ -17,6 +17,7 @@ from benchmarks.guard_attack import shipped_judge
 from hapticd.client.conversation import accepted, receipt_of
 from hapticd.core.environment import Environment
 from hapticd.core.errors import CommandError
+from hapticd.core.params import to_plain
 from hapticd.core.units import UNITS
 from hapticd.gateway.tick_times import PERCENTILES
 from hapticd.guard.delivered import Estimate
@@ -110,7 +111,7 @@ def test_real_replies_satisfy_the_schema(board: Any) -> None:
 
 
 def test_schema_of_the_protocol_describes_every_field_of_the_answers() -> None:
-    defined = json_schema(CommandLimits(setup().servo))["$defs"]
+    defined = json_schema(CommandLimits.announced(to_plain(setup().servo)))["$defs"]
     for one in ANSWERS:
         assert defined[f"{one.__name__}Answer"]["properties"].keys() == names(one)
 
