@@ -248,7 +248,6 @@ class Publisher:
             view, journal, setup, flights_folder(setup.servo.instance), unix_ns, self._leases
         )
         self._audience: dict[bytes, Subscriptions] = {}
-        self._wanted: frozenset[str] = frozenset()
         self._transitions = Transitions(view, actors, journal)
         self._probe = ProbeDecoder(setup.servo.device)
         self._ledger = Ledger(setup.servo)
@@ -268,7 +267,6 @@ class Publisher:
         Whoever newly asks for `state` gets it at once, for `flight` a checkpoint soon.
         """
         topics = self._audience.setdefault(listener, Subscriptions()).take(message)
-        self._count_audience()
         if "flight" in topics:
             self.flight.ask()
         return [self._state(unix_ns)] if "state" in topics else []
@@ -276,14 +274,15 @@ class Publisher:
     def leave(self, listener: bytes) -> None:
         """`listener` has gone."""
         self._audience.pop(listener, None)
-        self._count_audience()
 
     def listeners(self, topic: str) -> list[bytes]:
         """Who wants `topic`."""
         return [name for name, asked in self._audience.items() if topic in asked.wanted]
 
-    def _count_audience(self) -> None:
-        self._wanted = frozenset().union(*(asked.wanted for asked in self._audience.values()))
+    @property
+    def _wanted(self) -> frozenset[str]:
+        """Topics that somebody asks for."""
+        return frozenset().union(*(asked.wanted for asked in self._audience.values()))
 
     def urgent(self, now_ns: int) -> bool:
         """Whether a lamp changes, so that `messages` should not wait for a whole batch."""
