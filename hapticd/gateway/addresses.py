@@ -95,12 +95,12 @@ class Sockets:
         return endpoints
 
     def _guarded(
-        self, inside: str, listener: socket.socket, endpoint: str, params: GatewayParams
+        self, source: str, listener: socket.socket, endpoint: str, params: GatewayParams
     ) -> "RelaySupervisor":
         from hapticd.gateway.relay_supervisor import RelaySupervisor  # libzmq, for it alone
 
         return RelaySupervisor(
-            inside, listener, endpoint, Path(params.curve_keys or ""), self._selector
+            source, listener, endpoint, Path(params.curve_keys or ""), self._selector
         )
 
     def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:
