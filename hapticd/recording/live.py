@@ -136,9 +136,9 @@ class LiveFile:
         on it survives the end of this process. OSError: nothing may be added any more.
         """
         if any(rows.values()):
-            data = [rows.get(name, b"") for name in self._row_bytes]
-            counts = map(int.__floordiv__, map(len, data), self._row_bytes.values())
-            body = struct.pack(f"<{len(data)}I", *counts) + b"".join(data)
+            data = {name: rows.get(name, b"") for name in self._row_bytes}
+            counts = [len(data[name]) // size for name, size in self._row_bytes.items()]
+            body = struct.pack(f"<{len(counts)}I", *counts) + b"".join(data.values())
             self._hand_over(struct.pack("<I", crc32(body, self._seed)) + body)
 
     def _hand_over(self, data: bytes) -> None:
