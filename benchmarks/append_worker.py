@@ -14,14 +14,14 @@ import numpy as np
 
 from hapticd.mailbox.layout import RECORD
 from hapticd.protocol.telemetry import PROBE_DTYPE as PROBE
-from hapticd.recording.live import CHUNK_ROWS
 from hapticd.recording.recorder import FLUSH_PERIOD_S
 
+CHUNK_ROWS = {"servo": 1024, "probe": 4096}
 SETTLED = 10  # appends before it counts
 
 
 def main() -> None:
-    """As the recorder's live file: chunks of as many rows, single writer and multiple readers."""
+    """Chunks of a second, single writer and multiple readers."""
     import h5py
 
     path = sys.argv[1]

@@ -14,7 +14,7 @@ import msgpack
 from benchmarks.guard_requests import Answering
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import GuardParams
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.guard.status import Guard
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.protocol.journal import Journal
@@ -75,7 +75,7 @@ class GuardedStack:
         self.journal = Journal(lambda: UNIX_NS)
         self.view = ServoView(stack.gateway.folder, stack.loop.params, lambda: UNIX_NS)
         self.guard = Guard(self.view, self.journal, GuardParams(policy=policy), self.line)
-        self.desk = Desk(self.view, self.journal, lambda cmd: {}, self.guard)
+        self.desk = CommandServer(self.view, self.journal, lambda cmd: {}, self.guard)
         self.events: list[dict[str, Any]] = []
         self.replies: dict[Any, dict[str, Any]] = {}
         self.watch: Callable[[], None] = lambda: None  # called after each tick

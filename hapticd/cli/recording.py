@@ -83,6 +83,7 @@ def finished_line(ended: str, summary: dict[str, Any]) -> str:
     size_mb = summary["bytes"] / 1e6
     taken = f"{summary['seconds']:.3f} s, {summary['records']} records, {missing} missing"
     taken += f", {lost} slots lost" if (lost := summary["lost_slots"]) else ""
+    taken += f", {dropped} bytes dropped" if (dropped := summary["dropped_bytes"]) else ""
     return f"{summary['file']}: {ended}, {simulated}{taken}, {size_mb:.3g} MB"
 
 

@@ -16,7 +16,7 @@ import zmq
 
 from hapticd.client.watching import Line, Watching
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
-from hapticd.protocol import monitored
+from hapticd.protocol import zmq_monitor
 from hapticd.protocol.keys import SERVER_PUBLIC, public_key, secret_pair
 
 EVENTS = (
@@ -66,7 +66,9 @@ class RemoteLine(Line):
         self._monitor = None
 
     def _quiet(self, topic: str, timeout_s: float) -> HapticdError:
-        seen = {event.kind for event in monitored.taken(self._monitor)} if self._monitor else set()
+        seen = (
+            {event.kind for event in zmq_monitor.taken(self._monitor)} if self._monitor else set()
+        )
         return why_quiet(seen, f"{topic}: {self._place}", self._name, timeout_s)
 
 

@@ -6,7 +6,7 @@
 
 The socket files are for user and group only; the folder decides further. Only the default instance
 claims port 9872; where it is taken, any free one serves. With keys the port is the relay's
-(`outside`), which alone speaks CURVE.
+(`relay`), which alone speaks CURVE.
 """
 
 import errno
@@ -33,7 +33,7 @@ from hapticd.protocol import auth
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 if TYPE_CHECKING:
-    from hapticd.gateway.outside import Outside
+    from hapticd.gateway.relay_supervisor import RelaySupervisor
 
 # Linux has 108 bytes for it, the last of which is 0
 LONGEST_PATH = 107  # of a socket file
@@ -65,7 +65,7 @@ class Sockets:
         self.warning = auth.warning(params)
         self.command = Port(b"ROUTER", MAX_MESSAGE_BYTES, REPLIES_QUEUED, selector, left)
         self.telemetry = Port(b"XPUB", MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, selector, gone)
-        self.outside: Outside | None = None
+        self.relay: RelaySupervisor | None = None
         try:
             self.endpoints = self._bound(params, setup.servo.instance)
         except BaseException:
@@ -85,7 +85,7 @@ class Sockets:
         taken = bool(port) and listener.getsockname()[1] != port
         self.elsewhere = f"port {port} is taken, telemetry is at {tcp} instead" if taken else ""
         if auth.needs_keys(params):
-            self.outside = self._guarded(telemetry, listener, tcp, params)
+            self.relay = self._guarded(telemetry, listener, tcp, params)
         else:
             self.telemetry.listen(listener)
         endpoints = {"command": command, "telemetry": [telemetry, tcp], "pid": os.getpid()}
@@ -95,23 +95,25 @@ class Sockets:
         return endpoints
 
     def _guarded(
-        self, inside: str, listener: socket.socket, endpoint: str, params: GatewayParams
-    ) -> "Outside":
-        from hapticd.gateway.outside import Outside  # libzmq, which nobody else needs here
+        self, source: str, listener: socket.socket, endpoint: str, params: GatewayParams
+    ) -> "RelaySupervisor":
+        from hapticd.gateway.relay_supervisor import RelaySupervisor  # libzmq, for it alone
 
-        return Outside(inside, listener, endpoint, Path(params.curve_keys or ""), self._selector)
+        return RelaySupervisor(
+            source, listener, endpoint, Path(params.curve_keys or ""), self._selector
+        )
 
     def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:
         """End what is due to; warnings of whom the relay refused."""
         self.command.tend(now_ns)
         self.telemetry.tend(now_ns)
-        if self.outside:
-            yield from self.outside.tend(now_ns)
+        if self.relay:
+            yield from self.relay.tend(now_ns)
 
     def close(self) -> None:
         """Close all sockets and remove what says where they were."""
-        if self.outside:
-            self.outside.close()
+        if self.relay:
+            self.relay.close()
         self.command.close()
         self.telemetry.close()
         remove(self._folder, ENDPOINTS, COMMAND_SOCKET, TELEMETRY_SOCKET)

@@ -105,7 +105,6 @@ class Port:
         self._listeners: list[socket.socket] = []
         self._peers: dict[bytes, Peer] = {}
         self._full: deque[Peer] = deque()  # in the order of their turns
-        self._strangers: dict[bytes, Peer] = {}  # in the order of their deadlines
         self._numbers = count(1)
         self._now_ns = 0
 
@@ -128,11 +127,9 @@ class Port:
     def tend(self, now_ns: int) -> None:
         """Note the time; end what has not introduced itself in time."""
         self._now_ns = now_ns
-        while self._strangers:
-            oldest = next(iter(self._strangers.values()))
-            if oldest.deadline_ns > now_ns:
-                break
-            self._drop(oldest)
+        for peer in list(self._peers.values()):
+            if not peer.session.ready and peer.deadline_ns <= now_ns:
+                self._drop(peer)
 
     def receive(self, most: int) -> list[tuple[bytes, Message]]:
         """(identity, message) from up to `most` pieces of what has come, each peer in turn."""
@@ -198,7 +195,6 @@ class Port:
         deadline_ns = self._now_ns + HANDSHAKE_NS
         peer = Peer(identity, connection, session, deadline_ns, listener)
         self._peers[identity] = peer
-        self._strangers[identity] = peer
         self._answer(peer)
 
     def _ready(self, peer: Peer, events: int) -> None:
@@ -231,8 +227,6 @@ class Port:
         except WireError:
             self._drop(peer)
             return None
-        if peer.session.ready:
-            self._strangers.pop(peer.identity, None)
         self._answer(peer)
         return message
 
@@ -271,7 +265,6 @@ class Port:
     def _drop(self, peer: Peer) -> None:
         if self._peers.pop(peer.identity, None) is None:
             return
-        self._strangers.pop(peer.identity, None)
         if peer.watched:
             self._selector.unregister(peer.connection)
         peer.connection.close()

@@ -16,24 +16,22 @@ import numpy as np
 from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS, Fault
 from hapticd.core.params import GatewaySetup
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway.late import LateCounts
+from hapticd.gateway.tick_times import TickTimes
 from hapticd.gateway.winding import compensation
 from hapticd.guard.delivered import Delivered
 from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Command, Flag, Value, Watched, values_of
 from hapticd.protocol.codec import finite
 from hapticd.protocol.flight import FlightRecorder, flights_folder
-from hapticd.protocol.journal import Actors, Journal
+from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.ledger import Ledger
-from hapticd.protocol.room import ENOUGH, Room, room_of
+from hapticd.protocol.room import ENOUGH
 from hapticd.protocol.telemetry import (
-    BY_NAME,
     Feed,
     Origin,
     ProbeDecoder,
     RingBlock,
-    StageHistograms,
     Subscriptions,
     raw_message,
     servo_messages,
@@ -215,7 +213,6 @@ def _name(number: int) -> str:
 
 
 STATE_PERIOD_NS = NS_PER_S
-GATEWAY = 1  # as an actor: journal.RESERVED
 NOT_DELIVERED = values_of({Value.FAULT_NUMBER: BY_CODE["damping_not_delivered"].number})
 
 Message = tuple[str, bytes]  # topic, payload
@@ -244,15 +241,13 @@ class Publisher:
         self._leases = leases or Leases()
         self._batch = setup.gateway.batch
         self.feed = Feed(view, setup.gateway.batch)
-        self.stages = StageHistograms(setup.servo.realtime.grace_s)
-        self.late = LateCounts(setup.servo.realtime.grace_s)
-        self._rate_hz = setup.servo.realtime.rate_hz
+        realtime = setup.servo.realtime
+        self.times = TickTimes(realtime.grace_s, realtime.rate_hz)
         self._judged = False  # whether a tick leaves room
         self.flight = FlightRecorder(
             view, journal, setup, flights_folder(setup.servo.instance), unix_ns, self._leases
         )
         self._audience: dict[bytes, Subscriptions] = {}
-        self._wanted: frozenset[str] = frozenset()
         self._transitions = Transitions(view, actors, journal)
         self._probe = ProbeDecoder(setup.servo.device)
         self._ledger = Ledger(setup.servo)
@@ -272,7 +267,6 @@ class Publisher:
         Whoever newly asks for `state` gets it at once, for `flight` a checkpoint soon.
         """
         topics = self._audience.setdefault(listener, Subscriptions()).take(message)
-        self._count_audience()
         if "flight" in topics:
             self.flight.ask()
         return [self._state(unix_ns)] if "state" in topics else []
@@ -280,14 +274,15 @@ class Publisher:
     def leave(self, listener: bytes) -> None:
         """`listener` has gone."""
         self._audience.pop(listener, None)
-        self._count_audience()
 
     def listeners(self, topic: str) -> list[bytes]:
         """Who wants `topic`."""
         return [name for name, asked in self._audience.items() if topic in asked.wanted]
 
-    def _count_audience(self) -> None:
-        self._wanted = frozenset().union(*(asked.wanted for asked in self._audience.values()))
+    @property
+    def _wanted(self) -> frozenset[str]:
+        """Topics that somebody asks for."""
+        return frozenset().union(*(asked.wanted for asked in self._audience.values()))
 
     def urgent(self, now_ns: int) -> bool:
         """Whether a lamp changes, so that `messages` should not wait for a whole batch."""
@@ -311,8 +306,7 @@ class Publisher:
             found.append(("flight", bytes(msgpack.packb(noted))))  # every number as it is
         for block in self.feed.take(now_ns, early):
             # whether or not anyone subscribes: statistics and events miss no record
-            self.stages.add(block.records)
-            self.late.add(block.records)
+            self.times.add(block.records)
             self._guard.count(block.records, block.life)
             self._transitions.follow(block)
             self.flight.add(block, now_ns)
@@ -337,8 +331,7 @@ class Publisher:
                 view.mailbox.epoch, view.unix_offset_ns, view.mailbox.header.simulated
             )
             self._lamps = ()
-            self.stages.begin(self._origin.epoch)
-            self.late.begin(self._origin.epoch)
+            self.times.begin(self._origin.epoch)
             self._judged = False
             self.flight.begin(self._origin)
             self._probe.forget()
@@ -352,17 +345,12 @@ class Publisher:
                 text=view.trouble,
             )
 
-    @property
-    def room(self) -> Room:
-        """What a tick takes of its period."""
-        return room_of(self.stages.summary(), self._rate_hz)
-
     def _judge_room(self) -> None:
         """Warn once that a tick leaves too little of its period."""
-        if self._judged or self.stages.count < ENOUGH:
+        if self._judged or self.times.count < ENOUGH:
             return
         self._judged = True
-        room = self.room
+        room = self.times.room
         if room.short:
             self._journal.note("warning", text=room.text, **asdict(room))
 
@@ -372,19 +360,14 @@ class Publisher:
             if low.warn:
                 self._journal.note("warning", text=low.text)
             if low.fault and self._view.mailbox:
-                self._view.mailbox.post(Command.FAULT, GATEWAY, 0, NOT_DELIVERED)
+                self._view.mailbox.post(Command.FAULT, GATEWAY_ACTOR, 0, NOT_DELIVERED)
 
     def _ticks(self, block: RingBlock, wanted: frozenset[str]) -> list[Message]:
         found: list[Message] = []
         if "servo" in wanted:
-            decimation = BY_NAME["servo"].decimation
             energies = self._ledger.take(block.records)
-            found += [
-                ("servo", payload)
-                for payload in servo_messages(
-                    block, energies, self._origin, self._batch, decimation
-                )
-            ]
+            payloads = servo_messages(block, energies, self._origin, self._batch)
+            found += [("servo", payload) for payload in payloads]
         else:
             self._ledger.defer(block.records)
         if "servo.raw" in wanted:

@@ -1,9 +1,9 @@
 """The relay: telemetry for other computers, in a process of its own.
 
-    python -m hapticd.gateway.relay KEYS INSIDE OUTSIDE --listener FD --line FD
+    python -m hapticd.gateway.relay KEYS SOURCE ENDPOINT --listener FD --line FD
 
-It subscribes at INSIDE, the gateway's socket file, to what its own listeners ask for, and passes
-that on to those who connect to OUTSIDE and prove a key that the folder KEYS knows. CURVE is
+It subscribes at SOURCE, the gateway's socket file, to what its own listeners ask for, and passes
+that on to those who connect to ENDPOINT and prove a key that the folder KEYS knows. CURVE is
 libzmq's (RFC 26), which asks here whether a key is known (ZAP, RFC 27) and refuses everybody when
 nobody answers. The gateway keeps the other end of the line FD: it hears who was refused and how
 many are there, and when it closes the line this process ends.
@@ -38,7 +38,7 @@ from hapticd.core.errors import HapticdError
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.peers import HANDSHAKE_NS, MOST_PEERS, PROBE_S, SILENCE_S
 from hapticd.guard.worker import LENGTH
-from hapticd.protocol import monitored
+from hapticd.protocol import zmq_monitor
 from hapticd.protocol.keys import Clients, server_pair
 
 MOST_DESCRIPTORS = MOST_PEERS + 32  # connections, and what the process itself needs
@@ -123,9 +123,9 @@ class Relay:
     def __init__(
         self,
         keys: Path,
-        inside: str,
+        source: str,
         listener: int,
-        outside: str,
+        endpoint: str,
         tell: Callable[[dict[str, Any]], None],
     ) -> None:
         self._keys = keys
@@ -143,8 +143,8 @@ class Relay:
         self._monitor = self._offer.get_monitor_socket(EVENTS)
         self._guard_offer()
         self._offer.setsockopt(zmq.USE_FD, listener)
-        self._offer.bind(outside)
-        self._source.connect(inside)
+        self._offer.bind(endpoint)
+        self._source.connect(source)
 
     def _socket(self, kind: int, longest: int) -> "zmq.Socket[bytes]":
         relayed = self._context.socket(kind)
@@ -213,7 +213,7 @@ class Relay:
         self._zap.send_multipart([b"1.0", number, status, b"", name.encode(), b""])
 
     def _note(self) -> None:
-        self._connections.take(*monitored.take(self._monitor))
+        self._connections.take(*zmq_monitor.take(self._monitor))
 
     def _report(self) -> None:
         """Tell the gateway what changed, and once that all is well: counts at most every LOOK_MS,
@@ -253,8 +253,8 @@ def main(arguments: list[str]) -> int:
     """Relay until the other end of the line closes; the exit code."""
     parser = argparse.ArgumentParser(prog="relay", allow_abbrev=False)
     parser.add_argument("keys", type=Path)
-    parser.add_argument("inside")
-    parser.add_argument("outside")
+    parser.add_argument("source")
+    parser.add_argument("endpoint")
     parser.add_argument("--listener", type=int, required=True)
     parser.add_argument("--line", type=int, required=True)
     asked = parser.parse_args(arguments)
@@ -268,7 +268,7 @@ def main(arguments: list[str]) -> int:
 
     tell({"hello": {"config_hash": "", "pid": os.getpid()}})
     try:
-        relay = Relay(asked.keys, asked.inside, asked.listener, asked.outside, tell)
+        relay = Relay(asked.keys, asked.source, asked.listener, asked.endpoint, tell)
     except HapticdError as error:
         tell({"ended": str(error)})
         return error.exit_code

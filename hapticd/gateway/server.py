@@ -23,6 +23,7 @@ import os
 import selectors
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from hapticd.core.params import GatewaySetup, to_plain
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
 from hapticd.gateway import zmtp
 from hapticd.gateway.addresses import Sockets
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.publisher import Publisher
 from hapticd.guard.status import Guard
 from hapticd.guard.worker import Start, Worker
@@ -75,35 +76,46 @@ class GatewayServer:
         self._setup = setup
         self._clock = clock
         self._unix_ns = unix_ns
-        self._claim = files.claim(files.prepare_folder(folder), files.GATEWAY_LOCK)
-        self._selector = selectors.DefaultSelector()
-        try:
-            self._sockets = Sockets(folder, setup, self._selector, self._left, self._forget)
-        except BaseException:
-            self._selector.close()
-            files.release(folder, files.GATEWAY_LOCK, self._claim)
-            raise
-        self.endpoints = self._sockets.endpoints
-        self._journal = Journal(unix_ns)
-        self._view = ServoView(folder, setup.servo, unix_ns)
-        worker = start_worker and Worker(start_worker, self._selector, setup.servo.config_hash)
-        self._guard = Guard(self._view, self._journal, setup.guard, worker)
-        self._desk = Desk(self._view, self._journal, self._inquire, self._guard, setup.lease)
-        self._publisher = Publisher(
-            self._view,
-            self._desk.actors,
-            self._journal,
-            setup,
-            self._guard,
-            unix_ns,
-            self._desk.leases,
-        )
+        with ExitStack() as opened:
+            self._open(folder, start_worker, opened)
+            self._opened = opened.pop_all()
         self._passed_ns = self._settled_ns = self._drained_ns = clock.now_ns()
         self._deadline_ns = 0
         self._watchful_ns = clock.now_ns()
         for warning in (self._sockets.warning, self._sockets.elsewhere):
             if warning:
                 self._journal.note("warning", text=warning)
+
+    def _open(self, folder: Path, start_worker: Start | None, opened: ExitStack) -> None:
+        """Take the folder and make all parts; `opened` gets what the end closes, last one first."""
+        setup = self._setup
+        claim = files.claim(files.prepare_folder(folder), files.GATEWAY_LOCK)
+        opened.callback(files.release, folder, files.GATEWAY_LOCK, claim)
+        self._selector = opened.enter_context(selectors.DefaultSelector())
+        self._journal = Journal(self._unix_ns)
+        self._view = ServoView(folder, setup.servo, self._unix_ns)
+        opened.callback(self._view.drop)
+        worker = start_worker and Worker(start_worker, self._selector, setup.servo.config_hash)
+        self._guard = Guard(self._view, self._journal, setup.guard, worker)
+        opened.callback(self._guard.close)
+        self._commands = CommandServer(
+            self._view, self._journal, self._inquire, self._guard, setup.lease
+        )
+        self._publisher = Publisher(
+            self._view,
+            self._commands.actors,
+            self._journal,
+            setup,
+            self._guard,
+            self._unix_ns,
+            self._commands.leases,
+        )
+        opened.callback(self._publisher.flight.close)
+        self._sockets = Sockets(
+            folder, setup, self._selector, self._commands.leave, self._publisher.leave
+        )
+        opened.callback(self._sockets.close)
+        self.endpoints = self._sockets.endpoints
 
     @property
     def foreign(self) -> str:
@@ -138,9 +150,9 @@ class GatewayServer:
     def _await(self, wait_ms: int) -> None:
         """Wait until something has come or is due, and read what has come."""
         sockets = self._sockets
-        if sockets.command.busy or sockets.telemetry.busy or self._desk.queued:
+        if sockets.command.busy or sockets.telemetry.busy or self._commands.queued:
             wait_ms = 0
-        elif self._desk.waiting and wait_ms and not self._selector.select(0):
+        elif self._commands.waiting and wait_ms and not self._selector.select(0):
             self._clock.sleep_until_ns(self._clock.now_ns() + PEEK_NS)
             wait_ms = 0
         if self._clock.now_ns() < self._watchful_ns:
@@ -159,8 +171,8 @@ class GatewayServer:
         requests = self._sockets.command.receive(REQUESTS_PER_PASS)
         came = [[identity, *parts] for identity, parts in requests]
         outdated = now_ns < self._settled_ns
-        replies = self._desk.serve(came, now_ns, outdated, self._in_time)
-        if receipts := self._desk.collect(now_ns):
+        replies = self._commands.serve(came, now_ns, outdated, self._in_time)
+        if receipts := self._commands.collect(now_ns):
             self._watchful_ns = now_ns + WATCHFUL_NS
         for identity, *parts in replies + receipts:
             self._sockets.command.send(identity, zmtp.message(parts))
@@ -170,24 +182,15 @@ class GatewayServer:
             if not (self._sockets.telemetry.busy and self._in_time()):
                 break
             for identity, (message, *more) in self._sockets.telemetry.receive(1):
-                told = [] if more else self._subscribed(identity, message)
+                told = [] if more else self._publisher.subscribe(identity, message, self._unix_ns())
                 for topic, payload in told:
                     self._sockets.telemetry.send(identity, _telemetry(topic, payload))
-
-    def _subscribed(self, identity: bytes, message: bytes) -> list[tuple[str, bytes]]:
-        return self._publisher.subscribe(identity, message, self._unix_ns())
 
     def _publish(self, messages: list[tuple[str, bytes]]) -> None:
         for topic, payload in messages:
             data = _telemetry(topic, payload)
             for identity in self._publisher.listeners(topic):
                 self._sockets.telemetry.send(identity, data)
-
-    def _left(self, identity: bytes) -> None:
-        self._desk.leave(identity)
-
-    def _forget(self, identity: bytes) -> None:
-        self._publisher.leave(identity)
 
     def _inquire(self, cmd: str) -> dict[str, Any]:
         if cmd == "dump":
@@ -200,7 +203,9 @@ class GatewayServer:
             "server": "hapticd",
             "version": hapticd.__version__,
             "protocol": PROTOCOL_VERSION,
-            "schema_hash": hashlib.sha256(json.dumps(self._desk.schema).encode()).hexdigest()[:16],
+            "schema_hash": hashlib.sha256(json.dumps(self._commands.schema).encode()).hexdigest()[
+                :16
+            ],
             "layout": LAYOUT_HASH.hex(),
             "instance": servo.instance,
             "simulated": servo.simulated,
@@ -211,32 +216,28 @@ class GatewayServer:
         }
 
     def _status(self) -> dict[str, Any]:
-        outside = self._sockets.outside
+        relay = self._sockets.relay
+        times = self._publisher.times
         return {
             **self._publisher.without_guard(self._unix_ns()),
-            "stages": self._publisher.stages.summary(),
-            "late": self._publisher.late.summary(),
-            "room": asdict(self._publisher.room),
+            "stages": times.stages(),
+            "late": times.late(),
+            "room": asdict(times.room),
             "endpoints": self.endpoints,
             "servo": self._view.report(),
             "gateway": {
                 "pid": os.getpid(),
                 "cpu_s": time.process_time(),
                 "telemetry_lost": self._publisher.feed.lost,
-                "outside": outside.summary() if outside else None,
+                "outside": relay.summary() if relay else None,
             },
-            "guard": self._desk.guard_summary(),
+            "guard": self._commands.guard_summary(),
             "events": list(self._journal.recent),
         }
 
     def close(self) -> None:
         """Close the sockets, give up the claim."""
-        self._publisher.flight.close()
-        self._guard.close()
-        self._sockets.close()
-        self._selector.close()
-        self._view.drop()
-        files.release(self._view.folder, files.GATEWAY_LOCK, self._claim)
+        self._opened.close()
 
 
 def _telemetry(topic: str, payload: bytes) -> bytes:

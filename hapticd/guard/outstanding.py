@@ -1,7 +1,7 @@
 """Commands that were posted to the servo, kept until they are answered and seen in force.
 
-They are kept by servo life and sequence number; scheduled ones wait for their second answer. Desk
-and guard post through it, so it knows whether any command is on its way.
+They are kept by servo life and sequence number; scheduled ones wait for their second answer. The
+command server and the guard post through it, so it knows whether any command is on its way.
 """
 
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from hapticd.guard.pending_change import PendingChange
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Result
 from hapticd.protocol.commands import Posting
-from hapticd.protocol.envelope import UNASKED, RequestMessage
+from hapticd.protocol.envelope import INTERNAL_REQUEST, RequestMessage
 from hapticd.protocol.view import ServoView
 
 __all__ = ["Outstanding", "Pending"]
@@ -76,7 +76,7 @@ class Outstanding:
 
     def post_case(self, case: PendingChange, what: Posting, now_ns: int) -> None:
         """The same for a command of `case`."""
-        self.post(case.message or UNASKED, case.actor, what, now_ns, case)
+        self.post(case.message or INTERNAL_REQUEST, case.actor, what, now_ns, case)
 
     def take(self, answer: Answer, life: int) -> Pending | None:
         """Note an answer of servo `life`.

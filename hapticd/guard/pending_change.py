@@ -12,7 +12,7 @@ from hapticd.core.environment import JUDGED, SLOTS, Environment, flat
 from hapticd.core.errors import CommandError
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
-from hapticd.protocol.commands import AskedRequest, forbidden
+from hapticd.protocol.commands import forbidden
 from hapticd.protocol.envelope import RequestMessage
 from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.limits import PLACES
@@ -97,7 +97,7 @@ def changes_environment(stages: tuple[Stage, ...]) -> bool:
 
 def forbidden_by(leases: Leases, case: PendingChange) -> CommandError | None:
     """Why the client of `case` may not change what it asks any more, or what its stages do."""
-    error = forbidden(AskedRequest({}, case.actor, case.request), leases)
+    error = forbidden(case.request, case.actor, leases)
     if error is None and changes_environment(case.stages):
         error = leases.may(case.actor, ENVIRONMENT)
         return error and CommandError(error.code, f"{case.cmd}: {error}", error.detail)

@@ -249,7 +249,7 @@ class GuardedQueue:
         if self._beside is not None and self._beside.held is not None:
             text = f"{self._beside.cmd}: {SERVO_GONE}"
             self._replies.append(ChangeReply(self._beside, CommandError("servo_down", text)))
-        self._beside = None  # without an answer the desk has told its end
+        self._beside = None  # without an answer the command server has told its end
         for case in filter(None, (*self._queue, self._asked, self._under_way.case)):
             if case.life != life:
                 self._give_back(case, CommandError("servo_down", f"{case.cmd}: {SERVO_GONE}"))

@@ -94,7 +94,7 @@ class Guard:
         self._journal = journal
         self._worker = worker
         self._worker_life = 0
-        self.leases: Leases | None = None  # of the desk that it serves, once there is one
+        self.leases: Leases | None = None  # of the command server that it serves, once there is one
         self._policy = params.policy
         self.basis = params.basis
         self.margin_ns_per_m = params.margin_ns_per_m

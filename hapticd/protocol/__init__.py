@@ -15,5 +15,5 @@ room         how much of its period a tick leaves
 journal      what happened, and who did it
 flight       the flight recorder and its file
 auth, keys   who may connect from where; files of CURVE keys
-monitored    what libzmq reports of the connections of a socket
+zmq_monitor  what libzmq reports of the connections of a socket
 """

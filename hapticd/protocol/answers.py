@@ -9,9 +9,10 @@ What would break it: a field that the gateway sends and that is not here; a test
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from functools import partial
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, is_dataclass
+from functools import lru_cache
+from types import NoneType, UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from hapticd.protocol.explanation import Entry
 from hapticd.protocol.room import Room
@@ -42,35 +43,28 @@ A = TypeVar("A")
 
 def answer_of(kind: type[A], plain: Mapping[str, Any]) -> A:
     """The answer in the map `plain` of a reply, without fields that `kind` does not have."""
-    known: dict[str, Any] = {}
-    for one in fields(kind):  # type: ignore[arg-type]  # every `kind` is a dataclass
-        if one.name in plain:
-            value = plain[one.name]
-            made = one.metadata.get("made")
-            known[one.name] = value if made is None or value is None else made(value)
+    hints = _hints(kind)
+    known = {name: _made(hints[name], value) for name, value in plain.items() if name in hints}
     return kind(**known)
 
 
-Made = dict[str, Callable[[Any], Any]]  # how the value of a field is made
+_hints: Callable[[Any], dict[str, Any]] = lru_cache(maxsize=None)(get_type_hints)
 
 
-def _one(kind: type[Any]) -> Made:
-    """A field that is another answer."""
-    return {"made": partial(answer_of, kind)}
-
-
-def _many(kind: type[Any]) -> Made:
-    """A field with other answers by their names."""
-
-    def made(plain: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-        return {name: answer_of(kind, one) for name, one in plain.items()}
-
-    return {"made": made}
-
-
-def _tuple(made: Callable[[Any], Any]) -> Made:
-    """A field that is a list in a message."""
-    return {"made": lambda plain: tuple(map(made, plain))}
+def _made(hint: Any, value: Any) -> Any:
+    """`value` of a message, as a field of type `hint` holds it: answers inside are made, too."""
+    inside = [one for one in get_args(hint) if one is not NoneType]
+    if value is None:
+        return None
+    if is_dataclass(hint):
+        return answer_of(hint, value)  # type: ignore[arg-type]  # a class, not one of its objects
+    if get_origin(hint) is UnionType:
+        return _made(inside[0], value)
+    if get_origin(hint) is tuple:
+        return tuple(_made(inside[0], one) for one in value)
+    if get_origin(hint) is dict and is_dataclass(inside[1]):
+        return {name: _made(inside[1], one) for name, one in value.items()}
+    return value
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +87,7 @@ class GuardVerdict:
     worst_hz: float | None = None
     radius: float | None = None
     #: the same in the wall; None without a wall
-    contact: GuardReading | None = field(default=None, metadata=_one(GuardReading))
+    contact: GuardReading | None = None
     delay_periods: float | None = None  #: of the loop, on which it counts
     #: ends of each of K [N/m], B [N s/m] and M [kg], with the others as asked; None: nothing would
     #: do
@@ -102,16 +96,10 @@ class GuardVerdict:
     clamped: bool = False  #: `given` is less than what was asked
     given: dict[str, Any] = field(default_factory=dict)  #: where it leads, in the shape of a `set`
     path_points: int = 0  #: that were judged on the way
-    not_covered: tuple[str, ...] = field(
-        default=(), metadata=_tuple(str)
-    )  #: what no verdict promises
+    not_covered: tuple[str, ...] = ()  #: what no verdict promises
     outcome: str = ""  #: an `explanation.Outcome`
-    reasons: tuple[Entry, ...] = field(
-        default=(), metadata=_tuple(partial(answer_of, Entry))
-    )  #: what is wrong, or known
-    remedies: tuple[Entry, ...] = field(
-        default=(), metadata=_tuple(partial(answer_of, Entry))
-    )  #: of which one would do
+    reasons: tuple[Entry, ...] = ()  #: what is wrong, or known
+    remedies: tuple[Entry, ...] = ()  #: of which one would do
     text: str = ""  #: one sentence made of these
     cmd: str = ""  #: what was asked: set, damping, enable ...
     number: int = 0  #: by which the event with the hand refers to it
@@ -149,9 +137,7 @@ class Receipt:
     first_tick: int = 0  #: from which the change acts
     ramp_end_tick: int = 0  #: at which the last ramp ends
     effective: dict[str, Any] = field(default_factory=dict)  #: parameters in the shape of a `set`
-    guard: GuardVerdict | None = field(
-        default=None, metadata=_one(GuardVerdict)
-    )  #: on it, if one was asked for
+    guard: GuardVerdict | None = None  #: on it, if one was asked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,9 +158,7 @@ class Hello:
     #: the configuration of the servo process, as `hapticd.core.params.ServoParams` in plain form
     servo: dict[str, Any] = field(default_factory=dict)
     actor: int = 0  #: number of this client
-    limits: dict[str, Limit] = field(
-        default_factory=dict, metadata=_many(Limit)
-    )  #: by dotted field name
+    limits: dict[str, Limit] = field(default_factory=dict)  #: by dotted field name
     server: str = "hapticd"
     version: str = ""
     protocol: int = 0
@@ -182,9 +166,7 @@ class Hello:
     layout: str = ""  #: hash of the mailbox's tables
     instance: str = ""
     endpoints: dict[str, Any] = field(default_factory=dict)
-    topics: tuple[dict[str, Any], ...] = field(
-        default=(), metadata=_tuple(dict)
-    )  #: name, rate and content of each
+    topics: tuple[dict[str, Any], ...] = ()  #: name, rate and content of each
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +215,8 @@ class Timing:
 
     delay_periods: float = 0.0
     ideal_delay_periods: float = 0.0
-    without_active_damping: TimingCost = field(default=TimingCost(), metadata=_one(TimingCost))
-    with_active_damping: TimingCost = field(default=TimingCost(), metadata=_one(TimingCost))
+    without_active_damping: TimingCost = TimingCost()
+    with_active_damping: TimingCost = TimingCost()
     measured: bool = False  #: whether the delay is; else the model's
 
 
@@ -253,9 +235,9 @@ class GuardStatus:
     pid: int | None = None  #: of the worker
     model: bool | None = None  #: whether the device has one
     model_hash: str | None = None
-    delays: Delays | None = field(default=None, metadata=_one(Delays))
-    timing: Timing | None = field(default=None, metadata=_one(Timing))
-    verdict: GuardVerdict | None = field(default=None, metadata=_one(GuardVerdict))
+    delays: Delays | None = None
+    timing: Timing | None = None
+    verdict: GuardVerdict | None = None
     unjudged: str = ""  #: why there is no verdict
     waiting: int = 0  #: requests that are not judged yet
     under_way: dict[str, Any] | None = None  #: the change of which stages are still to come
@@ -348,21 +330,19 @@ class Status:
     actors: dict[Any, str] = field(default_factory=dict)  #: names by number
     limit_cycle_faults: dict[str, str] = field(default_factory=dict)  #: on, or why off
     commissioning: dict[str, Any] | None = None  #: what holds until the signs are verified
-    compensation: Compensation | None = field(default=None, metadata=_one(Compensation))
-    leases: dict[str, LeaseHeld] = field(default_factory=dict, metadata=_many(LeaseHeld))
+    compensation: Compensation | None = None
+    leases: dict[str, LeaseHeld] = field(default_factory=dict)
     counters: dict[str, int] = field(default_factory=dict)
-    delivered_active_damping: Delivered | None = field(default=None, metadata=_one(Delivered))
-    stages: dict[str, StageTimes] = field(default_factory=dict, metadata=_many(StageTimes))
+    delivered_active_damping: Delivered | None = None
+    stages: dict[str, StageTimes] = field(default_factory=dict)
     #: by cause (`mailbox.layout.LateCause`)
-    late: dict[str, LateTicks] = field(default_factory=dict, metadata=_many(LateTicks))
+    late: dict[str, LateTicks] = field(default_factory=dict)
     #: what a tick takes of its period
-    room: Room | None = field(default=None, metadata=_one(Room))
+    room: Room | None = None
     endpoints: dict[str, Any] = field(default_factory=dict)
     #: of the servo process: the rights that it was granted, its board and bus
     servo: dict[str, Any] = field(default_factory=dict)
     gateway: dict[str, Any] = field(default_factory=dict)  #: its process and its relay
-    guard: GuardStatus | None = field(default=None, metadata=_one(GuardStatus))
-    events: tuple[dict[str, Any], ...] = field(
-        default=(), metadata=_tuple(dict)
-    )  #: the last ones of the topic `event`
+    guard: GuardStatus | None = None
+    events: tuple[dict[str, Any], ...] = ()  #: the last ones of the topic `event`
     requests: dict[str, int] = field(default_factory=dict)  #: counts of them

@@ -2,7 +2,7 @@
 
 Commands are taken on a socket file in the runtime folder: the file system says who. Telemetry is
 offered there and on the loopback; on any other address only with CURVE keys (`keys`), by the relay
-(`relay`, `outside`), or when the configuration says `allow_insecure`, and then with a warning.
+(`gateway.relay`), or when the configuration says `allow_insecure`, and then with a warning.
 """
 
 import ipaddress

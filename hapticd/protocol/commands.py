@@ -1,8 +1,8 @@
 """What stands between a client and the servo: interlocks, and requests as commands of the mailbox.
 
 A request becomes a posting (kind, tick, doubles) for the mailbox's command ring, and the mailbox's
-answer becomes the receipt or refusal in a reply. Before that it passes an ordered list of
-interlocks, each of which asks one question. The first one that objects answers.
+answer becomes the receipt or refusal in a reply. Before that it passes three interlocks (`admit`),
+each of which asks one question. The first one that objects answers.
 
     schema     is it a command, complete, within the limits of this device?
     state      would the servo refuse it anyway in its present state? (Only an early, better
@@ -10,13 +10,9 @@ interlocks, each of which asks one question. The first one that objects answers.
     lease      may this client change this now, or does another hold it?
 
 Whether the display would still be passive is asked of another process, and waited for: see
-`guarded`.
-
-An interlock takes what is asked and the situation, and returns what is asked, possibly completed or
-altered; it raises CommandError to refuse. STOP passes none of them.
+`guarded`. STOP passes none of them.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from math import nan
 from typing import Any, NamedTuple
@@ -45,7 +41,6 @@ from hapticd.usb.frames import StatusBit
 __all__ = [
     "ACCEPTED",
     "ALLOWED",
-    "AskedRequest",
     "Posting",
     "Situation",
     "admit",
@@ -304,14 +299,6 @@ def wrong_state(cmd: str, view: ServoView, actors: Actors) -> CommandError:
     return CommandError("refused", f"{cmd} in state {view.state_name}: {reason}")
 
 
-class AskedRequest(NamedTuple):
-    """A request on its way: as it came, as the schema interlock understood it, and whose it is."""
-
-    plain: dict[str, Any]
-    actor: int
-    request: Request | None = None
-
-
 class Situation(NamedTuple):
     """What an interlock may look at.
 
@@ -326,22 +313,25 @@ class Situation(NamedTuple):
     actors: Actors
 
 
-Interlock = Callable[[AskedRequest, Situation], AskedRequest]
+def admit(plain: dict[str, Any], actor: int, situation: Situation) -> Request:
+    """The request in `plain` once every interlock has let it pass.
+
+    CommandError by the first that does not.
+    """
+    request = parse(plain, situation.limits)
+    _check_state(request, situation)
+    if error := forbidden(request, actor, situation.leases):
+        raise error
+    return request
 
 
-def schema(asked: AskedRequest, situation: Situation) -> AskedRequest:
-    """Understand the request."""
-    return asked._replace(request=parse(asked.plain, situation.limits))
-
-
-def state(asked: AskedRequest, situation: Situation) -> AskedRequest:
+def _check_state(request: Request, situation: Situation) -> None:
     """Refuse early what the servo would refuse in the state it is in."""
-    request = asked.request
     view = situation.view
     if isinstance(request, Change):
         _check_revision(request, situation)
     if isinstance(request, Perturb) and request.action != "start":
-        return asked
+        return
     if isinstance(request, Perturb) and not situation.samples:
         raise CommandError(
             "refused",
@@ -350,23 +340,17 @@ def state(asked: AskedRequest, situation: Situation) -> AskedRequest:
         )
     if isinstance(request, Perturb) and (why := view.report().get("unsampled")):
         raise CommandError("refused", f"perturb start: {why}")
-    if request and situation.settled and view.state not in (None, *ALLOWED.get(request.cmd, State)):
+    if situation.settled and view.state not in (None, *ALLOWED.get(request.cmd, State)):
         raise wrong_state(request.cmd, view, situation.actors)
-    return asked
 
 
-def lease(asked: AskedRequest, situation: Situation) -> AskedRequest:
-    """Refuse what is another's to change, or was the client's until it lost its lease."""
-    if error := forbidden(asked, situation.leases):
-        raise error
-    return asked
-
-
-def forbidden(asked: AskedRequest, leases: Leases) -> CommandError | None:
-    """Why its client may not change what is asked; None if it may."""
-    for what in changed_parts(asked.request):
-        if found := leases.may(asked.actor, what):
-            cmd = asked.request.cmd if asked.request else ""
+def forbidden(request: Request | None, actor: int, leases: Leases) -> CommandError | None:
+    """Why `actor` may not change what is asked: it is another's, or was the client's until it lost
+    its lease; None if it may.
+    """
+    for what in changed_parts(request):
+        if found := leases.may(actor, what):
+            cmd = request.cmd if request else ""
             return CommandError(found.code, f"{cmd}: {found}", found.detail)
     return None
 
@@ -389,22 +373,6 @@ def changed_parts(request: Request | None) -> tuple[str, ...]:
         parts = (ENVIRONMENT,) if terms else ()
         return (*parts, DAMPING) if request.mode else parts
     return (ENVIRONMENT,) if request and request.cmd in MOVING else ()
-
-
-INTERLOCKS: tuple[Interlock, ...] = (schema, state, lease)
-
-
-def admit(plain: dict[str, Any], actor: int, situation: Situation) -> Request:
-    """The request in `plain` once every interlock has let it pass.
-
-    CommandError by the first that does not.
-    """
-    asked = AskedRequest(plain, actor)
-    for interlock in INTERLOCKS:
-        asked = interlock(asked, situation)
-    if asked.request is None:
-        raise CommandError("invalid", "no interlock understood the request")
-    return asked.request
 
 
 def _check_revision(request: Change, situation: Situation) -> None:

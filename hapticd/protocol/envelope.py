@@ -14,7 +14,7 @@ from hapticd.protocol.codec import (
     malformed,
 )
 
-__all__ = ["UNASKED", "RequestMessage", "unpacked"]
+__all__ = ["INTERNAL_REQUEST", "RequestMessage", "unpacked"]
 
 
 class RequestMessage(NamedTuple):
@@ -66,4 +66,4 @@ def unpacked(frames: Sequence[bytes]) -> RequestMessage:
 
 
 # stands for the request of what the gateway does by itself
-UNASKED = RequestMessage((b"",), Encoding.MSGPACK, None, "damping", {}, None)
+INTERNAL_REQUEST = RequestMessage((b"",), Encoding.MSGPACK, None, "damping", {}, None)

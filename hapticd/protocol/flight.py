@@ -23,7 +23,7 @@ import os
 import struct
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,7 +43,15 @@ from hapticd.protocol.leases import Leases
 from hapticd.protocol.telemetry import TICK_DESCR, Origin, RingBlock
 from hapticd.protocol.view import Records, ServoView
 
-__all__ = ["SUFFIX", "FlightRecorder", "flights_folder", "read_flight"]
+__all__ = [
+    "SUFFIX",
+    "FlightRecorder",
+    "dtype_of",
+    "flights_folder",
+    "read_flight",
+    "read_header",
+    "with_header",
+]
 
 SUFFIX = ".flight"
 _MAGIC = b"hapticd-flight/1\n"
@@ -63,18 +71,32 @@ def write_flight(path: Path, header: dict[str, Any], blocks: Iterable[bytes]) ->
     OSError: no room, no right.
     """
     path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
-    text = _header_text(header).encode()
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with fresh.open("wb") as file:
-            file.write(_MAGIC + _LENGTH.pack(len(text)) + text)
+            file.write(with_header(_MAGIC, header))
             file.writelines(blocks)
         fresh.replace(path)
     finally:
         fresh.unlink(missing_ok=True)
 
 
-def _header_text(header: dict[str, Any]) -> str:
+def with_header(magic: bytes, header: Mapping[str, Any]) -> bytes:
+    """The beginning of a file of raw records: `magic`, the length of the header, `header`."""
+    text = _header_text(header).encode()
+    return magic + _LENGTH.pack(len(text)) + text
+
+
+def read_header(data: bytes | memoryview, magic: bytes) -> tuple[dict[str, Any], int]:
+    """The header of a file of raw records that begins with `magic`, and the offset [bytes] of the
+    first record. struct.error or ValueError: it is damaged.
+    """
+    (length,) = _LENGTH.unpack_from(data, len(magic))
+    begin = len(magic) + _LENGTH.size
+    return json.loads(bytes(data[begin : begin + length])), begin + length
+
+
+def _header_text(header: Mapping[str, Any]) -> str:
     """`header` as JSON, its lists one item at a time: while one is encoded no other thread runs."""
     fields = (f"{json.dumps(name)}: {_value_text(value)}" for name, value in header.items())
     return "{" + ", ".join(fields) + "}"
@@ -86,24 +108,24 @@ def _value_text(value: Any) -> str:
     return json.dumps(value)
 
 
+def dtype_of(descr: Iterable[Sequence[Any]]) -> np.dtype[Any]:
+    """The type of records, from its description in a header."""
+    return np.dtype([(name, kind, *map(tuple, shape)) for name, kind, *shape in descr])
+
+
 def read_flight(path: Path) -> Flight:
     """The flight in `path`. ConfigError if it is none, or cut short."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; check the path") from error
-    begin = len(_MAGIC) + _LENGTH.size
-    if len(data) < begin or not data.startswith(_MAGIC):
+    if len(data) < len(_MAGIC) + _LENGTH.size or not data.startswith(_MAGIC):
         raise ConfigError(
             f"{path} is no flight recording; they are made by `hapticd dump` and at faults"
         )
-    (length,) = _LENGTH.unpack_from(data, len(_MAGIC))
     try:
-        header = json.loads(data[begin : begin + length])
-        dtype = np.dtype(
-            [(name, kind, *map(tuple, shape)) for name, kind, *shape in header["descr"]]
-        )
-        return Flight(header, np.frombuffer(data, dtype, offset=begin + length))
+        header, offset = read_header(data, _MAGIC)
+        return Flight(header, np.frombuffer(data, dtype_of(header["descr"]), offset=offset))
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{path} is damaged: {error}") from error
 

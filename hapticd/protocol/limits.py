@@ -4,17 +4,14 @@ It is the mailbox's table under the names that clients use, with K, B and M as t
 them (`mailbox.environment_limits`).
 """
 
-from collections.abc import Sequence
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from hapticd.core.environment import SLOTS, flat
 from hapticd.core.errors import ConfigError
+from hapticd.core.params import EnvironmentLimits
 from hapticd.mailbox.environment_limits import AXES
 from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, value_limits
-
-if TYPE_CHECKING:
-    from hapticd.core.params import EnvironmentLimits, ServoParams
 
 __all__ = ["PLACES", "CommandLimits"]
 
@@ -51,61 +48,51 @@ def quantity(name: str) -> str:
 
 
 class CommandLimits:
-    """The limits by dotted field name.
+    """The limits by dotted field name; `bounds` are the ends of K, B and M for the device, and
+    without a device's probe any force is allowed there.
 
-    `value` of the damping command is the same quantity as `damping` of set.
+    `value` of the damping command is the same quantity as `active_damping` of set.
     """
 
-    def __init__(self, params: "ServoParams") -> None:
-        device = params.device
-        damping = device.active_damping_limit_ns_per_m
-        self._fill(params.realtime.rate_hz, damping, device.commissioning, device.probe_limit_n)
-        if device.environment_limits is not None:
-            limits = device.environment_limits
-            self._bound(limits.lowest, limits.highest)
-
-    @classmethod
-    def announced(cls, servo: dict[str, Any]) -> "CommandLimits":
-        """Those of the daemon whose reply to `hello` holds `servo`."""
-        found = cls.__new__(cls)
-        device = servo["device"]
-        damping = device["active_damping_limit_ns_per_m"]
-        rate_hz = servo["realtime"]["rate_hz"]
-        found._fill(rate_hz, damping, device["commissioning"], device["probe_limit_n"])
-        if bounds := device["environment_limits"]:
-            found._bound(bounds["lowest"], bounds["highest"])
-        return found
-
-    @classmethod
-    def simulated(
-        cls, rate_hz: float, active_damping_ns_per_m: float, bounds: "EnvironmentLimits"
-    ) -> "CommandLimits":
-        """Those of a daemon that would run such a device, whose probe may push without limit."""
-        found = cls.__new__(cls)
-        found._fill(rate_hz, active_damping_ns_per_m, False, inf)
-        found._bound(bounds.lowest, bounds.highest)
-        return found
-
-    def _fill(
-        self, rate_hz: float, active_damping_ns_per_m: float, commissioning: bool, probe_n: float
+    def __init__(
+        self,
+        rate_hz: float,
+        active_damping_ns_per_m: float,
+        bounds: EnvironmentLimits | None = None,
+        commissioning: bool = False,
+        probe_n: float = inf,
     ) -> None:
         table = value_limits(rate_hz, active_damping_ns_per_m, commissioning)
-        boxed = dict.fromkeys(COMMISSIONING_LIMITS if commissioning else (), UNVERIFIED)
-        sources = SOURCES | boxed
+        sources = SOURCES | dict.fromkeys(COMMISSIONING_LIMITS if commissioning else (), UNVERIFIED)
         self.of = {
             name: CommandLimit(*table[place], sources.get(place, "it is fixed in this version"))
             for name, place in PLACES.items()
         }
         self.of["value"] = self.of["active_damping"]
         self.of["samples_n"] = CommandLimit(-probe_n, probe_n, "N", "the device file sets it")
+        if bounds is not None:
+            self._narrow(bounds)
 
-    def _bound(self, lowest: Sequence[float], highest: Sequence[float]) -> None:
+    def _narrow(self, bounds: EnvironmentLimits) -> None:
         """Narrow K, B and M to what the device allows."""
-        for name, low, high in zip(AXES, lowest, highest, strict=True):
+        for name, low, high in zip(AXES, bounds.lowest, bounds.highest, strict=True):
             known = self.of[name]
             source = known.source if known.low >= low and known.high <= high else BOUNDED
             narrower = ValueLimit(max(known.low, low), min(known.high, high), known.unit)
             self.of[name] = CommandLimit(*narrower, source)
+
+    @classmethod
+    def announced(cls, servo: dict[str, Any]) -> "CommandLimits":
+        """Those of the servo with the parameters `servo` in plain form, as `hello` tells them."""
+        device = servo["device"]
+        bounds = device["environment_limits"]
+        return cls(
+            servo["realtime"]["rate_hz"],
+            device["active_damping_limit_ns_per_m"],
+            bounds and EnvironmentLimits(bounds["lowest"], bounds["highest"]),
+            device["commissioning"],
+            device["probe_limit_n"],
+        )
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, Any]]:
         """One {loc, msg, value, unit, low, high} for each number in `given`, nested as the request,

@@ -45,7 +45,7 @@ class Room:
 
 
 def room_of(stages: Mapping[str, Mapping[str, Any]], rate_hz: float) -> Room:
-    """The room at `rate_hz` by the percentiles of `stages` (telemetry.StageHistograms)."""
+    """The room at `rate_hz` by the percentiles of `stages` (`gateway.tick_times`)."""
     period_us = US_PER_S / rate_hz
     if stages[WORK[0]]["count"] < ENOUGH:
         return Room(0.0, period_us, 0.0)

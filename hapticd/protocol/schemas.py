@@ -8,7 +8,7 @@ short. `json_schema` is the same for machines.
 """
 
 from difflib import get_close_matches
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import (
     BaseModel,
@@ -371,27 +371,7 @@ Request = (
 )
 ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="cmd")])
 MODELS: dict[str, type[CommandMessage]] = {
-    model.model_fields["cmd"].annotation.__args__[0]: model  # type: ignore[union-attr]
-    for model in (
-        Hello,
-        Get,
-        Set,
-        Damping,
-        Enable,
-        Disable,
-        Stop,
-        Reset,
-        Zero,
-        Home,
-        Withhold,
-        Perturb,
-        LeaseRequest,
-        GuardRequest,
-        Status,
-        Dump,
-        Mark,
-        Schema,
-    )
+    get_args(model.model_fields["cmd"].annotation)[0]: model for model in get_args(Request)
 }
 
 # to hello, status, guard, lease and to changes, in the JSON schema as `HelloAnswer` and so on

@@ -24,11 +24,6 @@ Probe. The 4 kHz stream is taken out of the IN frames that the tick records carr
 index is unwrapped, intervals that come twice are dropped, missing ones are counted, and each pair
 gets the host time of the tick that brought it. Counts stay counts; the header carries the scales of
 this device. When the board starts anew its index does too: that is a new `run`, not a gap.
-
-Stage times. Histograms with logarithmic bins say how long each stage of a tick takes: 40 bins a
-decade from 10 ns to 100 ms, so a percentile is exact to 6 %, whatever its size. The first seconds
-after the start (`grace_s`) are left out. Late events and lost slots are counters of the servo; a
-histogram cannot show what did not happen.
 """
 
 import math
@@ -40,24 +35,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hapticd.core.params import DeviceParams, ScaleParams
-from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, PROBE_RATE_HZ
-from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, STAGES, TELEMETRY, Flag
+from hapticd.core.units import NS_PER_MS, NS_PER_S, PROBE_RATE_HZ
+from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, TELEMETRY, Flag
 from hapticd.protocol.ledger import NAMES as LEDGER
-from hapticd.protocol.view import Records, ServoView, as_records, joined, last_torn
+from hapticd.protocol.view import Records, ServoView, as_records, last_torn
 from hapticd.usb import frames
 from hapticd.usb.session import PROBE_INDEX_BITS, unwrap
 
 __all__ = [
-    "BY_NAME",
     "NAMES",
-    "PROBE_DESCR",
+    "PROBE_DTYPE",
     "TICK_DESCR",
     "TOPICS",
     "Feed",
     "Origin",
     "ProbeDecoder",
     "RingBlock",
-    "StageHistograms",
     "Subscriptions",
     "raw_message",
     "servo_messages",
@@ -118,7 +111,6 @@ TOPICS: tuple[Topic, ...] = (
     ),
 )
 NAMES = frozenset(topic.name for topic in TOPICS)
-BY_NAME = {topic.name: topic for topic in TOPICS}
 
 
 def wanted_by(prefix: bytes) -> frozenset[str]:
@@ -248,18 +240,17 @@ class Origin:
 
 
 def servo_messages(
-    block: RingBlock, energies: NDArray[np.float64], origin: Origin, batch: int, decimation: int
+    block: RingBlock, energies: NDArray[np.float64], origin: Origin, batch: int
 ) -> list[bytes]:
-    """Payloads of topic `servo`: every `decimation`-th tick, at most `batch` of them in one, with
-    the ledger's sums (n, causes) of the block.
+    """Payloads of topic `servo`: at most `batch` ticks in one, with the ledger's sums (n, causes)
+    of the block.
     """
-    wanted = np.flatnonzero((block.seq + np.arange(len(block.records))) % decimation == 0)
-    records = block.records[wanted]
+    records = block.records
     columns: list[Any] = [
         ((records["time_ns"] + origin.unix_offset_ns) / NS_PER_S).tolist(),
-        (block.seq + wanted).tolist(),
+        range(block.seq, block.seq + len(records)),
         *(records[name].tolist() for name in COLUMNS),
-        *energies[wanted].T.tolist(),
+        *energies.T.tolist(),
     ]
     names = ("timestamp", "seq", *COLUMNS, *ENERGIES)
     maps = [_finite(dict(zip(names, values, strict=True))) for values in zip(*columns, strict=True)]
@@ -308,8 +299,9 @@ def packed_block(
     return bytes(msgpack.packb(origin.header | place | more | {"d": data}))
 
 
-PROBE_DESCR = [["index", "<u8"], ["time_ns", "<i8"], ["torque", "<i2"], ["velocity", "<i2"]]
-PROBE_DTYPE = np.dtype([(name, kind) for name, kind in PROBE_DESCR])
+PROBE_DTYPE = np.dtype(
+    [("index", "<u8"), ("time_ns", "<i8"), ("torque", "<i2"), ("velocity", "<i2")]
+)
 # an index that falls back further is no late frame but a board that started anew
 RESTART = PROBE_RATE_HZ // 10
 
@@ -425,80 +417,9 @@ class ProbeDecoder:
                 after,
                 len(samples),
                 lost,
-                PROBE_DESCR,
+                PROBE_DTYPE.descr,
                 samples.tobytes(),
                 run=self.run,
                 **self._more,
             )
         ]
-
-
-PER_DECADE = 40
-DECADES = 7
-LOWEST_NS = 10.0
-EDGES_NS = LOWEST_NS * 10.0 ** (np.arange(PER_DECADE * DECADES + 1) / PER_DECADE)
-BINS = len(EDGES_NS) + 1  # below the lowest edge, between edges, above the highest
-COUNTED_AT_ONCE = 500  # records: each call of numpy costs more than the few records of one batch
-PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
-
-
-class StageHistograms:
-    """One histogram per stage (layout.STAGES) of one servo life."""
-
-    def __init__(self, grace_s: float) -> None:
-        self._grace_ns = round(grace_s * NS_PER_S)
-        self.begin(0)
-
-    def begin(self, start_ns: int) -> None:
-        """Begin anew, for a servo life that began at `start_ns`."""
-        self._settled_ns = start_ns + self._grace_ns
-        self._pending: list[Records] = []
-        self._counts = np.zeros((len(STAGES), BINS), np.int64)
-        self._max_ns = np.zeros(len(STAGES), np.int64)
-
-    def add(self, records: Records) -> None:
-        """Take the next `records`; the ticks among them that came after the grace count."""
-        self._pending.append(records)
-        if sum(map(len, self._pending)) >= COUNTED_AT_ONCE:
-            self._count()
-
-    def _count(self) -> None:
-        """Count what is pending."""
-        records = joined(self._pending)
-        self._pending = []
-        settled = records[records["time_ns"] >= self._settled_ns]
-        if not settled.size:
-            return
-        times_ns = np.stack([settled[f"{stage}_ns"] for stage in STAGES])
-        # each stage has bins of its own, so that one bincount serves all
-        bins = (
-            np.searchsorted(EDGES_NS, times_ns, side="right")
-            + np.arange(len(STAGES))[:, None] * BINS
-        )
-        self._counts += np.bincount(bins.ravel(), minlength=self._counts.size).reshape(
-            self._counts.shape
-        )
-        np.maximum(self._max_ns, times_ns.max(axis=1), out=self._max_ns)
-
-    @property
-    def count(self) -> int:
-        """Ticks that were counted so far."""
-        return int(self._counts[0].sum())
-
-    def summary(self) -> dict[str, dict[str, float]]:
-        """{stage: {count, p50_us, p99_us, p999_us, max_us}}.
-
-        A percentile is the upper edge of its bin, at most the maximum.
-        """
-        if self._pending:
-            self._count()
-        return {stage: self._one(row) for row, stage in enumerate(STAGES)}
-
-    def _one(self, row: int) -> dict[str, float]:
-        below = np.cumsum(self._counts[row])
-        highest_us = self._max_ns[row] / NS_PER_US
-        found: dict[str, float] = {"count": int(below[-1])}
-        for name, share in PERCENTILES.items():
-            place = min(int(np.searchsorted(below, share * below[-1])), len(EDGES_NS) - 1)
-            found[name] = min(float(EDGES_NS[place]) / NS_PER_US, float(highest_us))
-        return found | {"max_us": float(highest_us)}

@@ -1,11 +1,11 @@
-"""Recordings: HDF5 files that survive, one 1-D dataset per channel, readable without this package.
+"""Recordings: HDF5 files, one 1-D dataset per channel, readable without this package.
 
 A recorder is an ordinary client of the daemon. It writes every tick, every sample of the probe and
-every event while they come, and what was flushed outlives the recorder. A finished recording says
+every event while they come, and what was written outlives the recorder. A finished recording says
 where it comes from, can be replayed bit by bit, and is exported to MATLAB and CSV.
 
     servo.raw, probe, event, flight --recorder--> NAME.part.h5
-                                (live: SWMR, uncompressed, flushed every 100 ms)
+                                (live: append-only, a frame of raw records every 100 ms)
                                 | pack, when the recording ends
                                 v
                                 NAME.h5  (HDF5 1.8 format, compressed, with checksums)
@@ -19,11 +19,8 @@ where it comes from, can be replayed bit by bit, and is exported to MATLAB and C
                      the monotonic clock, note
 
 Rules. Numbers are int64, float64, float32, small unsigned integers or fixed-length text: what
-Octave 7 and MATLAB load. All datasets and attributes exist before the live file becomes SWMR.
-Nothing is compressed while live: compression with frequent flushes writes forty times the bytes.
-After kill -9 all that was flushed is there, but such a file opens only as SWMR reader, so `rec
-recover` packs it. What would break it: two writers of one file, a dataset made late, a reader that
-trusts equal lengths of a crashed file's columns (`file` cuts them).
+Octave 7 and MATLAB load. The live file is no HDF5: `file` reads it while it grows. After kill -9 it
+holds all whole frames, and `rec recover` packs them. What would break it: two writers of one file.
 
 For scripts:
 
@@ -33,7 +30,7 @@ For scripts:
     pack        pack, summary: the final file; to_mat, to_csv: its exports
     provenance  provenance: the versions that numbers come from
 
-`live` (rows of the live file), `superblock` (the first bytes of a file whose writer died), `energy`
-(the energy ledger) and `stretch` (the part of a recording that is one trial) are for the other
-modules, as are `calibrations` and `certificate`, on which a device's numbers rest.
+`live` (the live file and its rows), `energy` (the energy ledger) and `stretch` (the part of a
+recording that is one trial) are for the other modules, as are `calibrations` and `certificate`, on
+which a device's numbers rest.
 """

@@ -1,18 +1,17 @@
 """Opening what was recorded: finished files, live or crashed ones, flight recordings.
 
 All become a `Recording`: columns read on demand, records as the servo wrote them, and the segments
-that can be replayed. A finished file is read as it is. Of a live or crashed one only as many rows
-count as /flushed/rows says; a column that ends before that repeats its last value (see `live`). A
-flight recording is turned into the same columns in memory.
+that can be replayed. A finished file is read as it is. Of a live or crashed one (see `live`) all
+whole frames count, and of a flight recording all records; both have the columns of a finished file.
 
 A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint up to the
 next gap, or to a tick whose requests were lost (`break`).
 
-What would break it: reading /flushed/rows after the columns that it counts, for a file that grows
-meanwhile; or a field that changed its meaning under the same name.
+What would break it: a field that changed its meaning under the same name.
 """
 
 import json
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import pairwise
@@ -25,50 +24,44 @@ from numpy.typing import NDArray
 
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.params import ScaleParams, ServoParams, from_plain
-from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ
+from hapticd.core.units import NS_PER_S, PROBE_RATE_HZ, unit_of
 from hapticd.mailbox.client_side import Noted
 from hapticd.protocol import flight
 from hapticd.protocol.view import RECORD_DTYPE, Records
-from hapticd.recording.live import (
-    FLUSHED,
-    GROUPS,
-    LEFT_OUT,
-    REQUEST,
-    ROWS,
-    STREAMS,
-    Columns,
-    as_channel,
-    as_text,
-    columns,
-    is_written,
-    replay_rows,
-    table,
-    texts,
-    udunits,
-)
+from hapticd.recording import live
+from hapticd.recording.live import GROUPS, LEFT_OUT, REQUEST, STREAMS, TEXT
 from hapticd.recording.provenance import SCHEMA
-from hapticd.recording.superblock import Unattended
 from hapticd.run.replay import Segment
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
 
 __all__ = ["is_recording", "open_recording"]
 
-TEXT = "checkpoint_text"
-STANDING = 4096  # rows that a small group may have beyond its longest column
-# what h5py and numpy say where a file is damaged
+# what h5py, numpy and struct say where a file is damaged
 _UNREADABLE = (
-    *(OSError, RuntimeError, LookupError, ValueError, TypeError, MemoryError),
-    OverflowError,  # an address beyond what a file has, where `Unattended` seeks it
+    *(OSError, RuntimeError, LookupError, ValueError, TypeError, MemoryError, OverflowError),
+    struct.error,
 )
+CHANNELS = {name: live.channels(rows) for name, rows in GROUPS.items()}
+UNITS = {"timestamp": "s"}  # of the groups that are no streams: there a name says no unit
 # the column that counts time, and its counts per second
 CLOCKS = {"servo": ("time_ns", NS_PER_S), "probe": ("index", PROBE_RATE_HZ)}
 # computed from recorded channels; a finished file has them as datasets, too
 COMPUTED = {"servo": ("t_s",), "probe": ("torque_n", "velocity_m_per_s", "t_s")}
 
 
+def udunits(name: str) -> str:
+    """Unit of a field as UDUNITS writes it: N s/m -> N s m-1."""
+    over, _, under = unit_of(name).partition("/")
+    powers = [
+        f"{base}-{power or 1}" for base, _, power in (part.partition("^") for part in under.split())
+    ]
+    return " ".join([over, *powers]).strip()
+
+
 class Recording:
     """An opened recording: `attributes` say where it comes from, `column(group, name)` reads one
-    channel, `rows` counts the rows of each group. Use it as a context manager.
+    channel, `rows` counts the rows of each group. `dropped_bytes` at the end of a live file hold no
+    whole rows. Use it as a context manager.
     """
 
     def __init__(
@@ -76,30 +69,16 @@ class Recording:
         path: Path,
         attributes: Mapping[str, Any],
         groups: Mapping[str, Mapping[str, Any]],
+        dropped_bytes: int = 0,
     ) -> None:
         self.path = path
         self.attributes = attributes
         self.opened = ExitStack()  # what its end closes
-        self._groups = {name: group for name, group in groups.items() if name != FLUSHED}
+        self.dropped_bytes = dropped_bytes
+        self._groups = groups
         self.rows = {
-            name: min(map(len, group.values()), default=0) for name, group in self._groups.items()
+            name: min(map(len, group.values()), default=0) for name, group in groups.items()
         }
-        if FLUSHED in groups:  # a live file: see `live`
-            with _damage(path):
-                self.rows = self._flushed(groups[FLUSHED][ROWS])
-
-    def _flushed(self, counts: Any) -> dict[str, int]:
-        """Rows by group as a live file says. ValueError: a group cannot have as many."""
-        newest = counts[-1].tolist() if len(counts) else [0] * counts.shape[1]
-        names = map(as_text, counts.attrs["groups"].tolist())
-        rows = dict(zip(names, newest, strict=True))
-        for name, count in rows.items():
-            longest = max(map(len, self._groups[name].values()), default=0)
-            # in a stream one column always moves, in the others all may stand still for a while
-            most = longest if name in STREAMS.values() else longest + STANDING
-            if not 0 <= count <= most:
-                raise ValueError(f"{count} rows of {name} are said to be there, {longest} are")
-        return rows
 
     def __enter__(self) -> Self:
         return self
@@ -112,25 +91,17 @@ class Recording:
         from them (`COMPUTED`).
         """
         there = self._groups.get(group, {})
-        known = [channel.name for channel in GROUPS.get(group, []) if channel.name in there]
-        return list(
-            dict.fromkeys(
-                [*known, *there, *(COMPUTED.get(group, ()) if self.rows.get(group) else ())]
-            )
-        )
+        known = [channel.name for channel in CHANNELS.get(group, ()) if channel.name in there]
+        computed = COMPUTED.get(group, ()) if self.rows.get(group) else ()
+        return list(dict.fromkeys([*known, *there, *computed]))
 
     def column(self, group: str, name: str, begin: int = 0, end: int | None = None) -> NDArray[Any]:
         """Rows begin..end of a channel: (n,), raw frames (n, bytes)."""
         if name not in self._groups[group] and name in COMPUTED.get(group, ()):
             return self._computed(group, name, begin, end)
         after = self.rows[group] if end is None else min(end, self.rows[group])
-        stored = self._groups[group][name]
         with _damage(self.path):
-            found = np.asarray(stored[begin:after])
-            standing = max(0, after - max(begin, len(stored)))
-            if not standing:
-                return found
-            return np.concatenate([found, np.repeat(np.asarray(stored[-1:]), standing, axis=0)])
+            return np.asarray(self._groups[group][name][begin:after])
 
     def _computed(self, group: str, name: str, begin: int, end: int | None) -> NDArray[Any]:
         """Seconds from the first record, or a signal of the probe in N or m/s."""
@@ -148,11 +119,10 @@ class Recording:
         )
 
     def unit(self, group: str, name: str) -> str:
-        """Unit of a channel; empty when it has none."""
-        return next(
-            (channel.unit for channel in GROUPS.get(group, []) if channel.name == name),
-            udunits(name),
-        )
+        """Unit of a channel as UDUNITS writes it; empty when it has none."""
+        if group in GROUPS and group not in STREAMS.values():
+            return UNITS.get(name, "")
+        return udunits(name)
 
     @property
     def params(self) -> ServoParams:
@@ -219,88 +189,86 @@ class Recording:
     def _segment(self, first: int, after: int, epoch: int) -> Segment | None:
         begin_tick = int(self.column("servo", "tick", first, first + 1)[0])
         end_tick = begin_tick + after - first
-        breaks = [lost for life, lost in self._epoch_and_tick("break") if life == epoch]
-        # a crashed file may hold fewer whole states than checkpoints: not strict
-        checkpoints = zip(self._epoch_and_tick("checkpoint"), self._states(), strict=False)
-        for (life, tick), state in checkpoints:
+        breaks = [lost["tick"] for lost in self._table("break") if lost["epoch"] == epoch]
+        for checkpoint, state in zip(self._table("checkpoint"), self._states(), strict=True):
+            tick = checkpoint["tick"]
             end = min([end_tick, *(lost for lost in breaks if lost >= tick)])
-            if life == epoch and begin_tick <= tick < end:
+            if checkpoint["epoch"] == epoch and begin_tick <= tick < end:
                 row = first + tick - begin_tick
                 records = self.records(row, row + end - tick)
                 return Segment(tick, state, records, self._requests(epoch, tick, end))
         return None
 
-    def _epoch_and_tick(self, group: str) -> list[list[int]]:
-        columns = [self.column(group, name) for name in ("epoch", "tick")]
-        return list(np.stack(columns, axis=1).tolist())
+    def _table(self, group: str) -> list[dict[str, Any]]:
+        """The rows of a group as maps of plain values."""
+        names = self.names(group)
+        columns = [self.column(group, name).tolist() for name in names]
+        return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
     def _states(self) -> list[Any]:
         text = self.column(TEXT, "bytes").tobytes()
         ends = np.cumsum([0, *self.column("checkpoint", "length").tolist()]).tolist()
         return [
-            msgpack.unpackb(text[begin:end], strict_map_key=False)
-            for begin, end in pairwise(ends)
-            if end <= len(text)  # in a crashed file the last may be cut off
+            msgpack.unpackb(text[begin:end], strict_map_key=False) for begin, end in pairwise(ends)
         ]
 
     def _requests(self, epoch: int, begin: int, end: int) -> list[Noted]:
-        numbers = np.stack(
-            [self.column("request", name) for name in ("epoch", *REQUEST)], axis=1
-        ).tolist()
-        values = np.stack(
-            [self.column("request", name) for name in self.names("request") if "value_" in name],
-            axis=1,
-        ).tolist()
-        found = (
-            Noted(**dict(zip(REQUEST, row, strict=True)), values=tuple(given))
-            for (one, *row), given in zip(numbers, values, strict=True)
-            if one == epoch
-        )
-        return [noted for noted in found if begin <= noted.tick < end]
+        return [
+            Noted(
+                **{name: row[name] for name in REQUEST},
+                values=tuple(value for name, value in row.items() if "value_" in name),
+            )
+            for row in self._table("request")
+            if row["epoch"] == epoch and begin <= row["tick"] < end
+        ]
 
 
 def open_recording(path: Path) -> Recording:
     """The recording in `path`, of whatever kind. ConfigError: it is none, or cannot be read."""
-    return _flight(path) if path.suffix == flight.SUFFIX else _hdf5(path)
+    if path.suffix == flight.SUFFIX:
+        return _flight(path)
+    with _damage(path):
+        return _live(path) if live.is_live(regular(path)) else _hdf5(path)
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file is an HDF5 recording of this package, finished or not."""
+    """Whether a file is a recording of this package, finished or not."""
     try:
-        with _hdf5(path):
+        with open_recording(path):
             return True
-    except (OSError, HapticdError):
+    except HapticdError:
         return False
+
+
+def _live(path: Path) -> Recording:
+    attributes, blocks, dropped_bytes = live.read_live(path)
+    _check_schema(path, attributes)
+    groups = {name: live.columns(found) for name, found in blocks.items()}
+    return Recording(path, attributes, groups, dropped_bytes)
 
 
 def _hdf5(path: Path) -> Recording:
     import h5py
 
-    regular(path)
-    with ExitStack() as opened, _damage(path):
-        file = _opened(h5py, path, opened)
+    with ExitStack() as opened:
+        file = opened.enter_context(h5py.File(path, "r"))
         attributes = {name: as_text(value) for name, value in file.attrs.items()}
-        # of a file that grows meanwhile the count is read before what it counts
-        names = sorted(file, key=lambda name: name != FLUSHED)
-        groups = {name: dict(file[name]) for name in names}
-        if attributes.get("schema") != SCHEMA:
-            found = attributes.get("schema", "without a schema")
-            raise ConfigError(
-                f"{path} is no hapticd recording ({found}); its schema must be {SCHEMA}"
-            )
+        _check_schema(path, attributes)
+        groups = {name: dict(file[name]) for name in file}
         recording = Recording(path, attributes, groups)
         recording.opened = opened.pop_all()
     return recording
 
 
-def _opened(h5py: Any, path: Path, opened: ExitStack) -> Any:
-    try:
-        return opened.enter_context(h5py.File(path, "r"))
-    except OSError:
-        if is_written(path):  # only a reader who knows that opens it
-            return opened.enter_context(h5py.File(path, "r", swmr=True))
-    left = opened.enter_context(Unattended(path))
-    return opened.enter_context(h5py.File(left, "r"))
+def _check_schema(path: Path, attributes: Mapping[str, Any]) -> None:
+    if attributes.get("schema") != SCHEMA:
+        found = attributes.get("schema", "without a schema")
+        raise ConfigError(f"{path} is no hapticd recording ({found}); its schema must be {SCHEMA}")
+
+
+def as_text(value: Any) -> Any:
+    """`value` of an attribute, text of a fixed length as text."""
+    return value.decode(errors="replace") if isinstance(value, bytes) else value
 
 
 @contextmanager
@@ -331,28 +299,20 @@ def _of_flight(path: Path, header: dict[str, Any], records: Records) -> Recordin
         "server_version": header["version"],
         "realtime": json.dumps(header["report"].get("realtime", {})),
     }
-    rows: dict[str, list[dict[str, Any]]] = {
-        "gap": [{"stream": "servo", "row": row, "missing": lost} for row, lost in header["gaps"]],
-        "life": [
-            {
-                "row": 0,
-                "epoch": header["epoch"],
-                "mono_unix_offset_ns": header["mono_unix_offset_ns"],
-            }
-        ],
-        "event": [],
-        **replay_rows(header["epoch"], header["requests"], header["breaks"], header["checkpoints"]),
+    gaps = [{"stream": "servo", "row": row, "missing": lost} for row, lost in header["gaps"]]
+    life = {
+        "row": 0,
+        "epoch": header["epoch"],
+        "mono_unix_offset_ns": header["mono_unix_offset_ns"],
     }
-    ticks = columns(records)
-    groups: dict[str, Columns] = {
-        "servo": {
-            channel.name: as_channel(channel, ticks[channel.name])
-            for channel in GROUPS["servo"]
-            if channel.name in ticks
-        },
-        "probe": {},
-        TEXT: {"bytes": texts(rows["checkpoint"])},
+    rows = {
+        "servo": records,
+        "gap": live.table("gap", gaps),
+        "life": live.table("life", [life]),
+        "event": live.table("event", []),
+        **live.replay_rows(
+            header["epoch"], header["requests"], header["breaks"], header["checkpoints"]
+        ),
     }
-    return Recording(
-        path, attributes, groups | {name: table(name, found) for name, found in rows.items()}
-    )
+    groups = {name: live.columns([found]) for name, found in rows.items()}
+    return Recording(path, attributes, {"probe": {}, **groups})

@@ -1,27 +1,28 @@
-"""From messages of the daemon to rows of the live file: columns that grow by blocks, single writer,
-multiple readers (SWMR).
+"""The live file, and the way from messages of the daemon to its rows.
 
-A stream of records becomes one column a field, in units as UDUNITS writes them. `Writer.take` gets
-payloads and `Writer.write` is called ten times a second; there is no socket and no clock here.
-Written plainly, fifty columns would take more processor time than a recorder may have, so
-- HDF5's low-level calls are used, with number types and selections made once (a fifth of the time);
-- a column that stands still is not written: it stays shorter than the others until it moves or the
-  file is closed.
-How many rows count is written last, in /flushed/rows, after everything else was handed over: rows
-beyond do not count, and a column that ends before repeats its last value. A write that fails leaves
-the library with data that it cannot put anywhere; then nothing more is written, and the file stays
-as it was at the last flush, for `hapticd rec recover`.
+A recorder only appends, so whatever ends it leaves what it wrote before:
 
-What would break it: a flush of /flushed/rows before the columns, a dataset or an attribute made
-after SWMR began, a second writer.
+    hapticd-live/1 LF | bytes of header, u64 little-endian | header, JSON | frame | frame | ...
+
+The header holds `attributes`, and in `groups` numpy's description of the rows of each. A frame is
+what came in 100 ms: its CRC-32, which begins with that of all before the first frame; the number of
+rows of each group, u32 little-endian; then the rows. So the rows of all groups come together or not
+at all. The last frame is cut short where the recorder was killed or the disk was full. It does not
+count, nor does what follows a damaged one, and the bytes that are left out are counted. The rows
+stay in the mapped file until their columns are read.
+
+`Writer.take` gets payloads and `Writer.write` is called ten times a second; there is no socket and
+no clock here. A stream of records becomes one column a field, in units as UDUNITS writes them.
+
+What would break it: a write after one that failed; a second writer.
 """
 
-import fcntl
+import struct
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
-from functools import lru_cache
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, NamedTuple
+from zlib import crc32
 
 import msgpack
 import numpy as np
@@ -29,229 +30,168 @@ from numpy.typing import NDArray
 
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.core.errors import HapticdError
-from hapticd.core.units import NS_PER_S, unit_of
+from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.client_side import Noted
 from hapticd.mailbox.layout import COMMAND_VALUES, VALUE_LIMITS, Command, Value
-from hapticd.protocol.telemetry import PROBE_DESCR as PROBE
-from hapticd.protocol.telemetry import TICK_DESCR as TICKS
+from hapticd.protocol.flight import dtype_of, read_header, with_header
+from hapticd.protocol.telemetry import PROBE_DTYPE
+from hapticd.protocol.view import RECORD_DTYPE, Records
 
-Columns = dict[str, NDArray[Any]]
+MAGIC = b"hapticd-live/1\n"
 LEFT_OUT = "tail"  # repeats the tick, for readers of the ring
 _SIGNED = {"<u8": "<i8"}  # MATLAB computes poorly with 64-bit unsigned integers
-CHUNK_ROWS = {"servo": 1024, "probe": 4096, "checkpoint_text": 4096}  # a chunk is written whole
-FEW_ROWS = 64  # in a chunk of all others
-FLUSHED = "flushed"  # the group of the one dataset ROWS: rows that count, of every other group
-ROWS = "rows"
 SUFFIX = ".part.h5"
 TOPICS = ("servo.raw", "probe", "event", "flight")
 STREAMS = {"servo.raw": "servo", "probe": "probe"}  # topic: group
+TEXT = "checkpoint_text"  # group of the bytes of all checkpoints
 TEXT_BYTES = 128  # of an event
-LONGEST_TEXT = 60_000  # bytes of an attribute; 65,535 is what HDF5 puts into a header
 
 
 class Channel(NamedTuple):
-    """One dataset."""
+    """One column."""
 
     name: str
     kind: str  # numpy's number type
     width: int  # bytes per row; 0: one number per row
-    unit: str  # as UDUNITS writes it
+    field: str  # of the rows
+    place: int | None = None  # in that field, where it holds several numbers
+
+    def of(self, rows: Records) -> NDArray[Any]:
+        """Its values in `rows`: (n,), bytes (n, width)."""
+        values = rows[self.field] if self.place is None else rows[self.field][:, self.place]
+        shape = (-1, self.width) if self.width else (-1,)
+        return np.frombuffer(values.tobytes(), self.kind).reshape(shape)
 
 
-def channels(descr: Sequence[Sequence[Any]]) -> list[Channel]:
-    """The channels of records with numpy `descr`."""
+def channels(rows: np.dtype[Any]) -> list[Channel]:
+    """The channels of rows of a type."""
     found = []
-    for name, kind, *shape in (field for field in descr if field[0] != LEFT_OUT):
-        if shape:
-            found += [Channel(part, kind, 0, udunits(part)) for part in _parts(name, shape[0][0])]
-        elif kind.startswith("V"):
-            found.append(Channel(name, "u1", int(kind[1:]), ""))
+    for name in (name for name in rows.names or () if name != LEFT_OUT):
+        kind = rows[name].base.str
+        if rows[name].shape:
+            places = range(rows[name].shape[0])
+            found += [Channel(f"{name}_{place}", kind, 0, name, place) for place in places]
+        elif rows[name].kind == "V":
+            found.append(Channel(name, "u1", rows[name].itemsize, name))
         else:
-            found.append(Channel(name, _SIGNED.get(kind, kind), 0, udunits(name)))
+            found.append(Channel(name, _SIGNED.get(kind, kind), 0, name))
     return found
-
-
-def columns(records: NDArray[np.void]) -> Columns:
-    """The columns of a block of records, in the order of `channels`: views, of the bytes that
-    the channels' types mean.
-    """
-    found: Columns = {}
-    for name in (name for name in records.dtype.names or () if name != LEFT_OUT):
-        column = records[name]
-        if column.ndim == 2:
-            found |= {
-                part: column[:, place] for place, part in enumerate(_parts(name, column.shape[1]))
-            }
-        else:
-            found[name] = column
-    return found
-
-
-def as_channel(channel: Channel, values: NDArray[Any]) -> NDArray[Any]:
-    """`values` of a column as numbers of its channel: (n,), bytes (n, width)."""
-    row = (channel.width,) if channel.width else ()
-    return np.frombuffer(values.tobytes(), channel.kind).reshape(-1, *row)
-
-
-def _parts(name: str, count: int) -> tuple[str, ...]:
-    return tuple(f"{name}_{place}" for place in range(count))
-
-
-def udunits(name: str) -> str:
-    """Unit of a field as UDUNITS writes it: N s/m -> N s m-1."""
-    over, _, under = unit_of(name).partition("/")
-    powers = [
-        f"{base}-{power or 1}" for base, _, power in (part.partition("^") for part in under.split())
-    ]
-    return " ".join([over, *powers]).strip()
-
-
-def of_fixed_length(value: Any) -> Any:
-    """`value` of an attribute, text as UTF-8 of a fixed length: what may have any length lies in a
-    heap without a checksum, and HDF5 reads a damaged heap for ever, or dies of it. Only text that
-    is too long for a header stays as it is.
-    """
-    data = value.encode() if isinstance(value, str) else b""
-    if not isinstance(value, str) or len(data) > LONGEST_TEXT:
-        return value
-    return np.array(data, f"S{max(1, len(data))}")
-
-
-def as_text(value: Any) -> Any:
-    """`value` of an attribute as it was before `of_fixed_length`."""
-    return value.decode(errors="replace") if isinstance(value, bytes) else value
 
 
 class Column:
-    """One dataset that grows."""
+    """A channel of rows that lie in blocks, joined where they are read: len(), and [begin:end]."""
 
-    def __init__(self, group: Any, channel: Channel, chunk_rows: int) -> None:
-        self._row = (channel.width,) if channel.width else ()
-        self._dtype = np.dtype(channel.kind)
-        self._bytes = self._dtype.itemsize * max(1, channel.width)
-        self.dataset = group.create_dataset(
-            channel.name,
-            (0, *self._row),
-            self._dtype,
-            maxshape=(None, *self._row),
-            chunks=(chunk_rows, *self._row),
-        )
-        self.dataset.attrs["units"] = of_fixed_length(channel.unit)
-        self._identifier = self.dataset.id
-        self._kind = self.dataset.id.get_type()
-        self._last = b""
-        self._standing = 0
-        self._rows = 0
+    def __init__(
+        self, channel: Channel, blocks: Sequence[Records], edges: NDArray[np.int64]
+    ) -> None:
+        self._channel = channel
+        self._blocks = blocks
+        self._edges = edges  # rows before each block, and all rows
 
-    def append(self, values: NDArray[Any]) -> None:
-        """Add `values`, whose bytes are those of the dataset's number type; nothing is written
-        while all of them equal the last one.
-        """
-        data = values.tobytes()
-        if data == self._last * len(values):
-            self._standing += len(values)
-        else:
-            self._write(self._last * self._standing + data)
+    def __len__(self) -> int:
+        return int(self._edges[-1])
 
-    def catch_up(self) -> None:
-        """Write the rows that stood still."""
-        if self._standing:
-            self._write(self._last * self._standing)
-
-    def _write(self, data: bytes) -> None:
-        values = np.frombuffer(data, self._dtype).reshape(-1, *self._row)
-        begin = self._rows
-        self._rows += len(values)
-        self._identifier.set_extent((self._rows, *self._row))
-        self._identifier.write(*_selections(begin, values.shape), values, self._kind)
-        self._last = data[-self._bytes :]
-        self._standing = 0
+    def __getitem__(self, rows: slice) -> NDArray[Any]:
+        begin, end, _ = rows.indices(len(self))
+        first = int(np.searchsorted(self._edges, begin, side="right")) - 1
+        after = int(np.searchsorted(self._edges, end, side="left"))
+        none = self._channel.of(self._blocks[0][:0])
+        found = np.concatenate([none, *map(self._channel.of, self._blocks[first:after])])
+        start = begin - int(self._edges[first])
+        return found[start : start + max(0, end - begin)]
 
 
-@lru_cache(maxsize=4)
-def _selections(begin: int, shape: tuple[int, ...]) -> tuple[Any, Any]:
-    """Where a block of `shape` lies in memory, and where it goes in its dataset, which was just
-    extended to hold it, from row `begin` on; the same for most columns of a group.
-    """
-    from h5py import h5s as spaces
-
-    there = spaces.create_simple((begin + shape[0], *shape[1:]), (spaces.UNLIMITED, *shape[1:]))
-    there.select_hyperslab((begin, *(0,) * (len(shape) - 1)), shape)
-    return spaces.create_simple(shape), there
+def columns(blocks: Sequence[Records]) -> dict[str, Column]:
+    """The columns of rows that lie in `blocks`, of one type; none without a block."""
+    if not blocks:
+        return {}
+    edges = np.cumsum([0, *map(len, blocks)])
+    known = channels(blocks[0].dtype)
+    return {channel.name: Column(channel, blocks, edges) for channel in known}
 
 
 class LiveFile:
-    """The file at `path`, with one group per entry of `groups`; no dataset or attribute can be
-    added later, for SWMR forbids it. HapticdError: it exists.
+    """A new file at `path` with the `groups` of rows, of these types. HapticdError: it exists, or
+    cannot be made.
     """
 
     def __init__(
-        self, path: Path, attributes: Mapping[str, Any], groups: Mapping[str, Iterable[Channel]]
+        self, path: Path, attributes: Mapping[str, Any], groups: Mapping[str, np.dtype[Any]]
     ) -> None:
-        import h5py
-
         try:
-            self._file = h5py.File(path, "x", libver=("v110", "v110"))
+            self._file = path.open("xb")
         except OSError as error:
             raise HapticdError(
                 f"{path}: {error}; choose another name, or `hapticd rec recover` it first"
             ) from error
-        for name, value in attributes.items():
-            self._file.attrs[name] = of_fixed_length(value)
-        counts = [Channel(ROWS, "<i8", len(groups), "")]
-        self._groups = {
-            name: self._columns(name, channels)
-            for name, channels in {**groups, FLUSHED: counts}.items()
-        }
-        self._groups[FLUSHED][ROWS].dataset.attrs["groups"] = np.array([*groups], "S")
-        self._rows = dict.fromkeys(groups, 0)
-        self._file.swmr_mode = True
-        self.descriptor: int = self._file.id.get_vfd_handle()
-        # so that readers know of a living writer (`is_written`); HDF5 has locks of another kind
-        with suppress(OSError):
-            fcntl.lockf(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self.descriptor: int = self._file.fileno()
+        self._row_bytes = {name: kind.itemsize for name, kind in groups.items()}
+        descriptions = {name: kind.descr for name, kind in groups.items()}
+        header = with_header(MAGIC, {"attributes": attributes, "groups": descriptions})
+        self._seed = crc32(header)
+        self._hand_over(header)
 
-    def _columns(self, name: str, channels: Iterable[Channel]) -> dict[str, Column]:
-        group = self._file.create_group(name)
-        chunk_rows = CHUNK_ROWS.get(name, FEW_ROWS)
-        return {channel.name: Column(group, channel, chunk_rows) for channel in channels}
-
-    def append(self, group: str, columns: Mapping[str, NDArray[Any]]) -> None:
-        """Add rows to all columns of `group`."""
-        for name, values in columns.items():
-            self._groups[group][name].append(values)
-        self._rows[group] += len(values)
-
-    def flush(self) -> None:
-        """Hand everything to the operating system: from here on it survives the end of this
-        process.
+    def append(self, rows: Mapping[str, bytes]) -> None:
+        """Add rows of several groups as one frame, and hand it to the operating system: from here
+        on it survives the end of this process. OSError: nothing may be added any more.
         """
+        if any(rows.values()):
+            data = {name: rows.get(name, b"") for name in self._row_bytes}
+            counts = [len(data[name]) // size for name, size in self._row_bytes.items()]
+            body = struct.pack(f"<{len(counts)}I", *counts) + b"".join(data.values())
+            self._hand_over(struct.pack("<I", crc32(body, self._seed)) + body)
+
+    def _hand_over(self, data: bytes) -> None:
+        self._file.write(data)
         self._file.flush()
-        counts = self._groups[FLUSHED][ROWS]
-        counts.append(np.array([list(self._rows.values())], "<i8"))
-        counts.dataset.id.flush()
 
     def close(self) -> None:
-        """Bring all columns to the same length and close an intact file."""
-        for name in self._rows:
-            for column in self._groups[name].values():
-                column.catch_up()
-        self._file.flush()
+        """Close the file."""
         self._file.close()
 
 
-def is_written(path: Path) -> bool:
-    """Whether another process writes the live file at `path`. OSError: it cannot be read."""
+class LiveContent(NamedTuple):
+    """What is in a live file."""
+
+    attributes: dict[str, Any]
+    blocks: dict[str, list[Records]]  # rows by group; the first block is empty
+    dropped_bytes: int  # behind the last whole frame
+
+
+def is_live(path: Path) -> bool:
+    """Whether the file at `path` is a live file, or was one. OSError: it cannot be read."""
     with path.open("rb") as file:
-        try:
-            fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False
+        return file.read(len(MAGIC)) == MAGIC
 
 
-def _integers(*names: str) -> list[Channel]:
-    return [Channel(name, "<i8", 0, "") for name in names]
+def read_live(path: Path) -> LiveContent:
+    """What is in the live file at `path`, which may grow meanwhile. OSError, LookupError,
+    TypeError, ValueError or struct.error: its header is damaged.
+    """
+    with path.open("rb") as file:
+        data = memoryview(mmap(file.fileno(), 0, access=ACCESS_READ))
+    header, place = read_header(data, MAGIC)
+    kinds = {name: dtype_of(descr) for name, descr in header["groups"].items()}
+    blocks = {name: [np.empty(0, kind)] for name, kind in kinds.items()}
+    head = struct.Struct(f"<{1 + len(kinds)}I")
+    seed = crc32(data[:place])
+    while place + head.size <= len(data):
+        checksum, *counts = head.unpack_from(data, place)
+        begin = place + head.size
+        sizes = [count * kind.itemsize for count, kind in zip(counts, kinds.values(), strict=True)]
+        after = begin + sum(sizes)
+        if after > len(data) or crc32(data[place + 4 : after], seed) != checksum:
+            break
+        for (name, kind), count, size in zip(kinds.items(), counts, sizes, strict=True):
+            if count:
+                blocks[name].append(np.frombuffer(data, kind, count, begin))
+            begin += size
+        place = after
+    return LiveContent(header["attributes"], blocks, len(data) - place)
+
+
+def _integers(*names: str) -> list[tuple[str, str]]:
+    return [(name, "<i8") for name in names]
 
 
 REQUEST = ("tick", "seq", "kind", "actor", "apply_tick")
@@ -262,25 +202,24 @@ assert len(VALUES) == COMMAND_VALUES
 CHANGES = frozenset(
     (Command.SET, Command.DAMPING, Command.ZERO, Command.PERTURB_START, Command.PERTURB_STOP)
 )
-GROUPS: dict[str, list[Channel]] = {
-    "servo": channels(TICKS),
-    "probe": channels(PROBE),
-    "event": [
-        Channel("timestamp", "<f8", 0, "s"),
-        Channel("tick", "<i8", 0, ""),
-        Channel("kind", "S16", 0, ""),
-        Channel("fault", "S32", 0, ""),
-        Channel("text", f"S{TEXT_BYTES}", 0, ""),
-    ],
-    "gap": [Channel("stream", "S16", 0, ""), *_integers("row", "missing")],
-    "life": _integers("row", "epoch", "mono_unix_offset_ns"),
-    "checkpoint": _integers("epoch", "tick", "length"),
-    "checkpoint_text": [Channel("bytes", "u1", 0, "")],
-    "request": [
-        *_integers("epoch", *REQUEST),
-        *(Channel(name, "<f8", 0, "") for name in VALUES),
-    ],
-    "break": _integers("epoch", "tick"),
+EVENT = [
+    ("timestamp", "<f8"),
+    ("tick", "<i8"),
+    ("kind", "S16"),
+    ("fault", "S32"),
+    ("text", f"S{TEXT_BYTES}"),
+]
+# the type of the rows of each group
+GROUPS: dict[str, np.dtype[Any]] = {
+    "servo": RECORD_DTYPE,
+    "probe": PROBE_DTYPE,
+    "event": np.dtype(EVENT),
+    "gap": np.dtype([("stream", "S16"), *_integers("row", "missing")]),
+    "life": np.dtype(_integers("row", "epoch", "mono_unix_offset_ns")),
+    "checkpoint": np.dtype(_integers("epoch", "tick", "length")),
+    TEXT: np.dtype([("bytes", "u1")]),
+    "request": np.dtype([*_integers("epoch", *REQUEST), *((name, "<f8") for name in VALUES)]),
+    "break": np.dtype(_integers("epoch", "tick")),
 }
 
 
@@ -307,11 +246,8 @@ class Writer:
         self._seconds = seconds
         self.file = LiveFile(path, attributes, GROUPS)
         self._decoders = {topic: BlockDecoder() for topic in STREAMS}
-        self._blocks: dict[str, list[Block]] = {topic: [] for topic in STREAMS}
+        self._new: dict[str, list[Records]] = {name: [] for name in GROUPS}  # rows to be written
         self._rows = dict.fromkeys(STREAMS, 0)
-        self._small: dict[str, list[dict[str, Any]]] = {
-            name: [] for name in GROUPS if name not in STREAMS.values()
-        }
         self._epoch: int | None = None
         self._newest = Newest(0, 0, 0.0)
         self.missing = dict.fromkeys(STREAMS, 0)
@@ -336,16 +272,15 @@ class Writer:
             return
         content = msgpack.unpackb(payload, use_list=False)
         if topic == "event":
-            found = {"event": [event_row(content)]}
-        else:
-            lost, checkpoint = (
-                [] if content[one] is None else [content[one]] for one in ("break", "checkpoint")
-            )
-            requests = [Noted(*one) for one in content["requests"]]
-            found = replay_rows(content["epoch"], requests, lost, checkpoint)
-            found["event"] = self._changes(requests)
-        for name, rows in found.items():
-            self._small[name] += rows
+            self._new["event"].append(table("event", [event_row(content)]))
+            return
+        lost, checkpoint = (
+            [] if content[one] is None else [content[one]] for one in ("break", "checkpoint")
+        )
+        requests = [Noted(*one) for one in content["requests"]]
+        for name, rows in replay_rows(content["epoch"], requests, lost, checkpoint).items():
+            self._new[name].append(rows)
+        self._new["event"].append(table("event", self._changes(requests)))
 
     def _changes(self, requests: Iterable[Noted]) -> list[dict[str, Any]]:
         """Rows of `event` for the requests that changed what is rendered, damped or played; their
@@ -372,38 +307,33 @@ class Writer:
             return
         row = self._rows[topic]
         name = STREAMS[topic]
+        if block.records.dtype != GROUPS[name]:
+            raise HapticdError(
+                f"{topic}: the daemon's records have other fields; record with the daemon's version"
+                " of hapticd"
+            )
         if block.gap:
             self.missing[topic] += block.gap
-            self._small["gap"].append({"stream": name, "row": row, "missing": block.gap})
+            gap = {"stream": name, "row": row, "missing": block.gap}
+            self._new["gap"].append(table("gap", [gap]))
         if topic == "servo.raw" and block.header["epoch"] != self._epoch:
             self._epoch = block.header["epoch"]
             offset_ns = block.header["mono_unix_offset_ns"]
-            self._small["life"].append(
-                {"row": row, "epoch": self._epoch, "mono_unix_offset_ns": offset_ns}
-            )
+            life = {"row": row, "epoch": self._epoch, "mono_unix_offset_ns": offset_ns}
+            self._new["life"].append(table("life", [life]))
         if topic == "servo.raw":
             self.first_ns = self.first_ns or int(block.records["time_ns"][0])
             self.last_ns = int(block.records["time_ns"][-1])
             self._newest = _newest(block)
         self._rows[topic] += len(block.records)
-        self._blocks[topic].append(block)
+        self._new[name].append(block.records)
 
     def write(self) -> None:
-        """Put everything taken into the file and flush it. OSError or RuntimeError: it cannot
-        be written (any more).
-        """
-        for topic, name in STREAMS.items():
-            if blocks := self._blocks[topic]:
-                self._blocks[topic] = []
-                data = b"".join(block.records.tobytes() for block in blocks)
-                self.file.append(name, columns(np.frombuffer(data, blocks[0].records.dtype)))
-        for name, rows in self._small.items():
-            if rows:
-                self._small[name] = []
-                self.file.append(name, table(name, rows))
-                if name == "checkpoint":
-                    self.file.append("checkpoint_text", {"bytes": texts(rows)})
-        self.file.flush()
+        """Put everything taken into the file. OSError: it cannot be written (any more)."""
+        self.file.append(
+            {name: b"".join(rows.tobytes() for rows in new) for name, new in self._new.items()}
+        )
+        self._new = {name: [] for name in GROUPS}
 
 
 def _newest(block: Block) -> Newest:
@@ -413,17 +343,10 @@ def _newest(block: Block) -> Newest:
     return Newest(last_tick, last_ns + block.header["mono_unix_offset_ns"], period_ns)
 
 
-def table(group: str, rows: list[dict[str, Any]]) -> Columns:
-    """The columns of a small group from its rows."""
-    return {
-        channel.name: np.array([row[channel.name] for row in rows], channel.kind)
-        for channel in GROUPS[group]
-    }
-
-
-def texts(checkpoints: list[dict[str, Any]]) -> NDArray[np.uint8]:
-    """The bytes of `checkpoint_text` of rows of `checkpoint`."""
-    return np.frombuffer(b"".join(row["text"] for row in checkpoints), "u1")
+def table(group: str, rows: Iterable[Mapping[str, Any]]) -> Records:
+    """Rows of a group as a structured array (n,)."""
+    kind = GROUPS[group]
+    return np.array([tuple(row[name] for name in kind.names or ()) for row in rows], kind)
 
 
 def replay_rows(
@@ -431,26 +354,18 @@ def replay_rows(
     requests: Iterable[Any],
     breaks: Iterable[int],
     checkpoints: Iterable[tuple[int, Any]],
-) -> dict[str, list[dict[str, Any]]]:
-    """Rows of `request`, `break` and `checkpoint` (with its `text`): the requests that the servo
+) -> dict[str, Records]:
+    """Rows of the groups `request`, `break`, `checkpoint` and TEXT: the requests that the servo
     obeyed in one life, the ticks at which some were lost, and its states (tick, state).
     """
-    packed = [(tick, msgpack.packb(state)) for tick, state in checkpoints]
-    return {
-        "request": [
-            {
-                "epoch": epoch,
-                **dict(zip(REQUEST, numbers, strict=True)),
-                **dict(zip(VALUES, values, strict=True)),
-            }
-            for *numbers, values in requests
-        ],
-        "break": [{"epoch": epoch, "tick": tick} for tick in breaks],
-        "checkpoint": [
-            {"epoch": epoch, "tick": tick, "text": text, "length": len(text)}
-            for tick, text in packed
-        ],
+    states = [(tick, msgpack.packb(state)) for tick, state in checkpoints]
+    rows = {
+        "request": [(epoch, *numbers, *values) for *numbers, values in requests],
+        "break": [(epoch, tick) for tick in breaks],
+        "checkpoint": [(epoch, tick, len(text)) for tick, text in states],
+        TEXT: [(one,) for _, text in states for one in text],
     }
+    return {name: np.array(found, GROUPS[name]) for name, found in rows.items()}
 
 
 def change_words(values: Sequence[float]) -> str:

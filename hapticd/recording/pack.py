@@ -1,9 +1,10 @@
 """The final file: compressed, with checksums, in a format that HDF5 1.8 and so every Octave and
 MATLAB opens; and its exports.
 
-The source may be a live file that was closed, one whose recorder died, or a flight recording. The
-final file is written under a name of its own, put on the disk and only then renamed, so it is whole
-or absent; then a live file is removed. A source that cannot be packed stays as it is.
+The source may be a live file, whose recorder ended or died, or a flight recording. Both files are
+there for a while, so the disk must have room for another one of that size. The final file is
+written under a name of its own, put on the disk and only then renamed, so it is whole or absent;
+then a live file is removed, if all its bytes were read. A source that cannot be packed stays.
 
 Exports are MATLAB 5 (.mat) and comma-separated values. What a finished file has beside the records,
 the probe's signals in SI and seconds, is in the export of an unfinished one too. A text file ends
@@ -17,6 +18,8 @@ the final one is on the disk.
 import csv
 import json
 import os
+import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,8 +32,9 @@ from hapticd.core.extras import need
 from hapticd.core.units import NS_PER_S
 from hapticd.recording.energy import DATASETS, GROUP, energies
 from hapticd.recording.file import Recording, open_recording
-from hapticd.recording.live import SUFFIX, of_fixed_length
+from hapticd.recording.live import SUFFIX
 from hapticd.recording.stretch import remark, stretch
+from hapticd.settings.inputs import regular
 
 __all__ = ["pack", "summary", "to_csv", "to_mat"]
 
@@ -38,13 +42,23 @@ CHUNK_ROWS = 4096
 ROWS_AT_ONCE = 1 << 18  # copied from the source
 STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 FINAL = ".h5"
-JOULE = of_fixed_length("J")
+LONGEST_TEXT = 60_000  # bytes of an attribute; 65,535 is what HDF5 puts into a header
 LINES_AT_ONCE = 10_000  # of a text file
 GROUPS = ("servo", "probe", GROUP, "event", "gap", "life")  # of a MATLAB file
 FRAMES = ("in_frame", "out_frame")  # not in a text file
 
 
-def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
+def free_bytes(folder: Path) -> int:
+    """Room on the disk."""
+    return shutil.disk_usage(folder).free
+
+
+def pack(
+    source: Path,
+    final: Path,
+    recovered: bool = False,
+    free_bytes: Callable[[Path], int] = free_bytes,
+) -> dict[str, Any]:
     """Write `final` from `source`, whole or not at all; returns {file, records, seconds, missing,
     bytes} and the rest of `summary`. HapticdError: it cannot be written, and `source` stays.
     """
@@ -52,6 +66,7 @@ def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
 
     if final.exists():
         raise HapticdError(f"{final} exists; move it away or choose another name")
+    _check_room(source, final, free_bytes)
     fresh = final.with_name(f".{final.name}.{os.getpid()}")
     with open_recording(source) as recording:
         try:
@@ -67,9 +82,20 @@ def pack(source: Path, final: Path, recovered: bool = False) -> dict[str, Any]:
             ) from error
         finally:
             fresh.unlink(missing_ok=True)
-    if source.name.endswith(SUFFIX):
+    if source.name.endswith(SUFFIX) and not recording.dropped_bytes:
         source.unlink()
     return {"file": str(final), **found, "bytes": final.stat().st_size}
+
+
+def _check_room(source: Path, final: Path, free_bytes: Callable[[Path], int]) -> None:
+    """HapticdError without room for a file as large as `source` beside it."""
+    needed = regular(source).stat().st_size
+    free = free_bytes(final.parent)
+    if free < needed:
+        raise HapticdError(
+            f"{final}: packing needs up to {needed / 1e6:.0f} MB, {free / 1e6:.0f} MB are free;"
+            f" {source} stays: free some space, then `hapticd rec recover {source}`"
+        )
 
 
 def summary(recording: Recording) -> dict[str, Any]:
@@ -87,8 +113,20 @@ def summary(recording: Recording) -> dict[str, Any]:
         "missing": recording.missing,
         "lost_slots": _lost_slots(recording),
         "lives": recording.rows["life"],
+        "dropped_bytes": recording.dropped_bytes,
         "simulated": bool(recording.attributes["simulated"]),
     }
+
+
+def of_fixed_length(value: Any) -> Any:
+    """`value` of an attribute, text as UTF-8 of a fixed length: what may have any length lies in a
+    heap without a checksum, and HDF5 reads a damaged heap for ever, or dies of it. Only text that
+    is too long for a header stays as it is.
+    """
+    data = value.encode() if isinstance(value, str) else b""
+    if not isinstance(value, str) or len(data) > LONGEST_TEXT:
+        return value
+    return np.array(data, f"S{max(1, len(data))}")
 
 
 def _lost_slots(recording: Recording) -> int:
@@ -122,20 +160,25 @@ def _write_energy(file: Any, recording: Recording) -> None:
     )
     target = file.create_group(GROUP)
     for name, column in zip(DATASETS, sums.T, strict=True):
-        storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, len(column)),)} if len(column) else {}
-        target.create_dataset(name, data=column, **storage).attrs["units"] = JOULE
+        _dataset(target, name, column.shape, column.dtype, "J")[:] = column
 
 
 def _copy(target: Any, name: str, recording: Recording, group: str, rows: int) -> None:
     first = recording.column(group, name, 0, 1)
-    shape = (rows, *first.shape[1:])
-    # HDF5 makes no chunks of nothing
-    storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, rows), *shape[1:])} if rows else {}
-    dataset = target.create_dataset(name, shape, first.dtype, **storage)
-    dataset.attrs["units"] = of_fixed_length(recording.unit(group, name))
+    unit = recording.unit(group, name)
+    dataset = _dataset(target, name, (rows, *first.shape[1:]), first.dtype, unit)
     for begin in range(0, rows, ROWS_AT_ONCE):
         end = min(begin + ROWS_AT_ONCE, rows)
         dataset[begin:end] = recording.column(group, name, begin, end)
+
+
+def _dataset(group: Any, name: str, shape: tuple[int, ...], kind: np.dtype[Any], unit: str) -> Any:
+    rows, *row = shape
+    # HDF5 makes no chunks of nothing
+    storage = {**STORAGE, "chunks": (min(CHUNK_ROWS, rows), *row)} if rows else {}
+    dataset = group.create_dataset(name, shape, kind, **storage)
+    dataset.attrs["units"] = of_fixed_length(unit)
+    return dataset
 
 
 def to_mat(recording: Recording, path: Path) -> Path:

@@ -13,10 +13,9 @@ write after one that failed (see `live`).
 """
 
 import os
-import shutil
 from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -72,18 +71,18 @@ def record(
     should_stop: Callable[[], bool],
     tell: Callable[[RecordingProgress], None] = lambda progress: None,
     clock: Clock | None = None,
-    free_bytes: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
+    free_bytes: Callable[[Path], int] = pack.free_bytes,
 ) -> dict[str, Any]:
     """Record until `seconds` are recorded, `should_stop()`, the disk is nearly full or the daemon
     has ended; then pack. Returns why it `ended`, and what `pack.pack` returns.
 
-    ConfigError: the file exists. HapticdError: it cannot be written; what was flushed is in the
-    live file. DaemonDown: nothing was received.
+    ConfigError: the file exists. HapticdError: it cannot be written, or there is no room for
+    packing; what was recorded is in the live file. DaemonDown: nothing was received.
     """
     check_free(params)
     recorder = Recorder(source, params, clock or MonotonicClock(), free_bytes)
     ended = recorder.run(should_stop, tell)
-    return {"ended": ended, **pack.pack(params.part, params.file)}
+    return {"ended": ended, **pack.pack(params.part, params.file, free_bytes=free_bytes)}
 
 
 def check_free(params: RecordingParams) -> None:
@@ -130,14 +129,17 @@ class Recorder:
                 ended = self._loop(messages, answers, disk, should_stop, tell)
             if self._writer is None:
                 raise DaemonDown("record: the daemon published nothing; see `hapticd status`")
-            self._writer.file.close()
-        except (OSError, RuntimeError) as error:
+        except OSError as error:
             part = self._params.part
             remedy = (
                 "what was flushed before is safe: free some space, then `hapticd rec recover"
                 f" {part}`"
             )
             raise HapticdError(f"{part}: {error}; {remedy}") from error
+        finally:
+            if self._writer is not None:
+                with suppress(OSError):  # said above, by the write that failed
+                    self._writer.file.close()
         return ended
 
     def _loop(

@@ -66,7 +66,7 @@ def _limits(settings: Settings, guard: GuardSetup) -> EnvironmentLimits:
 
 
 def _refuse_beyond(limits: EnvironmentLimits, settings: Settings, servo: ServoParams) -> None:
-    known = CommandLimits.simulated(
+    known = CommandLimits(
         servo.realtime.rate_hz, servo.device.active_damping_limit_ns_per_m, limits
     )
     environment = servo.environment

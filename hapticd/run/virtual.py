@@ -1,10 +1,11 @@
-"""A daemon on virtual time, in this process: servo, wire, board, and the gateway's desk and guard.
+"""A daemon on virtual time, in this process: servo, wire, board, and the gateway's command server
+and guard.
 
-`VirtualBoard` answers as `hapticd run` does: the requests of a client go to the gateway's own desk,
-which checks limits and leases, has the guard judge them and gives receipts. Left out are sockets,
-processes, the flight recording, and the topics `event` and `servo`. Its clock goes on only while
-it is run, streamed, recorded or waited for. `aio()` is the same board for asyncio; its leases are
-renewed by requests alone.
+`VirtualBoard` answers as `hapticd run` does: the requests of a client go to the gateway's command
+server, which checks limits and leases, has the guard judge them and gives receipts. Left out are
+sockets, processes, the flight recording, and the topics `event` and `servo`. Its clock goes on only
+while it is run, streamed, recorded or waited for. `aio()` is the same board for asyncio; its leases
+are renewed by requests alone.
 
     hapticd.virtual_board()            the simulated board of the shipped configuration
     hapticd.virtual_board(hand=True)   with a hand that holds the handle and moves it
@@ -37,7 +38,7 @@ from hapticd.core.params import (
     from_plain,
     to_plain,
 )
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.publisher import state_map
 from hapticd.guard.judge import Judge
 from hapticd.guard.status import MOST_RECORDS, Guard
@@ -60,7 +61,7 @@ if TYPE_CHECKING:
 __all__ = ["VirtualBoard", "virtual_board"]
 
 CLIENT = b"virtual"  # identity of the only connection
-LOOK_TICKS = 20  # between two passes of the desk while nothing is due
+LOOK_TICKS = 20  # between two passes of the gateway while nothing is due
 HAND = HandParams("hold", stiffness_n_per_m=500.0, damping_ns_per_m=3.0, tremor_m=1e-3)
 
 
@@ -119,21 +120,23 @@ class VirtualBoard(LockStepClient):
     """
 
     def __init__(self, setup: GatewaySetup, guard: GuardSetup, board: BoardParams) -> None:
-        self._desk: Desk | None = None
+        self._commands: CommandServer | None = None
         self._replies: list[list[bytes]] = []
         self._asked = 0  # requests, by which later answers are told apart
         super().__init__(setup.servo, board)
         self._journal = Journal(time.time_ns)
         self._view = ServoView(self._folder, setup.servo, time.time_ns)
         judged = Guard(self._view, self._journal, setup.guard, _Judging(guard))
-        self._desk = Desk(self._view, self._journal, self._inquire, judged, setup.lease)
+        self._commands = CommandServer(
+            self._view, self._journal, self._inquire, judged, setup.lease
+        )
         self.run(MOST_RECORDS + LOOK_TICKS)  # until the guard knows the delay
         self.hello()
 
     def close(self) -> None:
         """End servo and board; may be called twice."""
-        if self._desk is not None:
-            self._desk = None
+        if self._commands is not None:
+            self._commands = None
             self._view.drop()
             super().close()
 
@@ -151,53 +154,53 @@ class VirtualBoard(LockStepClient):
         self.run(max(1, round(seconds * self._servo.realtime.rate_hz)))
 
     def run(self, ticks: int) -> bytes:
-        """Run as `LockStep.run` does, the desk passing as often as it has something to do."""
-        if self._desk is None:
+        """Run as `LockStep.run` does, the gateway passing as often as it has something to do."""
+        if self._commands is None:
             return super().run(ticks)
         data = []
         while ticks > 0:
-            count = 1 if self._desk.waiting else min(ticks, LOOK_TICKS)
+            count = 1 if self._commands.waiting else min(ticks, LOOK_TICKS)
             data.append(super().run(count))
             ticks -= count
             now_ns = self.stack.clock.now_ns()
             self._view.refresh(now_ns)
-            self._replies += self._desk.collect(now_ns)
+            self._replies += self._commands.collect(now_ns)
         return b"".join(data)
 
     def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
-        """Send any command; its whole reply. CommandError where the desk or servo refuses."""
+        """Send any command; its whole reply. CommandError where gateway or servo refuses."""
         return accepted(self.exchange(cmd, self._as_asked(cmd, fields)))
 
     def exchange(self, cmd: str, fields: dict[str, Any]) -> dict[str, Any]:
         """Send a request and run until its reply is there, accepted or not."""
-        assert self._desk is not None
+        assert self._commands is not None
         given = {name: value for name, value in fields.items() if value is not None}
         self._asked += 1
         payload = encode(Encoding.MSGPACK, {"cmd": cmd, "id": self._asked, **given})
-        self._replies = self._desk.serve([[CLIENT, payload]], self.stack.clock.now_ns())
+        self._replies = self._commands.serve([[CLIENT, payload]], self.stack.clock.now_ns())
         while not self._replies:
             self.run(1)
         reply: dict[str, Any] = msgpack.unpackb(self._replies[-1][-1])
         return reply
 
     def _inquire(self, cmd: str) -> dict[str, Any]:
-        """What the desk does not know itself: the contents of hello and status."""
+        """What the command server does not know itself: the contents of hello and status."""
         if cmd == "dump":
             raise CommandError("refused", "dump: virtual time keeps no flight recording; record it")
         if cmd == "hello":
             servo = to_plain(self._servo)
             return {"rate_hz": self._servo.realtime.rate_hz, "simulated": True, "servo": servo}
-        assert self._desk is not None
+        assert self._commands is not None
         return {
             **self._state(),
             "servo": self._view.report(),
-            "guard": self._desk.guard_summary(),
+            "guard": self._commands.guard_summary(),
             "events": list(self._journal.recent),
         }
 
     def _state(self) -> dict[str, Any]:
-        assert self._desk is not None
-        return state_map(self._view, self._desk.actors, self._desk.leases, time.time_ns())
+        assert self._commands is not None
+        return state_map(self._view, self._commands.actors, self._commands.leases, time.time_ns())
 
     def _payloads(self, topic: str) -> Generator[bytes, None, None]:
         """The topic `state` every second, and what the bench has."""

@@ -32,7 +32,7 @@ from hapticd.client.blocks import BlockDecoder
 from hapticd.client.client import GatewayLine
 from hapticd.core.errors import DaemonDown
 from hapticd.gateway import zmtp
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.layout import State
 from hapticd.recording import pack
@@ -64,7 +64,7 @@ def test_nothing_is_lost(row: Row) -> None:
 
 @contextmanager
 def one_reply_lost() -> Iterator[None]:
-    serve = Desk.serve
+    serve = CommandServer.serve
     swallowed: list[object] = []
 
     def lossy(*arguments: Any) -> Any:
@@ -73,7 +73,7 @@ def one_reply_lost() -> Iterator[None]:
             swallowed.append(replies.pop())
         return replies
 
-    with mock.patch.object(Desk, "serve", lossy):
+    with mock.patch.object(CommandServer, "serve", lossy):
         yield
 
 

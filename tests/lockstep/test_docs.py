@@ -154,7 +154,8 @@ PACKAGES = {name.split(".")[1] for name in MODULES if "." in name} | {"measure"}
 FILE_ENDINGS = {"conf", "csv", "h5", "json", "limits", "mat", "rules", "schema", "service"} | {
     "sysusers", "target", "tmpfiles", "toml",
 }  # fmt: skip
-STATUS_KEYS = {"guard.timing", "servo.realtime", "servo.report"}  # of `hapticd status --json`
+# of `hapticd status --json`
+STATUS_KEYS = {"gateway.outside", "guard.timing", "servo.realtime", "servo.report"}
 ELSEWHERE = ("model.masses.", "usb.core.")  # a table of device files; pyusb
 
 

@@ -75,7 +75,7 @@ def make_slow(rig: GatewayRig, owner: Any, name: str) -> list[int]:
 
 
 def test_heartbeat_goes_on_whatever_requests_cost(rig: GatewayRig) -> None:
-    calls = make_slow(rig, rig.gateway._desk, "_attend")
+    calls = make_slow(rig, rig.gateway._commands, "_attend")
     beats = Beats(rig)
     with RawPeer(rig, command(rig)) as flood:
         flood.send(request(cmd="get") * 200)
@@ -126,7 +126,7 @@ def test_subscriptions_of_a_peer_are_bounded_by_the_names_of_topics(rig: Gateway
 
 
 def test_stop_goes_before_requests_that_wait(rig: GatewayRig) -> None:
-    calls = make_slow(rig, rig.gateway._desk, "_attend")
+    calls = make_slow(rig, rig.gateway._commands, "_attend")
     client = rig.client()
     rig.ask(client, cmd="get")
     with RawPeer(rig, command(rig)) as flood:
@@ -140,7 +140,7 @@ def test_stop_goes_before_requests_that_wait(rig: GatewayRig) -> None:
 
 
 def test_requests_that_wait_are_bounded(rig: GatewayRig) -> None:
-    make_slow(rig, rig.gateway._desk, "_attend")
+    make_slow(rig, rig.gateway._commands, "_attend")
     flooders = [RawPeer(rig, command(rig)) for _ in range(4)]
     for flood in flooders:
         flood.send(request(cmd="get", id=7) * 100)
@@ -148,7 +148,7 @@ def test_requests_that_wait_are_bounded(rig: GatewayRig) -> None:
         rig.step(0)
     said = b"".join(flood.read() or b"" for flood in flooders)
     assert b"100 requests wait for the gateway already; slow down and ask again" in said
-    assert len(rig.gateway._desk._queue) <= 100
+    assert len(rig.gateway._commands._queue) <= 100
     for flood in flooders:
         flood.socket.close()
 

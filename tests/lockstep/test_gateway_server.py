@@ -101,9 +101,9 @@ def test_stop_gets_through_an_endless_flood(rig: GatewayRig) -> None:
             for number in range(10):
                 if flooder.poll(0, zmq.POLLOUT):
                     flooder.send(packed(cmd="set", K=number))
-        before = rig.gateway._desk.counts["requests"]
+        before = rig.gateway._commands.counts["requests"]
         rig.step(1)
-        assert rig.gateway._desk.counts["requests"] - before <= REQUESTS_PER_PASS
+        assert rig.gateway._commands.counts["requests"] - before <= REQUESTS_PER_PASS
         if other.poll(0):
             break
     assert decoded(other.recv_multipart())["state"] == "stopped"

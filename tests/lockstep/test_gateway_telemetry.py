@@ -18,16 +18,14 @@ from support.gateway_stand_in import StandInServo
 from hapticd.client.blocks import BlockDecoder
 from hapticd.core.units import NS_PER_MS
 from hapticd.gateway.publisher import Publisher
+from hapticd.gateway.tick_times import EDGES_NS, PER_DECADE, TickTimes
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import STAGES, Flag
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.telemetry import (
     COLUMNS,
-    EDGES_NS,
     ENERGIES,
     NAMES,
-    PER_DECADE,
-    StageHistograms,
     Subscriptions,
     wanted_by,
 )
@@ -65,14 +63,14 @@ def unpacked(payloads: list[bytes]) -> list[Any]:
 def test_a_tick_that_leaves_too_little_of_its_period_is_told_once(
     rig: FeedRig, monkeypatch: pytest.MonkeyPatch, step_ns: int
 ) -> None:
-    add = rig.publisher.stages.add
+    add = rig.publisher.times.add
 
     def slowed(found: np.ndarray) -> None:
         found = found.copy()
         found["step_ns"] = step_ns
         add(found)
 
-    monkeypatch.setattr(rig.publisher.stages, "add", slowed)
+    monkeypatch.setattr(rig.publisher.times, "add", slowed)
     for _ in range(150):
         rig.servo.tick(20)
         rig.take("state")
@@ -486,11 +484,11 @@ def timed_records(times_ns: np.ndarray, start_ns: int = 0) -> np.ndarray:
 
 def test_percentiles_are_exact_to_one_bin() -> None:
     times_ns = np.random.default_rng(1).lognormal(9.0, 1.0, 50_000).astype(np.int32)
-    histograms = StageHistograms(grace_s=0.0)
+    histograms = TickTimes(0.0, 1000.0)
     for part in np.array_split(times_ns, 1003):
         histograms.add(timed_records(part))
     for place, stage in enumerate(STAGES):
-        found = histograms.summary()[stage]
+        found = histograms.stages()[stage]
         for name, share in (("p50_us", 50), ("p99_us", 99), ("p999_us", 99.9)):
             exact_us = np.percentile(times_ns, share) * (place + 1) / 1000
             assert exact_us / 1.001 <= found[name] <= exact_us * BIN * 1.001
@@ -499,22 +497,22 @@ def test_percentiles_are_exact_to_one_bin() -> None:
 
 
 def test_grace_is_left_out() -> None:
-    histograms = StageHistograms(grace_s=0.5)
+    histograms = TickTimes(0.5, 1000.0)
     histograms.begin(7)
     histograms.add(timed_records(np.full(1000, 100), start_ns=7))
-    assert histograms.summary()["wake"]["count"] == 500
+    assert histograms.stages()["wake"]["count"] == 500
 
 
 def test_extremes_stay_in_the_table() -> None:
-    histograms = StageHistograms(grace_s=0.0)
+    histograms = TickTimes(0.0, 1000.0)
     histograms.add(timed_records(np.array([-5, 0, 3, 400_000_000])))
-    found = histograms.summary()["wake"]
+    found = histograms.stages()["wake"]
     assert (found["count"], found["max_us"]) == (4, 400_000.0)
     assert found["p50_us"] == EDGES_NS[0] / 1000
 
 
 def test_empty_histogram_is_zero() -> None:
-    assert StageHistograms(0.0).summary()["read"] == {
+    assert TickTimes(0.0, 1000.0).stages()["read"] == {
         "count": 0,
         "p50_us": 0.0,
         "p99_us": 0.0,
@@ -525,7 +523,7 @@ def test_empty_histogram_is_zero() -> None:
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_another_servo_life_begins_anew(stage: str) -> None:
-    histograms = StageHistograms(grace_s=0.0)
+    histograms = TickTimes(0.0, 1000.0)
     histograms.add(timed_records(np.full(10, 100)))
     histograms.begin(0)
-    assert histograms.summary()[stage]["count"] == 0
+    assert histograms.stages()[stage]["count"] == 0

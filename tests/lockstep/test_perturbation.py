@@ -173,6 +173,6 @@ def test_a_gateway_reads_the_configuration_of_a_servo_that_started_with_another(
     gateway = GatewayServer(tmp_path, reads[-1], clock)
     gateway.step(0)
     message = [b"a", packed(cmd="perturb", action="load", samples_n=[0.4])]
-    gateway._desk.serve([message], clock.now_ns())
+    gateway._commands.serve([message], clock.now_ns())
     gateway.close()
     assert servo.mailbox.waveform[0] == 100  # 0.4 N at 4 mN/count

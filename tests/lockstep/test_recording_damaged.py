@@ -2,6 +2,7 @@
 
 import random
 import shutil
+import struct
 from contextlib import nullcontext, suppress
 from pathlib import Path
 
@@ -12,10 +13,11 @@ from support.attacks.documents import crashed_recording, damaged_bytes, pack_dam
 from support.recorded import RecordedFlight
 
 from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.protocol.flight import dtype_of, read_header
 from hapticd.recording import pack
 from hapticd.recording.file import open_recording
+from hapticd.recording.live import MAGIC
 from hapticd.recording.provenance import SCHEMA
-from hapticd.recording.superblock import CHECKED, SUPERBLOCK, lookup3, tended
 
 pytestmark = pytest.mark.timeout(60)
 
@@ -24,15 +26,6 @@ pytestmark = pytest.mark.timeout(60)
 def crashed(recorded_run: RecordedFlight, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A live file as a killed recorder leaves it."""
     return crashed_recording(recorded_run, tmp_path_factory.mktemp("crashed"))
-
-
-def damaged(crashed: Path, folder: Path, old: bytes, new: bytes) -> Path:
-    data = crashed.read_bytes()
-    place = data.rfind(old)
-    assert place > 0
-    path = folder / "damaged.part.h5"
-    path.write_bytes(data[:place] + new + data[place + len(old) :])
-    return path
 
 
 def test_crashed_file_is_read_as_it_was_flushed(
@@ -46,35 +39,90 @@ def test_crashed_file_is_read_as_it_was_flushed(
         assert recording.attributes["schema"] == SCHEMA
 
 
-@pytest.mark.parametrize("rows", [10**12, 10_000, -1, -(2**62)])
-def test_rows_that_no_column_has_are_damage(crashed: Path, tmp_path: Path, rows: int) -> None:
-    """It would be packed for an hour: a column that ends early repeats its last value."""
+def frame_ends(path: Path) -> list[int]:
+    """Offsets in a live file at which a frame begins or the last one ends."""
+    data = path.read_bytes()
+    header, place = read_header(data, MAGIC)
+    row_bytes = [dtype_of(descr).itemsize for descr in header["groups"].values()]
+    ends = [place]
+    while place < len(data):
+        counts = struct.unpack_from(f"<{len(row_bytes)}I", data, place + 4)
+        body = sum(count * size for count, size in zip(counts, row_bytes, strict=True))
+        place += 4 + 4 * len(row_bytes) + body
+        ends.append(place)
+    return ends
+
+
+def test_file_cut_at_any_byte_holds_every_whole_frame(crashed: Path, tmp_path: Path) -> None:
+    """As `kill -9` or a full disk cuts it, in the middle of a write."""
+    data = crashed.read_bytes()
+    ends = frame_ends(crashed)
+    assert ends[-1] == len(data)
+    chance = random.Random(1)
+    cuts = [chance.randrange(ends[0], len(data)) for _ in range(40)]
+    path = tmp_path / "cut.part.h5"
+    rows = []
+    for cut in sorted(
+        [*cuts, *ends, *(end - 1 for end in ends[1:]), *(end + 1 for end in ends[:-1])]
+    ):
+        path.write_bytes(data[:cut])
+        with open_recording(path) as recording:
+            whole = max(end for end in ends if end <= cut)
+            assert recording.dropped_bytes == cut - whole
+            rows.append((whole, recording.rows))
+    of_frames = dict(rows)
+    assert all(of_frames[whole] == found for whole, found in rows)
+    counts = [of_frames[end]["servo"] for end in ends]
+    assert counts == sorted(counts)
     with open_recording(crashed) as recording:
-        there = recording.rows["servo"], recording.rows["probe"]
-    before, after = (np.array(count, "<i8").tobytes() for count in (there, (rows, there[1])))
-    path = damaged(crashed, tmp_path, before, after)
-    with pytest.raises(ConfigError, match=f"{rows} rows of servo are said to be there, {there[0]}"):
-        pack.pack(path, tmp_path / "out.h5")
-    assert [one.name for one in tmp_path.iterdir()] == ["damaged.part.h5"]
+        assert of_frames[ends[-1]] == recording.rows
+        assert recording.dropped_bytes == 0
 
 
-def test_damage_behind_a_dead_writer_is_an_error_at_once(crashed: Path, tmp_path: Path) -> None:
-    """HDF5 waits for a living writer to mend a checksum, twice as long each time, 100 times."""
-    path = damaged(crashed, tmp_path, b"OHDR", b"OHDs")
+def test_torn_end_is_counted_and_stays_beside_the_recording(crashed: Path, tmp_path: Path) -> None:
+    path = tmp_path / "torn.part.h5"
+    data = crashed.read_bytes()
+    last = frame_ends(crashed)[-2]
+    path.write_bytes(data[: last + 1000])
+    summary = pack.pack(path, tmp_path / "torn.h5")
+    assert summary["dropped_bytes"] == 1000
+    assert summary["records"] > 0
+    assert path.read_bytes() == data[: last + 1000]
+
+
+@pytest.mark.parametrize("back", [0, 2])  # frames before the last
+def test_damaged_frame_ends_the_recording(crashed: Path, tmp_path: Path, back: int) -> None:
+    ends = frame_ends(crashed)
+    data = bytearray(crashed.read_bytes())
+    data[ends[-1 - back] - 10] ^= 1
+    path = tmp_path / "damaged.part.h5"
+    path.write_bytes(data)
+    with open_recording(path) as recording, open_recording(crashed) as whole:
+        assert recording.dropped_bytes == len(data) - ends[-2 - back]
+        rows = recording.rows["servo"]
+        assert 0 < rows < whole.rows["servo"]
+        kept = recording.column("servo", "force_n")
+        assert np.array_equal(kept, whole.column("servo", "force_n")[:rows])
+
+
+def test_damaged_header_vouches_for_no_rows(crashed: Path, tmp_path: Path) -> None:
+    """Its description of the rows says what they mean."""
+    data = crashed.read_bytes()
+    path = tmp_path / "damaged.part.h5"
+    path.write_bytes(data.replace(b'"force_n", "<f8"', b'"force_n", "<i8"', 1))
+    assert path.read_bytes() != data
+    with open_recording(path) as recording:
+        assert recording.rows["servo"] == 0
+        assert recording.dropped_bytes == len(data) - frame_ends(crashed)[0]
+
+
+@pytest.mark.parametrize("size", [0, 20, 1000])
+def test_file_without_a_whole_header_is_damage(crashed: Path, tmp_path: Path, size: int) -> None:
+    path = tmp_path / "begun.part.h5"
+    path.write_bytes(crashed.read_bytes()[:size])
     with pytest.raises(HapticdError, match="or damaged"):
         pack.pack(path, tmp_path / "out.h5")
-
-
-def test_text_in_a_live_file_is_where_checksums_are(crashed: Path, tmp_path: Path) -> None:
-    """HDF5 reads a damaged heap of texts for ever; so there is none."""
-    assert b"GCOL" not in crashed.read_bytes()
-    with open_recording(crashed) as recording:
-        path = tmp_path / "closed.part.h5"
-    shutil.copy(crashed.with_name("written.part.h5"), path)
-    with h5py.File(path) as content:
-        assert content.attrs["schema"] == SCHEMA.encode()
-        assert content["servo/force_n"].attrs["units"] == b"N"
-    assert recording.attributes["simulated"] == 1
+    assert [one.name for one in tmp_path.iterdir()] == ["begun.part.h5"]
 
 
 def test_text_in_a_finished_file_is_in_no_heap(crashed: Path, tmp_path: Path) -> None:
@@ -133,20 +181,3 @@ def test_flight_recording_with_any_header_is_read_or_refused(runtime: Path, tmp_
         path.write_bytes(data)
         with suppress(ConfigError), open_recording(path) as recording:
             recording.segments()
-
-
-def test_checksum_is_that_of_its_author() -> None:
-    """Bob Jenkins, lookup3.c, driver5: with initial value 0."""
-    assert lookup3(b"Four score and seven years ago") == 0x17770551
-
-
-def test_superblock_loses_the_mark_of_its_writer_alone(crashed: Path) -> None:
-    start = crashed.read_bytes()[: SUPERBLOCK.size]
-    marked = SUPERBLOCK.unpack(start)
-    assert lookup3(start[:CHECKED]) == marked[-1]  # what HDF5 wrote
-    clean = SUPERBLOCK.unpack(tended(start, 12_345))
-    assert (marked[4], clean[4]) == (5, 0)
-    assert clean[7] == 12_345
-    assert clean[:4] + clean[5:7] + clean[8:9] == marked[:4] + marked[5:7] + marked[8:9]
-    broken = bytes([*start[:20], start[20] ^ 1, *start[21:]])
-    assert tended(broken, 12_345) == broken  # damage is not made good

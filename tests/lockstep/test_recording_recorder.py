@@ -104,10 +104,47 @@ def test_nearly_full_disk_ends_it_in_order(recorded_run: RecordedFlight, tmp_pat
         RecordingParams(tmp_path / "a.h5"),
         lambda: False,
         clock=clock,
-        free_bytes=lambda folder: 1000,
+        free_bytes=lambda folder: recorder.RESERVE_BYTES - 1,
     )
     assert result["ended"] == "disk nearly full"
     assert result["records"] > 0
+
+
+def test_live_file_stays_where_there_is_no_room_to_pack_it(
+    recorded_run: RecordedFlight, tmp_path: Path
+) -> None:
+    clock = VirtualClock(NS_PER_S)
+    part = tmp_path / "a.part.h5"
+    with pytest.raises(
+        HapticdError,
+        match=r"packing needs up to \d+ MB, 0 MB are free; .*rec recover .*a\.part\.h5",
+    ):
+        record(
+            Source(recorded_run, clock),
+            RecordingParams(tmp_path / "a.h5"),
+            lambda: False,
+            clock=clock,
+            free_bytes=lambda folder: 1000,
+        )
+    assert [path.name for path in tmp_path.iterdir()] == ["a.part.h5"]
+    size = part.stat().st_size
+    with pytest.raises(HapticdError, match="packing needs"):
+        pack.pack(part, tmp_path / "a.h5", free_bytes=lambda folder: size - 1)
+    assert pack.pack(part, tmp_path / "a.h5", free_bytes=lambda folder: size)["records"] > 0
+    assert not part.exists()
+
+
+def test_daemon_of_other_fields_is_refused(recorded_run: RecordedFlight, tmp_path: Path) -> None:
+    clock = VirtualClock(NS_PER_S)
+    source = Source(recorded_run, clock)
+    other = np.dtype([("tick", "<i8"), ("time_ns", "<i8")])
+    for place, (topic, payload) in enumerate(source.played):
+        if topic == "servo.raw":
+            content = msgpack.unpackb(payload, strict_map_key=False)
+            few = {"descr": other.descr, "d": bytes(content["n"] * other.itemsize)}
+            source.played[place] = (topic, msgpack.packb(content | few))
+    with pytest.raises(HapticdError, match=r"servo\.raw: the daemon's records have other fields"):
+        record(source, RecordingParams(tmp_path / "a.h5"), lambda: False, clock=clock)
 
 
 def test_silent_daemon_is_told(tmp_path: Path) -> None:

@@ -90,13 +90,13 @@ def test_key_that_is_made_known_lets_in_at_once_and_one_that_is_removed_does_not
 def test_what_a_listener_sends_is_a_subscription_or_nothing(rig: RelayRig) -> None:
     """Neither a message of several parts nor other bytes reach the gateway's port."""
     taken: list[bytes] = []
-    subscribed = rig.gateway._subscribed
+    subscribe = rig.gateway._publisher.subscribe
 
-    def noted(identity: bytes, message: bytes) -> list[tuple[str, bytes]]:
+    def noted(identity: bytes, message: bytes, unix_ns: int) -> list[tuple[str, bytes]]:
         taken.append(message)
-        return subscribed(identity, message)
+        return subscribe(identity, message, unix_ns)
 
-    rig.gateway._subscribed = noted  # type: ignore[method-assign]
+    rig.gateway._publisher.subscribe = noted  # type: ignore[method-assign]
     public, secret = zmq.auth.load_certificate(rig.away / "friend.key_secret")
     server, _ = zmq.auth.load_certificate(rig.keys / SERVER_PUBLIC)
     keys = {"CURVE_SERVERKEY": server, "CURVE_PUBLICKEY": public, "CURVE_SECRETKEY": secret}
@@ -142,7 +142,7 @@ def test_relay_that_is_killed_comes_back_at_its_port(rig: RelayRig) -> None:
     port = rig.port
     friend = rig.listener("friend")
     rig.receive(friend)
-    relay = rig.gateway._sockets.outside._relay  # type: ignore[union-attr]
+    relay = rig.gateway._sockets.relay._relay  # type: ignore[union-attr]
     process = relay._process
     assert process
     process.kill()
@@ -156,9 +156,9 @@ def test_relay_that_is_killed_comes_back_at_its_port(rig: RelayRig) -> None:
 
 
 def test_relay_ends_with_its_gateway(rig: RelayRig) -> None:
-    process = rig.gateway._sockets.outside._relay._process  # type: ignore[union-attr]
+    process = rig.gateway._sockets.relay._relay._process  # type: ignore[union-attr]
     assert process
-    rig.gateway._sockets.outside._relay._socket.close()  # type: ignore[union-attr]
+    rig.gateway._sockets.relay._relay._socket.close()  # type: ignore[union-attr]
     assert process.wait(60) == 0  # type: ignore[attr-defined]
 
 

@@ -13,7 +13,7 @@ from typing import Any, Self
 from playwright.sync_api import Page, TimeoutError
 
 from hapticd.client import Client, CommandError
-from hapticd.gateway.desk import OUTDATED
+from hapticd.gateway.command_server import OUTDATED
 
 CHROMIUM = "/usr/bin/chromium"
 ARGUMENTS = ("--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu")

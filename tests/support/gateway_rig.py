@@ -15,7 +15,7 @@ import zmq
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.server import GatewayServer
 from hapticd.guard.status import Guard, WorkerLine
 from hapticd.guard.worker import Start
@@ -53,7 +53,9 @@ class DeskRig:
         self.journal = Journal(lambda: UNIX_NS)
         self.view = ServoView(self.folder, self.setup.servo, lambda: UNIX_NS)
         self.guard = Guard(self.view, self.journal, self.setup.guard, self.worker)
-        self.desk = Desk(self.view, self.journal, lambda cmd: {"asked": cmd}, self.guard, lease)
+        self.desk = CommandServer(
+            self.view, self.journal, lambda cmd: {"asked": cmd}, self.guard, lease
+        )
 
     def run(self, ticks: int = 1) -> list[list[bytes]]:
         """Let ticks pass; the replies that came due."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.core.params import GuardParams, GuardSetup, from_plain
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.guard.judge import Judge
 from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox import files
@@ -46,7 +46,7 @@ class Flight:
         self.view = ServoView(Path(self.stack.mailbox.folder), self.params, lambda: UNIX_NS)
         self.journal = Journal(lambda: UNIX_NS)
         self.guard = Guard(self.view, self.journal, GuardParams(), self.worker)
-        self.desk = Desk(self.view, self.journal, lambda cmd: {}, self.guard)
+        self.desk = CommandServer(self.view, self.journal, lambda cmd: {}, self.guard)
 
     def fly(self, ticks: int) -> Records:
         """Ticks, each with a pass of the gateway; their records."""

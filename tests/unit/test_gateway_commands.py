@@ -1,8 +1,9 @@
-"""The ordered list of interlocks, and that the early answers of the state interlock are the
+"""The order of the interlocks, and that the early answers of the state interlock are the
 servo's own.
 """
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.gateway_rig import DeskRig
@@ -16,6 +17,7 @@ from hapticd.protocol.commands import ALLOWED
 from hapticd.protocol.journal import RESERVED
 from hapticd.servo import safety
 
+OTHER = 99  # an actor that holds nothing
 TABLED = (
     Command.ENABLE,
     Command.DISABLE,
@@ -38,9 +40,18 @@ def situation(rig: DeskRig, settled: bool = True, samples: int = 0) -> commands.
     )
 
 
-def test_order_is_schema_state_lease() -> None:
-    names = [interlock.__name__ for interlock in commands.INTERLOCKS]
-    assert names == ["schema", "state", "lease"]
+def test_order_is_schema_state_lease(rig: DeskRig) -> None:
+    rig.ask(cmd="lease", what="environment", action="take")
+    rig.ask(cmd="stop")
+
+    def objection(**request: Any) -> str:
+        with pytest.raises(CommandError) as caught:
+            commands.admit(request, OTHER, situation(rig))
+        return caught.value.code
+
+    assert objection(cmd="enable", force=1) == "invalid"
+    assert objection(cmd="enable") == "stopped"
+    assert objection(cmd="set", K=1.0) == "leased"
 
 
 @pytest.mark.parametrize("kind", TABLED)
@@ -62,9 +73,9 @@ def test_actor_of_the_stop_page_is_the_servos() -> None:
     assert RESERVED[ACTOR_STOP_WORD] == "stop word"
 
 
-def test_lease_passes_everything(rig: DeskRig) -> None:
-    asked = commands.AskedRequest({"cmd": "enable"}, 16)
-    assert commands.lease(asked, situation(rig)) is asked
+def test_what_nobody_holds_is_not_forbidden(rig: DeskRig) -> None:
+    request = commands.parse({"cmd": "enable"}, rig.desk.limits)
+    assert commands.forbidden(request, OTHER, rig.desk.leases) is None
 
 
 def test_first_objection_is_the_answer(rig: DeskRig) -> None:

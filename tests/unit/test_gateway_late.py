@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hapticd.gateway.late import LateCounts
+from hapticd.gateway.tick_times import TickTimes
 from hapticd.mailbox.layout import TELEMETRY, LateCause
 
 DTYPE = np.dtype([tuple(field) for field in TELEMETRY])  # type: ignore[arg-type]
@@ -18,23 +18,23 @@ def records(*late: tuple[int, int]) -> np.ndarray:
     return found
 
 
-def counts(late: LateCounts) -> dict[str, tuple[int, float]]:
+def counts(late: TickTimes) -> dict[str, tuple[int, float]]:
     """Those that occurred."""
-    rows = late.summary().items()
+    rows = late.late().items()
     return {name: (one["count"], one["latest_us"]) for name, one in rows if one["count"]}
 
 
 def test_each_cause_is_counted_and_has_its_latest() -> None:
-    late = LateCounts(0.0)
+    late = TickTimes(0.0, 1000.0)
     wake, bus = int(LateCause.WAKE), int(LateCause.BUS)
     late.add(records((0, 0), (wake, 2000), (wake, 7000), (bus, 3000)))
     late.add(records((0, 0), (wake, 5000)))
     assert counts(late) == {"wake": (3, 7.0), "bus": (1, 3.0)}
-    assert list(late.summary()) == [one.name.lower() for one in LateCause if one]
+    assert list(late.late()) == [one.name.lower() for one in LateCause if one]
 
 
 def test_grace_and_lives_before_are_left_out() -> None:
-    late = LateCounts(2e-3)
+    late = TickTimes(2e-3, 1000.0)
     late.begin(START_NS)
     late.add(records(*[(int(LateCause.STEP), 1000)] * 5))
     assert counts(late) == {"step": (3, 1.0)}
@@ -43,6 +43,6 @@ def test_grace_and_lives_before_are_left_out() -> None:
 
 
 def test_number_that_is_no_cause_is_left_out() -> None:
-    late = LateCounts(0.0)
+    late = TickTimes(0.0, 1000.0)
     late.add(records((77, 1000)))
     assert counts(late) == {}

@@ -13,7 +13,7 @@ from support.gateway_rig import UNIX_NS, decoded, packed
 from support.models import device_params, servo_params
 
 from hapticd.core.params import GuardParams
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.guard.status import Guard
 from hapticd.mailbox.layout import Flag, State, Watched
 from hapticd.protocol.journal import Journal
@@ -34,7 +34,7 @@ class Rig:
         self.journal = Journal(lambda: UNIX_NS)
         self.view = ServoView(Path(stack.mailbox.folder), params, lambda: UNIX_NS)
         guard = Guard(self.view, self.journal, GuardParams())
-        self.desk = Desk(self.view, self.journal, lambda cmd: {}, guard)
+        self.desk = CommandServer(self.view, self.journal, lambda cmd: {}, guard)
         self.flown: list[bytes] = []
         self.replies: list[dict[str, Any]] = []
 

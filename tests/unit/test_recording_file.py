@@ -28,22 +28,6 @@ def test_probe_samples_of_lost_frames_are_a_gap(recording_file: Path) -> None:
         assert recording.missing["probe"] > 0
 
 
-def test_column_that_stands_still_is_filled_and_the_unmeant_is_cut(tmp_path: Path) -> None:
-    part = tmp_path / "torn.part.h5"
-    with h5py.File(part, "w") as content:
-        content.attrs["schema"] = "hapticd-recording/1"
-        content["flushed/rows"] = [[40], [97]]
-        content["flushed/rows"].attrs["groups"] = ["servo"]
-        for name, rows in (("tick", 100), ("time_ns", 99), ("state", 3)):
-            content[f"servo/{name}"] = np.arange(rows, dtype="<i8")
-    with open_recording(part) as recording:
-        assert recording.rows == {"servo": 97}
-        assert recording.column("servo", "tick").tolist() == list(range(97))
-        assert recording.column("servo", "state").tolist() == [0, 1, *[2] * 95]
-        assert recording.column("servo", "state", 1, 5).tolist() == [1, 2, 2, 2]
-        assert recording.column("servo", "state", 90, 92).tolist() == [2, 2]
-
-
 def test_foreign_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_text("not HDF5")
     with pytest.raises(ConfigError, match="it is no HDF5 file, or damaged"):

@@ -1,16 +1,15 @@
 """The live file: columns in the types and units of their channels, and what is not written."""
 
+from itertools import pairwise
 from pathlib import Path
 
-import h5py
-import numpy as np
 import pytest
 from support.recorded import RecordedFlight
 
 from hapticd.core.errors import HapticdError
 from hapticd.recording import live
-from hapticd.recording.file import open_recording
-from hapticd.recording.live import GROUPS, as_channel, channels, columns, event_row, udunits
+from hapticd.recording.file import open_recording, udunits
+from hapticd.recording.live import GROUPS, channels, columns, event_row, table
 
 
 @pytest.mark.parametrize(
@@ -27,20 +26,22 @@ def test_unit_of_a_channel(name: str, unit: str) -> None:
     assert udunits(name) == unit
 
 
-def test_channels_and_columns_agree(recorded_run: RecordedFlight) -> None:
+def test_columns_hold_the_bytes_of_the_records(recorded_run: RecordedFlight) -> None:
+    """Also where they are joined from blocks of any length."""
     records = recorded_run.recorded  # type: ignore[attr-defined]
-    known = channels(records.dtype.descr)
-    found = columns(records)
-    assert (
-        list(found)
-        == [channel.name for channel in known]
-        == [channel.name for channel in GROUPS["servo"]]
-    )
+    edges = [0, 0, 1, 700, 700, len(records)]
+    found = columns([records[begin:end] for begin, end in pairwise(edges)])
+    assert list(found) == [channel.name for channel in channels(GROUPS["servo"])]
     assert "excess_j" in found
-    for channel in known:
-        values = as_channel(channel, found[channel.name])
-        assert values.shape == (len(records), channel.width)[: 1 + bool(channel.width)]
-        assert values.tobytes() == found[channel.name].tobytes()
+    for channel in channels(records.dtype):
+        values = records[channel.field]
+        values = values if channel.place is None else values[:, channel.place]
+        column = found[channel.name]
+        assert len(column) == len(records)
+        for begin, end in ((0, len(records)), (0, 1), (699, 702), (5, 5), (len(records), None)):
+            kept = column[begin:end]
+            assert kept.shape == (len(values[begin:end]), channel.width)[: 1 + bool(channel.width)]
+            assert kept.tobytes() == values[begin:end].tobytes()
 
 
 def test_event_of_a_lease_names_its_holder() -> None:
@@ -66,25 +67,17 @@ def test_events_are_in_fixed_columns(recording_file: Path) -> None:
     assert any(b"before=enabled, state=stopped" in one for one in text)
 
 
-def test_standing_column_is_not_written_until_it_moves(tmp_path: Path) -> None:
-    file = live.LiveFile(
-        tmp_path / "a.part.h5", {"schema": "hapticd-recording/1"}, {"life": GROUPS["life"]}
-    )
-    rows = np.array([1, 1, 2, 2, 2, 3], "<i8")
-    for begin in range(0, 6, 2):
-        block = rows[begin : begin + 2]
-        file.append(
-            "life", {"row": block, "epoch": np.full(2, 7, "<i8"), "mono_unix_offset_ns": block}
-        )
-        file.flush()
-    with open_recording(tmp_path / "a.part.h5") as recording:
-        assert len(recording._groups["life"]["epoch"]) == 2
-        assert recording.column("life", "row").tolist() == rows.tolist()
-        assert recording.column("life", "epoch").tolist() == [7] * 6
+def test_rows_of_a_growing_file_are_there_as_soon_as_they_are_handed_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.part.h5"
+    groups = {name: GROUPS[name] for name in ("life", "break")}
+    file = live.LiveFile(path, {"schema": "hapticd-recording/1"}, groups)
+    for row in range(3):
+        life = {"row": row, "epoch": 7, "mono_unix_offset_ns": 0}
+        file.append({"life": table("life", [life]).tobytes()})
+        with open_recording(path) as recording:
+            assert recording.column("life", "row").tolist() == list(range(row + 1))
+            assert (recording.rows["break"], recording.dropped_bytes) == (0, 0)
     file.close()
-    with h5py.File(tmp_path / "a.part.h5") as content:
-        assert [len(content["life"][name]) for name in ("row", "epoch")] == [6, 6]
-        assert content["flushed/rows"][:].tolist() == [[2], [4], [6]]
 
 
 def test_live_file_is_not_opened_twice(tmp_path: Path) -> None:

@@ -217,7 +217,7 @@ def require_within(name: str, shown: "Display", asked: dict[str, float]) -> None
     passive = UNKNOWN
     if device.model is not None:
         passive = passive_ranges(shown.model, filters(shown.scene), ceiling)
-    limits = CommandLimits.simulated(shown.model.rate_hz, ceiling, environment_limits(passive))
+    limits = CommandLimits(shown.model.rate_hz, ceiling, environment_limits(passive))
     if broken := limits.broken_by(asked):
         raise typer.BadParameter("; ".join(one["msg"] for one in broken))
 

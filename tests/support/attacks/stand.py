@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Self
 
 from hapticd.core.params import GuardParams, InjectionParams, SafetyParams
 from hapticd.core.units import NS_PER_MS
-from hapticd.gateway.desk import Desk
+from hapticd.gateway.command_server import CommandServer
 from hapticd.guard.status import MOST_RECORDS, Guard
 from hapticd.mailbox.client_side import GatewayMailbox
 from hapticd.protocol.journal import Journal
@@ -89,7 +89,7 @@ class Stand:
         self.view = ServoView(folder, SERVO, lambda: UNIX_NS)
         journal = Journal(lambda: UNIX_NS)
         self.guard = Guard(self.view, journal, GuardParams(policy=policy), self.worker)
-        self.desk = Desk(self.view, journal, lambda cmd: {}, self.guard)
+        self.desk = CommandServer(self.view, journal, lambda cmd: {}, self.guard)
         self.look()
 
     @property

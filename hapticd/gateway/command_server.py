@@ -18,8 +18,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from hapticd.core.errors import CommandError, MailboxError
-from hapticd.core.params import LeaseParams
-from hapticd.gateway.lease_desk import LeaseDesk
+from hapticd.core.params import LeaseParams, to_plain
+from hapticd.gateway.lease_server import LeaseServer
 from hapticd.gateway.waveform import Waveform
 from hapticd.guard.outstanding import Outstanding, Pending
 from hapticd.guard.pending_change import PendingChange, concerns, damping_by
@@ -53,7 +53,7 @@ from hapticd.protocol.schemas import (
 )
 from hapticd.protocol.view import ServoView
 
-__all__ = ["Desk"]
+__all__ = ["CommandServer"]
 
 TAKEN_BACK = {
     "enable": Command.DISABLE,
@@ -87,7 +87,7 @@ SERVO_ENDED = CommandError(
 Reply = list[bytes]
 
 
-class Desk:
+class CommandServer:
     """The command side of the gateway.
 
     `inquire(cmd)` is the content of the replies to hello and status.
@@ -105,10 +105,10 @@ class Desk:
         self._journal = journal
         self._inquire = inquire
         self._guard = guard
-        self.limits = CommandLimits(view.params)
+        self.limits = CommandLimits.announced(to_plain(view.params))
         self.schema = json_schema(self.limits)
         self.actors = Actors(view.next_actor)
-        self._leasing = LeaseDesk(view, self.actors, journal, lease or LeaseParams())
+        self._leasing = LeaseServer(view, self.actors, journal, lease or LeaseParams())
         self.leases = self._leasing.leases
         self.counts = {"requests": 0, "errors": 0, "timeouts": 0}
         self._waveform = Waveform(self.limits)

@@ -18,23 +18,23 @@ from hapticd.protocol.keys import server_pair
 MODULE = "hapticd.gateway.relay"
 
 
-class Outside:
-    """Telemetry of endpoint `inside` at `listener`, whose endpoint is `outside`, for those with a
-    key that folder `keys` knows.
+class RelaySupervisor:
+    """Telemetry of the endpoint `source`, offered by `listener` at `endpoint`, for those with a key
+    that the folder `keys` knows.
 
     ConfigError: the keys are incomplete, or the server's is readable by others.
     """
 
     def __init__(
         self,
-        inside: str,
+        source: str,
         listener: socket.socket,
-        outside: str,
+        endpoint: str,
         keys: Path,
         selector: selectors.BaseSelector,
     ) -> None:
         self._listener = listener
-        self._command = [str(keys), inside, outside]
+        self._command = [str(keys), source, endpoint]
         try:
             server_pair(keys)
         except BaseException:

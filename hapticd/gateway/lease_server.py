@@ -56,7 +56,7 @@ SCHEDULABLE = {
 Todo = tuple[Command, int, tuple[float, ...]]  # kind, actor, values
 
 
-class LeaseDesk:
+class LeaseServer:
     """The leases of a gateway, in front of the servo of `view`."""
 
     def __init__(

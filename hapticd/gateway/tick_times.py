@@ -1,0 +1,117 @@
+"""How long the ticks of a servo life took: each stage, and the late ticks by cause.
+
+Histograms with logarithmic bins say how long each stage of a tick takes: 40 bins a decade from
+10 ns to 100 ms, so a percentile is exact to 6 %, whatever its size. A record tells whether the tick
+before it was late, and by which cause (`mailbox.layout.LateCause`). The first seconds after the
+start (`grace_s`) are left out. Late events and lost slots are counters of the servo; a histogram
+cannot show what did not happen.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from hapticd.core.units import NS_PER_S, NS_PER_US
+from hapticd.mailbox.layout import STAGES, LateCause
+from hapticd.protocol.room import Room, room_of
+from hapticd.protocol.view import Records, joined
+
+PER_DECADE = 40
+DECADES = 7
+LOWEST_NS = 10.0
+EDGES_NS = LOWEST_NS * 10.0 ** (np.arange(PER_DECADE * DECADES + 1) / PER_DECADE)
+BINS = len(EDGES_NS) + 1  # below the lowest edge, between edges, above the highest
+COUNTED_AT_ONCE = 500  # records: each call of numpy costs more than the few records of one batch
+PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
+CAUSES = max(LateCause) + 1  # places by number; 0 is no cause
+
+
+class TickTimes:
+    """The ticks of one servo life that came after its grace."""
+
+    def __init__(self, grace_s: float, rate_hz: float) -> None:
+        self._grace_ns = round(grace_s * NS_PER_S)
+        self._rate_hz = rate_hz
+        self.begin(0)
+
+    def begin(self, start_ns: int) -> None:
+        """Begin anew, for a servo life that began at `start_ns`."""
+        self._settled_ns = start_ns + self._grace_ns
+        self._pending: list[Records] = []
+        self._counts = np.zeros((len(STAGES), BINS), np.int64)
+        self._max_ns = np.zeros(len(STAGES), np.int64)
+        self._late = np.zeros(CAUSES, np.int64)
+        self._latest_ns = np.zeros(CAUSES, np.int64)
+
+    def add(self, records: Records) -> None:
+        """Take the next `records`."""
+        self._pending.append(records)
+        if sum(map(len, self._pending)) >= COUNTED_AT_ONCE:
+            self._count()
+
+    def _count(self) -> None:
+        """Count what is pending."""
+        if not self._pending:
+            return
+        records = joined(self._pending)
+        self._pending = []
+        settled = records[records["time_ns"] >= self._settled_ns]
+        if settled.size:
+            self._count_stages(settled)
+            self._count_late(settled)
+
+    def _count_stages(self, records: Records) -> None:
+        times_ns = np.stack([records[f"{stage}_ns"] for stage in STAGES])
+        # each stage has bins of its own, so that one bincount serves all
+        bins = (
+            np.searchsorted(EDGES_NS, times_ns, side="right")
+            + np.arange(len(STAGES))[:, None] * BINS
+        )
+        self._counts += np.bincount(bins.ravel(), minlength=self._counts.size).reshape(
+            self._counts.shape
+        )
+        np.maximum(self._max_ns, times_ns.max(axis=1), out=self._max_ns)
+
+    def _count_late(self, records: Records) -> None:
+        late = records[records["late_cause"] < CAUSES]
+        self._late += np.bincount(late["late_cause"], minlength=CAUSES)
+        np.maximum.at(self._latest_ns, late["late_cause"], late["late_ns"])
+
+    @property
+    def count(self) -> int:
+        """Ticks that were counted so far."""
+        return int(self._counts[0].sum())
+
+    def stages(self) -> dict[str, dict[str, float]]:
+        """{stage: {count, p50_us, p99_us, p999_us, max_us}}.
+
+        A percentile is the upper edge of its bin, at most the maximum.
+        """
+        self._count()
+        return {stage: self._one(row) for row, stage in enumerate(STAGES)}
+
+    def _one(self, row: int) -> dict[str, float]:
+        below = np.cumsum(self._counts[row])
+        highest_us = self._max_ns[row] / NS_PER_US
+        found: dict[str, float] = {"count": int(below[-1])}
+        for name, share in PERCENTILES.items():
+            place = min(int(np.searchsorted(below, share * below[-1])), len(EDGES_NS) - 1)
+            found[name] = min(float(EDGES_NS[place]) / NS_PER_US, float(highest_us))
+        return found | {"max_us": float(highest_us)}
+
+    def late(self) -> dict[str, dict[str, Any]]:
+        """{cause: {count, latest_us}}: how long after its deadline the latest one ended."""
+        self._count()
+        return {
+            cause.name.lower(): {
+                "count": int(self._late[cause]),
+                "latest_us": float(self._latest_ns[cause] / NS_PER_US),
+            }
+            for cause in LateCause
+            if cause
+        }
+
+    @property
+    def room(self) -> Room:
+        """What a tick takes of its period."""
+        return room_of(self.stages(), self._rate_hz)
