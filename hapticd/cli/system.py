@@ -71,12 +71,11 @@ def check_config(
 
 def _simulation_and_network_rules(config: "Config") -> "Iterator[Mistake]":
     """Injections that no simulated board knows, and telemetry in the clear."""
-    from hapticd.core.params import GatewayParams
     from hapticd.protocol import auth
     from hapticd.settings.load import Mistake
     from hapticd.sim.injection import KINDS
 
-    if auth.without_leave(GatewayParams(**config.gateway.model_dump())):
+    if auth.without_leave(config.gateway):
         host = repr(config.gateway.tcp_host)
         yield Mistake(("gateway", "tcp_host"), host, auth.LEAVE_NEEDED)
     for place, injection in enumerate(config.simulation.injections):

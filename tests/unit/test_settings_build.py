@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -108,7 +109,7 @@ def test_defaults_equal_those_of_params(settings: Settings) -> None:
         True,
         built.environment,
         built.device,
-        type(built.safety)(),
+        replace(type(built.safety)(), force_limit_n=built.device.force_limit_n),
         type(built.realtime)(),
         built.usb,
     )
@@ -163,7 +164,7 @@ def test_ranges_equal_those_of_commands() -> None:
         layout.Value.WALL_STIFFNESS: ("WallTable", "stiffness_n_per_m"),
         layout.Value.WALL_VIRTUAL_DAMPING: ("WallTable", "virtual_damping_ns_per_m"),
         layout.Value.WALL_POSITION: ("WallTable", "position_m"),
-        layout.Value.RAMP_S: ("Safety", "default_ramp_s"),
+        layout.Value.RAMP_S: ("SafetyParams", "default_ramp_s"),
     }
     for place, (table, name) in places.items():
         entry = properties[table][name]
