@@ -38,12 +38,10 @@ from hapticd.client.conversation import (
 )
 from hapticd.client.lease import ClientLease
 from hapticd.client.verbs import POLL_S, Verbs, hand_of
-from hapticd.client.verdict import GuardWarnings
 from hapticd.client.watching import Line, Watching
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.core.units import NS_PER_S
-from hapticd.mailbox.daemons import daemon_folder
-from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
+from hapticd.mailbox.files import COMMAND_SOCKET, TELEMETRY_SOCKET
 from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 
 if TYPE_CHECKING:
@@ -151,20 +149,8 @@ class Client(Watching, Verbs[Receipt, Hello, Status, GuardStatus, dict[str, Any]
 
     _line: GatewayLine
 
-    def __init__(
-        self,
-        instance: str = DEFAULT_INSTANCE,
-        timeout_s: float = 2.0,
-        name: str = "script",
-        folder: Path | None = None,
-        strict: bool = False,
-    ) -> None:
-        self._folder = folder or daemon_folder(instance)
-        self._timeout_s = timeout_s
-        self._name = name
-        self._strict = strict
-        self._warnings = GuardWarnings()
-        self._line = GatewayLine(self._folder, name)
+    def _connect(self) -> None:
+        self._line = GatewayLine(self._folder, self._name)
 
     # --- asking -----------------------------------------------------------------------------------
 

@@ -6,8 +6,12 @@ Each is written once; what it gives, a value or something to await, is the clien
 What would break it: a verb that needs two replies; it belongs into the clients.
 """
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
+from hapticd.client.verdict import GuardWarnings
+from hapticd.mailbox.daemons import daemon_folder
+from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Status
 
 if TYPE_CHECKING:
@@ -30,8 +34,24 @@ class Verbs(Generic[R, H, S, G, D]):
     in time.
     """
 
-    _name: str  # of the client, shown beside what it changes
-    _strict: bool  # whether nothing may act that is not safe
+    def __init__(
+        self,
+        instance: str = DEFAULT_INSTANCE,
+        timeout_s: float = 2.0,
+        name: str = "script",
+        folder: Path | None = None,
+        strict: bool = False,
+    ) -> None:
+        self._folder = folder or daemon_folder(instance)
+        self._timeout_s = timeout_s
+        self._name = name
+        self._strict = strict
+        self._warnings = GuardWarnings()
+        self._connect()
+
+    def _connect(self) -> None:
+        """Make the line to the daemon."""
+        raise NotImplementedError
 
     def _as_asked(self, cmd: str, fields: dict[str, Any]) -> dict[str, Any]:
         """The fields of a request, with that of a strict client."""
