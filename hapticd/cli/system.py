@@ -268,7 +268,7 @@ def _guard(status: dict[str, Any] | None) -> dict[str, Any]:
 def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
     """The delay from sample to force that the daemon measures, its cost in K, and the ticks."""
     from hapticd.cli.daemon import delay_words
-    from hapticd.client.words import late_words, timing_words
+    from hapticd.client.formatting import late_words, timing_words
     from hapticd.protocol.answers import Status, answer_of
     from hapticd.run.doctor import checks, late
 

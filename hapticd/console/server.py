@@ -44,7 +44,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hapticd.client import fast_stop
-from hapticd.client.words import board_words
+from hapticd.client.formatting import board_words
 from hapticd.console.asker import Asker
 from hapticd.console.browser import Browser
 from hapticd.console.plane import Planes

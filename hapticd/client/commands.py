@@ -1,9 +1,9 @@
-"""The verbs that are one request and one reply, for the client that waits and for that of asyncio.
+"""Commands that are one request and one reply, for the client that waits and for that of asyncio.
 
 Each is written once; what it gives, a value or something to await, is the client's:
-`Verbs[Receipt, Hello, ...]` or `Verbs[Awaitable[Receipt], Awaitable[Hello], ...]`.
+`Commands[Receipt, Hello, ...]` or `Commands[Awaitable[Receipt], Awaitable[Hello], ...]`.
 
-What would break it: a verb that needs two replies; it belongs into the clients.
+What would break it: a command that needs two replies; it belongs into the clients.
 """
 
 from pathlib import Path
@@ -29,7 +29,7 @@ POLL_S = 0.02  # between two looks at the state
 JUDGED = frozenset({"set", "damping", "enable", "guard"})  # commands that the guard may refuse
 
 
-class Verbs(Generic[R, H, S, G, D]):
+class Commands(Generic[R, H, S, G, D]):
     """Questions and changes. CommandError where the daemon refuses, DaemonDown where none answers
     in time.
     """
@@ -50,7 +50,7 @@ class Verbs(Generic[R, H, S, G, D]):
         self._connect()
 
     def _connect(self) -> None:
-        """Make the line to the daemon."""
+        """Make the connection to the daemon."""
         raise NotImplementedError
 
     def _as_asked(self, cmd: str, fields: dict[str, Any]) -> dict[str, Any]:
