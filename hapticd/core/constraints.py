@@ -6,6 +6,7 @@ keys, defaults are those of the file, attribute docstrings describe a key in the
 pydantic, and the servo process does without it.
 """
 
+from inspect import cleandoc
 from typing import Annotated, Any
 
 __all__ = [
@@ -40,6 +41,14 @@ class TableParams:
         # a strict schema would take instances alone; the fields stay strict
         handler.resolve_ref_schema(schema)["strict"] = False
         return schema
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: Any, handler: Any) -> Any:
+        found = handler(schema)
+        # pydantic 2.11 says neither of a dataclass
+        said = {"description": cleandoc(cls.__doc__ or ""), "additionalProperties": False}
+        handler.resolve_ref_schema(found).update(said)
+        return found
 
 
 Positive = Annotated[float, Constraints(gt=0)]

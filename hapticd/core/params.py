@@ -31,6 +31,7 @@ __all__ = [
     "COMMISSIONING_SHARE",
     "ENERGY_LIMIT_J",
     "LONGEST_LEASE_S",
+    "LONGEST_TIMEOUT_MS",
     "MOST_CORRECTION",
     "RAMP_ENERGY_J",
     "RIG_STEPS",
@@ -73,6 +74,7 @@ __all__ = [
     "ServoParams",
     "TouchParams",
     "UsbParams",
+    "UsbTable",
     "from_plain",
     "to_plain",
 ]
@@ -93,6 +95,7 @@ COMMISSIONING_SHARE = 0.1  # of the device's force, until its signs are verified
 CALIBRATION_DAYS = 365  # see ADR 0124
 SHORTEST_LEASE_S = 0.2  # twenty passes of the gateway
 LONGEST_LEASE_S = 60.0
+LONGEST_TIMEOUT_MS = 5  # of a transfer, for which docs/safety.md says when force is gone
 LAST_TICK = 10**12  # of an injection: 30 years at 1 kHz
 ACTIVE_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
 
@@ -300,14 +303,25 @@ class RealtimeParams(TableParams):
 
 
 @dataclass(frozen=True, slots=True)
-class UsbParams:
+class UsbTable(TableParams):
+    """Which board; its serial number stands in the device file."""
+
+    vendor_id: Annotated[int, Constraints(ge=0, le=0xFFFF)] = 0x1209
+    product_id: Annotated[int, Constraints(ge=0, le=0xFFFF)] = 0x0001
+    # the schema names the limit, `settings.load` refuses with the reason for it
+    timeout_ms: Annotated[int, Constraints(ge=1)] = field(
+        default=1, metadata={"json_schema_extra": {"maximum": LONGEST_TIMEOUT_MS}}
+    )
+    """Of one transfer. A silent board may delay the end of force by one."""
+    in_flight: bool = False
+    """Transfers go on while the servo computes, so the force acts earlier."""
+
+
+@dataclass(frozen=True, slots=True)
+class UsbParams(UsbTable):
     """Which board: None matches any."""
 
-    vendor_id: int = 0x1209
-    product_id: int = 0x0001
     serial: str | None = None
-    timeout_ms: int = 1  # of one transfer; what libusb can do least
-    in_flight: bool = False  # transfers under way while the servo computes
 
 
 @dataclass(frozen=True, slots=True)

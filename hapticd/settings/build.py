@@ -3,7 +3,7 @@
 The only place that turns full scales into values per count.
 """
 
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +81,7 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
         ),
         safety=replace(config.safety, force_limit_n=force_limit_n),
         realtime=config.realtime,
-        usb=UsbParams(**config.usb.model_dump(), serial=device.serial),
+        usb=UsbParams(**asdict(config.usb), serial=device.serial),
         active_damping_ns_per_m=config.active_damping_ns_per_m,
         config_hash=settings.config_hash,
         device_file=str(settings.device_file.absolute()),

@@ -28,7 +28,7 @@ from hapticd.core.params import (
     RealtimeParams,
     SafetyParams,
     ServoParams,
-    UsbParams,
+    UsbTable,
 )
 from hapticd.settings.tables import TomlTable
 
@@ -37,13 +37,11 @@ __all__ = ["Config"]
 _environment = Environment()
 _wall = WallParams()
 _ends = WorkspaceParams()
-_usb = UsbParams()
 _guard = GuardParams()
 _active_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["active_damping_ns_per_m"].default
 
 Capability = Literal["probe", "temperature", "sample_phase", "resistance", "event"]
 SERIAL_NUMBER: dict[str, Any] = {"min_length": 1, "max_length": 16, "pattern": r"^[!-~]+$"}
-LONGEST_TIMEOUT_MS = 5  # of a transfer, for which docs/safety.md says when force is gone
 
 
 _RANGES: dict[str, Any] = {one.path: {"ge": one.low, "le": one.high} for one in FIELDS}
@@ -104,19 +102,6 @@ class EnvironmentTable(Rendered):
     acceleration_filter: Filter = _filter(_environment.acceleration_filter)
     wall: WallTable = WallTable()
     workspace: Workspace = Workspace()
-
-
-class Usb(TomlTable):
-    """Which board; its serial number stands in the device file."""
-
-    vendor_id: int = Field(_usb.vendor_id, ge=0, le=0xFFFF)
-    product_id: int = Field(_usb.product_id, ge=0, le=0xFFFF)
-    timeout_ms: int = Field(
-        _usb.timeout_ms, ge=1, json_schema_extra={"maximum": LONGEST_TIMEOUT_MS}
-    )
-    """Of one transfer. A silent board may delay the end of force by one."""
-    in_flight: bool = _usb.in_flight
-    """Transfers go on while the servo computes, so the force acts earlier."""
 
 
 class GuardTable(TomlTable):
@@ -180,7 +165,7 @@ class Config(TomlTable):
     environment: EnvironmentTable = EnvironmentTable()
     safety: SafetyParams = SafetyParams()
     realtime: RealtimeParams = RealtimeParams()
-    usb: Usb = Usb()
+    usb: UsbTable = UsbTable()
     gateway: GatewayParams = GatewayParams()
     guard: GuardTable = GuardTable()
     lease: LeaseParams = LeaseParams()

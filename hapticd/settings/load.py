@@ -21,10 +21,11 @@ from typing import Any, NamedTuple, TypeVar
 from pydantic import ValidationError
 
 from hapticd.core.errors import ConfigError
+from hapticd.core.params import LONGEST_TIMEOUT_MS
 from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.model.effects import ALWAYS, BY_KEY
 from hapticd.render.winding import LEAST_LOOP_GAIN, least_residual_ohm, loop_gain, ohm
-from hapticd.settings.config import LONGEST_TIMEOUT_MS, Config
+from hapticd.settings.config import Config
 from hapticd.settings.device import (
     FROM_SCALES,
     TABLES,
@@ -128,18 +129,12 @@ def find_config(given: Path | None = None, environ: Mapping[str, str] = os.envir
     Else the shipped file, which asks for a simulated board. ConfigError if a file that is named
     does not exist.
     """
-    named = [
-        (given, "--config"),
-        (
-            Path(environ["HAPTICD_CONFIG"]) if environ.get("HAPTICD_CONFIG") else None,
-            "$HAPTICD_CONFIG",
-        ),
-    ]
-    for path, origin in named:
-        if path is not None:
-            if not path.exists():
-                raise ConfigError(f"{path}: no such file, named by {origin}; check the path")
-            return path
+    variable = environ.get("HAPTICD_CONFIG")
+    origin = "--config" if given else "$HAPTICD_CONFIG"
+    if named := given or (Path(variable) if variable else None):
+        if not named.exists():
+            raise ConfigError(f"{named}: no such file, named by {origin}; check the path")
+        return named
     # an empty variable counts as not set, as the XDG specification has it
     home = Path(environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
     places = (home / "hapticd" / FILE_NAME, SYSTEM_FILE)
