@@ -340,6 +340,11 @@ class ServoParams:
     device_file: str = ""  # from which `device` was read; "": from none
     device_file_sha256: str = ""  # of its bytes then
 
+    def __post_init__(self) -> None:
+        if self.safety.force_limit_n is None:
+            safety = replace(self.safety, force_limit_n=self.device.force_limit_n)
+            object.__setattr__(self, "safety", safety)  # the way of a frozen dataclass
+
     @property
     def force_limit_n(self) -> float:
         """The most that may be commanded [N]: by configuration and device, and a tenth of the

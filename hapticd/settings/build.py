@@ -70,7 +70,6 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
     """servo.json"""
     config = settings.config
     device = settings.device
-    force_limit_n = config.safety.force_limit_n or device.limits.force_n
     return ServoParams(
         instance=instance,
         simulated=device.simulated,
@@ -79,7 +78,7 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
             device_params(device),
             force_smoothing_hz=smoothing_hz(device_effects(device, config.simulation.effects)),
         ),
-        safety=replace(config.safety, force_limit_n=force_limit_n),
+        safety=config.safety,
         realtime=config.realtime,
         usb=UsbParams(**asdict(config.usb), serial=device.serial),
         active_damping_ns_per_m=config.active_damping_ns_per_m,

@@ -2,7 +2,6 @@
 
 import json
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -109,7 +108,7 @@ def test_defaults_equal_those_of_params(settings: Settings) -> None:
         True,
         built.environment,
         built.device,
-        replace(type(built.safety)(), force_limit_n=built.device.force_limit_n),
+        type(built.safety)(),
         type(built.realtime)(),
         built.usb,
     )
