@@ -7,7 +7,7 @@ and asterisks mean themselves (|Z|, V**2). Sphinx would take all of that for mar
 import re
 from typing import Any
 
-GIVEN = {"R": "Receipt", "D": "dict"}  # by the variables of `client.verbs`
+GIVEN = {"R": "Receipt", "D": "dict"}  # by the variables of `client.commands`
 MARKUP = re.compile(r"(`[^`]*`)|([|*\\]|\b_\w|\w_\b)")
 
 

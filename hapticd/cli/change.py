@@ -12,7 +12,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.numbers import number, unknown
-from hapticd.client.words import objection_lines, receipt_text, refusal_lines
+from hapticd.client.formatting import objection_lines, receipt_text, refusal_lines
 from hapticd.core.errors import CommandError
 from hapticd.protocol.limits import PLACES
 

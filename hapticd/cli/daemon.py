@@ -18,7 +18,13 @@ from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect
 from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
-from hapticd.client.words import board_words, late_words, parameters, receipt_text, timing_words
+from hapticd.client.formatting import (
+    board_words,
+    late_words,
+    parameters,
+    receipt_text,
+    timing_words,
+)
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.protocol.answers import Compensation, Delivered, StageTimes, Status, answer_of

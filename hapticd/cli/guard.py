@@ -7,7 +7,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.client.words import guard_line, margin_words, verdict_lines
+from hapticd.client.formatting import guard_line, margin_words, verdict_lines
 from hapticd.core import params
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from hapticd.client.words import guard_line, margin_words
+from hapticd.client.formatting import guard_line, margin_words
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.units import NS_PER_S, percent
 from hapticd.mailbox.layout import COMMISSIONING, Flag, State, Watched

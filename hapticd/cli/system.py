@@ -71,12 +71,11 @@ def check_config(
 
 def _simulation_and_network_rules(config: "Config") -> "Iterator[Mistake]":
     """Injections that no simulated board knows, and telemetry in the clear."""
-    from hapticd.core.params import GatewayParams
     from hapticd.protocol import auth
     from hapticd.settings.load import Mistake
     from hapticd.sim.injection import KINDS
 
-    if auth.without_leave(GatewayParams(**config.gateway.model_dump())):
+    if auth.without_leave(config.gateway):
         host = repr(config.gateway.tcp_host)
         yield Mistake(("gateway", "tcp_host"), host, auth.LEAVE_NEEDED)
     for place, injection in enumerate(config.simulation.injections):
@@ -269,7 +268,7 @@ def _guard(status: dict[str, Any] | None) -> dict[str, Any]:
 def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
     """The delay from sample to force that the daemon measures, its cost in K, and the ticks."""
     from hapticd.cli.daemon import delay_words
-    from hapticd.client.words import late_words, timing_words
+    from hapticd.client.formatting import late_words, timing_words
     from hapticd.protocol.answers import Status, answer_of
     from hapticd.run.doctor import checks, late
 

@@ -20,8 +20,8 @@
     DaemonDown     nobody answers, or the gateway has no servo
 
 These are in `client`, `aio`, `listener`, `lease`, `sequence` and `blocks`. Beside them stand
-`design` and `staircase` (experiments), `conversation`, `verbs` and `watching` (what the clients
-share), `verdict` (the warning), `events` and `words` (lines for people).
+`design` and `staircase` (experiments), `requests`, `commands` and `telemetry` (shared by the
+clients), `verdict` (the warning), `events` and `formatting` (text for people).
 
 `fast_stop` is the short way to a stop, for programs that may load nothing large. The names above
 are loaded when they are used, so that it stays fast.

@@ -1,4 +1,4 @@
-"""The client for asyncio: the verbs of `Client`, each of which is awaited.
+"""The client for asyncio: the commands of `Client`, each of which is awaited.
 
     async with AsyncClient() as device:
         await device.set(K=100, B=1)
@@ -26,9 +26,11 @@ import zmq.asyncio
 from numpy.typing import ArrayLike
 
 from hapticd.client.blocks import Block, Excerpt, Records, chunks, concatenated
-from hapticd.client.conversation import (
+from hapticd.client.commands import POLL_S, Commands, hand_of
+from hapticd.client.lease import RENEWALS, lost_error
+from hapticd.client.requests import (
     STOP_TIMEOUT_S,
-    Conversation,
+    RequestTracker,
     TimedOut,
     accepted,
     check_topic,
@@ -40,7 +42,6 @@ from hapticd.client.conversation import (
     silence,
     socket_file,
 )
-from hapticd.client.lease import RENEWALS, lost_error
 from hapticd.client.sequence import (
     Ask,
     AtRefusal,
@@ -51,13 +52,10 @@ from hapticd.client.sequence import (
     advanced,
     course,
 )
-from hapticd.client.verbs import POLL_S, Verbs, hand_of
-from hapticd.client.verdict import GuardWarnings
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.core.params import AtEnd, Leased
 from hapticd.core.units import NS_PER_S
-from hapticd.mailbox.daemons import daemon_folder
-from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
+from hapticd.mailbox.files import COMMAND_SOCKET, TELEMETRY_SOCKET
 from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 
 __all__ = ["AsyncClient"]
@@ -65,13 +63,13 @@ __all__ = ["AsyncClient"]
 Answer = dict[str, Any]
 
 
-class AsyncLine:
+class AsyncConnection:
     """Sockets to the gateway of a runtime folder, and the task that reads its replies."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._folder = folder
         self._name = name
-        self._conversation = Conversation()
+        self._requests = RequestTracker()
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
         self._made: zmq.asyncio.Socket  # a message for each connection that was made
@@ -95,7 +93,7 @@ class AsyncLine:
         socket = self._connected()
         deadline = time.monotonic() + timeout_s
         timeout_ns = round(timeout_s * NS_PER_S)
-        number, payload = self._conversation.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
+        number, payload = self._requests.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
         try:
             # with IMMEDIATE it can be written to only when it is connected
             if await _writable(socket, timeout_s):
@@ -103,12 +101,12 @@ class AsyncLine:
                 await _until(deadline, socket.send(payload))
             return await self._reply(number, deadline)
         except BaseException:
-            self._conversation.forget(number)
+            self._requests.forget(number)
             raise
 
     async def _reply(self, number: int, deadline: float) -> Answer:
         async with self._came:
-            while (outcome := self._conversation.outcome(number, time.monotonic_ns())) is None:
+            while (outcome := self._requests.outcome(number, time.monotonic_ns())) is None:
                 await _until(deadline, self._came.wait())
         if isinstance(outcome, TimedOut):
             raise silence(outcome, self._folder)
@@ -133,11 +131,11 @@ class AsyncLine:
         with suppress(zmq.Again):
             while True:
                 await self._made.recv_multipart(zmq.NOBLOCK)
-                socket.send(self._conversation.introduction(self._name))
+                socket.send(self._requests.introduction(self._name))
 
     async def _read(self, socket: zmq.asyncio.Socket) -> None:
         while True:
-            self._conversation.receive(await socket.recv())
+            self._requests.receive(await socket.recv())
             async with self._came:
                 self._came.notify_all()
 
@@ -174,7 +172,7 @@ async def _until(deadline: float, done: Awaitable[Any]) -> None:
 
 
 class AsyncClient(
-    Verbs[
+    Commands[
         Awaitable[Receipt],
         Awaitable[Hello],
         Awaitable[Status],
@@ -188,20 +186,8 @@ class AsyncClient(
     `hapticd.virtual_board().aio()`, disabled, with its active damping on.
     """
 
-    def __init__(
-        self,
-        instance: str = DEFAULT_INSTANCE,
-        timeout_s: float = 2.0,
-        name: str = "script",
-        folder: Path | None = None,
-        strict: bool = False,
-    ) -> None:
-        self._folder = folder or daemon_folder(instance)
-        self._timeout_s = timeout_s
-        self._name = name
-        self._strict = strict
-        self._warnings = GuardWarnings()
-        self._line = AsyncLine(self._folder, name)
+    def _connect(self) -> None:
+        self._connection = AsyncConnection(self._folder, self._name)
 
     async def __aenter__(self) -> Self:
         return self
@@ -214,7 +200,7 @@ class AsyncClient(
 
         >>> await device.close()
         """
-        await self._line.close()
+        await self._connection.close()
 
     async def call(self, cmd: str, **fields: Any) -> Answer:
         """Send any command; its whole reply {ok, id, rev, state, result or receipt}.
@@ -225,7 +211,7 @@ class AsyncClient(
         50.0
         """
         asked = self._as_asked(cmd, fields)
-        return accepted(await self._line.exchange(cmd, asked, self._timeout_s))
+        return accepted(await self._connection.exchange(cmd, asked, self._timeout_s))
 
     async def _result(self, cmd: str, **fields: Any) -> Answer:
         reply = await self.call(cmd, **fields)
@@ -251,7 +237,7 @@ class AsyncClient(
         'stopped'
         """
         try:
-            return receipt_of(accepted(await self._line.exchange("stop", {}, STOP_TIMEOUT_S)))
+            return receipt_of(accepted(await self._connection.exchange("stop", {}, STOP_TIMEOUT_S)))
         except (DaemonDown, CommandError):
             return pressed(self._folder)
 
@@ -312,7 +298,7 @@ class AsyncClient(
             if isinstance(due, Ask):
                 answer = await self._tried(due)
             elif isinstance(due, Pause):
-                await self._line.pause(due.seconds)
+                await self._connection.pause(due.seconds)
                 answer = None
             else:
                 return due
@@ -334,7 +320,7 @@ class AsyncClient(
         while time.monotonic() < deadline:
             if found := hand_of(await self.status(), verdict):
                 return found
-            await self._line.pause(POLL_S)
+            await self._connection.pause(POLL_S)
         return None
 
     async def wait_for(self, state: str, timeout_s: float = 10.0) -> None:
@@ -347,7 +333,7 @@ class AsyncClient(
         while (found := (await self.call("get"))["state"]) != state:
             if time.monotonic() >= deadline:
                 raise not_reached(state, found, timeout_s)
-            await self._line.pause(POLL_S)
+            await self._connection.pause(POLL_S)
 
     async def stream(
         self, topic: str = "servo.raw", seconds: float | None = None, count: int | None = None
@@ -359,7 +345,7 @@ class AsyncClient(
         [20, 20, 10]
         """
         excerpt = Excerpt(topic, seconds, count)
-        async for payload in self._line.listen(topic, self._timeout_s):
+        async for payload in self._connection.listen(topic, self._timeout_s):
             block = excerpt.next(payload)
             if len(block.records):
                 yield block
@@ -388,7 +374,7 @@ class AsyncClient(
         disabled
         """
         check_topic(topic)
-        async for payload in self._line.listen(topic, self._timeout_s):
+        async for payload in self._connection.listen(topic, self._timeout_s):
             yield msgpack.unpackb(payload)
 
 

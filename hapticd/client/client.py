@@ -1,10 +1,10 @@
 """The client: one connection to a running daemon; synchronous, never waiting for ever.
 
-`GatewayLine` holds the sockets: a DEALER for the conversation (`conversation`), a PAIR that tells
-of new connections, a SUB per subscription. Requests are given only to a gateway that is connected
-(IMMEDIATE), so one that starts later finds no old commands in its queue; nothing lingers when the
-line is closed. `Client` gives every command a method: those of one request are `verbs`, which
-asyncio has as well (`aio`); what is followed as it comes is `watching`.
+`GatewayConnection` holds the sockets: a DEALER for requests (`requests`), a PAIR that tells of new
+connections, a SUB per subscription. Requests are given only to a gateway that is connected
+(IMMEDIATE), so one that starts later finds no old commands in its queue; nothing lingers when it is
+closed. `Client` gives every command a method. Those of one request are `commands`, which asyncio
+has as well (`aio`); telemetry is read by `telemetry`.
 
 Every call ends within its time-out, with a reply, a CommandError (the daemon refused: `code` and
 `detail` say why) or DaemonDown (nobody answers, or the gateway has no servo).
@@ -24,9 +24,11 @@ from typing import TYPE_CHECKING, Any
 
 import zmq
 
-from hapticd.client.conversation import (
+from hapticd.client.commands import POLL_S, Commands, hand_of
+from hapticd.client.lease import ClientLease
+from hapticd.client.requests import (
     STOP_TIMEOUT_S,
-    Conversation,
+    RequestTracker,
     TimedOut,
     accepted,
     not_reached,
@@ -36,14 +38,10 @@ from hapticd.client.conversation import (
     silence,
     socket_file,
 )
-from hapticd.client.lease import ClientLease
-from hapticd.client.verbs import POLL_S, Verbs, hand_of
-from hapticd.client.verdict import GuardWarnings
-from hapticd.client.watching import Line, Watching
+from hapticd.client.telemetry import Subscription, TelemetryReader
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.core.units import NS_PER_S
-from hapticd.mailbox.daemons import daemon_folder
-from hapticd.mailbox.files import COMMAND_SOCKET, DEFAULT_INSTANCE, TELEMETRY_SOCKET
+from hapticd.mailbox.files import COMMAND_SOCKET, TELEMETRY_SOCKET
 from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
 
 if TYPE_CHECKING:
@@ -57,13 +55,13 @@ if TYPE_CHECKING:
 __all__ = ["Client"]
 
 
-class GatewayLine(Line):
+class GatewayConnection(Subscription):
     """Sockets to the gateway of a runtime folder; made when they are first needed."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._folder = folder
         self._name = name
-        self._conversation = Conversation()
+        self._requests = RequestTracker()
         self._introduction: list[bytes] = []  # goes out before the next request
         super().__init__()
         # a lease that is kept alive is renewed by a thread of its own, over this connection
@@ -92,10 +90,10 @@ class GatewayLine(Line):
     def _exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
         socket = self._connected()
         timeout_ns = round(timeout_s * NS_PER_S)
-        number, payload = self._conversation.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
+        number, payload = self._requests.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
         unsent = [payload]
         deadline = time.monotonic() + timeout_s
-        while (outcome := self._conversation.outcome(number, time.monotonic_ns())) is None:
+        while (outcome := self._requests.outcome(number, time.monotonic_ns())) is None:
             # a negative wait would be one for ever
             wait_ms = max(0, round(1000 * (deadline - time.monotonic())))
             if unsent:
@@ -107,7 +105,7 @@ class GatewayLine(Line):
                         socket.send(due[-1], zmq.NOBLOCK)
                         due.pop()
             elif socket.poll(wait_ms):
-                self._conversation.receive(socket.recv())
+                self._requests.receive(socket.recv())
         if isinstance(outcome, TimedOut):
             raise silence(outcome, self._folder)
         return outcome
@@ -127,7 +125,7 @@ class GatewayLine(Line):
         """To a gateway each connection is another client; the gateway may be another one too."""
         while self._made.poll(0):
             self._made.recv_multipart()
-            self._introduction = [self._conversation.introduction(self._name)]
+            self._introduction = [self._requests.introduction(self._name)]
 
     def _endpoint(self) -> str:
         return f"ipc://{socket_file(self._folder, TELEMETRY_SOCKET)}"
@@ -136,7 +134,7 @@ class GatewayLine(Line):
         return quiet(topic, self._folder, timeout_s)
 
 
-class Client(Watching, Verbs[Receipt, Hello, Status, GuardStatus, dict[str, Any]]):
+class Client(TelemetryReader, Commands[Receipt, Hello, Status, GuardStatus, dict[str, Any]]):
     """One connection to the daemon `instance`, best used as a context manager.
 
     `timeout_s` bounds every call; `name` is shown beside what this client changes; `folder` is the
@@ -149,22 +147,10 @@ class Client(Watching, Verbs[Receipt, Hello, Status, GuardStatus, dict[str, Any]
     on; `np` is numpy, `step` is `hapticd.client.step`.
     """
 
-    _line: GatewayLine
+    _connection: GatewayConnection
 
-    def __init__(
-        self,
-        instance: str = DEFAULT_INSTANCE,
-        timeout_s: float = 2.0,
-        name: str = "script",
-        folder: Path | None = None,
-        strict: bool = False,
-    ) -> None:
-        self._folder = folder or daemon_folder(instance)
-        self._timeout_s = timeout_s
-        self._name = name
-        self._strict = strict
-        self._warnings = GuardWarnings()
-        self._line = GatewayLine(self._folder, name)
+    def _connect(self) -> None:
+        self._connection = GatewayConnection(self._folder, self._name)
 
     # --- asking -----------------------------------------------------------------------------------
 
@@ -176,7 +162,8 @@ class Client(Watching, Verbs[Receipt, Hello, Status, GuardStatus, dict[str, Any]
         >>> device.call("set", K=50)["receipt"]["effective"]["K"]
         50.0
         """
-        return accepted(self._line.exchange(cmd, self._as_asked(cmd, fields), self._timeout_s))
+        asked = self._as_asked(cmd, fields)
+        return accepted(self._connection.exchange(cmd, asked, self._timeout_s))
 
     def _result(self, cmd: str, **fields: Any) -> dict[str, Any]:
         reply = self.call(cmd, **fields)
@@ -226,7 +213,7 @@ class Client(Watching, Verbs[Receipt, Hello, Status, GuardStatus, dict[str, Any]
         'stopped'
         """
         try:
-            return receipt_of(accepted(self._line.exchange("stop", {}, STOP_TIMEOUT_S)))
+            return receipt_of(accepted(self._connection.exchange("stop", {}, STOP_TIMEOUT_S)))
         except (DaemonDown, CommandError):
             return pressed(self._folder)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import zmq
 
-from hapticd.client.watching import Line, Watching
+from hapticd.client.telemetry import Subscription, TelemetryReader
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.protocol import zmq_monitor
 from hapticd.protocol.keys import SERVER_PUBLIC, public_key, secret_pair
@@ -28,7 +28,7 @@ EVENTS = (
 )
 
 
-class RemoteLine(Line):
+class RemoteSubscription(Subscription):
     """Subscriptions at a TCP endpoint, with the keys of a folder.
 
     ConfigError: the endpoint is none, the folder is incomplete, or its secret readable by others.
@@ -105,7 +105,7 @@ def why_quiet(seen: set[int], place: str, name: str, timeout_s: float) -> Haptic
     )
 
 
-class Listener(Watching):
+class Listener(TelemetryReader):
     """The telemetry at `endpoint`, best used as a context manager.
 
     `keys` is the folder of this listener's keys, None for a gateway without. After silence for
@@ -115,5 +115,5 @@ class Listener(Watching):
     def __init__(
         self, endpoint: str, keys: Path | str | None = None, timeout_s: float = 2.0
     ) -> None:
-        self._line = RemoteLine(endpoint, None if keys is None else Path(keys))
+        self._connection = RemoteSubscription(endpoint, None if keys is None else Path(keys))
         self._timeout_s = timeout_s

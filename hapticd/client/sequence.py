@@ -36,8 +36,8 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Literal, NamedTuple
 
-from hapticd.client.conversation import receipt_of
-from hapticd.client.verbs import POLL_S
+from hapticd.client.commands import POLL_S
+from hapticd.client.requests import receipt_of
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.protocol.answers import GuardVerdict, Hello, Receipt, Status, answer_of, verdict_of
 

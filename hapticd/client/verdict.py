@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from hapticd.client.words import verdict_lines
+from hapticd.client.formatting import verdict_lines
 from hapticd.core.errors import GuardWarning
 from hapticd.protocol.answers import GuardVerdict, Receipt
 from hapticd.protocol.explanation import Explanation

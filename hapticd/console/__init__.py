@@ -2,15 +2,13 @@
 browsers on this computer.
 
     server   the web server: pages, the socket of each browser, the STOP request
-    watch    telemetry -> frames for browsers, in a thread of its own
-    outbox   what waits for one browser: bounded, the oldest is dropped
-    visitors who may talk to it
+    browser  one open page: what waits for it is bounded, the oldest is dropped
     asker    the commands of one browser: a client of its own, so that leases are the browser's
+    visitors who may talk to it
+    watch    telemetry -> frames for browsers, in a thread of its own
     probing  live impedance from the probe stream: a running estimate
-    plane    the K-B plane of the guard, computed by plane_worker
-    recorder `hapticd record` as a process of its own (tied: that ends with this one)
-    leaving  browsers that leave in the middle of a message
-    place    the file that says where the page is
+    plane    the K-B plane of the guard, computed by a process of its own
+    recorder `hapticd record` as a process of its own, which ends with this one
     main     the process that `hapticd run` starts
     static/  the page itself; beside our own files one that is not ours, uPlot
 

@@ -18,14 +18,14 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from hapticd.client.client import Client
-from hapticd.client.conversation import receipt_of
-from hapticd.client.words import (
+from hapticd.client.formatting import (
     guard_line,
     margin_words,
     objection_lines,
     receipt_text,
     refusal_lines,
 )
+from hapticd.client.requests import receipt_of
 from hapticd.core.errors import CommandError, HapticdError
 from hapticd.model.excitation import Stream, band_noise, generator
 from hapticd.model.scene import Excitation

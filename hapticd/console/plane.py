@@ -2,8 +2,9 @@
 
 It is the guard's own judgement (`guard.judge`) on the model in the daemon's guard.json, asked
 again when basis, margin, delay, mass, filters or the level of active damping change. It takes up to
-seconds, so it must not run where telemetry and STOP go: `python -m hapticd.console.plane_worker`
-reads the question and writes the answer, at low priority. The live point is the page's.
+seconds, so it must not run where telemetry and STOP go. A process of its own reads the question and
+writes the answer, at low priority, and ends with its parent:
+`python -m hapticd.console.plane GUARD_JSON PARENT`. The live point is the page's.
 
 What would break it: a worker that outlives the console (it dies with it), or one that judges on
 another configuration than the daemon's (the file is read for each plane).
@@ -18,9 +19,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from hapticd.core.params import GuardSetup, from_plain
+from hapticd.core.process import die_with_parent
 from hapticd.mailbox.files import GUARD_JSON
 
-WORKER = f"{__package__}.plane_worker"
+MODULE = f"{__package__}.plane"
+NICENESS = 10  # of the worker
 KEPT = ("M", "filters")  # of what is in force, beside the guard's terms and the level
 DELAY_STEP = 0.0625  # periods: less does not ask for another plane
 
@@ -65,7 +69,7 @@ class Planes:
 
     def _ask(self, request: str) -> None:
         self._worker = subprocess.Popen(
-            [sys.executable, "-m", WORKER, str(self._folder() / GUARD_JSON), str(os.getpid())],
+            [sys.executable, "-m", MODULE, str(self._folder() / GUARD_JSON), str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -85,3 +89,20 @@ class Planes:
 def _reach(given: dict[str, Any]) -> tuple[int, int]:
     """Which powers of two K and B are below: a plane has to hold the point."""
     return int(abs(given["K"])).bit_length(), int(4 * abs(given["B"])).bit_length()
+
+
+def main(path: str, parent: str) -> int:
+    """Answer the request on stdin; exit code 0: the answer is on stdout, as a message for pages."""
+    from hapticd.guard.judge import Judge
+
+    die_with_parent(int(parent))
+    os.nice(NICENESS)
+    request = json.load(sys.stdin)
+    setup = from_plain(GuardSetup, json.loads(Path(path).read_text()), path)
+    told = {**Judge(setup).answer(request), "basis": request["basis"], "M": request["target"]["M"]}
+    json.dump({"kind": "plane", "told": told}, sys.stdout)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(*sys.argv[1:]))

@@ -8,19 +8,27 @@
                  goes the way of /stop, behind nothing that was asked before it
 
 One asyncio loop serves all browsers; telemetry is followed by a thread (`watch`), each browser's
-commands are asked by another (`asker`). What a browser has not taken yet waits in its `outbox`.
+commands are asked by another (`asker`). What a browser has not taken yet waits (`browser`).
 A browser may leave in the middle of anything, or send what no page of ours does: its connection
-ends (`leaving`), and nothing is printed.
+ends, and nothing is printed. The web server would log some of it with a traceback: text that is not
+UTF-8, bytes before its own answer.
 
-What would break it: a wait in the loop that is no await; listening at an address of the network.
+Where the page is stands in a file of the daemon's folder (`mailbox.daemons` reads it). That of a
+console that was killed stays, so that the next one of this daemon listens at the same port and open
+pages find it again. A folder that is not ours to write (the service's) gets none.
+
+What would break it: a wait in the loop that is no await; listening at an address of the network; a
+web server that logs under another name than LOGGER, or names no protocol where one failed.
 """
 
 import asyncio
 import json
+import logging
+import os
 import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import partial
 from html import escape
 from pathlib import Path
@@ -36,18 +44,17 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hapticd.client import fast_stop
-from hapticd.client.words import board_words
-from hapticd.console import leaving
+from hapticd.client.formatting import board_words
 from hapticd.console.asker import Asker
-from hapticd.console.outbox import Outbox
-from hapticd.console.place import Place
+from hapticd.console.browser import Browser
 from hapticd.console.plane import Planes
 from hapticd.console.probing import Probing
 from hapticd.console.recorder import Recorder
 from hapticd.console.visitors import STOP_PATH, Visitors
 from hapticd.console.watch import Watch
 from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.mailbox.daemons import read_report, untrusted_daemon_folder
+from hapticd.mailbox.daemons import read_report, require_trusted, untrusted_daemon_folder
+from hapticd.mailbox.files import CONSOLE
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, servo_lives
 
 __all__ = ["serve"]
@@ -60,38 +67,8 @@ NO_SERVO = "no servo runs; start it with `hapticd run`"
 LOOK_S = 0.5  # between looks for the board
 MOST_BYTES = 1 << 16  # of a message from a browser
 MOST_DIGITS = 10  # of an actor
-
-
-class Browser:
-    """One open page."""
-
-    def __init__(self, socket: WebSocket, asker: Asker) -> None:
-        self.socket = socket
-        self.asker = asker
-        self.outbox = Outbox()
-        self.news = asyncio.Event()
-
-    def put(self, kind: str, message: bytes | str) -> None:
-        """Have `message` sent; called in the loop."""
-        if isinstance(message, bytes):
-            self.outbox.frame(message)
-        elif kind in ("reply", "event"):
-            self.outbox.words(message)
-        else:
-            self.outbox.latest(kind, message)
-        self.news.set()
-
-    async def send(self) -> None:
-        """Send what waits, for ever. WebSocketDisconnect: the browser has left."""
-        while True:
-            message = self.outbox.pop()
-            if message is None:
-                self.news.clear()
-                await self.news.wait()
-            elif isinstance(message, str):
-                await self.socket.send_text(message)
-            else:
-                await self.socket.send_bytes(message)
+LOGGER = "uvicorn.error"
+BY_THE_OTHER_END = (UnicodeDecodeError, OSError, WebSocketDisconnect)
 
 
 class Console:
@@ -127,7 +104,7 @@ class Console:
         if isinstance(message, str) and kind != "event":
             self._latest[kind] = message
         for browser in self._browsers:
-            browser.put(kind, message)
+            browser.outbox.put(kind, message)
 
     async def page(self, request: Request) -> Response:
         """The page, with what is known of the board in its text."""
@@ -167,9 +144,9 @@ class Console:
         self._pages += 1
         browser = Browser(socket, Asker(self.instance, f"page {self._pages}", lambda: self.stops))
         for kind, message in self._latest.items():
-            browser.put(kind, message)
+            browser.outbox.put(kind, message)
         self._browsers.add(browser)
-        sending = asyncio.create_task(browser.send())
+        sending = asyncio.create_task(browser.outbox.send_to(socket))
         try:
             await self._obey(browser)
         except WebSocketDisconnect:
@@ -184,13 +161,12 @@ class Console:
         own = {"record": self._record, "stop": self._stop_by_socket}
 
         def reply(text: str) -> None:
-            loop.call_soon_threadsafe(browser.put, "reply", text)
+            loop.call_soon_threadsafe(browser.outbox.put, "reply", text)
 
         while True:
-            request = _read(await leaving.text_from(browser.socket))
+            request = await browser.request()
             if "ack" in request:
                 browser.outbox.acknowledge(int(request["ack"]))
-                browser.news.set()
             elif answer := own.get(str(request.get("cmd"))):
                 task = asyncio.create_task(answer(browser, request))
                 self._under_way.add(task)
@@ -200,8 +176,7 @@ class Console:
 
     async def _stop_by_socket(self, browser: Browser, request: dict[str, Any]) -> None:
         """The same over the page's connection."""
-        told = await self._press(str(request.get("actor", "")))
-        browser.put("reply", json.dumps({"kind": "reply", "ask": request.get("ask"), **told}))
+        browser.answer(request, **await self._press(str(request.get("actor", ""))))
 
     async def _record(self, browser: Browser, request: dict[str, Any]) -> None:
         """Start or stop the recorder of this page."""
@@ -209,8 +184,7 @@ class Console:
         start = bool(request.get("start"))
         trouble = await self.recorder.start(note) if start else self.recorder.stop()
         text = trouble or ("recording begins" if start else "recording ends, and is packed")
-        told = {"kind": "reply", "ask": request.get("ask"), "ok": not trouble, "text": text}
-        browser.put("reply", json.dumps(told))
+        browser.answer(request, ok=not trouble, text=text)
 
 
 def _number(text: str) -> int:
@@ -219,15 +193,22 @@ def _number(text: str) -> int:
     return int(text) if known else ACTOR_STOP_WORD
 
 
-def _read(text: str) -> dict[str, Any]:
-    """What a browser sent; one that sends anything else is disconnected."""
+def port_before(place: Path) -> int | None:
+    """Port of the console before, by the file `place`; None: there was none."""
     try:
-        request = json.loads(text)
-    except (ValueError, RecursionError):
-        request = None
-    if not isinstance(request, dict) or not isinstance(request.get("ack", 0), int):
-        raise WebSocketDisconnect(1003, "not a message of this page")
-    return request
+        port = json.loads(place.read_text())["port"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return port if isinstance(port, int) and 0 < port < 1 << 16 else None
+
+
+def note(place: Path, url: str, port: int) -> None:
+    """Say in the file `place` where this process serves."""
+    content = json.dumps({"url": url, "port": port, "pid": os.getpid()})
+    fresh = place.with_suffix(".new")
+    with suppress(OSError):
+        fresh.write_text(content)
+        fresh.replace(place)
 
 
 class _Server(uvicorn.Server):
@@ -263,8 +244,10 @@ def serve(
     """Serve the page of `instance` until the handler given to `on_stop` is called; `tell` is given
     its URL. ConfigError: the port is taken.
     """
-    place = Place(untrusted_daemon_folder(instance))
-    line = bound(port, place.port)
+    folder = untrusted_daemon_folder(instance)
+    require_trusted(folder)
+    place = folder / CONSOLE
+    line = bound(port, port_before(place))
     url = f"http://{ADDRESS}:{line.getsockname()[1]}/"
     console = Console(instance)
     config = uvicorn.Config(
@@ -281,13 +264,14 @@ def serve(
     on_stop(lambda: setattr(server, "should_exit", True))
 
     def ready() -> None:
-        place.note(url, line.getsockname()[1])
+        note(place, url, line.getsockname()[1])
         tell(url)
 
     try:
         asyncio.run(_serve(server, console, line, ready))
     finally:
-        place.forget()
+        with suppress(OSError):
+            place.unlink()
 
 
 async def _tell_board(console: Console) -> None:
@@ -304,11 +288,28 @@ async def _tell_board(console: Console) -> None:
         await asyncio.sleep(LOOK_S)
 
 
+def _be_quiet(loop: asyncio.AbstractEventLoop) -> None:
+    """Print nothing of connections that the other end has broken."""
+    loop.set_exception_handler(_unless_of_a_connection)
+    logging.getLogger(LOGGER).addFilter(_worth_printing)
+
+
+def _unless_of_a_connection(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """The loop ends a connection by itself whose protocol has failed."""
+    if "protocol" not in context:
+        loop.default_exception_handler(context)
+
+
+def _worth_printing(record: logging.LogRecord) -> bool:
+    failed = record.exc_info[1] if record.exc_info else None
+    return not isinstance(failed, BY_THE_OTHER_END)
+
+
 async def _serve(
     server: uvicorn.Server, console: Console, line: socket.socket, ready: Callable[[], None]
 ) -> None:
     loop = asyncio.get_running_loop()
-    leaving.be_quiet(loop)
+    _be_quiet(loop)
 
     def publish(kind: str, message: bytes | str) -> None:
         loop.call_soon_threadsafe(console.publish, kind, message)

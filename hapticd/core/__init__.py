@@ -5,6 +5,7 @@ standard library's small modules. The package imports nothing by itself.
 
     environment  `Environment`: what is rendered and damped, and the one table of its fields
     params       frozen parameters in SI units, and their JSON form
+    constraints  limits of settings, declared beside them without pydantic
     units        constants and small conversions
     errors       the one error tree
     faults       every reason for which the servo leaves `enabled` by itself, with its remedy

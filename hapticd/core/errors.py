@@ -25,6 +25,7 @@ HapticdError               (exit 1; `exit_code` of a class is what a process end
 GuardWarning               a warning: what was asked acts, and some passive hand could shake it
 """
 
+import copyreg
 from typing import Any
 
 __all__ = [
@@ -53,6 +54,10 @@ class HapticdError(Exception):
 
     exit_code = 1
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # an exception pickles by its message alone, whatever its constructor takes
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
+
 
 class ConfigError(HapticdError):
     """A configuration file, device file or argument is wrong; the message names file, line and
@@ -72,9 +77,6 @@ class MissingLibrary(ConfigError):
         super().__init__(message)
         self.requirement = requirement
         self.command = command
-
-    def __reduce__(self) -> tuple[type["MissingLibrary"], tuple[str, ...]]:
-        return type(self), (str(self), self.requirement, self.command)
 
 
 class WireError(HapticdError):
@@ -154,10 +156,6 @@ class CommandError(HapticdError):
         self.guard = guard
         self.exit_code = 5 if code == "stopped" else 4
 
-    def __reduce__(self) -> tuple[type["CommandError"], tuple[Any, ...]]:
-        # an exception of several arguments does not pickle by itself
-        return type(self), (self.code, str(self), self.detail, self.guard)
-
 
 class SequenceError(CommandError):
     """A sequence of changes ended before its last step; `receipts` are those of all steps, `state`
@@ -168,9 +166,6 @@ class SequenceError(CommandError):
         super().__init__(code, message)
         self.receipts = receipts
         self.state = state
-
-    def __reduce__(self) -> tuple[type["SequenceError"], tuple[Any, ...]]:
-        return type(self), (self.code, str(self), self.receipts, self.state)
 
 
 class DaemonDown(HapticdError):
@@ -189,9 +184,6 @@ class DaemonDown(HapticdError):
     def plain(self) -> dict[str, Any]:
         """What --json shows of it."""
         return {"remedy": self.command, "running": list(self.running)}
-
-    def __reduce__(self) -> tuple[type["DaemonDown"], tuple[Any, ...]]:
-        return type(self), (str(self), self.command, self.running)
 
 
 class GuardWarning(UserWarning):
@@ -213,6 +205,3 @@ class GuardWarning(UserWarning):
         self.margin_ns_per_m = margin_ns_per_m
         self.remedy = remedy
         self.receipt = receipt
-
-    def __reduce__(self) -> tuple[type["GuardWarning"], tuple[Any, ...]]:
-        return type(self), (str(self), self.margin_ns_per_m, self.remedy, self.receipt)

@@ -10,8 +10,17 @@ import math
 import types
 import typing
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
+from hapticd.core.constraints import (
+    Constraints,
+    Duration,
+    Microseconds,
+    NotNegative,
+    Positive,
+    ServoRateHz,
+    TableParams,
+)
 from hapticd.core.environment import Environment, WorkspaceParams
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import round_half_up
@@ -22,6 +31,7 @@ __all__ = [
     "COMMISSIONING_SHARE",
     "ENERGY_LIMIT_J",
     "LONGEST_LEASE_S",
+    "LONGEST_TIMEOUT_MS",
     "MOST_CORRECTION",
     "RAMP_ENERGY_J",
     "RIG_STEPS",
@@ -30,6 +40,7 @@ __all__ = [
     "AtEnd",
     "BasisName",
     "BoardParams",
+    "BoardTraits",
     "BusParams",
     "Contact",
     "DampingMode",
@@ -63,6 +74,7 @@ __all__ = [
     "ServoParams",
     "TouchParams",
     "UsbParams",
+    "UsbTable",
     "from_plain",
     "to_plain",
 ]
@@ -83,6 +95,8 @@ COMMISSIONING_SHARE = 0.1  # of the device's force, until its signs are verified
 CALIBRATION_DAYS = 365  # see ADR-0029
 SHORTEST_LEASE_S = 0.2  # twenty passes of the gateway
 LONGEST_LEASE_S = 60.0
+LONGEST_TIMEOUT_MS = 5  # of a transfer, for which docs/safety.md says when force is gone
+LAST_TICK = 10**12  # of an injection: 30 years at 1 kHz
 ACTIVE_DAMPING_NS_PER_M = 1.74  # what `damping on` means: Weir, Colgate and Peshkin 2008, section 5
 
 
@@ -131,21 +145,24 @@ class ScaleParams:
 
 
 @dataclass(frozen=True, slots=True)
-class HomeParams:
-    """How the position origin is found: `none`, against a `stop` at bounded force, or at the
-    encoder `index`.
-    """
+class HomeParams(TableParams):
+    """How the origin of position is found."""
 
-    method: str = "none"
+    method: Literal["none", "stop", "index"] = "none"
     required: bool = False
-    direction: int = -1
-    speed_m_per_s: float = 0.01
-    force_n: float = 0.5
-    position_m: float = 0.0  # where the stop or index lies
-    timeout_s: float = 10.0
-    tolerance_m: float = 50e-6  # between two finds, and what a stop may yield under half the push
-    back_off_m: float = 2e-3  # travelled freely before the second find
-    current_n_per_a: float = 0.0  # endpoint force per motor current; 0: current is not checked
+    """Refuse to enable before it was done."""
+    direction: Literal[-1, 1] = -1
+    speed_m_per_s: Annotated[float, Constraints(gt=0, le=1)] = 0.01
+    force_n: Positive = 0.5
+    position_m: float = 0.0
+    """Where the stop or index lies."""
+    timeout_s: Annotated[float, Constraints(gt=0, le=600)] = 10.0
+    tolerance_m: Annotated[float, Constraints(gt=0, le=0.01)] = 50e-6
+    """Between the two finds, and what a stop may yield under half the push."""
+    back_off_m: Annotated[float, Constraints(gt=0, le=0.1)] = 2e-3
+    """Way between the two finds; at least eight times the tolerance."""
+    current_n_per_a: NotNegative = 0.0
+    """Endpoint force per ampere of the motor; 0: its current is not looked at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,51 +255,73 @@ class DeviceParams:
 
 
 @dataclass(frozen=True, slots=True)
-class SafetyParams:
+class SafetyParams(TableParams):
     """Times and levels of the safety table."""
 
-    force_limit_n: float = 8.0
-    enable_ramp_s: float = 0.5
-    stop_ramp_s: float = 0.02
-    active_damping_hold_s: float = 2.0
-    active_damping_release_s: float = 0.5
-    safe_active_damping_ns_per_m: float = 0.0
-    active_damping_slew_ns_per_m_s: float = 20.0
-    gateway_timeout_s: float = 1.0
-    on_gateway_loss: str = "fault"  # "fault" | "hold"
-    lost_slots_limit: int = 10  # within one second
-    missing_frames_limit: int = 8
-    no_authority_limit: int = 8  # periods for which the board may withhold torque while enabled
-    glitches_limit: int = 2  # of the encoder within one second
-    default_ramp_s: float = 0.05
-    # faults force_at_limit and energy, which a trial at the edge of stability does without
+    force_limit_n: Positive | None = None
+    """Tighter than the device's own limit; left out: the device's limit."""
+    enable_ramp_s: Duration = 0.5
+    stop_ramp_s: Annotated[float, Constraints(ge=0, le=1)] = 0.02
+    active_damping_hold_s: Duration = 2.0
+    active_damping_release_s: Duration = 0.5
+    safe_active_damping_ns_per_m: NotNegative = 0.0
+    """Active damping held after a stop or fault."""
+    active_damping_slew_ns_per_m_s: Annotated[float, Constraints(gt=0, le=1e6)] = 20.0
+    gateway_timeout_s: Annotated[float, Constraints(ge=0.2, le=60)] = 1.0
+    on_gateway_loss: Literal["fault", "hold"] = "fault"
+    lost_slots_limit: Annotated[int, Constraints(ge=1, le=10_000)] = 10
+    """Ticks that may be missed within one second on hardware."""
+    missing_frames_limit: Annotated[int, Constraints(ge=1, le=100)] = 8
+    # periods for which the board may withhold torque while enabled
+    no_authority_limit: Annotated[int, Constraints(ge=1, le=100)] = 8
+    glitches_limit: Annotated[int, Constraints(ge=0, le=1000)] = 2
+    """Bad encoder samples that may occur within one second."""
+    default_ramp_s: Duration = 0.05
+    """Ramp of a `set` that names none."""
+    # a trial at the edge of stability does without
     limit_cycle_faults: bool = True
-    energy_controller: bool = False  # servo.energy_controller
+    """Faults force_at_limit and energy."""
+    energy_controller: bool = False
+    """More active damping, then less of K, B, M and walls, before the fault `energy`."""
 
 
 @dataclass(frozen=True, slots=True)
-class RealtimeParams:
+class RealtimeParams(TableParams):
     """What the servo process asks of the operating system."""
 
-    rate_hz: float = 1000.0
-    # "strict": refuse to start without the rights | "best_effort": report what was granted | "off"
-    mode: str = "best_effort"
-    priority: int = 79
-    core: int | None = None  # None: the last one of those allowed
-    spin_us: float = 100.0
+    rate_hz: ServoRateHz = 1000.0
+    mode: Literal["strict", "best_effort", "off"] = "best_effort"
+    """strict: refuse to start without the rights; best_effort: take what is granted, report it."""
+    priority: Annotated[int, Constraints(ge=1, le=99)] = 79
+    core: Annotated[int, Constraints(ge=0)] | None = None
+    """Left out: the last core that this process may use."""
+    spin_us: Annotated[float, Constraints(ge=0, le=10_000)] = 100.0
+    """Busy waiting before each deadline."""
     lock_memory: bool = True
-    grace_s: float = 1.0  # start-up overruns are counted apart for this long
+    grace_s: Duration = 1.0
+    """Overruns right after the start are counted apart for this long."""
 
 
 @dataclass(frozen=True, slots=True)
-class UsbParams:
+class UsbTable(TableParams):
+    """Which board; its serial number stands in the device file."""
+
+    vendor_id: Annotated[int, Constraints(ge=0, le=0xFFFF)] = 0x1209
+    product_id: Annotated[int, Constraints(ge=0, le=0xFFFF)] = 0x0001
+    # the schema names the limit, `settings.load` refuses with the reason for it
+    timeout_ms: Annotated[int, Constraints(ge=1)] = field(
+        default=1, metadata={"json_schema_extra": {"maximum": LONGEST_TIMEOUT_MS}}
+    )
+    """Of one transfer. A silent board may delay the end of force by one."""
+    in_flight: bool = False
+    """Transfers go on while the servo computes, so the force acts earlier."""
+
+
+@dataclass(frozen=True, slots=True)
+class UsbParams(UsbTable):
     """Which board: None matches any."""
 
-    vendor_id: int = 0x1209
-    product_id: int = 0x0001
     serial: str | None = None
-    timeout_ms: int = 1  # of one transfer; what libusb can do least
-    in_flight: bool = False  # transfers under way while the servo computes
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,13 +340,20 @@ class ServoParams:
     device_file: str = ""  # from which `device` was read; "": from none
     device_file_sha256: str = ""  # of its bytes then
 
+    def __post_init__(self) -> None:
+        if self.safety.force_limit_n is None:
+            safety = replace(self.safety, force_limit_n=self.device.force_limit_n)
+            object.__setattr__(self, "safety", safety)  # the way of a frozen dataclass
+
     @property
     def force_limit_n(self) -> float:
         """The most that may be commanded [N]: by configuration and device, and a tenth of the
         device's until its signs are verified.
         """
         share = COMMISSIONING_SHARE if self.device.commissioning else 1.0
-        return min(self.safety.force_limit_n, share * self.device.force_limit_n)
+        device_n = share * self.device.force_limit_n
+        asked_n = self.safety.force_limit_n
+        return device_n if asked_n is None else min(asked_n, device_n)
 
     @property
     def soft_ends(self) -> WorkspaceParams:
@@ -319,16 +365,15 @@ class ServoParams:
 
 
 @dataclass(frozen=True, slots=True)
-class InjectionParams:
-    """One seeded fault of the simulated board: at `tick` (or with `probability` each tick),
-    `count` times.
-    """
+class InjectionParams(TableParams):
+    """One seeded fault of the simulated board."""
 
-    kind: str
-    tick: int = -1
-    probability: float = 0.0
-    count: int = 1
-    value: float = 0.0
+    kind: Annotated[str, Constraints(min_length=1)]
+    tick: Annotated[int, Constraints(ge=-1, le=LAST_TICK)] = -1
+    """At this tick; -1: by probability."""
+    probability: Annotated[float, Constraints(ge=0, le=1)] = 0.0
+    count: Annotated[int, Constraints(ge=1, le=LAST_TICK)] = 1
+    value: Annotated[float, Constraints(ge=-1e9, le=1e9)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -457,51 +502,133 @@ class PlantParams:
 
 
 @dataclass(frozen=True, slots=True)
-class HandParams:
-    """One touch of the simulated handle by a hand: it holds, pushes or strikes (`model.touch`)."""
+class HandParams(TableParams):
+    """One touch of the simulated handle by a hand."""
 
-    kind: str  # "hold" | "push" | "strike"
-    start_s: float = 0.0  # after the device's first movement in time, s
-    duration_s: float = 1e9
-    force_n: float = 0.0  # of a push; highest of a strike
-    stiffness_n_per_m: float = 0.0  # of a hold
-    damping_ns_per_m: float = 0.0  # of a hold
-    tremor_m: float = 0.0  # rms wander of the point at which it holds
+    kind: Literal["hold", "push", "strike"]
+    start_s: NotNegative = 0.0
+    """After the first frame."""
+    duration_s: Positive = 1e9
+    force_n: float = 0.0
+    """Of a push; highest of a strike."""
+    stiffness_n_per_m: NotNegative = 0.0
+    """Of a hold."""
+    damping_ns_per_m: NotNegative = 0.0
+    """Of a hold."""
+    tremor_m: NotNegative = 0.0
+    """rms wander of the point at which it holds."""
 
 
 @dataclass(frozen=True, slots=True)
-class TouchParams:
-    """What touches the moving part of a simulated device beside its motor (`model.touch`).
+class TouchParams(TableParams):
+    """What touches the moving part of the simulated device beside its motor; seeded by `seed`."""
 
-    The default is nothing.
+    stop_stiffness_n_per_m: NotNegative = 0.0
+    """0: inelastic stops."""
+    stop_damping_ns_per_m: NotNegative = 0.0
+    coulomb_n: NotNegative = 0.0
+    """Added to the device's own friction at the rotor."""
+    static_n: NotNegative = 0.0
+    """That friction while the rotor stands; at least coulomb_n."""
+    hands: Annotated[tuple[HandParams, ...], Constraints(strict=False)] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class BusParams(TableParams):
+    """A model of full-speed USB behind an xHCI controller; times that it gives are those of a
+    model.
     """
 
-    stop_stiffness_n_per_m: float = 0.0  # 0: the device's own inelastic stops
-    stop_damping_ns_per_m: float = 0.0
-    coulomb_n: float = 0.0  # added to the device's own friction at the rotor
-    static_n: float = 0.0  # that friction while the rotor stands; coulomb_n or more
-    hands: tuple[HandParams, ...] = ()
+    # `sim.bus` has the source of each number
+    transfer: Literal["bulk", "interrupt"] = "bulk"  # of both endpoints
+    bit_stuffing: Annotated[float, Constraints(ge=0, le=1)] = 0.0
+    """Share of the worst case."""
+    nak_us: Annotated[float, Constraints(ge=1, le=1000)] = 16.0
+    """After a NAK until the controller asks a bulk IN again."""
+    hub_microframes: Annotated[int, Constraints(ge=0, le=2)] = 0
+    """More each way behind a high-speed hub; 0: a root port."""
+    moderation_us: Annotated[float, Constraints(ge=0, le=10_000)] = 40.0
+    """Shortest time between two interrupts of the controller."""
+    frame_ppm: Annotated[float, Constraints(ge=-1000, le=1000)] = 0.0
+    """By which the clock of the frames is slower than that of the host."""
+    periodic_us: Annotated[float, Constraints(ge=0, le=800)] = 0.0
+    """Of each frame, taken by periodic transfers of other devices."""
+    busy: Annotated[float, Constraints(ge=0, le=1)] = 0.0
+    """Share of transfers that find a packet of another device on the wire."""
+    submit_us: Microseconds = 8.0
+    """Mean cost of a submission."""
+    complete_us: Microseconds = 12.0
+    """Mean time from the interrupt until the kernel has completed a transfer."""
+    wake_us: Microseconds = 15.0
+    """Mean time until a thread runs that waited for a transfer."""
 
 
-@dataclass(frozen=True, slots=True)
-class BusParams:
-    """A full-speed bus behind an xHCI controller; `sim.bus` has the source of each number."""
-
-    transfer: str = "bulk"  # or "interrupt": of both endpoints
-    bit_stuffing: float = 0.0  # share of the worst case, 0..1
-    nak_us: float = 16.0  # after a NAK until the controller asks a bulk IN again
-    hub_microframes: int = 0  # more each way behind a high-speed hub; 0: a root port
-    moderation_us: float = 40.0  # shortest time between two interrupts of the controller
-    frame_ppm: float = 0.0  # by which the clock of the frames is slower than that of the host
-    periodic_us: float = 0.0  # of each frame, from its start on: other devices' periodic transfers
-    busy: float = 0.0  # share of transfers that find a packet of another device on the wire
-    submit_us: float = 8.0  # mean: from the call until the controller knows of the transfer
-    complete_us: float = 12.0  # mean: from the interrupt until the kernel has completed it
-    wake_us: float = 15.0  # mean: until a thread that waits for it runs
+def _said(description: str) -> dict[str, str]:
+    """What would be an attribute docstring; pydantic finds none of a base class."""
+    return {"description": description}
 
 
-@dataclass(frozen=True, slots=True)
-class BoardParams:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardTraits(TableParams):
+    """What the simulated board's firmware and its place on the bus are like, as [simulation] says
+    it; each default is a board that does what it should.
+    """
+
+    watchdog_ms: Annotated[float, Constraints(ge=1, le=10_000)] = 250.0
+    seed: Annotated[int, Constraints(ge=0)] = 1
+    in_queue_depth: Annotated[int, Constraints(ge=0, le=4)] = field(
+        default=0,
+        metadata=_said(
+            "IN packets that wait in the board until they are read; 0: the next one replaces it."
+        ),
+    )
+    board_time_us: Annotated[int, Constraints(ge=0, lt=2**32)] = field(
+        default=0,
+        metadata=_said(
+            "At which the board's time begins when it is powered up; it wraps at 2^32 us."
+        ),
+    )
+    out_transport_us: Annotated[float, Constraints(ge=0, le=10_000)] = field(
+        default=0.0,
+        metadata=_said("How long a written packet is on its way to the board."),
+    )
+    in_transport_us: Annotated[float, Constraints(ge=0, le=10_000)] = field(
+        default=0.0,
+        metadata=_said("How long a packet of the board is on its way to the host."),
+    )
+    bus: BusParams | None = field(
+        default=None,
+        metadata=_said("In place of these two times: a model of the bus; left out: none."),
+    )
+    emergency_stop_bounce_ms: Annotated[float, Constraints(ge=0, le=100)] = field(
+        default=0.0,
+        metadata=_said(
+            "For how long the contact of the emergency stop bounces when it is pressed or released."
+        ),
+    )
+    rights_s: Annotated[float, Constraints(ge=0, le=3600)] = field(
+        default=0.0,
+        metadata=_said("After it is plugged in until it may be opened, as while udev works."),
+    )
+    hello_s: Annotated[float, Constraints(ge=0, le=3600)] = field(
+        default=0.0,
+        metadata=_said("After it is plugged in until it answers requests."),
+    )
+    boot_loader_s: Annotated[float, Constraints(ge=0, le=3600)] = field(
+        default=0.0,
+        metadata=_said(
+            "After it is plugged in during which it is its boot loader, which stalls requests."
+        ),
+    )
+    injections: Annotated[tuple[InjectionParams, ...], Constraints(strict=False)] = ()
+    touch: TouchParams | None = field(
+        default=None,
+        metadata=_said("Stops that yield, a bearing that sticks, hands; left out: none of them."),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardParams(BoardTraits):
     """Everything the simulated board needs (board.json): nominal scales of its firmware and the
     plant's numbers.
     """
@@ -524,44 +651,33 @@ class BoardParams:
     winding_ohm: float
     ambient_c: float
     sample_phase: float = 0.875
-    watchdog_ms: float = 250.0
-    seed: int = 1
-    injections: tuple[InjectionParams, ...] = field(default_factory=tuple)
     emf_velocity_m_per_s_per_count: float = 2.0 / 32767
     temperature_c_per_count: float = 0.01
     lag_periods: int = (
         0  # whole periods of transport delay between the receipt of a torque and its effect
     )
     plant: PlantParams | None = None  # the composed device; without it one rigid mass
-    # --- what makes the board unkind; each default is a board that does what it should ------------
-    in_queue_depth: int = 0  # IN packets that its endpoint holds, 1..4; 0: the next replaces
-    board_time_us: int = 0  # at which board time begins whenever it is powered up
-    out_transport_us: float = 0.0  # from the host's write until the board has the OUT
-    in_transport_us: float = 0.0  # from the board's IN, or the host's read, until the host has it
-    bus: BusParams | None = None  # in place of these two: a model of full speed
-    touch: TouchParams | None = None  # what touches its rotor beside the motor
-    emergency_stop_bounce_ms: float = 0.0  # of its contact, at either edge
     hello_serial: str = ""  # serial number in the hello reply; empty: `serial`
     lacks: tuple[str, ...] = ()  # capabilities that it does not have: "probe", "event"
-    rights_s: float = 0.0  # after a plug until udev has granted the rights to open it
-    hello_s: float = 0.0  # after a plug until it answers requests
-    boot_loader_s: float = 0.0  # after a plug in its boot loader, until it comes back as itself
     # ohm that the resistance DAC adds at 32767 counts, with its sign; 0: it is not connected
     trim_full_scale_ohm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class GatewayParams:
-    """What the gateway process needs (gateway.json): where telemetry is offered and how many
-    ticks share a message.
-    """
+class GatewayParams(TableParams):
+    """Where telemetry is offered. Commands are taken on a socket in the runtime folder."""
 
-    telemetry_port: int = 9872  # PlotJuggler's default; an ephemeral one when taken
-    batch: int = 20  # ticks in one `servo` message
-    tcp_host: str = "127.0.0.1"
-    allow_insecure: bool = False  # another host than the loopback without CURVE keys
-    curve_keys: str | None = None  # folder of server key and allowed client keys
-    flight_s: float = 60.0  # kept by the flight recorder
+    telemetry_port: Annotated[int, Constraints(ge=0, le=65_535)] = 9872  # PlotJuggler's default
+    """0, or a port that is taken: any free one."""
+    batch: Annotated[int, Constraints(ge=1, le=1000)] = 20
+    """Ticks in one `servo` message."""
+    tcp_host: Annotated[str, Constraints(min_length=1)] = "127.0.0.1"
+    allow_insecure: bool = False
+    """Offer telemetry beyond this machine without keys."""
+    curve_keys: str | None = None
+    """Folder with the server's key and those of allowed clients."""
+    flight_s: Annotated[float, Constraints(gt=0, le=600)] = 60.0
+    """What the flight recorder keeps, at every tick."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -575,12 +691,15 @@ class GuardParams:
 
 
 @dataclass(frozen=True, slots=True)
-class LeaseParams:
-    """Leases of clients that do not say otherwise."""
+class LeaseParams(TableParams):
+    """What a client that takes a lease has, unless it asks for something else."""
 
-    ttl_s: float = 5.0  # without a request, after which one ends
-    # what becomes of the environment when its holder dies or falls silent; damping is held
-    at_end: str = "zero"  # an AtEnd
+    ttl_s: Annotated[float, Constraints(ge=SHORTEST_LEASE_S, le=LONGEST_LEASE_S)] = 5.0
+    """A lease ends when its holder asked nothing for so long."""
+    at_end: AtEnd = "zero"
+    """When its holder dies or falls silent. zero: K, B and M, if they were leased, go to 0 on a
+    ramp; disable: force off; hold: all stays. Active damping stays in any case.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -693,17 +812,16 @@ def from_plain(kind: type[T], plain: Any, where: str = "") -> T:
 
 
 def _value(hint: Any, plain: Any, where: str) -> Any:
-    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-        return from_plain(hint, plain, where)
-    if typing.get_origin(hint) is tuple:
-        return tuple(_value(typing.get_args(hint)[0], item, where) for item in plain)
-    allowed = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
-    if isinstance(plain, dict) and len(allowed) == 2 and dataclasses.is_dataclass(allowed[0]):
-        return _value(allowed[0], plain, where)
-    if float in allowed and isinstance(plain, int) and not isinstance(plain, bool):
-        return float(plain)
-    if not isinstance(plain, tuple(allowed)) or plain != plain:  # NaN passes every limit
-        raise ConfigError(
-            f"{where}: expected {hint}, got {plain!r}; resolve the configuration again"
-        )
-    return plain
+    one_of = typing.get_origin(hint) in (types.UnionType, typing.Union)
+    for kind in typing.get_args(hint) if one_of else (hint,):
+        origin = typing.get_origin(kind)
+        if dataclasses.is_dataclass(kind) and isinstance(plain, dict):
+            return from_plain(kind, plain, where)  # type: ignore[arg-type]
+        if origin is tuple and isinstance(plain, list | tuple):
+            return tuple(_value(typing.get_args(kind)[0], item, where) for item in plain)
+        if kind is float and isinstance(plain, int) and not isinstance(plain, bool):
+            return float(plain)
+        fits = plain in typing.get_args(kind) if origin is Literal else isinstance(plain, kind)
+        if fits and plain == plain:  # NaN passes every limit
+            return plain
+    raise ConfigError(f"{where}: expected {hint}, got {plain!r}; resolve the configuration again")

@@ -8,7 +8,9 @@ not built: no state, no instruction, no time.
 """
 
 from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
+from hapticd.core.constraints import Constraints, NotNegative, Positive, TableParams
 from hapticd.core.environment import Environment
 from hapticd.model.effects import Effect
 
@@ -16,22 +18,25 @@ __all__ = ["DampingStep", "Excitation", "Scene"]
 
 
 @dataclass(frozen=True, slots=True)
-class Excitation:
-    """What the probe does, as endpoint force.
+class Excitation(TableParams):
+    """What the probe does, as endpoint force."""
 
-    none        nothing
-    noise       Gaussian, of one-sided density `psd_n2_per_hz` up to `band_hz`; held for 250 us
-    multisine   every harmonic of 1 / `period_s` up to `band_hz`, random phases, rms `force_n`
-    push        constant `force_n` from `start_s` on
+    kind: Literal["none", "noise", "multisine", "push"] = "none"
+    """noise: Gaussian, a new value every 250 us; multisine: all harmonics of 1 / `period_s`, random
+    phases; push: a constant force.
     """
-
-    kind: str = "none"  # none | noise | multisine | push
-    psd_n2_per_hz: float = 2.5e-5  # noise: one-sided density; 2.5e-5 to 1.7 kHz is 0.21 N rms
-    band_hz: float = 1700.0  # noise: flat up to here; multisine: highest harmonic
-    force_n: float = 0.0  # multisine: rms; push: its level
-    start_s: float = 0.0  # push: when it begins
-    period_s: float = 1.0  # multisine
-    seed: int = 1  # of noise and of the multisine's phases
+    psd_n2_per_hz: NotNegative = 2.5e-5  # up to 1.7 kHz it is 0.21 N rms
+    """One-sided density of the noise."""
+    band_hz: Annotated[float, Constraints(gt=0, le=2000)] = 1700.0
+    """Upper edge of noise and multisine."""
+    force_n: Annotated[float, Constraints(ge=-100, le=100)] = 0.0
+    """Of a push; rms of a multisine."""
+    start_s: NotNegative = 0.0
+    """When a push begins."""
+    period_s: Positive = 1.0
+    """After which a multisine repeats."""
+    seed: Annotated[int, Constraints(ge=0)] = 1
+    """Of noise and of a multisine's phases."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ import shutil
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import tomlkit
 from tomlkit.items import InlineTable, Table
@@ -29,6 +29,7 @@ from hapticd.core.errors import ConfigError
 from hapticd.rig.result import Change, Written
 from hapticd.settings.device import DeviceFile
 from hapticd.settings.load import load_device
+from hapticd.settings.tables import keys_of
 from hapticd.settings.toml import read, shipped
 
 __all__ = ["refuse_shipped", "write"]
@@ -59,7 +60,7 @@ def write(
     }
     # a sign or an offset by itself says nothing of how the scale beside it is known
     for table in dict.fromkeys(one.table for one in asked if not _beside(one)):
-        known = set(_fields(table))
+        known = set(keys_of(DeviceFile, tuple(table.split("."))))
         told = _of_effect(provenance) if table.startswith(_EFFECT) else provenance
         for key in known & set(told):
             values.setdefault((table, key), told[key])
@@ -93,16 +94,6 @@ def _half_widths(table: str, changes: Iterable[Change]) -> dict[str, float]:
         for one in changes
         if one.table == table and one.half_width_95 is not None
     }
-
-
-def _fields(table: str) -> Iterable[str]:
-    """Names of the keys that the dotted `table` of a device file may have."""
-    kind: Any = DeviceFile
-    for name in table.split("."):
-        annotation = kind.model_fields[name].annotation
-        kinds = (annotation, *get_args(annotation))  # of a table that may be left out
-        kind = next(one for one in kinds if hasattr(one, "model_fields"))
-    return list(kind.model_fields)
 
 
 def _replace(path: Path, text: str) -> DeviceFile:

@@ -19,7 +19,6 @@ from hapticd.settings.build import (
     board_params,
     gateway_params,
     guard_params,
-    lease_params,
     servo_params,
 )
 from hapticd.settings.guard import guard_setup
@@ -46,7 +45,7 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
     _refuse_beyond(limits, settings, unbounded)
     servo = replace(unbounded, device=replace(unbounded.device, environment_limits=limits))
     setup = GatewaySetup(
-        servo, gateway_params(settings), guard_params(settings), lease_params(settings)
+        servo, gateway_params(settings), guard_params(settings), settings.config.lease
     )
     plain = {
         files.SERVO_JSON: to_plain(servo),

@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 
 from hapticd.client.client import Client
-from hapticd.client.conversation import accepted
 from hapticd.client.lease import ClientLease
+from hapticd.client.requests import accepted
 from hapticd.core.errors import CommandError, ConfigError
 from hapticd.core.params import (
     BoardParams,
@@ -145,8 +145,8 @@ class VirtualBoard(LockStepClient):
         from hapticd.client.aio import AsyncClient
 
         client = AsyncClient(name=self._name, folder=self._folder, strict=self._strict)
-        client._line._context.destroy()  # no socket is needed
-        client._line = _AsyncLine(self)  # type: ignore[assignment]  # all that a client asks of it
+        client._connection._context.destroy()  # no socket is needed
+        client._connection = _AsyncConnection(self)  # type: ignore[assignment]  # all that a client asks of it
         return client
 
     def sleep(self, seconds: float) -> None:
@@ -234,7 +234,7 @@ class VirtualBoard(LockStepClient):
         self.sleep(seconds)
 
 
-class _AsyncLine:
+class _AsyncConnection:
     """The line of an AsyncClient to a virtual board."""
 
     def __init__(self, board: VirtualBoard) -> None:

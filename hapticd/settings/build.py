@@ -3,26 +3,19 @@
 The only place that turns full scales into values per count.
 """
 
-from dataclasses import replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
 from hapticd.core.environment import Environment, FilterParams, WallParams, WorkspaceParams
 from hapticd.core.params import (
     BoardParams,
-    BusParams,
+    BoardTraits,
     DeviceParams,
     GatewayParams,
     GuardParams,
-    HandParams,
-    HomeParams,
-    InjectionParams,
-    LeaseParams,
-    RealtimeParams,
-    SafetyParams,
     ScaleParams,
     ServoParams,
-    TouchParams,
     UsbParams,
 )
 from hapticd.model.effects import (
@@ -41,7 +34,7 @@ from hapticd.model.effects import (
     WorkspaceEnds,
     sample_timing,
 )
-from hapticd.settings.config import RENDERED, EnvironmentTable, SimulatedBoard, Touch
+from hapticd.settings.config import RENDERED, EnvironmentTable, SimulatedBoard
 from hapticd.settings.device import DeviceFile, Travel, effects_of, signs_hash
 from hapticd.settings.load import Settings
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
@@ -54,23 +47,11 @@ __all__ = [
     "device_params",
     "gateway_params",
     "guard_params",
-    "lease_params",
     "rigid_effects",
     "servo_params",
     "smoothing_hz",
 ]
 
-# fields of [simulation] that make the board unkind, by the names of BoardParams
-TRAITS = (
-    "in_queue_depth",
-    "board_time_us",
-    "out_transport_us",
-    "in_transport_us",
-    "emergency_stop_bounce_ms",
-    "rights_s",
-    "hello_s",
-    "boot_loader_s",
-)
 # fields of BoardParams: where [simulation.board] says another value, at which full count
 FULL_SCALES = {
     "position_m_per_count": ("position_m_per_count", 1),
@@ -89,8 +70,6 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
     """servo.json"""
     config = settings.config
     device = settings.device
-    safety = config.safety.model_dump()
-    safety["force_limit_n"] = config.safety.force_limit_n or device.limits.force_n
     return ServoParams(
         instance=instance,
         simulated=device.simulated,
@@ -99,9 +78,9 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
             device_params(device),
             force_smoothing_hz=smoothing_hz(device_effects(device, config.simulation.effects)),
         ),
-        safety=SafetyParams(**safety),
-        realtime=RealtimeParams(**config.realtime.model_dump()),
-        usb=UsbParams(**config.usb.model_dump(), serial=device.serial),
+        safety=config.safety,
+        realtime=config.realtime,
+        usb=UsbParams(**asdict(config.usb), serial=device.serial),
         active_damping_ns_per_m=config.active_damping_ns_per_m,
         config_hash=settings.config_hash,
         device_file=str(settings.device_file.absolute()),
@@ -127,12 +106,7 @@ def board_params(settings: Settings) -> BoardParams | None:
         ),
         sample_phase=phase if simulation.sample_phase is None else simulation.sample_phase,
         lag_periods=lag_periods if simulation.sample_phase is None else 0,
-        watchdog_ms=simulation.watchdog_ms,
-        seed=simulation.seed,
-        injections=tuple(InjectionParams(**item.model_dump()) for item in simulation.injections),
-        **{trait: getattr(simulation, trait) for trait in TRAITS},
-        touch=touch_params(simulation.touch),
-        bus=None if simulation.bus is None else BusParams(**simulation.bus.model_dump()),
+        **{trait.name: getattr(simulation, trait.name) for trait in fields(BoardTraits)},
     )
     return replace(board, **_another_board(simulation.board))
 
@@ -149,14 +123,6 @@ def _another_board(asked: SimulatedBoard) -> dict[str, Any]:
         for field, (name, count) in FULL_SCALES.items()
     }
     return {field: value for field, value in (named | scales).items() if value is not None}
-
-
-def touch_params(touch: Touch | None) -> TouchParams | None:
-    """What touches a simulated device; None: nothing does."""
-    if touch is None:
-        return None
-    plain = touch.model_dump(exclude={"hands"})
-    return TouchParams(**plain, hands=tuple(HandParams(**one.model_dump()) for one in touch.hands))
 
 
 def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> tuple[Effect, ...]:
@@ -259,10 +225,10 @@ def smoothing_hz(effects: tuple[Effect, ...]) -> float:
 
 def gateway_params(settings: Settings) -> GatewayParams:
     """gateway.json. A relative key folder lies beside the configuration file."""
-    plain = settings.config.gateway.model_dump()
-    if plain["curve_keys"] is not None:
-        plain["curve_keys"] = str(_beside(settings, plain["curve_keys"]))
-    return GatewayParams(**plain)
+    gateway = settings.config.gateway
+    if gateway.curve_keys is None:
+        return gateway
+    return replace(gateway, curve_keys=str(_beside(settings, gateway.curve_keys)))
 
 
 def guard_params(settings: Settings) -> GuardParams:
@@ -277,11 +243,6 @@ def guard_params(settings: Settings) -> GuardParams:
         measured=measured,
         margin_ns_per_m=asked.margin_ns_per_m,
     )
-
-
-def lease_params(settings: Settings) -> LeaseParams:
-    """Leases of gateway.json."""
-    return LeaseParams(**settings.config.lease.model_dump())
 
 
 def _beside(settings: Settings, name: str) -> Path:
@@ -317,7 +278,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
         overspeed_m_per_s=limits.overspeed_m_per_s or OVERSPEED * limits.speed_m_per_s,
         physical_damping_ns_per_m=limits.physical_damping_ns_per_m,
         energy_limit_j=limits.energy_j,
-        home=HomeParams(**device.home.model_dump()),
+        home=device.home,
         relies_on=device.relies_on,
         resistance=None if device.resistance is None else device.resistance.params(),
         **_motor(device),

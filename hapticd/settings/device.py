@@ -48,7 +48,6 @@ SERIAL_BYTES = 16  # of the hello reply
 FROM_SCALES = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
 RELIED_ON: Any = ("probe", "temperature")
 Tag = Literal["paper", "inferred", "calibrated"]
-_home = HomeParams()
 
 
 class Provenance(TomlTable):
@@ -345,26 +344,6 @@ class MotorTable(Measured):
     """How it is known."""
 
 
-class HomeTable(TomlTable):
-    """How the origin of position is found."""
-
-    method: Literal["none", "stop", "index"] = "none"
-    required: bool = _home.required
-    """Refuse to enable before it was done."""
-    direction: Literal[-1, 1] = -1
-    speed_m_per_s: float = Field(_home.speed_m_per_s, gt=0, le=1)
-    force_n: float = Field(_home.force_n, gt=0)
-    position_m: float = _home.position_m
-    """Where the stop or index lies."""
-    timeout_s: float = Field(_home.timeout_s, gt=0, le=600)
-    tolerance_m: float = Field(_home.tolerance_m, gt=0, le=0.01)
-    """Between the two finds, and what a stop may yield under half the push."""
-    back_off_m: float = Field(_home.back_off_m, gt=0, le=0.1)
-    """Way between the two finds; at least eight times the tolerance."""
-    current_n_per_a: float = Field(_home.current_n_per_a, ge=0)
-    """Endpoint force per ampere of the motor; 0: its current is not looked at."""
-
-
 class RigidTable(TomlTable):
     """What the simulated board moves: one rigid mass, without a model of its effects."""
 
@@ -399,7 +378,7 @@ class DeviceFile(TomlTable):
     """How the winding's resistance is compensated; left out, it is not."""
     limits: LimitsTable
     travel: Travel
-    home: HomeTable = HomeTable()
+    home: HomeParams = HomeParams()
     commissioning: CommissioningTable | None = None
     """Left out: signs are verified for a simulated device, and are not for a real one."""
     calibration_days: int = Field(CALIBRATION_DAYS, ge=1, le=36500)

@@ -21,10 +21,11 @@ from typing import Any, NamedTuple, TypeVar
 from pydantic import ValidationError
 
 from hapticd.core.errors import ConfigError
+from hapticd.core.params import LONGEST_TIMEOUT_MS
 from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.model.effects import ALWAYS, BY_KEY
 from hapticd.render.winding import LEAST_LOOP_GAIN, least_residual_ohm, loop_gain, ohm
-from hapticd.settings.config import LONGEST_TIMEOUT_MS, Config
+from hapticd.settings.config import Config
 from hapticd.settings.device import (
     FROM_SCALES,
     TABLES,
@@ -128,18 +129,12 @@ def find_config(given: Path | None = None, environ: Mapping[str, str] = os.envir
     Else the shipped file, which asks for a simulated board. ConfigError if a file that is named
     does not exist.
     """
-    named = [
-        (given, "--config"),
-        (
-            Path(environ["HAPTICD_CONFIG"]) if environ.get("HAPTICD_CONFIG") else None,
-            "$HAPTICD_CONFIG",
-        ),
-    ]
-    for path, origin in named:
-        if path is not None:
-            if not path.exists():
-                raise ConfigError(f"{path}: no such file, named by {origin}; check the path")
-            return path
+    variable = environ.get("HAPTICD_CONFIG")
+    origin = "--config" if given else "$HAPTICD_CONFIG"
+    if named := given or (Path(variable) if variable else None):
+        if not named.exists():
+            raise ConfigError(f"{named}: no such file, named by {origin}; check the path")
+        return named
     # an empty variable counts as not set, as the XDG specification has it
     home = Path(environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
     places = (home / "hapticd" / FILE_NAME, SYSTEM_FILE)
@@ -296,16 +291,23 @@ def _line(where: Where, mistake: Mistake) -> str:
 
 def _config_rules(config: Config) -> Iterator[Mistake]:
     """Where the configuration contradicts itself."""
-    if config.usb.timeout_ms > LONGEST_TIMEOUT_MS:
-        reason = f"must be at most {LONGEST_TIMEOUT_MS} ms: a silent board delays the end of force"
-        yield Mistake(("usb", "timeout_ms"), config.usb.timeout_ms, f"{reason} by as much")
+    why = ": a silent board delays the end of force by as much"
+    yield from _at_most(("usb", "timeout_ms"), config.usb.timeout_ms, LONGEST_TIMEOUT_MS, why)
     highest_hz = HIGHEST_CORNER * config.realtime.rate_hz
     for name in ("velocity_filter", "acceleration_filter"):
         corner_hz = getattr(config.environment, name).frequency_hz
-        if corner_hz > highest_hz:
-            reason = f"must be at most {highest_hz} Hz, {HIGHEST_CORNER} of realtime.rate_hz"
-            path = ("environment", name, "frequency_hz")
-            yield Mistake(path, corner_hz, reason, (("realtime", "rate_hz"),))
+        path = ("environment", name, "frequency_hz")
+        why = f", {HIGHEST_CORNER} of realtime.rate_hz"
+        yield from _at_most(path, corner_hz, highest_hz, why, (("realtime", "rate_hz"),))
+
+
+def _at_most(
+    path: KeyPath, value: float, limit: float, why: str, rests_on: tuple[KeyPath, ...] = ()
+) -> Iterator[Mistake]:
+    """The value at `path` must not be above `limit`; `why` goes on behind the limit."""
+    if value > limit:
+        reason = f"must be at most {limit} {unit_of(str(path[-1]))}{why}"
+        yield Mistake(path, value, reason, rests_on)
 
 
 def _between_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Mistake]:
@@ -316,35 +318,31 @@ def _between_rules(config: Config, device: DeviceFile, in_device: Where) -> Iter
         yield from chosen_rules(device, ("simulation", "effects"), built)
     margin_m = config.environment.workspace.margin_m
     travel_m = device.travel.upper_m - device.travel.lower_m
-    if 2 * margin_m > travel_m >= 0:  # a negative travel is a mistake of the device file
-        reason = f"must be at most {travel_m / 2} m, half of the device's travel"
-        yield Mistake(("environment", "workspace", "margin_m"), margin_m, reason)
+    if travel_m >= 0:  # a negative travel is a mistake of the device file
+        path = ("environment", "workspace", "margin_m")
+        yield from _at_most(path, margin_m, travel_m / 2, ", half of the device's travel")
 
 
 def _limit_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Mistake]:
-    force_n = device.limits.force_n
-    asked_n = config.safety.force_limit_n
-    if asked_n is not None and asked_n > force_n:
-        source = in_device(("limits", "force_n"))
-        reason = f"must be at most {force_n} N, the limit of the device ({source})"
-        yield Mistake(("safety", "force_limit_n"), asked_n, reason)
-    if config.safety.energy_controller and device.limits.physical_damping_ns_per_m is None:
+    def within(path: KeyPath, value: float, limit: str) -> Iterator[Mistake]:
+        why = f", the limit of the device ({in_device(('limits', limit))})"
+        return _at_most(path, value, getattr(device.limits, limit), why)
+
+    safety = config.safety
+    if safety.force_limit_n is not None:
+        yield from within(("safety", "force_limit_n"), safety.force_limit_n, "force_n")
+    if safety.energy_controller and device.limits.physical_damping_ns_per_m is None:
         source = in_device(("limits",))
         reason = (
             f"needs `limits.physical_damping_ns_per_m` in the device file ({source}): without it no"
             " leak is known; measure it or switch the controller off"
         )
         yield Mistake(("safety", "energy_controller"), True, reason)
-    damping = device.limits.active_damping_ns_per_m
-    levels: dict[tuple[str, ...], float] = {
-        ("active_damping_ns_per_m",): config.active_damping_ns_per_m,
-        ("safety", "safe_active_damping_ns_per_m"): config.safety.safe_active_damping_ns_per_m,
-    }
-    for path, level in levels.items():
-        if level > damping:
-            source = in_device(("limits", "active_damping_ns_per_m"))
-            reason = f"must be at most {damping} N s/m, the limit of the device ({source})"
-            yield Mistake(path, level, reason)
+    for path, level in (
+        (("active_damping_ns_per_m",), config.active_damping_ns_per_m),
+        (("safety", "safe_active_damping_ns_per_m"), safety.safe_active_damping_ns_per_m),
+    ):
+        yield from within(path, level, "active_damping_ns_per_m")
 
 
 def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
@@ -360,9 +358,7 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
         ),
         ("probe_n", limits.probe_n, device.probe_torque.full_scale_n),
     ):
-        if limit > full:
-            reason = f"must be at most {full} {unit_of(name)}, the full scale of its converter"
-            yield Mistake(("limits", name), limit, reason)
+        yield from _at_most(("limits", name), limit, full, ", the full scale of its converter")
     yield from _temperature_rule(device)
     skew_us = device.probe_velocity.skew_us
     if device.simulated and skew_us:
@@ -396,9 +392,8 @@ def _home_rules(device: DeviceFile) -> Iterator[Mistake]:
     if home.back_off_m < shortest_m:
         reason = f"must be at least {shortest_m} m, {SHORTEST_BACK_OFF:g} times tolerance_m"
         yield Mistake(("home", "back_off_m"), home.back_off_m, reason)
-    if home.force_n > device.limits.force_n:
-        reason = f"must be at most {device.limits.force_n} N, the limit of the device"
-        yield Mistake(("home", "force_n"), home.force_n, reason)
+    limit_n = device.limits.force_n
+    yield from _at_most(("home", "force_n"), home.force_n, limit_n, ", the limit of the device")
 
 
 def _resistance_rules(device: DeviceFile) -> Iterator[Mistake]:

@@ -15,12 +15,14 @@ table then lacks its other numbers, and the message says so).
 import copy
 import json
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import Field
 
+from hapticd.core.constraints import ServoRateHz
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import RealtimeParams
+from hapticd.core.units import unit_of
 from hapticd.model.scene import DampingStep, Excitation, Scene
 from hapticd.settings.build import converter_effects, environment_params
 from hapticd.settings.config import Config, EnvironmentTable
@@ -31,8 +33,6 @@ from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
 
 __all__ = ["build_scene", "load_files", "load_scene", "schema_text"]
 
-_excitation = Excitation()
-
 
 class DampingStepTable(TomlTable):
     """Active damping that the servo asks for from `at_s` on."""
@@ -41,27 +41,6 @@ class DampingStepTable(TomlTable):
     """Since the beginning; before the first step there is none."""
     level_ns_per_m: float = Field(ge=0)
     """The board rounds it to a count."""
-
-
-class ExcitationTable(TomlTable):
-    """What the probe does, as endpoint force."""
-
-    kind: Literal["none", "noise", "multisine", "push"] = "none"
-    """noise: Gaussian, a new value every 250 us; multisine: all harmonics of 1 / `period_s`, random
-    phases; push: a constant force.
-    """
-    psd_n2_per_hz: float = Field(_excitation.psd_n2_per_hz, ge=0)
-    """One-sided density of the noise."""
-    band_hz: float = Field(_excitation.band_hz, gt=0, le=2000)
-    """Upper edge of noise and multisine."""
-    force_n: float = Field(_excitation.force_n, ge=-100, le=100)
-    """Of a push; rms of a multisine."""
-    start_s: float = Field(_excitation.start_s, ge=0)
-    """When a push begins."""
-    period_s: float = Field(_excitation.period_s, gt=0)
-    """After which a multisine repeats."""
-    seed: int = Field(_excitation.seed, ge=0)
-    """Of noise and of a multisine's phases."""
 
 
 class Start(TomlTable):
@@ -84,13 +63,13 @@ class SceneFile(TomlTable):
     """Effects of the device that are built; nothing else is."""
     seconds: float = Field(10.0, gt=0, le=1e6)
     """How long it is simulated, unless a command says otherwise."""
-    rate_hz: float = Field(RealtimeParams().rate_hz, ge=50, le=20_000)
+    rate_hz: ServoRateHz = RealtimeParams().rate_hz
     """Of the servo."""
     allow_unstable: bool = False
     """Simulate a device whose damping circuit oscillates by itself."""
     environment: EnvironmentTable = EnvironmentTable()
     active_damping: tuple[DampingStepTable, ...] = Field((), strict=False)
-    excitation: ExcitationTable = ExcitationTable()
+    excitation: Excitation = Excitation()
     start: Start = Start()
     model: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """What is different about the device: tables of its [model], changed number by number."""
@@ -162,7 +141,7 @@ def build_scene(files: SceneFiles) -> Scene:
         effects=effects_of(device.model, scene.effects, converter_effects(device)),
         environment=environment_params(scene.environment, device.travel),
         active_damping=steps if steps and steps[0].at_s == 0.0 else (DampingStep(0.0, 0.0), *steps),
-        excitation=Excitation(**scene.excitation.model_dump()),
+        excitation=scene.excitation,
         seconds=scene.seconds,
         rate_hz=scene.rate_hz,
         start_position_m=scene.start.position_m,
@@ -185,10 +164,13 @@ def _changed(device: Document, scene: Document) -> tuple[dict[str, Any], Where]:
 
 def schema(kind: str) -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a kind of file, with units: `config`, `device` or `scene`."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **_KINDS[kind].model_json_schema(),
-    }
+    found = _KINDS[kind].model_json_schema()
+    for table in (found, *found["$defs"].values()):
+        for name, entry in table["properties"].items():
+            entry.pop("title", None)  # only repeats the name
+            if unit := unit_of(name):
+                entry["unit"] = unit
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
 
 
 def schema_text(kind: str) -> str:

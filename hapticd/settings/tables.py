@@ -11,7 +11,8 @@ pydantic's own words).
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from dataclasses import is_dataclass
+from typing import Any, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -20,20 +21,13 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.units import unit_of
 from hapticd.settings.toml import KeyPath, did_you_mean
 
-__all__ = ["dotted", "leaves"]
+__all__ = ["dotted", "keys_of", "leaves"]
 
 Where = Callable[[KeyPath], str]  # file:line of a key
 
 
-def _say_units(schema: dict[str, Any]) -> None:
-    for name, entry in schema.get("properties", {}).items():
-        entry.pop("title", None)  # only repeats the name
-        if unit := unit_of(name):
-            entry["unit"] = unit
-
-
 class TomlTable(BaseModel):
-    """One TOML table: strict, closed, frozen, finite; its JSON schema says the units."""
+    """One TOML table: strict, closed, frozen, finite. Dataclasses in it are as strict."""
 
     model_config = ConfigDict(
         strict=True,
@@ -42,10 +36,11 @@ class TomlTable(BaseModel):
         allow_inf_nan=False,
         validate_default=True,
         use_attribute_docstrings=True,
-        json_schema_extra=_say_units,
     )
 
 
+UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")  # of a model, of a dataclass
+NOT_A_TABLE = ("model_type", "dataclass_type", "tuple_type")
 REASONS: Mapping[str, str] = {
     "greater_than": "must be more than {gt}{unit}",
     "greater_than_equal": "must be at least {ge}{unit}",
@@ -59,10 +54,12 @@ REASONS: Mapping[str, str] = {
     "string_type": "must be text in quotes",
     "date_type": "must be a date like 2026-11-20",
     "model_type": "must be a table",
+    "dataclass_type": "must be a table",
     "tuple_type": "must be a list of tables",
     "literal_error": "must be {expected}",
     "missing": "is missing; add it{of_unit}",
     "extra_forbidden": "is unknown",
+    "unexpected_keyword_argument": "is unknown",
     "string_too_short": "must not be empty",
     "string_too_long": "must have at most {max_length} characters",
     "string_pattern_mismatch": "must be printable ASCII without blanks",
@@ -96,7 +93,7 @@ def _line(detail: ErrorDetails, model: type[BaseModel], where: Where) -> str:
 
 def _shown(detail: ErrorDetails) -> str:
     """` = value unit`, where the value itself is what is wrong."""
-    if detail["type"] in ("missing", "extra_forbidden", "model_type", "tuple_type"):
+    if detail["type"] in ("missing", *UNKNOWN_KEY, *NOT_A_TABLE):
         return ""
     value = detail["input"]
     # not isinstance: a bool is an int, and has no unit
@@ -110,8 +107,8 @@ def _reason(detail: ErrorDetails, model: type[BaseModel]) -> str:
     unit = _unit(detail)
     words = {"unit": unit, "of_unit": f" in{unit}" if unit else "", **detail.get("ctx", {})}
     reason = REASONS[kind].format(**words) if kind in REASONS else detail["msg"]
-    if kind == "extra_forbidden":
-        return reason + did_you_mean(str(path[-1]), _known_keys(model, path[:-1]))
+    if kind in UNKNOWN_KEY:
+        return reason + did_you_mean(str(path[-1]), keys_of(model, path[:-1]))
     if kind.endswith("_type") and kind != "string_type" and isinstance(detail["input"], str):
         return f"{reason}, without quotes"
     return reason
@@ -131,20 +128,19 @@ def _show(value: Any) -> str:
     return repr(value) if isinstance(value, str) else str(value)
 
 
-def _known_keys(model: type[BaseModel], path: KeyPath) -> list[str]:
+def keys_of(table: Any, path: KeyPath = ()) -> list[str]:
+    """The keys of the table at `path` in `table`, a model or a dataclass."""
     for step in path:
         # a number is a place in a list of tables: the table is the same
         if isinstance(step, str):
-            model = _table_of(model.model_fields[step].annotation)
-    return list(model.model_fields)
+            table = _table_of(get_type_hints(table)[step])
+    return list(getattr(table, "model_fields", None) or table.__dataclass_fields__)
 
 
-def _table_of(annotation: Any) -> type[BaseModel]:
+def _table_of(hint: Any) -> Any:
     """The table inside `Table`, `Table | None` or `tuple[Table, ...]`."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
     return next(
-        item
-        for item in annotation.__args__
-        if isinstance(item, type) and issubclass(item, BaseModel)
+        kind
+        for kind in (hint, *get_args(hint))
+        if hasattr(kind, "model_fields") or is_dataclass(kind)
     )

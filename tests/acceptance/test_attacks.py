@@ -29,7 +29,7 @@ from support.defects import defect
 from support.firmware_board import FirmwareBoard
 
 from hapticd.client.blocks import BlockDecoder
-from hapticd.client.client import GatewayLine
+from hapticd.client.client import GatewayConnection
 from hapticd.core.errors import DaemonDown
 from hapticd.gateway import zmtp
 from hapticd.gateway.command_server import CommandServer
@@ -325,7 +325,7 @@ def one_block_withheld(stage: Stage) -> AbstractContextManager[object]:
 
 
 def one_request_unanswered(stage: Stage) -> AbstractContextManager[object]:
-    exchange = GatewayLine.exchange
+    exchange = GatewayConnection.exchange
     asked: list[str] = []
 
     def lossy(line: Any, cmd: str, *rest: Any) -> Any:
@@ -334,7 +334,7 @@ def one_request_unanswered(stage: Stage) -> AbstractContextManager[object]:
             raise DaemonDown("nobody answers")
         return exchange(line, cmd, *rest)
 
-    return mock.patch.object(GatewayLine, "exchange", lossy)
+    return mock.patch.object(GatewayConnection, "exchange", lossy)
 
 
 def one_gateway_killed(stage: Stage) -> AbstractContextManager[object]:

@@ -21,19 +21,20 @@ from support.tree import ROOT
 from hapticd.cli.app import command_line
 from hapticd.client import Client
 from hapticd.core.faults import BY_CODE
+from hapticd.core.params import HandParams, TouchParams
 from hapticd.core.units import unit_of
 from hapticd.mailbox.layout import TELEMETRY
 from hapticd.model.effects import ALWAYS, KINDS, PROVENANCE
 from hapticd.protocol.schemas import MODELS
 from hapticd.protocol.telemetry import TOPICS
-from hapticd.settings.config import Hand, Simulation, Touch
+from hapticd.settings.config import Simulation
 from hapticd.settings.load import load
 from hapticd.settings.scene import schema
-from hapticd.settings.tables import leaves
+from hapticd.settings.tables import keys_of, leaves
 from hapticd.settings.toml import shipped
 from hapticd.sim.injection import IN_FAULTS, OUT_FAULTS
 
-SCENE_TABLES = ("SceneFile", "ExcitationTable", "DampingStepTable", "Start")
+SCENE_TABLES = ("SceneFile", "Excitation", "DampingStepTable", "Start")
 
 
 @pytest.fixture(scope="module")
@@ -248,9 +249,9 @@ def test_nothing_is_wider_than_the_window(built: Path, width: int) -> None:
 def test_simulated_board_page_lists_every_trait_and_injection(site: Path) -> None:
     text = page(site, "simulated-board.md")
     names = [
-        *Simulation.model_fields,
-        *Touch.model_fields,
-        *Hand.model_fields,
+        *keys_of(Simulation),
+        *keys_of(TouchParams),
+        *keys_of(HandParams),
         *OUT_FAULTS,
         *IN_FAULTS,
     ]

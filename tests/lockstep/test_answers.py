@@ -14,7 +14,7 @@ from support.gateway_stand_in import setup
 
 import hapticd
 from benchmarks.guard_attack import shipped_judge
-from hapticd.client.conversation import accepted, receipt_of
+from hapticd.client.requests import accepted, receipt_of
 from hapticd.core.environment import Environment
 from hapticd.core.errors import CommandError
 from hapticd.core.params import to_plain

@@ -15,7 +15,7 @@ import zmq
 from support.gateway_rig import GatewayRig, running
 
 from hapticd.client import Client, Receipt
-from hapticd.client.conversation import Conversation, TimedOut, accepted, receipt_of
+from hapticd.client.requests import RequestTracker, TimedOut, accepted, receipt_of
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import Command, State
@@ -25,14 +25,14 @@ from hapticd.protocol.view import RECORD_DTYPE
 
 
 def ask(
-    conversation: Conversation, cmd: str = "get", now_ns: int = 0, **fields: object
+    conversation: RequestTracker, cmd: str = "get", now_ns: int = 0, **fields: object
 ) -> tuple[int, dict[str, object]]:
     number, payload = conversation.ask(cmd, fields, now_ns, NS_PER_S)
     return number, msgpack.unpackb(payload)
 
 
 def test_request_carries_number_and_version() -> None:
-    conversation = Conversation()
+    conversation = RequestTracker()
     number, request = ask(conversation, "set", K=100.0, B=None)
     assert request == {"cmd": "set", "v": PROTOCOL_VERSION, "id": number, "K": 100.0}
     assert ask(conversation)[0] == number + 1
@@ -40,15 +40,15 @@ def test_request_carries_number_and_version() -> None:
 
 def test_numbers_may_come_out_of_arrays() -> None:
     _, request = ask(
-        Conversation(), "set", K=np.int64(3), B=np.float32(0.5), wall={"side": np.int8(-1)}
+        RequestTracker(), "set", K=np.int64(3), B=np.float32(0.5), wall={"side": np.int8(-1)}
     )
     assert (request["K"], request["B"], request["wall"]) == (3, 0.5, {"side": -1})
     with pytest.raises(TypeError, match="cannot be sent; use numbers, text, lists and maps"):
-        ask(Conversation(), "set", K={1})
+        ask(RequestTracker(), "set", K={1})
 
 
 def test_replies_are_matched_by_number() -> None:
-    conversation = Conversation()
+    conversation = RequestTracker()
     first = ask(conversation)[0]
     second = ask(conversation)[0]
     conversation.receive(msgpack.packb({"ok": True, "id": second}))
@@ -57,14 +57,14 @@ def test_replies_are_matched_by_number() -> None:
 
 
 def test_timeout_is_a_value() -> None:
-    conversation = Conversation()
+    conversation = RequestTracker()
     number, _ = ask(conversation, now_ns=7)
     assert conversation.outcome(number, NS_PER_S + 6) is None
     assert conversation.outcome(number, NS_PER_S + 7) == TimedOut("get", 1.0)
 
 
 def test_late_reply_is_dropped() -> None:
-    conversation = Conversation()
+    conversation = RequestTracker()
     number, _ = ask(conversation)
     conversation.outcome(number, NS_PER_S)
     conversation.receive(msgpack.packb({"ok": True, "id": number}))
@@ -78,14 +78,14 @@ def test_late_reply_is_dropped() -> None:
     [b"", b"\xc1", msgpack.packb([1]), msgpack.packb({"id": 99}), msgpack.packb({"id": "1"})],
 )
 def test_what_is_no_reply_is_dropped(payload: bytes) -> None:
-    conversation = Conversation()
+    conversation = RequestTracker()
     number, _ = ask(conversation)
     conversation.receive(payload)
     assert conversation.outcome(number, 5) is None
 
 
 def test_forgotten_request_takes_no_reply() -> None:
-    conversation = Conversation()
+    conversation = RequestTracker()
     number, _ = ask(conversation)
     conversation.forget(number)
     conversation.receive(msgpack.packb({"ok": True, "id": number}))
@@ -123,7 +123,7 @@ def test_receipt_has_the_state() -> None:
 @pytest.mark.parametrize("value", [2**64, -(2**63) - 1, 10**400])
 def test_integer_beyond_64_bits_is_refused(value: int) -> None:
     with pytest.raises(CommandError, match=r"an integer of [0-9]+ bits cannot be sent, limit 64"):
-        ask(Conversation(), "set", K=value)
+        ask(RequestTracker(), "set", K=value)
 
 
 @pytest.fixture
@@ -386,10 +386,10 @@ def test_connection_that_is_lost_before_the_request_is_sent_times_out(
 
         def lose() -> None:
             gateway.close(linger=0)
-            while client._line._socket.poll(0, zmq.POLLOUT):
+            while client._connection._socket.poll(0, zmq.POLLOUT):
                 time.sleep(0.001)
 
-        monkeypatch.setattr(client._line, "_meet", lose)
+        monkeypatch.setattr(client._connection, "_meet", lose)
         with pytest.raises(DaemonDown, match="no reply"):
             client.get()
 

@@ -42,8 +42,8 @@ def flight() -> Iterator[Flight]:
 @pytest.fixture
 def client(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> Clients:
     """Makes clients of the flight's desk; they share a connection."""
-    monkeypatch.setattr("hapticd.client.client.GatewayLine", lambda *_: DeskLine(flight))
-    monkeypatch.setattr("hapticd.client.aio.AsyncLine", lambda *_: AsyncDeskLine(flight))
+    monkeypatch.setattr("hapticd.client.client.GatewayConnection", lambda *_: DeskLine(flight))
+    monkeypatch.setattr("hapticd.client.aio.AsyncConnection", lambda *_: AsyncDeskLine(flight))
     return Client
 
 

@@ -13,7 +13,7 @@ from support.gateway_rig import GatewayRig, decoded, packed, running
 from support.guard_stub import StubWorker, stage, verdict
 
 from hapticd.client import AsyncClient, Client, SequenceError, Step, StepReceipt, step
-from hapticd.client.conversation import accepted
+from hapticd.client.requests import accepted
 from hapticd.client.sequence import LEAD_S, MOST_AHEAD, Ask, AtRefusal, Pause, course
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.gateway import server

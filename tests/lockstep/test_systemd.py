@@ -28,7 +28,7 @@ from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.run import system_files, watchdog
 from hapticd.run.supervisor import PATIENCE_NS, RESTARTS_MAX, WINDOW_NS
-from hapticd.settings.config import Safety
+from hapticd.settings.scene import schema
 from hapticd.settings.toml import shipped
 
 UNITS = ("hapticd-servo.service", "hapticd-gateway.service", "hapticd.target")
@@ -146,7 +146,7 @@ def test_servo_has_rights_for_its_priority(root: Path) -> None:
 def test_servo_has_time_to_fade_its_force_before_it_is_killed(root: Path) -> None:
     """Under the longest ramp that may be configured, every tick drawn out by a silent board."""
     found = unit(root, "hapticd-servo.service")
-    (limit,) = (one.le for one in Safety.model_fields["stop_ramp_s"].metadata if hasattr(one, "le"))
+    limit = schema("config")["$defs"]["SafetyParams"]["properties"]["stop_ramp_s"]["maximum"]
     ticks_s = limit * (1 + UsbParams().timeout_ms)
     assert ticks_s < float(found["TimeoutStopSec"][0]) <= PATIENCE_NS / NS_PER_S
     assert found["TimeoutStopFailureMode"] == ["kill"]

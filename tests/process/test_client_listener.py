@@ -142,7 +142,7 @@ def test_monitor_ends_with_what_is_listened_to(rig: RelayRig) -> None:
     keys = folder_of(rig, "friend")
     with Listener(f"tcp://127.0.0.1:{rig.port}", keys, timeout_s=20.0) as line:
         next(stream := line.listen("state"))
-        monitor = line._line._monitor  # type: ignore[attr-defined]
+        monitor = line._connection._monitor  # type: ignore[attr-defined]
         assert not monitor.closed
         stream.close()
         assert monitor.closed

@@ -16,7 +16,7 @@ from support.guard_device import change, shipped_judge
 from hapticd.cli import guard as guard_verb
 from hapticd.cli.app import main
 from hapticd.client import GuardVerdict, Receipt
-from hapticd.client.words import guard_line, objection_lines, receipt_text, timing_words
+from hapticd.client.formatting import guard_line, objection_lines, receipt_text, timing_words
 from hapticd.core.errors import CommandError, GuardWarning
 from hapticd.protocol.answers import GuardStatus, Timing, answer_of, verdict_of
 

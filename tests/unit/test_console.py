@@ -23,13 +23,13 @@ from hapticd.client import CommandError
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.console import asker, server, visitors
 from hapticd.console.asker import Asker
-from hapticd.console.outbox import FRAMES, WINDOW, WORDS, Outbox
-from hapticd.console.place import Place
+from hapticd.console.browser import FRAMES, WINDOW, WORDS, Outbox
 from hapticd.console.probing import estimate
 from hapticd.console.visitors import objection
 from hapticd.console.watch import frame
 from hapticd.core.errors import ConfigError
 from hapticd.mailbox.daemons import console_place
+from hapticd.mailbox.files import CONSOLE
 from hapticd.mailbox.layout import TELEMETRY, State
 
 STATIC = Path(server.__file__).with_name("static")
@@ -38,11 +38,10 @@ STATIC = Path(server.__file__).with_name("static")
 # --- what waits for a browser ---------------------------------------------------------------------
 
 
-def test_slow_browser_gets_the_newest_frames_and_the_oldest_are_counted() -> None:
+def test_slow_browser_gets_the_newest_frames() -> None:
     outbox = Outbox()
     for number in range(FRAMES + 7):
-        outbox.frame(b"%d" % number)
-    assert outbox.dropped == 7
+        outbox.put("frame", b"%d" % number)
     assert outbox.pop() == b"7"
 
 
@@ -50,7 +49,7 @@ def test_no_more_than_a_window_is_under_way_without_acknowledgement() -> None:
     outbox = Outbox()
     sent = 0
     for _ in range(10 * WINDOW):
-        outbox.frame(b"x")
+        outbox.put("frame", b"x")
         sent += outbox.pop() is not None
     assert sent == WINDOW
     outbox.acknowledge(5)
@@ -60,20 +59,20 @@ def test_no_more_than_a_window_is_under_way_without_acknowledgement() -> None:
 def test_replies_pass_frames_and_are_not_held_back_by_a_full_window() -> None:
     outbox = Outbox()
     for _ in range(2 * WINDOW):
-        outbox.frame(b"x")
+        outbox.put("frame", b"x")
         outbox.pop()
-    outbox.frame(b"x")
-    outbox.words("first")
-    outbox.latest("state", "old")
-    outbox.latest("state", "new")
-    outbox.words("second")
+    outbox.put("frame", b"x")
+    outbox.put("reply", "first")
+    outbox.put("state", "old")
+    outbox.put("state", "new")
+    outbox.put("reply", "second")
     assert [outbox.pop() for _ in range(4)] == ["first", "second", "new", None]
 
 
 def test_a_browser_that_reads_nothing_is_no_heap() -> None:
     outbox = Outbox()
     for number in range(10 * WORDS):
-        outbox.words(str(number))
+        outbox.put("reply", str(number))
     assert outbox.pop() == str(9 * WORDS)
 
 
@@ -417,14 +416,14 @@ def test_no_answer_is_held_back_until_the_one_before_it_was_acknowledged() -> No
 
 def test_the_place_is_told_while_the_page_lives_and_its_port_kept(tmp_path: Path) -> None:
     tmp_path.chmod(0o700)
-    place = Place(tmp_path)
-    assert (place.port, console_place(tmp_path)) == (None, None)
-    place.note("http://127.0.0.1:1234/", 1234)
+    place = tmp_path / CONSOLE
+    assert (server.port_before(place), console_place(tmp_path)) == (None, None)
+    server.note(place, "http://127.0.0.1:1234/", 1234)
     told = console_place(tmp_path)
     assert told is not None
     assert told["url"] == "http://127.0.0.1:1234/"
-    assert Place(tmp_path).port == 1234
-    place.forget()
+    assert server.port_before(place) == 1234
+    place.unlink()
     assert console_place(tmp_path) is None
 
 

@@ -163,7 +163,7 @@ def test_ranges_equal_those_of_commands() -> None:
         layout.Value.WALL_STIFFNESS: ("WallTable", "stiffness_n_per_m"),
         layout.Value.WALL_VIRTUAL_DAMPING: ("WallTable", "virtual_damping_ns_per_m"),
         layout.Value.WALL_POSITION: ("WallTable", "position_m"),
-        layout.Value.RAMP_S: ("Safety", "default_ramp_s"),
+        layout.Value.RAMP_S: ("SafetyParams", "default_ramp_s"),
     }
     for place, (table, name) in places.items():
         entry = properties[table][name]

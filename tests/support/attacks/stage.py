@@ -22,7 +22,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from hapticd.client.client import GatewayLine
+from hapticd.client.client import GatewayConnection
 from hapticd.core.errors import DaemonDown
 from hapticd.core.units import NS_PER_MS
 from hapticd.mailbox.stop_word import press_stop
@@ -69,7 +69,7 @@ class Bystander(threading.Thread):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(name="bystander")
-        self._line = GatewayLine(folder, "bystander")
+        self._line = GatewayConnection(folder, "bystander")
         self._ending = threading.Event()
         self.asked = self.answered = 0
         self.told_down = 0  # of the answers: the servo had been silent for too long

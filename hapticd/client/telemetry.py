@@ -1,8 +1,8 @@
-"""Telemetry as a client follows it: where it comes from (`Line`), and what is made of it
-(`Watching`).
+"""Telemetry as a client reads it: raw messages of a SUB socket (`Subscription`), and the blocks and
+events in them (`TelemetryReader`).
 
-A line is a place that a SUB socket connects to: the socket file of a daemon of this computer
-(`client`), or the port of one on another (`listener`). What is read of it is the same.
+The socket connects to the socket file of a daemon of this computer (`client`), or to the port of
+one on another (`listener`). What is read is the same.
 
 What would break it: use from several threads, since a ZeroMQ socket belongs to one.
 """
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import msgpack
 import zmq
 
-from hapticd.client.conversation import check_topic, heard_with
+from hapticd.client.requests import check_topic, heard_with
 from hapticd.core.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ MESSAGES_QUEUED = 10_000  # per subscription, before ZeroMQ drops the newest
 IDLE_MS = 100
 
 
-class Line:
-    """Subscriptions at one place; each kind of place says where it is and what silence means."""
+class Subscription:
+    """Topics of one endpoint; a subclass says which endpoint, and what silence means."""
 
     def __init__(self) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -97,10 +97,10 @@ class Line:
         raise NotImplementedError
 
 
-class Watching:
-    """Streams and messages of a line, for whoever has one; a context that closes it."""
+class TelemetryReader:
+    """Streams and messages of a subscription; a context that closes it."""
 
-    _line: Line
+    _connection: Subscription
     _timeout_s: float  # of silence
 
     def __enter__(self) -> Self:
@@ -114,7 +114,7 @@ class Watching:
 
         >>> device.close()
         """
-        self._line.close()
+        self._connection.close()
 
     def stream(
         self, topic: str = "servo.raw", seconds: float | None = None, count: int | None = None
@@ -167,7 +167,7 @@ class Watching:
 
     def _payloads(self, topic: str) -> Generator[bytes, None, None]:
         """What is published under `topic`, as it comes; after silence the error that says why."""
-        return self._line.listen(topic, self._timeout_s)
+        return self._connection.listen(topic, self._timeout_s)
 
     def messages(
         self, topics: Sequence[str], look_s: float = 0.05
@@ -181,4 +181,4 @@ class Watching:
         >>> topic
         'servo.raw'
         """
-        yield from self._line.listen_all(topics, look_s)
+        yield from self._connection.listen_all(topics, look_s)

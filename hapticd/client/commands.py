@@ -1,13 +1,17 @@
-"""The verbs that are one request and one reply, for the client that waits and for that of asyncio.
+"""Commands that are one request and one reply, for the client that waits and for that of asyncio.
 
 Each is written once; what it gives, a value or something to await, is the client's:
-`Verbs[Receipt, Hello, ...]` or `Verbs[Awaitable[Receipt], Awaitable[Hello], ...]`.
+`Commands[Receipt, Hello, ...]` or `Commands[Awaitable[Receipt], Awaitable[Hello], ...]`.
 
-What would break it: a verb that needs two replies; it belongs into the clients.
+What would break it: a command that needs two replies; it belongs into the clients.
 """
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
+from hapticd.client.verdict import GuardWarnings
+from hapticd.mailbox.daemons import daemon_folder
+from hapticd.mailbox.files import DEFAULT_INSTANCE
 from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Status
 
 if TYPE_CHECKING:
@@ -25,13 +29,29 @@ POLL_S = 0.02  # between two looks at the state
 JUDGED = frozenset({"set", "damping", "enable", "guard"})  # commands that the guard may refuse
 
 
-class Verbs(Generic[R, H, S, G, D]):
+class Commands(Generic[R, H, S, G, D]):
     """Questions and changes. CommandError where the daemon refuses, DaemonDown where none answers
     in time.
     """
 
-    _name: str  # of the client, shown beside what it changes
-    _strict: bool  # whether nothing may act that is not safe
+    def __init__(
+        self,
+        instance: str = DEFAULT_INSTANCE,
+        timeout_s: float = 2.0,
+        name: str = "script",
+        folder: Path | None = None,
+        strict: bool = False,
+    ) -> None:
+        self._folder = folder or daemon_folder(instance)
+        self._timeout_s = timeout_s
+        self._name = name
+        self._strict = strict
+        self._warnings = GuardWarnings()
+        self._connect()
+
+    def _connect(self) -> None:
+        """Make the connection to the daemon."""
+        raise NotImplementedError
 
     def _as_asked(self, cmd: str, fields: dict[str, Any]) -> dict[str, Any]:
         """The fields of a request, with that of a strict client."""
