@@ -1,5 +1,6 @@
 """`import hapticd`: what it gives, and what it does not load."""
 
+import importlib
 import json
 import subprocess
 import sys
@@ -7,12 +8,14 @@ import sys
 import pytest
 
 import hapticd
+from hapticd.cli.lazy import lazily
 
 HEAVY = {"numpy", "zmq", "msgpack", "pydantic", "h5py", "asyncio", "usb", "logging"}
 
 
 def loaded_after(code: str) -> set[str]:
-    text = f"import json, sys; {code}; print(json.dumps([*sys.modules]))"
+    told = "[name for name, one in sys.modules.items() if type(one).__name__ != '_LazyModule']"
+    text = f"import json, sys\n{code}\nprint(json.dumps({told}))"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
     return {name.partition(".")[0] for name in json.loads(done.stdout)}
 
@@ -35,3 +38,25 @@ def test_every_public_name_is_there_and_listed(name: str) -> None:
 def test_another_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="module 'hapticd' has no attribute 'Clinet'"):
         _ = hapticd.Clinet  # type: ignore[attr-defined]
+
+
+def test_help_of_all_verbs_loads_no_large_library() -> None:
+    """Modules that wait for their first use are in `sys.modules`, but have not been run."""
+    loaded = loaded_after(
+        "import io, contextlib; from hapticd.cli.app import main;"
+        " out = contextlib.redirect_stdout(io.StringIO()); out.__enter__();"
+        " main(['zwidth', '--help']); main(['--help']); out.__exit__(None, None, None)"
+    )
+    large = {"numpy", "zmq", "msgpack", "pydantic", "h5py", "usb", "scipy", "numba", "matplotlib"}
+    assert loaded & large == set()
+
+
+def test_a_module_that_waits_is_loaded_at_its_first_use() -> None:
+    waiting = "from hapticd.cli.lazy import lazily\nwith lazily():\n    import numpy as np\n"
+    assert "numpy" not in loaded_after(waiting)
+    assert "numpy" in loaded_after(f"{waiting}np.pi")
+
+
+def test_a_module_that_is_missing_is_an_error_at_once() -> None:
+    with pytest.raises(ModuleNotFoundError), lazily():
+        importlib.import_module("hapticd.no_such_module")
