@@ -26,7 +26,7 @@ line and its exit code:
     0 done   1 failed   2 usage   3 no daemon   4 refused   5 stopped or faulted
     6 requirement not met   78 configuration   130 interrupted
 
-What is large is imported within `lazy.lazily()` and loaded when a verb uses it, so that `--help` and
-the small verbs stay quick: nothing here may import numpy, pydantic, zmq or rich at its top in
+What is large is imported within `lazy.lazily()` and loaded when a verb uses it, so that `--help`
+and the small verbs stay quick: nothing here may import numpy, pydantic, zmq or rich at its top in
 another way, except `screen`, which `monitor` loads when it draws.
 """

@@ -21,7 +21,8 @@ TEMPLATE_SERIAL = "CHANGE-ME"  # of config/devices/example-board.toml
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from hapticd.run.doctor.checks import CheckResult, Requirements
+    from hapticd.run.doctor.checks import CheckResult
+    from hapticd.run.doctor.requirements import Requirements
     from hapticd.settings.config import Config
     from hapticd.settings.device import DeviceFile
     from hapticd.settings.load import Mistake
@@ -213,8 +214,9 @@ def doctor(
     machine wakes. Changes nothing.
     """
     from hapticd.run.doctor import interpreter
-    from hapticd.run.doctor.checks import examine, requirements
+    from hapticd.run.doctor.checks import examine
     from hapticd.run.doctor.machine import this_machine
+    from hapticd.run.doctor.requirements import requirements
     from hapticd.settings.load import load
 
     asked = requirements(load(config), instance)

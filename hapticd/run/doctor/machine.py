@@ -41,6 +41,10 @@ class Machine:
         except OSError:
             return None
 
+    def lines(self, path: str) -> list[str]:
+        """Lines of a file; none if it cannot be read."""
+        return (self.text(path) or "").splitlines()
+
     def number(self, path: str) -> int | None:
         """The first word of a file as an integer; None if there is none."""
         try:
