@@ -1,42 +1,52 @@
 """Imports that happen when a module is first used, so that `--help` and small verbs start quickly.
 
     with lazily():
+        import numpy as np
         from hapticd.zwidth import limits
 
-Python's own LazyLoader finds the module now and runs it at the first access to one of its names.
-Only modules can wait, not names of them, so such a block imports modules alone. A file that is
-missing is an error at once; an error inside the module comes at its first use.
+Each name that is bound there stands for a module, which is imported at the first access to one of
+its names. So only whole modules can wait, not names of them, and a module that is missing is an
+error at its first use. Nothing waits in `sys.modules`: libraries that look through all modules, as
+`inspect` does, would load what nobody needs, and in the middle of other imports.
+
+What would break it: a package that gives a name to something else than its module of that name.
 """
 
-import sys
+import builtins
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
-from importlib.util import LazyLoader
+from importlib import import_module
 from types import ModuleType
+from typing import Any
 
 
-class _LazyFinder(MetaPathFinder):
-    """Finds what the usual finder of files finds, and has it loaded at its first use."""
+class _Waiting(ModuleType):
+    """A module that is imported when it is used."""
 
-    def find_spec(
-        self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        spec = PathFinder.find_spec(name, path, target)
-        if spec is not None and isinstance(spec.loader, SourceFileLoader):
-            spec.loader = LazyLoader(spec.loader)
-        return spec
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self.__name__), name)
 
 
-FINDER = _LazyFinder()
+def _waiting(
+    name: str,
+    globals_: Any = None,
+    locals_: Any = None,
+    modules: Sequence[str] = (),
+    level: int = 0,
+) -> ModuleType:
+    """What `import name`, or `from name import modules`, binds."""
+    found = _Waiting(name)
+    for one in modules or ():
+        setattr(found, one, _Waiting(f"{name}.{one}"))
+    return found
 
 
 @contextmanager
 def lazily() -> Iterator[None]:
-    """Modules that are imported within this context are loaded at their first use."""
-    sys.meta_path.insert(0, FINDER)
+    """Modules that are imported within this context wait until they are used."""
+    usual = builtins.__import__
+    builtins.__import__ = _waiting
     try:
         yield
     finally:
-        sys.meta_path.remove(FINDER)
+        builtins.__import__ = usual

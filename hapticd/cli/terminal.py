@@ -11,7 +11,7 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -93,6 +93,15 @@ def data(text: str) -> None:
 def data_json(content: Any) -> None:
     """One object in one line."""
     print(json.dumps(content, default=str), flush=True)
+
+
+def show(found: Mapping[str, Any], lines: Iterable[str], as_json: bool) -> None:
+    """What a verb found: with --json one object that begins with `ok`, else lines for people."""
+    if as_json:
+        data_json({"ok": True, **found})
+        return
+    for line in lines:
+        data(line)
 
 
 def talk(text: str) -> None:

@@ -1,6 +1,5 @@
 """`import hapticd`: what it gives, and what it does not load."""
 
-import importlib
 import json
 import subprocess
 import sys
@@ -14,8 +13,7 @@ HEAVY = {"numpy", "zmq", "msgpack", "pydantic", "h5py", "asyncio", "usb", "loggi
 
 
 def loaded_after(code: str) -> set[str]:
-    told = "[name for name, one in sys.modules.items() if type(one).__name__ != '_LazyModule']"
-    text = f"import json, sys\n{code}\nprint(json.dumps({told}))"
+    text = f"import json, sys\n{code}\nprint(json.dumps([*sys.modules]))"
     done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=True)
     return {name.partition(".")[0] for name in json.loads(done.stdout)}
 
@@ -41,7 +39,6 @@ def test_another_name_is_an_attribute_error() -> None:
 
 
 def test_help_of_all_verbs_loads_no_large_library() -> None:
-    """Modules that wait for their first use are in `sys.modules`, but have not been run."""
     loaded = loaded_after(
         "import io, contextlib; from hapticd.cli.app import main;"
         " out = contextlib.redirect_stdout(io.StringIO()); out.__enter__();"
@@ -51,12 +48,24 @@ def test_help_of_all_verbs_loads_no_large_library() -> None:
     assert loaded & large == set()
 
 
+WAITING = "from hapticd.cli.lazy import lazily\nwith lazily():\n"
+
+
 def test_a_module_that_waits_is_loaded_at_its_first_use() -> None:
-    waiting = "from hapticd.cli.lazy import lazily\nwith lazily():\n    import numpy as np\n"
+    waiting = f"{WAITING}    import numpy as np\n    from hapticd.signal import verdict\n"
     assert "numpy" not in loaded_after(waiting)
     assert "numpy" in loaded_after(f"{waiting}np.pi")
+    assert "numpy" in loaded_after(f"{waiting}verdict.needed")
 
 
-def test_a_module_that_is_missing_is_an_error_at_once() -> None:
-    with pytest.raises(ModuleNotFoundError), lazily():
-        importlib.import_module("hapticd.no_such_module")
+def test_a_module_that_is_missing_is_an_error_at_its_first_use() -> None:
+    with lazily():
+        from hapticd import nothing  # type: ignore[attr-defined]
+    with pytest.raises(ModuleNotFoundError, match=r"No module named 'hapticd\.nothing'"):
+        _ = nothing.something
+
+
+def test_imports_happen_at_once_again_behind_the_block() -> None:
+    with lazily():
+        pass
+    assert "numpy" in loaded_after(f"{WAITING}    import json as waiting\nimport numpy")

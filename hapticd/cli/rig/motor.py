@@ -7,9 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
 from hapticd.core.errors import AnalysisError
+
+with lazily():
+    from hapticd.rig import motor as motor_step
+    from hapticd.rig import spring as spring_step
+    from hapticd.rig import winding as winding_step
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -59,10 +64,8 @@ def motor(
     offset: Offset = False,
     winding: WindingOption = False,
     lever_m: Lever = None,
-    yes: steps.Yes = False,
-    config: terminal.ConfigFile = None,
-    instance: terminal.Instance = terminal.INSTANCE,
-    as_json: terminal.Json = False,
+    *,
+    options: steps.StepOptions,
 ) -> None:
     """By itself the sign of the force, by pushes of 20 ms with at most a tenth of it: verifies the
     signs. With --mass gain and offset, by masses that hang from the handle; with --spring the gain,
@@ -71,31 +74,26 @@ def motor(
 
     Writes the tables `force`, `commissioning`, `motor` and `emf_velocity` of the device file.
     """
-    from hapticd.rig import motor
-    from hapticd.rig import spring as springs
-    from hapticd.rig import winding as windings
-    from hapticd.settings.load import load
-
     _one_of(bool(mass), spring is not None, offset, winding)
     if lever_m is not None and not winding:
         raise AnalysisError("--lever-m is written with what --winding finds; add that")
     if pulls_to not in (-1, 1):
         raise AnalysisError(f"--pulls-to {pulls_to}: name the side to which masses pull, -1 or 1")
 
-    def step(client: "Client") -> "StepResult":
-        ask: Ask = steps.asking(yes)
+    def measure(client: "Client", ask: "Ask") -> "StepResult":
         if mass:
-            masses = motor.Masses(tuple(mass), pulls_to, radius_ratio)
-            return motor.measure_gain(client, ask, masses)
+            masses = motor_step.Masses(tuple(mass), pulls_to, radius_ratio)
+            return motor_step.measure_gain(client, ask, masses)
         if spring is not None:
-            return springs.measure(client, ask, springs.Spring(spring, spring_tolerance))
+            known = spring_step.Spring(spring, spring_tolerance)
+            return spring_step.measure(client, ask, known)
         if offset:
-            return springs.measure_offset(client, ask)
+            return spring_step.measure_offset(client, ask)
         if winding:
-            return windings.measure(client, ask, lever_m)
-        return motor.measure_sign(client, ask)
+            return winding_step.measure(client, ask, lever_m)
+        return motor_step.measure_sign(client, ask)
 
-    steps.show(steps.perform(instance, load(config), step, yes), as_json)
+    steps.run(options, measure)
 
 
 def _one_of(*chosen: bool) -> None:

@@ -6,11 +6,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.rig.steps import Yes, asking, perform, show
+from hapticd.cli.lazy import lazily
+from hapticd.cli.rig import steps
 from hapticd.core.errors import ConfigError
+
+with lazily():
+    from hapticd.rig import certificate, known_parts, records
+    from hapticd.rig import verify as verify_step
+    from hapticd.settings import load
 
 if TYPE_CHECKING:
     from hapticd.client import Client
+    from hapticd.rig.hand import Ask
     from hapticd.rig.result import StepResult
     from hapticd.settings.load import Settings
 
@@ -41,10 +48,8 @@ def verify(
     attach: Attached = 0.0,
     spring: Hooked = 0.0,
     seconds: Length = 20.0,
-    yes: Yes = False,
-    config: terminal.ConfigFile = None,
-    instance: terminal.Instance = terminal.INSTANCE,
-    as_json: terminal.Json = False,
+    *,
+    options: steps.StepOptions,
 ) -> None:
     """Render a known spring, damper and mass, attach known ones if asked, and see whether the probe
     finds them within what the calibrations leave; with theory, spectra, wire and timing.
@@ -53,30 +58,25 @@ def verify(
     trials name it, and say when the device file has changed since. Exit 4 if something is not as
     it should be: the certificate then says so.
     """
-    from hapticd.rig.certificate import Subject, content, write
-    from hapticd.rig.known_parts import KnownParts
-    from hapticd.rig.records import collect, identity_of
-    from hapticd.rig.verify import measure
-    from hapticd.settings.load import load
+    settings = load.load(options.config)
+    known = known_parts.KnownParts(stiffness, viscous, mass, attach, spring, seconds)
+    subjects: list[certificate.Subject] = []
 
-    settings = load(config)
-    known = KnownParts(stiffness, viscous, mass, attach, spring, seconds)
-    subjects: list[Subject] = []
-
-    def step(client: "Client") -> "StepResult":
+    def measure(client: "Client", ask: "Ask") -> "StepResult":
         servo = client.hello().servo
         refuse_another_file(servo["device_file_sha256"], settings)
-        board = identity_of(client, collect(client, LOOK_S).records)
+        board = records.identity_of(client, records.collect(client, LOOK_S).records)
         rights = client.status().servo.get("realtime", {})
         file = settings.device_file
-        subjects.append(Subject(servo, file, settings.device_file_sha256, board, rights))
-        return measure(client, asking(yes), known)
+        subject = certificate.Subject(servo, file, settings.device_file_sha256, board, rights)
+        subjects.append(subject)
+        return verify_step.measure(client, ask, known)
 
-    result = perform(instance, settings, step, yes)
-    said = content(result, subjects[0], datetime.now().astimezone())
-    for path in write(said, settings.device_file):
+    result = steps.perform(options, settings, measure)
+    said = certificate.content(result, subjects[0], datetime.now().astimezone())
+    for path in certificate.write(said, settings.device_file):
         terminal.talk(f"written: {path}")
-    show(result, as_json)
+    steps.show(result, options.as_json)
 
 
 LOOK_S = 0.1
