@@ -13,7 +13,7 @@ What would break it: a package that gives a name to something else than its modu
 """
 
 import builtins
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from types import ModuleType
@@ -28,15 +28,11 @@ class _Waiting(ModuleType):
 
 
 def _waiting(
-    name: str,
-    globals_: Any = None,
-    locals_: Any = None,
-    modules: Sequence[str] = (),
-    level: int = 0,
+    name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
 ) -> ModuleType:
-    """What `import name`, or `from name import modules`, binds."""
+    """What `import name`, or `from name import fromlist`, binds."""
     found = _Waiting(name)
-    for one in modules or ():
+    for one in fromlist or ():
         setattr(found, one, _Waiting(f"{name}.{one}"))
     return found
 
