@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,12 +17,27 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect
+from hapticd.cli.guard import guard_lines
+from hapticd.cli.lazy import lazily
+from hapticd.cli.lease import lease_lines
 from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
+from hapticd.client import fast_stop
 from hapticd.client.words import board_words, late_words, parameters, receipt_text, timing_words
+from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
+from hapticd.core.params import COMMISSIONING_SHARE
+from hapticd.core.process import on_stop
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
+from hapticd.mailbox.daemons import console_place, daemon_folder, living_report
+from hapticd.mailbox.files import runtime_folder
 from hapticd.protocol.answers import Compensation, Delivered, StageTimes, Status, answer_of
+
+with lazily():
+    import numpy as np
+
+    from hapticd.run import supervisor as supervisors
+    from hapticd.settings import build, inputs, load
 
 if TYPE_CHECKING:
     from hapticd.core.params import GuardParams
@@ -44,16 +60,8 @@ def run(
     """Start the daemon in the foreground, with the operators' page. Ctrl-C ends it: force fades to
     0. A second Ctrl-C kills it.
     """
-    from hapticd.core.clock import MonotonicClock
-    from hapticd.core.process import on_stop
-    from hapticd.mailbox.files import runtime_folder
-    from hapticd.run.supervisor import Supervisor
-    from hapticd.settings.load import Override, load
-
-    overrides = (
-        () if rate_hz is None else (Override(("realtime", "rate_hz"), rate_hz, "--rate-hz"),)
-    )
-    settings = load(config, overrides)
+    rate = load.Override(("realtime", "rate_hz"), rate_hz, "--rate-hz")
+    settings = load.load(config, () if rate_hz is None else (rate,))
     followers: list[subprocess.Popen[bytes]] = []
 
     def tell(event: "ProcessEvent") -> None:
@@ -74,7 +82,7 @@ def run(
             terminal.hush()
             supervisor.stop()
 
-    supervisor = Supervisor(
+    supervisor = supervisors.Supervisor(
         runtime_folder(instance),
         settings,
         instance,
@@ -95,9 +103,8 @@ def _follow_events(instance: str) -> "subprocess.Popen[bytes]":
     """`hapticd events` in this terminal, from a process of its own: the one that looks after servo
     and gateway has no threads and no sockets.
     """
-    from hapticd.run.supervisor import launch
-
-    return launch("hapticd", "events", "--instance", instance, "--parent", str(os.getpid()))
+    words = ("events", "--instance", instance, "--parent", str(os.getpid()))
+    return supervisors.launch("hapticd", *words)
 
 
 CONSOLE_MODULE = "hapticd.console.main"  # started by name: `run` itself loads no web server
@@ -115,10 +122,7 @@ def _guarded(guard: "GuardParams") -> str:
 
 
 def _ready_text(settings: "Settings", instance: str) -> str:
-    from hapticd.core.params import COMMISSIONING_SHARE
-    from hapticd.settings.build import commissioning, guard_params
-
-    guard = guard_params(settings)
+    guard = build.guard_params(settings)
     device = settings.device
     config = settings.config
     which = "" if instance == terminal.INSTANCE else f" --instance {instance}"
@@ -128,7 +132,7 @@ def _ready_text(settings: "Settings", instance: str) -> str:
     else:
         board = f"REAL BOARD {device.serial}: {device.name}, up to {device.limits.force_n} N."
         head = terminal.coloured(board, terminal.RED)
-    if commissioning(device):
+    if build.commissioning(device):
         force_n = COMMISSIONING_SHARE * device.limits.force_n
         head += f"\n\nIts signs are not verified: at most {force_n:g} N until `hapticd rig motor`."
     level = f"{config.active_damping_ns_per_m:g} N s/m"
@@ -165,8 +169,6 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
     """State, parameters in force, faults and timing. Exit 3 until servo and gateway are
     both ready.
     """
-    from hapticd.mailbox.daemons import console_place, daemon_folder, living_report
-
     try:
         with connect(instance) as client:
             found = client.call("status")["result"]
@@ -179,16 +181,12 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
     if as_json:
         terminal.data_json(found)
     else:
-        for line in _status_lines(answer_of(Status, found), found):
-            terminal.data(line)
+        terminal.data("\n".join(_status_lines(answer_of(Status, found), found)))
     if found["state"] in NOT_READY:
         raise typer.Exit(DaemonDown.exit_code)
 
 
 def _status_lines(found: Status, more: dict[str, Any]) -> list[str]:
-    from hapticd.cli.guard import guard_lines
-    from hapticd.cli.lease import lease_lines
-
     state = terminal.coloured(found.state, STATE_COLOURS.get(found.state, terminal.RED))
     waits = board_words(found.servo)
     if found.state in NOT_READY:
@@ -413,9 +411,7 @@ def stop(instance: terminal.OneOfAll = None, as_json: terminal.Json = False) -> 
     """Stop every daemon of yours and the service: force to 0 at once, latched until
     `hapticd reset`. Anyone may, at any time; never refused.
     """
-    from hapticd.client.fast_stop import main
-
-    raise typer.Exit(main(instance, as_json))
+    raise typer.Exit(fast_stop.main(instance, as_json))
 
 
 def reset(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
@@ -441,11 +437,9 @@ def home(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
             time.sleep(HOMING_POLL_S)
     if found.state != "disabled":
         raise CommandError("stopped", f"home: {found.cause}; {found.remedy}")
-    if as_json:
-        terminal.data_json({"ok": True, "state": found.state, "homed": bool(found.homed)})
-    else:
-        known = "the origin is known" if found.homed else "this device needs no homing"
-        terminal.data(f"disabled: {known}")
+    known = "the origin is known" if found.homed else "this device needs no homing"
+    told = {"state": found.state, "homed": bool(found.homed)}
+    terminal.show(told, [f"disabled: {known}"], as_json)
 
 
 DUMP_PATIENCE_S = 20.0
@@ -465,10 +459,7 @@ def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
             late = f"{path} was not written within {DUMP_PATIENCE_S:g} s"
             raise HapticdError(f"{late}; `hapticd status` lists the last events")
         time.sleep(DUMP_POLL_S)
-    if as_json:
-        terminal.data_json({"ok": True, **found})
-    else:
-        terminal.data(f"{path}: {found['records']} records")
+    terminal.show(found, [f"{path}: {found['records']} records"], as_json)
 
 
 MarkText = Annotated[str, typer.Argument(metavar="TEXT", help="At most 96 characters.")]
@@ -482,10 +473,7 @@ def mark(
     """Note words with the tick at which they came: an event, which recordings keep."""
     with connect(instance) as client:
         found = client.mark(text)
-    if as_json:
-        terminal.data_json({"ok": True, **found})
-    else:
-        terminal.data(f"tick {found['tick']}: {text}")
+    terminal.show(found, [f"tick {found['tick']}: {text}"], as_json)
 
 
 perturb_app = typer.Typer(
@@ -512,13 +500,7 @@ def load_waveform(
     as_json: terminal.Json = False,
 ) -> None:
     """Load a waveform; it does not start by itself."""
-    import warnings
-
-    import numpy as np
-
-    from hapticd.settings.inputs import WAVEFORM_BYTES, regular
-
-    regular(file, WAVEFORM_BYTES)
+    inputs.regular(file, inputs.WAVEFORM_BYTES)
     try:
         with warnings.catch_warnings(action="ignore"):  # of an empty file; it is refused below
             samples_n = (
@@ -535,10 +517,9 @@ def load_waveform(
         )
     with connect(instance) as client:
         count = client.perturb_load(samples_n)
-    if as_json:
-        terminal.data_json({"ok": True, "samples": count, "seconds": count / PROBE_RATE_HZ})
-    else:
-        terminal.data(f"{count} samples loaded, {count / PROBE_RATE_HZ:.3f} s")
+    seconds = count / PROBE_RATE_HZ
+    line = f"{count} samples loaded, {seconds:.3f} s"
+    terminal.show({"samples": count, "seconds": seconds}, [line], as_json)
 
 
 @terminal.verb(perturb_app, "start")

@@ -60,11 +60,8 @@ def guard(
     with connect(instance) as client:
         found = client.guard(policy, basis=basis, margin_ns_per_m=margin, mode=mode)
         found = _judged(client, found)
-        if as_json:
-            terminal.data_json({"ok": True, **client.call("guard")["result"]})
-            return
-    for line in (*guard_lines(found), *verdict_lines(found.verdict)):
-        terminal.data(line)
+        told = client.call("guard")["result"] if as_json else {}
+    terminal.show(told, (*guard_lines(found), *verdict_lines(found.verdict)), as_json)
 
 
 def _judged(client: "Client", found: "GuardStatus") -> "GuardStatus":

@@ -1,8 +1,7 @@
 """Simulate scenes: run them, explain them, their effects, their damping, their accuracy."""
 
 import time
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -42,14 +41,6 @@ SceneSeconds = Annotated[
 Quick = Annotated[
     bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")
 ]
-
-
-class EffectsQuestion(StrEnum):
-    """What is asked of the scene."""
-
-    LIMITS = "limits"
-    PHASE = "phase"
-    PEAK = "peak"
 
 
 sim_app = typer.Typer(
@@ -135,8 +126,8 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
 def sim_effects(
     scene: terminal.SceneName,
     question: Annotated[
-        EffectsQuestion, typer.Option("--for", help=QUESTIONS)
-    ] = EffectsQuestion.LIMITS,
+        Literal["limits", "phase", "peak"], typer.Option("--for", help=QUESTIONS)
+    ] = "limits",
     tolerance: Tolerance = "2%",
     seconds: TrialSeconds = 90.0,
     plot: terminal.Plot = True,
@@ -150,19 +141,19 @@ def sim_effects(
     terminal.need_engine()
     terminal.need_figures(plot)
     loaded = scenes.load_scene(scene)
-    asked = effect_studies.EffectsParams(loaded, question.value, share(tolerance), seconds)
+    asked = effect_studies.EffectsParams(loaded, question, share(tolerance), seconds)
     plan = effect_studies.plan_effects(asked)
     with progress(as_json) as tell:
         result = effect_studies.run_effects(plan, time.process_time_ns, tell)
     paths = []
     if plot:
-        name = f"{loaded.name}-effects-{question.value}"
+        name = f"{loaded.name}-effects-{question}"
         figure = report.effects_figure(result)
         paths = terminal.save_figure(figure, out, name, figure_width, as_json)
     found = {
         "simulated": True,
         "scene": loaded.name,
-        "question": question.value,
+        "question": question,
         "tolerance": plan.params.tolerance,
         **store.to_json(result, skip=("plan",)),
         "figures": paths,
