@@ -6,19 +6,16 @@ A word that is no number or names no parameter is a usage error (exit 2) before 
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.numbers import number, unknown
+from hapticd.client import Client, GuardVerdict, Receipt
 from hapticd.client.words import objection_lines, receipt_text, refusal_lines
 from hapticd.core.errors import CommandError
 from hapticd.protocol.limits import PLACES
-
-if TYPE_CHECKING:
-    from hapticd.client import Client, GuardVerdict, Receipt
-
 
 NAMES = tuple(name for name in PLACES if name != "ramp_s")
 
@@ -45,8 +42,6 @@ ACTOR = "command line"
 
 def connect(instance: str, timeout_s: float = 2.0) -> "Client":
     """A client of the daemon `instance` that is shown as the command line."""
-    from hapticd.client import Client
-
     return Client(instance, timeout_s=timeout_s, name=ACTOR)
 
 

@@ -11,7 +11,7 @@ import sys
 import time
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -26,7 +26,7 @@ from hapticd.client import fast_stop
 from hapticd.client.words import board_words, late_words, parameters, receipt_text, timing_words
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
-from hapticd.core.params import COMMISSIONING_SHARE
+from hapticd.core.params import COMMISSIONING_SHARE, GuardParams
 from hapticd.core.process import on_stop
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.mailbox.daemons import console_place, daemon_folder, living_report
@@ -38,11 +38,6 @@ with lazily():
 
     from hapticd.run import supervisor as supervisors
     from hapticd.settings import build, inputs, load
-
-if TYPE_CHECKING:
-    from hapticd.core.params import GuardParams
-    from hapticd.run.supervisor import ProcessEvent
-    from hapticd.settings.load import Settings
 
 
 def run(
@@ -64,7 +59,7 @@ def run(
     settings = load.load(config, () if rate_hz is None else (rate,))
     followers: list[subprocess.Popen[bytes]] = []
 
-    def tell(event: "ProcessEvent") -> None:
+    def tell(event: "supervisors.ProcessEvent") -> None:
         try:
             if as_json:
                 terminal.data_json(
@@ -121,7 +116,7 @@ def _guarded(guard: "GuardParams") -> str:
     return f"guard {guard.policy} by {guard.basis}: {POLICIES[guard.policy]}."
 
 
-def _ready_text(settings: "Settings", instance: str) -> str:
+def _ready_text(settings: "load.Settings", instance: str) -> str:
     guard = build.guard_params(settings)
     device = settings.device
     config = settings.config

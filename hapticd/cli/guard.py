@@ -1,18 +1,16 @@
 """The verb of the guard: show and change what is done with environments that are not passive."""
 
 import time
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.client import Client
 from hapticd.client.words import guard_line, margin_words, verdict_lines
 from hapticd.core import params
-
-if TYPE_CHECKING:
-    from hapticd.client import Client
-    from hapticd.protocol.answers import GuardStatus
+from hapticd.protocol.answers import GuardStatus
 
 Policy = Annotated[
     params.Policy | None,

@@ -14,7 +14,7 @@ import tty
 from collections.abc import Callable
 from contextlib import closing
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import Annotated, Any, Self
 
 import typer
 
@@ -37,9 +37,6 @@ with lazily():
     from hapticd.cli import screen
     from hapticd.client import blocks
     from hapticd.client import events as event_texts
-
-if TYPE_CHECKING:
-    from hapticd.cli.screen import View
 
 
 class Keys:
@@ -106,7 +103,7 @@ def monitor(
         watch(instance, seconds, lambda view: live.update(screen.screen(view), refresh=True))
 
 
-def watch(instance: str, seconds: float | None, show: "Callable[[View], None]") -> None:
+def watch(instance: str, seconds: float | None, show: "Callable[[screen.View], None]") -> None:
     """Show what comes ten times a second, also when nothing comes, and obey keys.
 
     `seconds` None: until q is pressed.
@@ -139,7 +136,7 @@ def watch(instance: str, seconds: float | None, show: "Callable[[View], None]") 
                 return
 
 
-def _take(view: "View", decoder: Any, topic: str, payload: bytes) -> bool:
+def _take(view: "screen.View", decoder: Any, topic: str, payload: bytes) -> bool:
     """Put a message into `view`; whether it brought records."""
     if topic == STATE:
         state = msgpack.unpackb(payload)
@@ -165,7 +162,7 @@ def _press_stop(instance: str) -> None:
         terminal.talk(f"hapticd: stop: {error}")
 
 
-def _newest(view: "View") -> dict[str, Any]:
+def _newest(view: "screen.View") -> dict[str, Any]:
     newest = view.newest
     if not view.fresh:
         silent_s = round(view.silent_s, 3)
@@ -181,11 +178,11 @@ def _newest(view: "View") -> dict[str, Any]:
     }
 
 
-def _print_json(view: "View") -> None:
+def _print_json(view: "screen.View") -> None:
     terminal.data_json(_newest(view))
 
 
-def _print_line(view: "View") -> None:
+def _print_line(view: "screen.View") -> None:
     found = _newest(view)
     badge = "SIMULATED " if view.simulated else ""
     if not view.fresh:

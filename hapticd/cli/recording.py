@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -27,10 +27,6 @@ with lazily():
     from hapticd.zwidth import store
     from hapticd.zwidth.report import style
     from hapticd.zwidth.report import trial as figures
-
-if TYPE_CHECKING:
-    from hapticd.recording.recorder import RecordingProgress
-    from hapticd.recording.replay import ReplayResult
 
 
 ENDING = ".h5"
@@ -76,7 +72,7 @@ def record(
     params = recorder.RecordingParams(file, seconds, note)
     with connect(instance) as client, terminal.progress(as_json) as tell:
 
-        def draw(progress: "RecordingProgress") -> None:
+        def draw(progress: "recorder.RecordingProgress") -> None:
             tell(_progress_words(progress), round(progress.seconds), round(seconds or 0))
 
         result = recorder.record(client, params, lambda: bool(asked), draw)
@@ -93,7 +89,7 @@ def finished_line(ended: str, summary: dict[str, Any]) -> str:
     return f"{summary['file']}: {ended}, {simulated}{taken}, {size_mb:.3g} MB"
 
 
-def _progress_words(progress: "RecordingProgress") -> str:
+def _progress_words(progress: "recorder.RecordingProgress") -> str:
     missing = f", {progress.missing} MISSING" if progress.missing else ""
     size_mb = progress.file_bytes / 1e6
     return f"{progress.seconds:.1f} s, {progress.records} records{missing}, {size_mb:.1f} MB"
@@ -264,7 +260,7 @@ def _instead(words: list[str]) -> dict[Value, float]:
 
 
 def _drawn(
-    result: "ReplayResult", path: Path, title: str, changed: str, width_mm: float | None
+    result: "replays.ReplayResult", path: Path, title: str, changed: str, width_mm: float | None
 ) -> list[str]:
     figure = figures.replay_figure(result, title, changed or "replayed")
     named = path.suffix in {f".{kind}" for kind in store.FIGURE_KINDS}

@@ -1,7 +1,7 @@
 """Simulate scenes: run them, explain them, their effects, their damping, their accuracy."""
 
 import time
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -11,6 +11,7 @@ from hapticd.cli.terminal import progress
 
 with lazily():
     from hapticd.model import compose, stability
+    from hapticd.model import scene as model_scene
     from hapticd.settings import scene as scenes
     from hapticd.studies import accuracy as accuracies
     from hapticd.studies import effects as effect_studies
@@ -20,9 +21,6 @@ with lazily():
     from hapticd.zwidth import store
     from hapticd.zwidth.report import table
 
-if TYPE_CHECKING:
-    from hapticd.model.scene import Scene
-    from hapticd.studies.scene import SceneTrial
 
 QUESTIONS = (
     "limits: passive K, B, M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."
@@ -61,8 +59,7 @@ def sim_run(
     """Simulate a scene with and without its active damping: traces, and impedance and
     verdict where noise moves it.
     """
-    terminal.need_engine()
-    terminal.need_figures(plot)
+    terminal.need_engine(plot)
     plan = scene_studies.plan_scene(scenes.load_scene(scene), seconds)
     with progress(as_json) as tell:
         result = scene_studies.run_scene(plan, tell)
@@ -82,15 +79,15 @@ def sim_run(
     terminal.show({**_about(plan.scene), **found}, lines, as_json)
 
 
-def _about(scene: "Scene") -> dict[str, Any]:
+def _about(scene: "model_scene.Scene") -> dict[str, Any]:
     return {"simulated": True, "scene": scene.name, "title": scene.title, "device": scene.device}
 
 
-def _head(scene: "Scene") -> str:
+def _head(scene: "model_scene.Scene") -> str:
     return f"{scene.title}: SIMULATED {scene.device}"
 
 
-def _trial_json(trial: "SceneTrial") -> dict[str, Any]:
+def _trial_json(trial: "scene_studies.SceneTrial") -> dict[str, Any]:
     found = {
         "leg": trial.case,
         **trial.numbers,
@@ -138,8 +135,7 @@ def sim_effects(
     """Leave effects out one at a time, see what the answer does, and propose the
     cheapest set that is enough.
     """
-    terminal.need_engine()
-    terminal.need_figures(plot)
+    terminal.need_engine(plot)
     loaded = scenes.load_scene(scene)
     asked = effect_studies.EffectsParams(loaded, question, share(tolerance), seconds)
     plan = effect_studies.plan_effects(asked)
@@ -200,8 +196,7 @@ def accuracy(
 
     The first run of a scene also compiles its kernels, which are kept.
     """
-    terminal.need_engine()
-    terminal.need_figures(plot)
+    terminal.need_engine(plot)
     loaded = scenes.load_scene(scene)
     explicit = scene_studies.compare_integrators(loaded)
     plan = accuracies.plan_accuracy(loaded, scene, quick)

@@ -33,18 +33,15 @@ with lazily():
     from hapticd.run.doctor import report as reports
     from hapticd.run.doctor import requirements as needs
     from hapticd.settings import build, load, scene, tables
+    from hapticd.settings import config as config_files
+    from hapticd.settings import device as device_files
     from hapticd.sim import injection
+
 
 TEMPLATE_SERIAL = "CHANGE-ME"  # of config/devices/example-board.toml
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from hapticd.run.doctor.checks import CheckResult
-    from hapticd.run.doctor.requirements import Requirements
-    from hapticd.settings.config import Config
-    from hapticd.settings.device import DeviceFile
-    from hapticd.settings.load import Mistake
 
 
 config_app = typer.Typer(no_args_is_help=True, help="Check, show and resolve the configuration.")
@@ -80,7 +77,7 @@ def check_config(
             terminal.talk(f"hapticd: not to be relied on: {one}; {one.remedy}")
 
 
-def _simulation_and_network_rules(config: "Config") -> "Iterator[Mistake]":
+def _simulation_and_network_rules(config: "config_files.Config") -> "Iterator[load.Mistake]":
     """Injections that no simulated board knows, and telemetry in the clear."""
     if auth.without_leave(params.GatewayParams(**config.gateway.model_dump())):
         host = repr(config.gateway.tcp_host)
@@ -92,7 +89,7 @@ def _simulation_and_network_rules(config: "Config") -> "Iterator[Mistake]":
             yield load.Mistake(path, repr(one.kind), reason)
 
 
-def _template_rules(device: "DeviceFile") -> "Iterator[Mistake]":
+def _template_rules(device: "device_files.DeviceFile") -> "Iterator[load.Mistake]":
     """A device file that nobody has made a board's own."""
     if device.serial == TEMPLATE_SERIAL:
         reason = "is the template's; copy it to devices/NAME.toml, and write your board's serial"
@@ -234,7 +231,7 @@ def _latest_status(instance: str) -> dict[str, Any] | None:
         return None
 
 
-def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
+def _timing(status: dict[str, Any] | None) -> "list[checks.CheckResult]":
     """The delay from sample to force that the daemon measures, its cost in K, and the ticks."""
     if status is None:
         return []
@@ -251,7 +248,9 @@ def _timing(status: dict[str, Any] | None) -> "list[CheckResult]":
     return [delay, *stiffness, late.judge_room(known.room), ticks]
 
 
-def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str, Any]]":
+def _wake(
+    seconds: float, asked: "needs.Requirements"
+) -> "tuple[checks.CheckResult, dict[str, Any]]":
     try:
         measured = wake.measure(seconds, asked.realtime.core)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
@@ -260,7 +259,7 @@ def _wake(seconds: float, asked: "Requirements") -> "tuple[CheckResult, dict[str
     return wake.judge(measured, asked), measured
 
 
-def _check_lines(finding: "CheckResult") -> "Iterator[str]":
+def _check_lines(finding: "checks.CheckResult") -> "Iterator[str]":
     level = terminal.coloured(f"{finding.level:4}", LEVEL_COLOURS[finding.level])
     yield f"{level}  {finding.name:16}  {finding.found}"
     for label, text in (("why", finding.why), ("fix", finding.fix)):

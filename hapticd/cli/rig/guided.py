@@ -11,7 +11,7 @@ import datetime
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import isfinite
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import typer
 
@@ -29,9 +29,8 @@ from hapticd.core.params import RIG_STEPS, to_plain
 with lazily():
     from hapticd.recording import calibrations
     from hapticd.settings import build, load
+    from hapticd.settings import device as device_files
 
-if TYPE_CHECKING:
-    from hapticd.settings.device import DeviceFile
 
 WELCOME = """\
 First day at the rig: what is measured goes into the device file, with its date and interval.
@@ -167,7 +166,7 @@ def _offer(step: Step, where: StepOptions) -> bool:
     return True
 
 
-def measured(table: str, device: "DeviceFile") -> str:
+def measured(table: str, device: "device_files.DeviceFile") -> str:
     """When `table` of `device` was measured by a step, and how old that is; "": never."""
     date = _measured_on(table, device)
     if date is None:
@@ -176,14 +175,14 @@ def measured(table: str, device: "DeviceFile") -> str:
     return f"measured {date.isoformat()}, {f'{days} days ago' if days else 'today'}"
 
 
-def in_doubt(table: str, device: "DeviceFile") -> str:
+def in_doubt(table: str, device: "device_files.DeviceFile") -> str:
     """Why what was measured into `table` of `device` cannot be relied on any more; "": it can."""
     servo = {"simulated": device.simulated, "device": to_plain(build.device_params(device))}
     found = calibrations.doubts(servo, datetime.date.today(), probed=True)
     return "; ".join(one.reason for one in found if one.table == table)
 
 
-def _measured_on(table: str, device: "DeviceFile") -> datetime.date | None:
+def _measured_on(table: str, device: "device_files.DeviceFile") -> datetime.date | None:
     """When a step measured `table` of `device`; None: never."""
     found = getattr(device, table) if table else None
     if table == "model" and found is not None:
@@ -194,7 +193,7 @@ def _measured_on(table: str, device: "DeviceFile") -> datetime.date | None:
     return day
 
 
-def _device(where: StepOptions) -> "DeviceFile":
+def _device(where: StepOptions) -> "device_files.DeviceFile":
     return load.load(where.config).device
 
 

@@ -3,23 +3,22 @@
 What would break it: two of its measurements asked for at once (refused).
 """
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
+from hapticd.client import Client
 from hapticd.core.errors import AnalysisError
 
 with lazily():
+    from hapticd.rig import hand as hands
     from hapticd.rig import motor as motor_step
+    from hapticd.rig import result as results
     from hapticd.rig import spring as spring_step
     from hapticd.rig import winding as winding_step
 
-if TYPE_CHECKING:
-    from hapticd.client import Client
-    from hapticd.rig.hand import Ask
-    from hapticd.rig.result import StepResult
 
 Kilograms = Annotated[
     list[float] | None,
@@ -80,7 +79,7 @@ def motor(
     if pulls_to not in (-1, 1):
         raise AnalysisError(f"--pulls-to {pulls_to}: name the side to which masses pull, -1 or 1")
 
-    def measure(client: "Client", ask: "Ask") -> "StepResult":
+    def measure(client: "Client", ask: "hands.Ask") -> "results.StepResult":
         if mass:
             masses = motor_step.Masses(tuple(mass), pulls_to, radius_ratio)
             return motor_step.measure_gain(client, ask, masses)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -22,21 +22,19 @@ from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.lazy import lazily
 from hapticd.cli.zwidth.live import signals_end_with_force_off
+from hapticd.client import Client
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import to_plain
 
 with lazily():
     from hapticd.rig import device_file, machine_hand, records
     from hapticd.rig import encoder as encoder_step
+    from hapticd.rig import hand as hands
     from hapticd.rig import link as link_step
+    from hapticd.rig import result as results
     from hapticd.settings import build, load
+    from hapticd.settings import device as device_files
 
-if TYPE_CHECKING:
-    from hapticd.client import Client
-    from hapticd.rig.hand import Ask, Request
-    from hapticd.rig.result import StepResult
-    from hapticd.settings.device import DeviceFile
-    from hapticd.settings.load import Settings
 
 REFUSED = 4  # exit code of a step that found something that must not stay
 HAND = "HAPTICD_HAND"  # environment: the socket of a program that is the hand
@@ -56,20 +54,21 @@ class StepOptions:
     """Whether a person is asked, and which daemon by which configuration."""
 
     yes: Annotated[
-        bool, typer.Option("--yes", help="Ask nothing: announce what to do, wait 5 s, then write.")
+        bool,
+        typer.Option("--yes", help="Ask nothing: announce what to do, wait 5 s, then write."),
     ] = False
     config: terminal.ConfigFile = None
     instance: terminal.Instance = terminal.INSTANCE
     as_json: terminal.Json = False
 
 
-def run(options: StepOptions, measure: "Callable[[Client, Ask], StepResult]") -> None:
+def run(options: StepOptions, measure: "Callable[[Client, hands.Ask], results.StepResult]") -> None:
     """Do a step on the daemon, keep and write what it found, and show it."""
     settings = load.load(options.config)
     show(perform(options, settings, measure), options.as_json)
 
 
-def show(result: "StepResult", as_json: bool) -> None:
+def show(result: "results.StepResult", as_json: bool) -> None:
     """What was found; ends the process with 4 if something was refused."""
     if as_json:
         terminal.data_json(result.plain())
@@ -80,7 +79,7 @@ def show(result: "StepResult", as_json: bool) -> None:
         raise typer.Exit(REFUSED)
 
 
-def lines(result: "StepResult") -> list[str]:
+def lines(result: "results.StepResult") -> list[str]:
     """`result` for people, a line for each thing."""
     found = [f"  {value}" for value in result.values]
     for one in result.findings:
@@ -90,14 +89,14 @@ def lines(result: "StepResult") -> list[str]:
     return [f"rig {result.step}", *found]
 
 
-def asking(yes: bool) -> "Ask":
+def asking(yes: bool) -> "hands.Ask":
     """What asks a person; with --yes it tells, and waits a while. Where HAPTICD_HAND names a
     socket, the program there is the hand.
     """
     machine = os.environ.get(HAND)
     done = machine_hand.asked_at(Path(machine)) if machine else None
 
-    def ask(request: "Request") -> None:
+    def ask(request: "hands.Request") -> None:
         terminal.talk(f"> {request.text}")
         if done:
             done(request)
@@ -128,8 +127,10 @@ def agreed(question: str, usual: bool = True) -> bool:
 
 
 def perform(
-    options: StepOptions, settings: "Settings", measure: "Callable[[Client, Ask], StepResult]"
-) -> "StepResult":
+    options: StepOptions,
+    settings: "load.Settings",
+    measure: "Callable[[Client, hands.Ask], results.StepResult]",
+) -> "results.StepResult":
     """Have `measure` do a step, keep its records, and write what it found into the device file.
 
     ConfigError if the daemon runs another device than `settings`, or the file cannot be written.
@@ -147,7 +148,7 @@ def perform(
     return _written(result, settings, options.yes)
 
 
-def _refuse_another(running: "Mapping[str, Any]", settings: "Settings") -> None:
+def _refuse_another(running: "Mapping[str, Any]", settings: "load.Settings") -> None:
     """ConfigError if the running daemon does not have the device file of `settings`: what one step
     has written, as the sign of the position, the next one builds upon.
     """
@@ -163,7 +164,7 @@ def _refuse_another(running: "Mapping[str, Any]", settings: "Settings") -> None:
         )
 
 
-def not_read_yet(running: "Mapping[str, Any]", device: "DeviceFile") -> list[str]:
+def not_read_yet(running: "Mapping[str, Any]", device: "device_files.DeviceFile") -> list[str]:
     """Scales of `device` that are others than those of a running servo, whose parameters of the
     device are `running`, as its hello says them.
     """
@@ -176,7 +177,9 @@ def _meaning(scale: "Mapping[str, Any]") -> tuple[Any, ...]:
     return tuple(scale[key] for key in ("sign", "per_count", "offset_count"))
 
 
-def _written(result: "StepResult", settings: "Settings", yes: bool) -> "StepResult":
+def _written(
+    result: "results.StepResult", settings: "load.Settings", yes: bool
+) -> "results.StepResult":
     day = datetime.date.today()
     path = settings.device_file
     kept = records.keep(path, result.step, day, result.arrays)

@@ -1,25 +1,23 @@
 """`hapticd rig verify`: known springs, dampers and masses, and the certificate."""
 
 from datetime import datetime
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
+from hapticd.client import Client
 from hapticd.core.errors import ConfigError
 
 with lazily():
     from hapticd.rig import certificate, known_parts, records
+    from hapticd.rig import hand as hands
+    from hapticd.rig import result as results
     from hapticd.rig import verify as verify_step
     from hapticd.settings import load
 
-if TYPE_CHECKING:
-    from hapticd.client import Client
-    from hapticd.rig.hand import Ask
-    from hapticd.rig.result import StepResult
-    from hapticd.settings.load import Settings
 
 Spring = Annotated[
     float, typer.Option("-K", "--stiffness", metavar="N/M", min=1.0, help="Rendered spring.")
@@ -62,7 +60,7 @@ def verify(
     known = known_parts.KnownParts(stiffness, viscous, mass, attach, spring, seconds)
     subjects: list[certificate.Subject] = []
 
-    def measure(client: "Client", ask: "Ask") -> "StepResult":
+    def measure(client: "Client", ask: "hands.Ask") -> "results.StepResult":
         servo = client.hello().servo
         refuse_another_file(servo["device_file_sha256"], settings)
         board = records.identity_of(client, records.collect(client, LOOK_S).records)
@@ -82,7 +80,7 @@ def verify(
 LOOK_S = 0.1
 
 
-def refuse_another_file(sha256: str, settings: "Settings") -> None:
+def refuse_another_file(sha256: str, settings: "load.Settings") -> None:
     """ConfigError unless the daemon was started with the device file of `settings`."""
     if sha256 != settings.device_file_sha256:
         raise ConfigError(

@@ -6,6 +6,12 @@ from typing import Annotated, Literal
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
+from hapticd.core.errors import ConfigError
+
+with lazily():
+    from hapticd.zwidth import interchange, store, trial
+
 
 Form = Annotated[
     Literal["npz", "mat", "csv"],
@@ -29,18 +35,13 @@ def command(form: Form, run: Run, out: Target = None, as_json: terminal.Json = F
 
     The least Re Z of the band is the input feedforward passivity index that these tools compute.
     """
-    from hapticd.core.errors import ConfigError
-    from hapticd.zwidth.interchange import write_response
-    from hapticd.zwidth.store import read_summary
-    from hapticd.zwidth.trial import kept_trial
-
-    kept = read_summary(run)
+    kept = store.read_summary(run)
     if kept["kind"] != "trial":
         raise ConfigError(f"{run}: a run of kind {kept['kind']!r} has no impedance; name a trial's")
     target = out or run / f"impedance-frd.{form}"
     if target.exists():
         raise ConfigError(f"{target} exists; name another file")
-    written = write_response(kept_trial(run, kept, None), target, form)
+    written = interchange.write_response(trial.kept_trial(run, kept, None), target, form)
     if as_json:
         terminal.data_json({"ok": True, "files": [str(written)]})
     else:
