@@ -7,7 +7,7 @@
     lazy        imports that happen at the first use of a module
     daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
                 mark, perturb
-    monitor     the live lines in a terminal (screen: what they say)
+    monitor     the lines of status, live in a terminal; events
     console     the operators' page
     guard       guard; lease: leases of the environment and the damping
     bridge      bridge lsl: telemetry for other tools
@@ -28,5 +28,5 @@ line and its exit code:
 
 What is large is imported within `lazy.lazily()` and loaded when a verb uses it, so that `--help`
 and the small verbs stay quick: nothing here may import numpy, pydantic, zmq or rich at its top in
-another way, except `screen`, which `monitor` loads when it draws.
+another way.
 """

@@ -176,12 +176,13 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
     if as_json:
         terminal.data_json(found)
     else:
-        terminal.data("\n".join(_status_lines(answer_of(Status, found), found)))
+        terminal.data("\n".join(status_lines(answer_of(Status, found), found)))
     if found["state"] in NOT_READY:
         raise typer.Exit(DaemonDown.exit_code)
 
 
-def _status_lines(found: Status, more: dict[str, Any]) -> list[str]:
+def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
+    """What `status` prints, and `monitor` ten times a second; `more` is what no Status has."""
     state = terminal.coloured(found.state, STATE_COLOURS.get(found.state, terminal.RED))
     waits = board_words(found.servo)
     if found.state in NOT_READY:

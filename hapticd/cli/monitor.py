@@ -1,9 +1,15 @@
 """Watch one daemon live in a terminal, where a key stops it, or event by event.
 
-This is for a terminal without a browser; charts and controls are on the operators' page. Keys come
-from the terminal without waiting and without Enter, and none come when stdin is no terminal. What
-would break it: waiting for data without a time-out, for then a silent daemon would leave an old
-screen standing.
+This is for a terminal without a browser: the lines of `hapticd status`, ten times a second, from
+telemetry alone. Charts and controls are on the operators' page.
+
+Two rules. The lamp shows the servo's state, never anybody's wish. When data stay away, every value
+gives way to NO DATA: an old value never looks like a fresh one. Each line is cut at the right edge,
+and what stops the device stands left in the first.
+
+Keys come from the terminal without waiting and without Enter, and none come when stdin is no
+terminal. What would break it: waiting for data without a time-out, for then a silent daemon would
+leave an old screen standing.
 """
 
 import os
@@ -13,6 +19,7 @@ import termios
 import tty
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Annotated, Any, Self
 
@@ -20,6 +27,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.cli.daemon import status_lines
 from hapticd.cli.lazy import lazily
 from hapticd.client import fast_stop
 from hapticd.core import clock
@@ -28,13 +36,14 @@ from hapticd.core.faults import BY_NUMBER
 from hapticd.core.process import die_with_parent
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import State
+from hapticd.protocol.answers import Status, answer_of
 
 with lazily():
     import msgpack
     from rich import console as rich_console
     from rich import live as rich_live
+    from rich import text as rich_text
 
-    from hapticd.cli import screen
     from hapticd.client import blocks
     from hapticd.client import events as event_texts
 
@@ -60,6 +69,7 @@ class Keys:
 
 
 REDRAW_NS = NS_PER_S // 10
+NO_DATA_S = 0.5
 LOOK_S = 0.02  # between looks at what has come, and at the keys
 TICKS = "servo.raw"
 STATE = "state"  # what no record holds; nothing is asked, so that no key waits for an answer
@@ -83,6 +93,35 @@ NEWEST = (
 )
 
 
+LAMPS = {
+    "disabled": "black on white",
+    "enabled": "black on green",
+    "homing": "black on yellow",
+}
+TRIPPED = "bold white on red"
+BADGES = {
+    None: (" hapticd ", "reverse"),
+    True: (" SIMULATED ", "bold black on yellow"),
+    False: (" REAL BOARD ", "bold white on red"),
+}
+
+
+@dataclass
+class View:
+    """What is known of the daemon at one moment."""
+
+    newest: Any = None  # its newest record (layout.TELEMETRY); None before the first
+    simulated: bool | None = None  # None until the daemon said so
+    silent_s: float = 0.0  # since the newest record came
+    state: dict[str, Any] = field(default_factory=dict)  # the newest message `state`
+    event: str = "none yet"  # the newest, in words
+
+    @property
+    def fresh(self) -> bool:
+        """Whether the newest record may be shown."""
+        return self.newest is not None and self.silent_s < NO_DATA_S
+
+
 def monitor(
     instance: terminal.Instance = terminal.INSTANCE,
     seconds: Annotated[
@@ -100,10 +139,10 @@ def monitor(
         return
     console = rich_console.Console()
     with rich_live.Live(console=console, screen=True, auto_refresh=False) as live:
-        watch(instance, seconds, lambda view: live.update(screen.screen(view), refresh=True))
+        watch(instance, seconds, lambda view: live.update(screen(view), refresh=True))
 
 
-def watch(instance: str, seconds: float | None, show: "Callable[[screen.View], None]") -> None:
+def watch(instance: str, seconds: float | None, show: Callable[[View], None]) -> None:
     """Show what comes ten times a second, also when nothing comes, and obey keys.
 
     `seconds` None: until q is pressed.
@@ -112,15 +151,15 @@ def watch(instance: str, seconds: float | None, show: "Callable[[screen.View], N
     begin_ns = now_ns()
     newest_ns = begin_ns  # when the last record came
     shown_ns = 0
-    view = screen.View()
+    view = View()
     decoder = blocks.BlockDecoder()
     with (
-        connect(instance, timeout_s=screen.NO_DATA_S) as client,
+        connect(instance, timeout_s=NO_DATA_S) as client,
         Keys() as keys,
         closing(client.messages((TICKS, STATE, EVENT), LOOK_S)) as messages,
     ):
         # nobody there at the start is an error; one who goes away later is NO DATA
-        view.force_limit_n = float(client.hello().servo["safety"]["force_limit_n"])
+        client.hello()
         for message in messages:
             at_ns = now_ns()
             if message is not None and _take(view, decoder, *message):
@@ -136,12 +175,10 @@ def watch(instance: str, seconds: float | None, show: "Callable[[screen.View], N
                 return
 
 
-def _take(view: "screen.View", decoder: Any, topic: str, payload: bytes) -> bool:
+def _take(view: View, decoder: Any, topic: str, payload: bytes) -> bool:
     """Put a message into `view`; whether it brought records."""
     if topic == STATE:
-        state = msgpack.unpackb(payload)
-        view.delivered = state.get("delivered_active_damping", {})
-        view.guard = state.get("guard", {})
+        view.state = msgpack.unpackb(payload)
         return False
     if topic == EVENT:
         view.event = event_texts.event_words(msgpack.unpackb(payload))
@@ -149,7 +186,7 @@ def _take(view: "screen.View", decoder: Any, topic: str, payload: bytes) -> bool
     block = decoder.decode(payload)
     view.simulated = bool(block.header["simulated"])
     if block.restarted:  # another servo, of which nothing is known yet
-        view.delivered, view.guard = {}, {}
+        view.state = {}
     if len(block.records):
         view.newest = block.records[-1]
     return len(block.records) > 0
@@ -162,7 +199,7 @@ def _press_stop(instance: str) -> None:
         terminal.talk(f"hapticd: stop: {error}")
 
 
-def _newest(view: "screen.View") -> dict[str, Any]:
+def _newest(view: View) -> dict[str, Any]:
     newest = view.newest
     if not view.fresh:
         silent_s = round(view.silent_s, 3)
@@ -173,16 +210,46 @@ def _newest(view: "screen.View") -> dict[str, Any]:
         "simulated": view.simulated,
         **{name: newest[name].item() for name in NEWEST},
         "wake_us": newest["wake_ns"] / 1e3,
-        "delivered_active_damping": view.delivered,
-        "guard": view.guard,
+        "delivered_active_damping": view.state.get("delivered_active_damping", {}),
+        "guard": view.state.get("guard", {}),
     }
 
 
-def _print_json(view: "screen.View") -> None:
+def screen(view: View) -> "rich_console.Group":
+    """`view` in a terminal."""
+    lines = [rich_text.Text().append(*BADGES[view.simulated])]
+    if view.fresh:
+        found = _newest(view)
+        lines[0].append(" ").append(
+            f" {found['state'].upper()} ", LAMPS.get(found["state"], TRIPPED)
+        )
+        lines += [rich_text.Text.from_ansi(line) for line in _status(view, found)]
+        lines.append(rich_text.Text(f"  last event: {view.event}"))
+    else:
+        waiting = view.simulated is None
+        silent = "waiting for the daemon" if waiting else f"NO DATA for {view.silent_s:.1f} s"
+        lines.append(rich_text.Text(f"\n {silent} \n", TRIPPED))
+    lines[0].append("  Space/Esc: STOP  q: quit", "bold")
+    for line in lines:
+        line.no_wrap = True
+        line.overflow = "ellipsis"
+    return rich_console.Group(*lines)
+
+
+def _status(view: View, newest: dict[str, Any]) -> list[str]:
+    """The lines of `status`, its values those of the newest record as far as it has them."""
+    fault = BY_NUMBER[int(view.newest["fault"])]
+    named = {"cause": fault.cause, "action": fault.action, "remedy": fault.remedy}
+    known = {name: value for name, value in newest.items() if value != {}}
+    found = {**view.state, **known, **named}
+    return status_lines(answer_of(Status, found), found)[1:]
+
+
+def _print_json(view: View) -> None:
     terminal.data_json(_newest(view))
 
 
-def _print_line(view: "screen.View") -> None:
+def _print_line(view: View) -> None:
     found = _newest(view)
     badge = "SIMULATED " if view.simulated else ""
     if not view.fresh:

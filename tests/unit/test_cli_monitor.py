@@ -12,12 +12,12 @@ from rich.console import Console
 
 from hapticd.cli import monitor
 from hapticd.cli.app import main
-from hapticd.cli.screen import View, screen
+from hapticd.cli.monitor import View, screen
 from hapticd.client import fast_stop
 from hapticd.core.clock import VirtualClock
 from hapticd.core.faults import BY_CODE
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.mailbox.layout import COMMISSIONING, TELEMETRY, State
+from hapticd.mailbox.layout import TELEMETRY, State
 from hapticd.protocol.answers import Hello, Status
 from hapticd.protocol.telemetry import Origin, RingBlock, raw_message
 
@@ -62,24 +62,21 @@ def test_screen_shows_state_and_simulated_badge() -> None:
     text = drawn(view(state=State.ENABLED, stiffness_n_per_m=100.0, position_m=0.002, force_n=-0.2))
     assert text.startswith(" SIMULATED   ENABLED   Space/Esc: STOP")
     assert "K 100 N/m" in text
-    assert "position 2.0000 mm" in text
-    assert "force -0.2000 N" in text
+    assert "x 2.0000 mm, force -0.2000 N" in text
 
 
 def full(**fields: Any) -> View:
     """A view in which everything has something to say."""
-    found = view(
-        state=State.ENABLED,
-        revision=12345,
-        watches=7,
-        position_m=0.012,
-        force_n=-0.2,
-        winding_c=43.21,
-        **fields,
-    )
-    found.delivered = DELIVERED
-    found.guard = GUARD
-    found.force_limit_n = 8.0
+    found = view(state=State.ENABLED, position_m=0.012, force_n=-0.2, delay_us=125, **fields)
+    found.state = {
+        "rate_hz": 1000.0,
+        "counters": {"late_events": 3, "lost_slots": 2},
+        "delivered_active_damping": DELIVERED,
+        "guard": GUARD,
+        "leases": {"environment": {"name": "sweep", "actor": 17, "ttl_s": 2.0}},
+        "commissioning": {"force_limit_n": 0.8, "remedy": "the signs are not verified"},
+        "late": {"bus": {"count": 2, "latest_us": 700.0}},
+    }
     found.event = "enabled -> disabled (by sweep)"
     return found
 
@@ -91,33 +88,31 @@ def test_screen_fits_80_columns_and_24_lines() -> None:
     text = "\n".join(lines)
     for told in (
         "Space/Esc: STOP  q: quit",
-        "position ",
-        "limit 8 N",
-        "active damping",
-        "wake-up",
-        "lost slots 0",
-        "winding 43.2 C",
+        "x 12.0000 mm, force -0.2000 N",
+        "1000 Hz, 3 late, 2 slots lost",
+        "sample to force 125 us (0.125 periods)",
+        "delivered 1.7 (1.6 to 1.8)",
+        "guard     warn, by theorem",
+        "environment: sweep (actor 17)",
+        "at most 0.8 N: the signs are not verified",
         "last event: enabled -> disabled (by sweep)",
     ):
         assert told in text
 
 
 def test_a_narrow_terminal_cuts_lines_and_still_says_how_to_stop() -> None:
-    lines = drawn(full(), (40, 10)).splitlines()
-    assert len(lines) <= 10
-    assert max(map(len, lines)) <= 40
+    lines = drawn(full(), (45, 10)).splitlines()
+    assert max(map(len, lines)) <= 45
     assert "Space/Esc: STOP" in lines[0]
-    assert "position" in lines[2]
+    assert "now       x 12.0000 mm" in lines[2]
 
 
-def test_screen_names_who_holds_what() -> None:
-    assert "leased" not in drawn(view())
-    assert "leased: environment by actor 17" in drawn(view(lease_control=17))
-
-
-def test_screen_says_that_signs_are_not_verified() -> None:
-    assert "commissioning" not in drawn(view())
-    assert "commissioning: signs not verified" in drawn(view(watches=COMMISSIONING))
+def test_values_of_the_newest_record_go_before_those_of_the_newest_state() -> None:
+    shown = full()
+    shown.state |= {"state": "fault", "position_m": 0.5, "fault": "usb_lost"}
+    text = drawn(shown)
+    assert "x 12.0000 mm" in text
+    assert "usb_lost" not in text
 
 
 def test_screen_of_a_real_board_says_so() -> None:
@@ -131,7 +126,7 @@ def test_screen_of_a_real_board_says_so() -> None:
 def test_screen_names_fault_and_remedy() -> None:
     fault = BY_CODE["usb_lost"]
     text = drawn(view(state=State.FAULT, fault=fault.number), (200, 45))
-    assert f"usb_lost: {fault.cause}; {fault.remedy}" in text
+    assert f"usb_lost: {fault.cause}. {fault.action}. To leave: {fault.remedy}" in text
 
 
 def test_silence_replaces_every_value() -> None:
@@ -142,7 +137,7 @@ def test_silence_replaces_every_value() -> None:
     text = drawn(shown)
     assert "NO DATA for 0.5 s" in text
     assert "ENABLED" not in text
-    assert "position" not in text
+    assert "2.0000" not in text
 
 
 def test_screen_waits_for_the_daemon_before_the_first_record() -> None:
@@ -256,23 +251,26 @@ def test_plain_lines_when_stdout_is_no_terminal(
 
 @pytest.mark.parametrize(
     ("delivered", "words"),
-    [(DELIVERED, "delivered 1.7 (1.6 .. 1.8)"), ({"basis": "unknown"}, "delivered: unknown")],
+    [
+        (DELIVERED, "delivered 1.7 (1.6 to 1.8) of 1.74"),
+        ({"basis": "too little motion"}, "delivered of 0 N s/m commanded: too little motion"),
+    ],
 )
 def test_screen_shows_what_is_delivered_beside_what_is_commanded(
     delivered: dict[str, Any], words: str
 ) -> None:
     shown = view()
-    shown.delivered = delivered
-    (line,) = [one for one in drawn(shown).splitlines() if one.startswith("active damping")]
+    shown.state = {"delivered_active_damping": delivered}
+    (line,) = [one for one in drawn(shown).splitlines() if one.startswith("  damping ")]
     assert words in line
 
 
 def test_screen_shows_policy_and_verdict() -> None:
     shown = view()
-    assert "guard: unknown" in drawn(shown)
-    shown.guard = GUARD
+    assert "guard" not in drawn(shown)
+    shown.state = {"guard": GUARD}
     text = drawn(shown)
-    assert "guard: warn, by theorem; active damping level; delay 0.125 periods" in text
+    assert "warn, by theorem; active damping level; delay 0.125 periods" in text
     assert "0.9 N s/m short at 112 Hz" in text
 
 
@@ -283,7 +281,7 @@ def test_nothing_is_known_of_another_servo_but_its_records(
     script = [*(block(20 * i) for i in range(10)), *(block(20 * i, life=2) for i in range(10))]
     play(monkeypatch, clock, script)
     monitor.watch(
-        "default", 0.39, lambda shown: told.append((shown.newest["tick"], bool(shown.guard)))
+        "default", 0.39, lambda shown: told.append((shown.newest["tick"], bool(shown.state)))
     )
     assert told == [(19, True), (119, True), (19, False), (119, False)]
 
