@@ -11,16 +11,14 @@ from hapticd.core.process import on_stop
 with lazily():
     from hapticd.console import server
 
-Port = Annotated[
-    int | None,
-    typer.Option(
-        "--port", metavar="N", min=1, max=65535, help="Else 9873, or any free one when taken."
-    ),
-]
-
 
 def console(
-    port: Port = None,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            "--port", metavar="N", min=1, max=65535, help="Else 9873, or any free one when taken."
+        ),
+    ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:

@@ -322,34 +322,28 @@ def get_parameters(
         terminal.data(f"{name} = {value}")
 
 
-Changes = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="NAME=VALUE...",
-        help="K in N/m, B in N s/m, M in kg, damping in N s/m, ...",
-        show_default=False,
-    ),
-]
-Ramp = Annotated[
-    float | None,
-    typer.Option("--ramp-s", metavar="S", help="Length of the ramp; else as configured."),
-]
-AtTick = Annotated[
-    int | None,
-    typer.Option(
-        "--at-tick", metavar="N", help="Servo tick from which it acts; else the next one."
-    ),
-]
-IfRev = Annotated[
-    int | None, typer.Option("--if-rev", metavar="N", help="Only if the revision is still N.")
-]
-
-
 def set_parameters(
-    what: Changes = None,
-    ramp_s: Ramp = None,
-    at_tick: AtTick = None,
-    if_rev: IfRev = None,
+    what: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME=VALUE...",
+            help="K in N/m, B in N s/m, M in kg, damping in N s/m, ...",
+            show_default=False,
+        ),
+    ] = None,
+    ramp_s: Annotated[
+        float | None,
+        typer.Option("--ramp-s", metavar="S", help="Length of the ramp; else as configured."),
+    ] = None,
+    at_tick: Annotated[
+        int | None,
+        typer.Option(
+            "--at-tick", metavar="N", help="Servo tick from which it acts; else the next one."
+        ),
+    ] = None,
+    if_rev: Annotated[
+        int | None, typer.Option("--if-rev", metavar="N", help="Only if the revision is still N.")
+    ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -370,13 +364,10 @@ def set_parameters(
     )
 
 
-DampingValue = Annotated[
-    str, typer.Argument(metavar="on|off|auto|LEVEL", help="LEVEL in N s/m; 0 is off.")
-]
-
-
 def damping(
-    value: DampingValue,
+    value: Annotated[
+        str, typer.Argument(metavar="on|off|auto|LEVEL", help="LEVEL in N s/m; 0 is off.")
+    ],
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -458,11 +449,8 @@ def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     terminal.show(found, [f"{path}: {found['records']} records"], as_json)
 
 
-MarkText = Annotated[str, typer.Argument(metavar="TEXT", help="At most 96 characters.")]
-
-
 def mark(
-    text: MarkText,
+    text: Annotated[str, typer.Argument(metavar="TEXT", help="At most 96 characters.")],
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -476,14 +464,6 @@ perturb_app = typer.Typer(
     no_args_is_help=True,
     help="Load, start and stop a perturbation: a force waveform at 4 kHz over what is rendered.",
 )
-WaveformFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE",
-        callback=terminal.there,
-        help="Force in N: .npy of shape (n,), or text with one number a line.",
-    ),
-]
 
 
 WAVEFORM_FORMATS = "a waveform is text with a force in N on each line, or .npy of shape (n,)"
@@ -491,7 +471,14 @@ WAVEFORM_FORMATS = "a waveform is text with a force in N on each line, or .npy o
 
 @terminal.verb(perturb_app, "load")
 def load_waveform(
-    file: WaveformFile,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            callback=terminal.there,
+            help="Force in N: .npy of shape (n,), or text with one number a line.",
+        ),
+    ],
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:

@@ -19,22 +19,6 @@ Policy = Annotated[
         help="What is done with an environment that is not known to be passive.",
     ),
 ]
-Basis = Annotated[
-    params.BasisName | None,
-    typer.Option("--basis", case_sensitive=False, help="What a verdict rests on."),
-]
-Margin = Annotated[
-    float | None,
-    typer.Option("--margin", metavar="NS_PER_M", help="Damping that has to be left, N s/m."),
-]
-Mode = Annotated[
-    params.DampingMode | None,
-    typer.Option(
-        "--mode",
-        case_sensitive=False,
-        help="Active damping off, at its level, or the least that will do.",
-    ),
-]
 
 
 PATIENCE_S = 2.0  # with a worker that judges
@@ -44,9 +28,22 @@ COMING = ("up", "starting")
 
 def guard(
     policy: Policy = None,
-    basis: Basis = None,
-    margin: Margin = None,
-    mode: Mode = None,
+    basis: Annotated[
+        params.BasisName | None,
+        typer.Option("--basis", case_sensitive=False, help="What a verdict rests on."),
+    ] = None,
+    margin: Annotated[
+        float | None,
+        typer.Option("--margin", metavar="NS_PER_M", help="Damping that has to be left, N s/m."),
+    ] = None,
+    mode: Annotated[
+        params.DampingMode | None,
+        typer.Option(
+            "--mode",
+            case_sensitive=False,
+            help="Active damping off, at its level, or the least that will do.",
+        ),
+    ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:

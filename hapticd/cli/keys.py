@@ -19,24 +19,6 @@ Folder = Annotated[
 Name = Annotated[
     str, typer.Argument(metavar="NAME", help="Name of the machine or person that may listen.")
 ]
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "--out",
-        metavar="DIR",
-        help="Where the client's secret is written; else the current folder.",
-    ),
-]
-
-Endpoint = Annotated[
-    str, typer.Argument(metavar="ENDPOINT", help="As `hapticd status` names it: tcp://RIG:9872.")
-]
-KeysFolder = Annotated[
-    Path | None,
-    typer.Option(
-        "--keys", metavar="FOLDER", help="With server.key and NAME.key_secret; else without keys."
-    ),
-]
 
 
 @terminal.verb(app, "server")
@@ -51,7 +33,19 @@ def server(folder: Folder, as_json: terminal.Json = False) -> None:
 
 
 @terminal.verb(app, "client")
-def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json = False) -> None:
+def client(
+    folder: Folder,
+    name: Name,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Where the client's secret is written; else the current folder.",
+        ),
+    ] = None,
+    as_json: terminal.Json = False,
+) -> None:
     """A listener's pair: NAME.key among those whom FOLDER lets in, NAME.key_secret to
     be brought to the listener.
     """
@@ -64,8 +58,18 @@ def client(folder: Folder, name: Name, out: Out = None, as_json: terminal.Json =
 
 @terminal.verb(app, "try")
 def try_(
-    endpoint: Endpoint,
-    folder: KeysFolder = None,
+    endpoint: Annotated[
+        str,
+        typer.Argument(metavar="ENDPOINT", help="As `hapticd status` names it: tcp://RIG:9872."),
+    ],
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--keys",
+            metavar="FOLDER",
+            help="With server.key and NAME.key_secret; else without keys.",
+        ),
+    ] = None,
     as_json: terminal.Json = False,
 ) -> None:
     """Listen to ENDPOINT for a moment with the keys in FOLDER, and say what comes, or why

@@ -19,16 +19,12 @@ What = Annotated[
     params.Leased,
     typer.Argument(metavar="WHAT", help="environment, damping, perturbation or measuring."),
 ]
-Ttl = Annotated[
-    float | None, typer.Option("--ttl-s", metavar="S", help="It ends when we are silent so long.")
-]
 AtEnd = Annotated[
     params.AtEnd | None,
     typer.Option(
         "--at-end", metavar="WHAT", help="If we die: hold, zero (K, B, M to 0) or disable."
     ),
 ]
-TakeOver = Annotated[bool, typer.Option("--take-over", help="Also if another holds it.")]
 SLICE_S = 1.0
 
 
@@ -45,8 +41,13 @@ def show(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
 @terminal.verb(lease_app, "take")
 def take(
     what: What,
-    take_over: TakeOver = False,
-    ttl_s: Ttl = None,
+    take_over: Annotated[
+        bool, typer.Option("--take-over", help="Also if another holds it.")
+    ] = False,
+    ttl_s: Annotated[
+        float | None,
+        typer.Option("--ttl-s", metavar="S", help="It ends when we are silent so long."),
+    ] = None,
     at_end: AtEnd = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,

@@ -40,25 +40,22 @@ def _recording_name(file: Path) -> Path:
     return file
 
 
-NewFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE",
-        callback=_recording_name,
-        help="NAME.h5; while it grows it is called NAME.part.h5.",
-    ),
-]
-Seconds = Annotated[
-    float | None,
-    typer.Option("--seconds", metavar="S", help="Recorded time; else until Ctrl-C.", min=0.001),
-]
-Note = Annotated[str, typer.Option("--note", metavar="TEXT", help="Your words, kept in the file.")]
-
-
 def record(
-    file: NewFile,
-    seconds: Seconds = None,
-    note: Note = "",
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            callback=_recording_name,
+            help="NAME.h5; while it grows it is called NAME.part.h5.",
+        ),
+    ],
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", metavar="S", help="Recorded time; else until Ctrl-C.", min=0.001),
+    ] = None,
+    note: Annotated[
+        str, typer.Option("--note", metavar="TEXT", help="Your words, kept in the file.")
+    ] = "",
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -107,10 +104,6 @@ Target = Annotated[
     typer.Argument(
         metavar="[OUT]", help="Else beside it, with another ending.", show_default=False
     ),
-]
-Kind = Annotated[
-    Literal["mat", "csv"],
-    typer.Argument(metavar="mat|csv", help="MATLAB 5, or comma-separated values."),
 ]
 ATTRIBUTES_SHOWN = (
     "started_utc", "device_name", "device_serial", "rate_hz", "winding_c", "hapticd_version",
@@ -174,7 +167,15 @@ def _plain(value: Any) -> Any:
 
 
 @terminal.verb(rec_app, "export")
-def export(kind: Kind, file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
+def export(
+    kind: Annotated[
+        Literal["mat", "csv"],
+        typer.Argument(metavar="mat|csv", help="MATLAB 5, or comma-separated values."),
+    ],
+    file: Source,
+    out: Target = None,
+    as_json: terminal.Json = False,
+) -> None:
     """Convert: `hapticd rec export mat FILE`."""
     target = out or _beside(file, f".{kind}")
     with files.open_recording(file) as recording:
@@ -192,33 +193,31 @@ def _beside(file: Path, ending: str) -> Path:
     return target
 
 
-ReplayFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE", callback=terminal.there, help="NAME.h5, NAME.part.h5 or NAME.flight."
-    ),
-]
-Held = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat."
-    ),
-]
-FilterHz = Annotated[
-    float | None,
-    typer.Option("--filter-hz", metavar="HZ", help="Hold the corners of both filters.", min=0.1),
-]
-ReplayPlot = Annotated[
-    Path | None,
-    typer.Option("--plot", metavar="NAME", help="Draw NAME.png, .svg and .pdf; with --set always."),
-]
-
-
 def replay(
-    file: ReplayFile,
-    held: Held = None,
-    filter_hz: FilterHz = None,
-    plot: ReplayPlot = None,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", callback=terminal.there, help="NAME.h5, NAME.part.h5 or NAME.flight."
+        ),
+    ],
+    held: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat."
+        ),
+    ] = None,
+    filter_hz: Annotated[
+        float | None,
+        typer.Option(
+            "--filter-hz", metavar="HZ", help="Hold the corners of both filters.", min=0.1
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            "--plot", metavar="NAME", help="Draw NAME.png, .svg and .pdf; with --set always."
+        ),
+    ] = None,
     figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:

@@ -25,20 +25,6 @@ with lazily():
 QUESTIONS = (
     "limits: passive K, B, M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."
 )
-Tolerance = Annotated[
-    str,
-    typer.Option("--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02."),
-]
-TrialSeconds = Annotated[
-    float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of simulated trials.")
-]
-SceneSeconds = Annotated[
-    float | None,
-    typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's."),
-]
-Quick = Annotated[
-    bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")
-]
 
 
 sim_app = typer.Typer(
@@ -52,7 +38,10 @@ def sim_run(
     scene: terminal.SceneName,
     plot: terminal.Plot = False,
     figure_width: terminal.FigureWidth = None,
-    seconds: SceneSeconds = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's."),
+    ] = None,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -125,8 +114,15 @@ def sim_effects(
     question: Annotated[
         Literal["limits", "phase", "peak"], typer.Option("--for", help=QUESTIONS)
     ] = "limits",
-    tolerance: Tolerance = "2%",
-    seconds: TrialSeconds = 90.0,
+    tolerance: Annotated[
+        str,
+        typer.Option(
+            "--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02."
+        ),
+    ] = "2%",
+    seconds: Annotated[
+        float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of simulated trials.")
+    ] = 90.0,
     plot: terminal.Plot = True,
     figure_width: terminal.FigureWidth = None,
     out: terminal.Out = terminal.HERE,
@@ -185,7 +181,9 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
 
 def accuracy(
     scene: terminal.SceneName,
-    quick: Quick = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")
+    ] = False,
     plot: terminal.Plot = True,
     figure_width: terminal.FigureWidth = None,
     out: terminal.Out = terminal.HERE,

@@ -164,29 +164,26 @@ def resolve_config(
 
 
 LEVEL_COLOURS = {"ok": terminal.GREEN, "warn": terminal.YELLOW, "fail": terminal.RED}
-Seconds = Annotated[
-    float,
-    typer.Option(
-        "--seconds", metavar="S", min=0, help="Length of the wake-up measurement; 0: none."
-    ),
-]
-Strict = Annotated[bool, typer.Option("--strict", help="Exit 6 if anything fails.")]
-Report = Annotated[
-    Path | None,
-    typer.Option(
-        "--report",
-        metavar="FILE",
-        help="Also write all of it, versions, machine and status to a new JSON file.",
-    ),
-]
 
 
 def doctor(
     config: terminal.ConfigFile = None,
     instance: terminal.Instance = terminal.INSTANCE,
-    seconds: Seconds = 5.0,
-    strict: Strict = False,
-    report: Report = None,
+    seconds: Annotated[
+        float,
+        typer.Option(
+            "--seconds", metavar="S", min=0, help="Length of the wake-up measurement; 0: none."
+        ),
+    ] = 5.0,
+    strict: Annotated[bool, typer.Option("--strict", help="Exit 6 if anything fails.")] = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            metavar="FILE",
+            help="Also write all of it, versions, machine and status to a new JSON file.",
+        ),
+    ] = None,
     as_json: terminal.Json = False,
 ) -> None:
     """Check rights, processor, kernel, USB, disk and folders, and measure how late this
@@ -268,17 +265,16 @@ def _check_lines(finding: "checks.CheckResult") -> "Iterator[str]":
 
 
 Print = Annotated[bool, typer.Option("--print", help="Show the files.")]
-Root = Annotated[
-    Path | None,
-    typer.Option(
-        "--root", metavar="DIR", help="Write them below DIR; / installs them on this machine."
-    ),
-]
 
 
 def install_system(
     show: Print = False,
-    root: Root = None,
+    root: Annotated[
+        Path | None,
+        typer.Option(
+            "--root", metavar="DIR", help="Write them below DIR; / installs them on this machine."
+        ),
+    ] = None,
     config: terminal.ConfigFile = None,
     as_json: terminal.Json = False,
 ) -> None:

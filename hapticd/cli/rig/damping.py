@@ -16,17 +16,6 @@ with lazily():
     from hapticd.rig import damping as damping_step
     from hapticd.rig import trim as trim_step
 
-Level = Annotated[
-    float | None,
-    typer.Option("--level", metavar="NS_PER_M", min=0.0, help="Of active damping; else half."),
-]
-AuditSeconds = Annotated[
-    float, typer.Option("--seconds", min=6.0, max=60.0, help="For which the handle is moved.")
-]
-TrimSeconds = Annotated[
-    float, typer.Option("--seconds", min=3.0, max=600.0, help="For which it is shown.")
-]
-
 
 def damping(
     options: steps.StepOptions,
@@ -41,7 +30,9 @@ def damping(
 
 
 def trim(
-    seconds: TrimSeconds = 20.0,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=3.0, max=600.0, help="For which it is shown.")
+    ] = 20.0,
     *,
     options: steps.StepOptions,
 ) -> None:
@@ -58,8 +49,13 @@ def trim(
 
 
 def audit(
-    level: Level = None,
-    seconds: AuditSeconds = 6.0,
+    level: Annotated[
+        float | None,
+        typer.Option("--level", metavar="NS_PER_M", min=0.0, help="Of active damping; else half."),
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=6.0, max=60.0, help="For which the handle is moved.")
+    ] = 6.0,
     *,
     options: steps.StepOptions,
 ) -> None:

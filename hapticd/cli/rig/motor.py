@@ -20,49 +20,41 @@ with lazily():
     from hapticd.rig import winding as winding_step
 
 
-Kilograms = Annotated[
-    list[float] | None,
-    typer.Option("--mass", metavar="KG", help="A mass that is hung; several, 0 among them."),
-]
-Side = Annotated[int, typer.Option("--pulls-to", metavar="SIDE", help="Masses pull to x: -1 or 1.")]
-Ratio = Annotated[
-    float,
-    typer.Option(
-        "--radius-ratio",
-        metavar="R",
-        min=1e-3,
-        help="Radius of the masses by that of the endpoint.",
-    ),
-]
-SpringOption = Annotated[
-    float | None,
-    typer.Option("--spring", metavar="N/M", min=1.0, help="Gain by a spring of so many N/m."),
-]
-SpringTolerance = Annotated[
-    float,
-    typer.Option("--spring-tolerance", metavar="SHARE", min=0.0, help="Of the spring (95 %)."),
-]
-Offset = Annotated[bool, typer.Option("--offset", help="The count of no force alone.")]
-WindingOption = Annotated[
-    bool, typer.Option("--winding", help="Force per ampere, ohm and back-EMF.")
-]
-Lever = Annotated[
-    float | None,
-    typer.Option(
-        "--lever-m", metavar="M", min=1e-4, help="Radius from torque to endpoint force, in m."
-    ),
-]
-
-
 def motor(
-    mass: Kilograms = None,
-    pulls_to: Side = -1,
-    radius_ratio: Ratio = 1.0,
-    spring: SpringOption = None,
-    spring_tolerance: SpringTolerance = 0.01,
-    offset: Offset = False,
-    winding: WindingOption = False,
-    lever_m: Lever = None,
+    mass: Annotated[
+        list[float] | None,
+        typer.Option("--mass", metavar="KG", help="A mass that is hung; several, 0 among them."),
+    ] = None,
+    pulls_to: Annotated[
+        int, typer.Option("--pulls-to", metavar="SIDE", help="Masses pull to x: -1 or 1.")
+    ] = -1,
+    radius_ratio: Annotated[
+        float,
+        typer.Option(
+            "--radius-ratio",
+            metavar="R",
+            min=1e-3,
+            help="Radius of the masses by that of the endpoint.",
+        ),
+    ] = 1.0,
+    spring: Annotated[
+        float | None,
+        typer.Option("--spring", metavar="N/M", min=1.0, help="Gain by a spring of so many N/m."),
+    ] = None,
+    spring_tolerance: Annotated[
+        float,
+        typer.Option("--spring-tolerance", metavar="SHARE", min=0.0, help="Of the spring (95 %)."),
+    ] = 0.01,
+    offset: Annotated[bool, typer.Option("--offset", help="The count of no force alone.")] = False,
+    winding: Annotated[
+        bool, typer.Option("--winding", help="Force per ampere, ohm and back-EMF.")
+    ] = False,
+    lever_m: Annotated[
+        float | None,
+        typer.Option(
+            "--lever-m", metavar="M", min=1e-4, help="Radius from torque to endpoint force, in m."
+        ),
+    ] = None,
     *,
     options: steps.StepOptions,
 ) -> None:

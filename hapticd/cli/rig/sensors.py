@@ -15,41 +15,34 @@ with lazily():
     from hapticd.rig import probe as probe_step
     from hapticd.rig import temperature as temperature_step
 
-Fixed = Annotated[
-    float,
-    typer.Option("--mass", metavar="KG", min=1e-4, help="What is fixed to the handle, in kg."),
-]
-Sure = Annotated[
-    float, typer.Option("--tolerance", metavar="R", min=0.0, help="Of that mass (95 %), relative.")
-]
 Lowest = Annotated[
     float,
     typer.Option("--lowest", metavar="HZ", min=0.1, help="Lowest frequency that is judged."),
 ]
-Stiffness = Annotated[
-    float,
-    typer.Option("--stiffness", metavar="N/M", min=0.0, help="Of the spring that is judged there."),
-]
-Celsius = Annotated[
-    list[float],
-    typer.Option("--at", metavar="C", help="What a thermometer says, in degC; once or twice."),
-]
-Thermometer = Annotated[
-    float, typer.Option("--tolerance", metavar="C", min=0.0, help="Of the thermometer (95 %).")
-]
-NoShake = Annotated[bool, typer.Option("--no-shake", help="Leave the back-EMF channel out.")]
-NoSignal = Annotated[
-    bool,
-    typer.Option("--no-one-signal", help="There is no signal for both channels: leave skew out."),
-]
 
 
 def probe(
-    mass: Fixed,
-    tolerance: Sure = 1e-3,
+    mass: Annotated[
+        float,
+        typer.Option("--mass", metavar="KG", min=1e-4, help="What is fixed to the handle, in kg."),
+    ],
+    tolerance: Annotated[
+        float,
+        typer.Option("--tolerance", metavar="R", min=0.0, help="Of that mass (95 %), relative."),
+    ] = 1e-3,
     lowest: Lowest = 2.0,
-    stiffness: Stiffness = 600.0,
-    no_one_signal: NoSignal = False,
+    stiffness: Annotated[
+        float,
+        typer.Option(
+            "--stiffness", metavar="N/M", min=0.0, help="Of the spring that is judged there."
+        ),
+    ] = 600.0,
+    no_one_signal: Annotated[
+        bool,
+        typer.Option(
+            "--no-one-signal", help="There is no signal for both channels: leave skew out."
+        ),
+    ] = False,
     *,
     options: steps.StepOptions,
 ) -> None:
@@ -68,9 +61,16 @@ def probe(
 
 
 def temperature(
-    at: Celsius,
-    tolerance: Thermometer = 0.5,
-    no_shake: NoShake = False,
+    at: Annotated[
+        list[float],
+        typer.Option("--at", metavar="C", help="What a thermometer says, in degC; once or twice."),
+    ],
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", metavar="C", min=0.0, help="Of the thermometer (95 %).")
+    ] = 0.5,
+    no_shake: Annotated[
+        bool, typer.Option("--no-shake", help="Leave the back-EMF channel out.")
+    ] = False,
     *,
     options: steps.StepOptions,
 ) -> None:

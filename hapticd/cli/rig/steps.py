@@ -41,13 +41,6 @@ HAND = "HAPTICD_HAND"  # environment: the socket of a program that is the hand
 PAUSE_S = 5.0  # for what a hand should do, with --yes
 COLOURS = {"ok": terminal.GREEN, "warning": terminal.YELLOW, "refused": terminal.RED}
 
-Apart = Annotated[
-    float, typer.Option("--distance", metavar="M", min=1e-4, help="From position A to B, in m.")
-]
-Tolerance = Annotated[
-    float, typer.Option("--tolerance", metavar="M", min=0.0, help="Of that distance (95 %), in m.")
-]
-
 
 @dataclass(frozen=True, kw_only=True)
 class StepOptions:
@@ -206,7 +199,17 @@ def link(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
         show(link_step.measure(client), as_json)
 
 
-def encoder(distance: Apart, tolerance: Tolerance = 10e-6, *, options: StepOptions) -> None:
+def encoder(
+    distance: Annotated[
+        float, typer.Option("--distance", metavar="M", min=1e-4, help="From position A to B, in m.")
+    ],
+    tolerance: Annotated[
+        float,
+        typer.Option("--tolerance", metavar="M", min=0.0, help="Of that distance (95 %), in m."),
+    ] = 10e-6,
+    *,
+    options: StepOptions,
+) -> None:
     """Sign, scale and noise of the encoder, by hand: no force is made.
 
     The handle is moved to positive x, then between two positions a stated distance apart, and last

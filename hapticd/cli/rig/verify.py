@@ -19,32 +19,33 @@ with lazily():
     from hapticd.settings import load
 
 
-Spring = Annotated[
-    float, typer.Option("-K", "--stiffness", metavar="N/M", min=1.0, help="Rendered spring.")
-]
-Damper = Annotated[
-    float, typer.Option("-B", "--viscous", metavar="NS/M", min=0.01, help="Rendered damper.")
-]
-Mass = Annotated[float, typer.Option("-M", "--mass", metavar="KG", min=1e-4, help="Rendered mass.")]
-Attached = Annotated[
-    float,
-    typer.Option("--attach", metavar="KG", min=0.0, help="Also a mass that a hand fixes to it."),
-]
-Hooked = Annotated[
-    float,
-    typer.Option("--spring", metavar="N/M", min=0.0, help="Also a spring that a hand puts on it."),
-]
 Length = Annotated[
     float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of each trial.")
 ]
 
 
 def verify(
-    stiffness: Spring = 60.0,
-    viscous: Damper = 1.0,
-    mass: Mass = 0.004,
-    attach: Attached = 0.0,
-    spring: Hooked = 0.0,
+    stiffness: Annotated[
+        float, typer.Option("-K", "--stiffness", metavar="N/M", min=1.0, help="Rendered spring.")
+    ] = 60.0,
+    viscous: Annotated[
+        float, typer.Option("-B", "--viscous", metavar="NS/M", min=0.01, help="Rendered damper.")
+    ] = 1.0,
+    mass: Annotated[
+        float, typer.Option("-M", "--mass", metavar="KG", min=1e-4, help="Rendered mass.")
+    ] = 0.004,
+    attach: Annotated[
+        float,
+        typer.Option(
+            "--attach", metavar="KG", min=0.0, help="Also a mass that a hand fixes to it."
+        ),
+    ] = 0.0,
+    spring: Annotated[
+        float,
+        typer.Option(
+            "--spring", metavar="N/M", min=0.0, help="Also a spring that a hand puts on it."
+        ),
+    ] = 0.0,
     seconds: Length = 20.0,
     *,
     options: steps.StepOptions,

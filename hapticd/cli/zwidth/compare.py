@@ -19,19 +19,18 @@ Files = Annotated[
     list[Path],
     typer.Argument(metavar="A.zwidth B.zwidth ...", help="As `hapticd zwidth report` writes them."),
 ]
-Allow = Annotated[
-    str,
-    typer.Option(
-        "--allow",
-        metavar="NAME[,NAME...]",
-        help="Conditions that may be unlike; they are named with the result.",
-    ),
-]
 
 
 def command(
     files: Files,
-    allow: Allow = "",
+    allow: Annotated[
+        str,
+        typer.Option(
+            "--allow",
+            metavar="NAME[,NAME...]",
+            help="Conditions that may be unlike; they are named with the result.",
+        ),
+    ] = "",
     out: common.Out = None,
     plot: common.Plot = True,
     figure_width: terminal.FigureWidth = None,

@@ -13,23 +13,25 @@ with lazily():
     from hapticd.zwidth import interchange, store, trial
 
 
-Form = Annotated[
-    Literal["npz", "mat", "csv"],
-    typer.Argument(
-        metavar="npz|mat|csv",
-        help="For python-control, for `frd` of MATLAB or Octave, or comma-separated values.",
-    ),
-]
-Run = Annotated[
-    Path, typer.Argument(metavar="RUN", callback=terminal.there, help="The folder of a trial.")
-]
-Target = Annotated[
-    Path | None,
-    typer.Argument(metavar="[OUT]", help="Else impedance-frd in the folder.", show_default=False),
-]
-
-
-def command(form: Form, run: Run, out: Target = None, as_json: terminal.Json = False) -> None:
+def command(
+    form: Annotated[
+        Literal["npz", "mat", "csv"],
+        typer.Argument(
+            metavar="npz|mat|csv",
+            help="For python-control, for `frd` of MATLAB or Octave, or comma-separated values.",
+        ),
+    ],
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", callback=terminal.there, help="The folder of a trial.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[OUT]", help="Else impedance-frd in the folder.", show_default=False
+        ),
+    ] = None,
+    as_json: terminal.Json = False,
+) -> None:
     """Write the impedance of a trial with the interval of Re Z for python-control, MATLAB or a
     table: `hapticd zwidth export npz RUN`.
 

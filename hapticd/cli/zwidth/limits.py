@@ -16,21 +16,6 @@ with lazily():
     from hapticd.zwidth.report import style, table
 
 
-Amplitudes = Annotated[
-    int,
-    typer.Option(
-        "--amplitudes",
-        metavar="N",
-        min=1,
-        max=9,
-        help="Perturbation amplitudes, each twice the last.",
-    ),
-]
-Axis = Annotated[str, typer.Option("--axis", metavar="KBM", help="Which of K, B, M.")]
-Seeds = Annotated[
-    int,
-    typer.Option("--seeds", metavar="N", min=1, help="Repeat with other noise, for the scatter."),
-]
 UNITS = {"K": ("N/m", 1.0), "B": ("N s/m", 1.0), "M": ("g", 1e3)}  # printed unit, units per SI unit
 COLUMNS = (
     "limit",
@@ -54,9 +39,23 @@ NOTE = (
 def command(
     scene: common.SceneName = "fig4",
     active_damping: common.Damping = "0,1.74",
-    amplitudes: Amplitudes = 1,
-    axis: Axis = "KBM",
-    seeds: Seeds = 1,
+    amplitudes: Annotated[
+        int,
+        typer.Option(
+            "--amplitudes",
+            metavar="N",
+            min=1,
+            max=9,
+            help="Perturbation amplitudes, each twice the last.",
+        ),
+    ] = 1,
+    axis: Annotated[str, typer.Option("--axis", metavar="KBM", help="Which of K, B, M.")] = "KBM",
+    seeds: Annotated[
+        int,
+        typer.Option(
+            "--seeds", metavar="N", min=1, help="Repeat with other noise, for the scatter."
+        ),
+    ] = 1,
     *,
     trials: common.TrialsOptions,
     confidence: common.Confidence = 0.95,

@@ -23,26 +23,6 @@ with lazily():
     from hapticd.zwidth.report import passive_set as figures
 
 
-Stiffness = Annotated[
-    common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")
-]
-Viscous = Annotated[
-    common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")
-]
-Mass = Annotated[common.Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")]
-Near = Annotated[
-    float,
-    typer.Option(
-        "--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9
-    ),
-]
-Everywhere = Annotated[bool, typer.Option("--everywhere", help="Try every point, the paper's way.")]
-Refine = Annotated[
-    int,
-    typer.Option(
-        "--refine", metavar="N", help="Then halve the grid at the boundary.", min=0, max=1
-    ),
-]
 REDRAW_S = 5.0  # between two drawings of the envelope while trials arrive
 COLUMNS = (
     "active N s/m",
@@ -64,12 +44,30 @@ NOTE = (
 def command(
     scene: common.SceneName = "fig4",
     active_damping: common.Damping = "0,1.74",
-    stiffness: Stiffness = (0.0, 1400.0, 15),
-    viscous: Viscous = (0.0, 9.0, 10),
-    mass: Mass = (-0.030, 0.024, 10),
-    near: Near = 0.15,
-    everywhere: Everywhere = False,
-    refine: Refine = 0,
+    stiffness: Annotated[
+        common.Range, typer.Option("--stiffness", metavar="LOW HIGH N", help="Grid of K, N/m.")
+    ] = (0.0, 1400.0, 15),
+    viscous: Annotated[
+        common.Range, typer.Option("--viscous", metavar="LOW HIGH N", help="Grid of B, N s/m.")
+    ] = (0.0, 9.0, 10),
+    mass: Annotated[
+        common.Range, typer.Option("--mass", metavar="LOW HIGH N", help="Grid of M, kg.")
+    ] = (-0.030, 0.024, 10),
+    near: Annotated[
+        float,
+        typer.Option(
+            "--near", help="Share about the predicted boundary that is tried.", min=0.0, max=0.9
+        ),
+    ] = 0.15,
+    everywhere: Annotated[
+        bool, typer.Option("--everywhere", help="Try every point, the paper's way.")
+    ] = False,
+    refine: Annotated[
+        int,
+        typer.Option(
+            "--refine", metavar="N", help="Then halve the grid at the boundary.", min=0, max=1
+        ),
+    ] = 0,
     *,
     trials: common.TrialsOptions,
     results: common.ResultsOptions,

@@ -40,18 +40,6 @@ What = Annotated[
         metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map."
     ),
 ]
-Quick = Annotated[
-    bool,
-    typer.Option(
-        "--quick", help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2."
-    ),
-]
-Seeds = Annotated[
-    int,
-    typer.Option(
-        "--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit."
-    ),
-]
 LINE_S = 10.0  # between two lines of progress where stderr is no terminal
 
 
@@ -217,8 +205,19 @@ def _own_trial(
 
 
 def reproduce(
-    quick: Quick = False,
-    seeds: Seeds = 8,
+    quick: Annotated[
+        bool,
+        typer.Option(
+            "--quick",
+            help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2.",
+        ),
+    ] = False,
+    seeds: Annotated[
+        int,
+        typer.Option(
+            "--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit."
+        ),
+    ] = 8,
     out: common.Out = None,
     figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,

@@ -18,19 +18,6 @@ with lazily():
     from hapticd.zwidth.report import style, table
 
 
-Budget = Annotated[
-    int,
-    typer.Option(
-        "--budget", metavar="N", min=5, help="Trials at most, at each level of active damping."
-    ),
-]
-Doubt = Annotated[
-    float,
-    typer.Option("--doubt", help="End when noise leaves this share of the volume open.", min=0.0),
-]
-Together = Annotated[
-    int, typer.Option("--together", metavar="N", min=1, max=16, help="Trials chosen at once.")
-]
 COLUMNS = (
     "active N s/m",
     "trials",
@@ -52,9 +39,21 @@ NOTE = (
 def command(
     scene: common.SceneName = "fig4",
     active_damping: common.Damping = "0,1.74",
-    budget: Budget = 40,
-    doubt: Doubt = 0.02,
-    together: Together = 4,
+    budget: Annotated[
+        int,
+        typer.Option(
+            "--budget", metavar="N", min=5, help="Trials at most, at each level of active damping."
+        ),
+    ] = 40,
+    doubt: Annotated[
+        float,
+        typer.Option(
+            "--doubt", help="End when noise leaves this share of the volume open.", min=0.0
+        ),
+    ] = 0.02,
+    together: Annotated[
+        int, typer.Option("--together", metavar="N", min=1, max=16, help="Trials chosen at once.")
+    ] = 4,
     *,
     trials: common.TrialsOptions,
     results: common.ResultsOptions,

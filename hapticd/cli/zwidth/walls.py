@@ -23,23 +23,22 @@ Stiffness = Annotated[
         "--stiffness", metavar="LOW HIGH N", help="Stiffness of the walls, N/m, evenly in ln K."
     ),
 ]
-Viscous = Annotated[
-    common.Range,
-    typer.Option("--viscous", metavar="LOW HIGH N", help="Damping of the walls, N s/m."),
-]
-Settle = Annotated[float, typer.Option("--settle-s", metavar="S", help="Time to come to rest.")]
-Still = Annotated[
-    float, typer.Option("--still", metavar="M/S", help="Speed to and fro that counts as rest.")
-]
 
 
 def command(
     scene: common.SceneName = "wall",
     active_damping: common.Damping = "0,1.74",
     stiffness: Stiffness = (20.0, 3000.0, 18),
-    viscous: Viscous = (0.0, 8.0, 13),
-    settle_s: Settle = 1.5,
-    still: Still = 2e-3,
+    viscous: Annotated[
+        common.Range,
+        typer.Option("--viscous", metavar="LOW HIGH N", help="Damping of the walls, N s/m."),
+    ] = (0.0, 8.0, 13),
+    settle_s: Annotated[
+        float, typer.Option("--settle-s", metavar="S", help="Time to come to rest.")
+    ] = 1.5,
+    still: Annotated[
+        float, typer.Option("--still", metavar="M/S", help="Speed to and fro that counts as rest.")
+    ] = 2e-3,
     out: common.Out = None,
     plot: common.Plot = True,
     figure_width: terminal.FigureWidth = None,
