@@ -206,12 +206,6 @@ def replay(
             "--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat."
         ),
     ] = None,
-    filter_hz: Annotated[
-        float | None,
-        typer.Option(
-            "--filter-hz", metavar="HZ", help="Hold the corners of both filters.", min=0.1
-        ),
-    ] = None,
     plot: Annotated[
         Path | None,
         typer.Option(
@@ -227,8 +221,7 @@ def replay(
     The motion stays the recorded one: it shows what the law would have asked for. Exit 1 if a plain
     replay differs by a bit.
     """
-    corners = ("filters.velocity_hz", "filters.acceleration_hz") if filter_hz is not None else ()
-    words = [*(held or []), *(f"{name}={filter_hz:g}" for name in corners)]
+    words = held or []
     terminal.need_figures(bool(words or plot))
     with files.open_recording(file) as recording:
         begin = time.process_time()

@@ -264,25 +264,19 @@ def _check_lines(finding: "checks.CheckResult") -> "Iterator[str]":
             yield f"      {label}: {text}"
 
 
-Print = Annotated[bool, typer.Option("--print", help="Show the files.")]
-
-
 def install_system(
-    show: Print = False,
     root: Annotated[
         Path | None,
         typer.Option(
-            "--root", metavar="DIR", help="Write them below DIR; / installs them on this machine."
+            "--root", metavar="DIR", help="Write them below DIR, / of this machine; else show them."
         ),
     ] = None,
     config: terminal.ConfigFile = None,
     as_json: terminal.Json = False,
 ) -> None:
-    """Write systemd units, udev rule, service user, folders and limits below a root, or
-    show them. Applies nothing.
+    """Show systemd units, udev rule, service user, folders and limits, or write them below a root.
+    Applies nothing.
     """
-    if show == (root is not None):
-        raise typer.BadParameter("say one of --print and --root DIR")
     files = service.system_files(build.servo_params(load.load(config), terminal.INSTANCE).usb)
     if warning := service.hidden_interpreter():
         terminal.talk(f"hapticd: warning: {warning}")

@@ -518,21 +518,18 @@ def draw_trial(
     return paths
 
 
-@dataclass(frozen=True, kw_only=True)
-class ImportOptions:
-    """The file, and what was rendered while it was recorded."""
-
-    source: Annotated[Path, typer.Argument(metavar="FILE", callback=terminal.there, help=FILES)]
+def import_record(
+    source: Annotated[Path, typer.Argument(metavar="FILE", callback=terminal.there, help=FILES)],
     stiffness: Annotated[
         float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")
-    ] = None
+    ] = None,
     viscous: Annotated[
         float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="What was rendered.")
-    ] = None
+    ] = None,
     mass: Annotated[
         float | None, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")
-    ] = None
-    active_damping: common.OneDamping = None
+    ] = None,
+    active_damping: common.OneDamping = None,
     align: Annotated[
         Path | None,
         typer.Option(
@@ -541,13 +538,9 @@ class ImportOptions:
             callback=terminal.there,
             help="hapticd's own record of the same trial, marked: clock and gaps of FILE by it.",
         ),
-    ] = None
-
-
-def import_record(
-    rendered: ImportOptions,
-    file: FileOptions,
+    ] = None,
     *,
+    file: FileOptions,
     band: common.Band = (2.0, 500.0),
     out: common.Out = None,
     plot: common.Plot = False,
@@ -562,17 +555,17 @@ def import_record(
     What was rendered, and the lost slots, are then those of OWN.
     """
     asked = TrialOptions(
-        source=str(rendered.source),
-        stiffness=rendered.stiffness,
-        viscous=rendered.viscous,
-        mass=rendered.mass,
-        active_damping=rendered.active_damping,
+        source=str(source),
+        stiffness=stiffness,
+        viscous=viscous,
+        mass=mass,
+        active_damping=active_damping,
         band=band,
     )
     recorded = (
-        aligned.read_aligned(rendered.source, rendered.align, *file.columns)
-        if rendered.align
-        else record_files.read_file(rendered.source, *file.columns)
+        aligned.read_aligned(source, align, *file.columns)
+        if align
+        else record_files.read_file(source, *file.columns)
     )
     results = TrialResultOptions(out=out, plot=plot, as_json=as_json)
     _tried(asked, file, recorded, "", results)
