@@ -11,11 +11,15 @@ from typing import Any
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.numbers import number, unknown
-from hapticd.client import Client, GuardVerdict, Receipt
 from hapticd.client.words import objection_lines, receipt_text, refusal_lines
 from hapticd.core.errors import CommandError
+from hapticd.protocol.answers import GuardVerdict, Receipt
 from hapticd.protocol.limits import PLACES
+
+with lazily():
+    from hapticd.client import client as clients
 
 NAMES = tuple(name for name in PLACES if name != "ramp_s")
 
@@ -40,12 +44,12 @@ def changes(words: Sequence[str]) -> dict[str, Any]:
 ACTOR = "command line"
 
 
-def connect(instance: str, timeout_s: float = 2.0) -> "Client":
+def connect(instance: str, timeout_s: float = 2.0) -> "clients.Client":
     """A client of the daemon `instance` that is shown as the command line."""
-    return Client(instance, timeout_s=timeout_s, name=ACTOR)
+    return clients.Client(instance, timeout_s=timeout_s, name=ACTOR)
 
 
-def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> None:
+def change(instance: str, as_json: bool, ask: "Callable[[clients.Client], Receipt]") -> None:
     """Connect to `instance`, `ask` it, and print the receipt; warnings of the guard go to stderr.
 
     CommandError: refused; by the guard with its verdict in words.
@@ -72,7 +76,7 @@ STAGED_S = 60.0  # far beyond what the stages of a change may take
 POLL_S = 0.05
 
 
-def _settled(client: "Client", receipt: "Receipt") -> "Receipt":
+def _settled(client: "clients.Client", receipt: "Receipt") -> "Receipt":
     """The receipt of the last stage of a change in stages: an enable that waits for its turn ends
     with the connection that asked for it. CommandError: it was cancelled.
     """
@@ -97,7 +101,7 @@ def _ended(event: dict[str, Any], begun: "Receipt", state: str) -> "Receipt":
 
 
 def _found_out(
-    client: "Client", verdict: "GuardVerdict | None"
+    client: "clients.Client", verdict: "GuardVerdict | None"
 ) -> "tuple[GuardVerdict | None, list[str]]":
     """`verdict` with the hand that would shake an unsafe request, and that hand in words."""
     if verdict is None or verdict.safe is not False:

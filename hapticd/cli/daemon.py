@@ -22,20 +22,19 @@ from hapticd.cli.lazy import lazily
 from hapticd.cli.lease import lease_lines
 from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
-from hapticd.client import fast_stop
 from hapticd.client.words import board_words, late_words, parameters, receipt_text, timing_words
-from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
 from hapticd.core.params import COMMISSIONING_SHARE, GuardParams
-from hapticd.core.process import on_stop
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
-from hapticd.mailbox.daemons import console_place, daemon_folder, living_report
 from hapticd.mailbox.files import runtime_folder
 from hapticd.protocol.answers import Compensation, Delivered, StageTimes, Status, answer_of
 
 with lazily():
     import numpy as np
 
+    from hapticd.client import fast_stop
+    from hapticd.core import clock, process
+    from hapticd.mailbox import daemons
     from hapticd.run import supervisor as supervisors
     from hapticd.settings import build, inputs, load
 
@@ -81,11 +80,11 @@ def run(
         runtime_folder(instance),
         settings,
         instance,
-        MonotonicClock(),
+        clock.MonotonicClock(),
         tell,
         console=CONSOLE_MODULE if console else "",
     )
-    on_stop(supervisor.stop)
+    process.on_stop(supervisor.stop)
     try:
         supervisor.run()
     finally:
@@ -169,10 +168,10 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
             found = client.call("status")["result"]
     except DaemonDown as error:
         # without a gateway, as before the board is found
-        servo = living_report(daemon_folder(instance))
+        servo = daemons.living_report(daemons.daemon_folder(instance))
         found = dict.fromkeys(MUST_HAVE) | {"state": "down", "reason": str(error), "servo": servo}
         found |= error.plain()
-    found["console"] = console_place(daemon_folder(instance))
+    found["console"] = daemons.console_place(daemons.daemon_folder(instance))
     if as_json:
         terminal.data_json(found)
     else:

@@ -7,10 +7,13 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.client import Client
+from hapticd.cli.lazy import lazily
 from hapticd.client.words import guard_line, margin_words, verdict_lines
 from hapticd.core import params
 from hapticd.protocol.answers import GuardStatus
+
+with lazily():
+    from hapticd.client import client as clients
 
 Policy = Annotated[
     params.Policy | None,
@@ -59,7 +62,7 @@ def guard(
     terminal.show(told, (*guard_lines(found), *verdict_lines(found.verdict)), as_json)
 
 
-def _judged(client: "Client", found: "GuardStatus") -> "GuardStatus":
+def _judged(client: "clients.Client", found: "GuardStatus") -> "GuardStatus":
     """`found` with the verdict on what is in force, if a worker gives it in time."""
     deadline = time.monotonic() + PATIENCE_S
     while not found.verdict and found.worker in COMING and time.monotonic() < deadline:

@@ -7,9 +7,12 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.cli.lazy import lazily
 from hapticd.core import params
-from hapticd.core.process import on_stop
 from hapticd.protocol.answers import LeaseHeld
+
+with lazily():
+    from hapticd.core import process
 
 lease_app = typer.Typer(
     no_args_is_help=True,
@@ -54,7 +57,7 @@ def take(
 ) -> None:
     """Hold a lease until Ctrl-C, so that nobody else changes it; e.g. to keep scripts away."""
     ending: list[bool] = []
-    on_stop(lambda: ending.append(True))
+    process.on_stop(lambda: ending.append(True))
     with connect(instance) as client:
         lease = client.lease(what, ttl_s=ttl_s, at_end=at_end, take_over=take_over)
         held = lease.take()

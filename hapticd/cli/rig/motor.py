@@ -9,10 +9,10 @@ import typer
 
 from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
-from hapticd.client import Client
 from hapticd.core.errors import AnalysisError
 
 with lazily():
+    from hapticd.client import client as clients
     from hapticd.rig import hand as hands
     from hapticd.rig import motor as motor_step
     from hapticd.rig import result as results
@@ -71,7 +71,7 @@ def motor(
     if pulls_to not in (-1, 1):
         raise AnalysisError(f"--pulls-to {pulls_to}: name the side to which masses pull, -1 or 1")
 
-    def measure(client: "Client", ask: "hands.Ask") -> "results.StepResult":
+    def measure(client: "clients.Client", ask: "hands.Ask") -> "results.StepResult":
         if mass:
             masses = motor_step.Masses(tuple(mass), pulls_to, radius_ratio)
             return motor_step.measure_gain(client, ask, masses)

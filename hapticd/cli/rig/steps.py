@@ -22,11 +22,11 @@ from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.lazy import lazily
 from hapticd.cli.zwidth.live import signals_end_with_force_off
-from hapticd.client import Client
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import to_plain
 
 with lazily():
+    from hapticd.client import client as clients
     from hapticd.rig import device_file, machine_hand, records
     from hapticd.rig import encoder as encoder_step
     from hapticd.rig import hand as hands
@@ -55,7 +55,9 @@ class StepOptions:
     as_json: terminal.Json = False
 
 
-def run(options: StepOptions, measure: "Callable[[Client, hands.Ask], results.StepResult]") -> None:
+def run(
+    options: StepOptions, measure: "Callable[[clients.Client, hands.Ask], results.StepResult]"
+) -> None:
     """Do a step on the daemon, keep and write what it found, and show it."""
     settings = load.load(options.config)
     show(perform(options, settings, measure), options.as_json)
@@ -122,7 +124,7 @@ def agreed(question: str, usual: bool = True) -> bool:
 def perform(
     options: StepOptions,
     settings: "load.Settings",
-    measure: "Callable[[Client, hands.Ask], results.StepResult]",
+    measure: "Callable[[clients.Client, hands.Ask], results.StepResult]",
 ) -> "results.StepResult":
     """Have `measure` do a step, keep its records, and write what it found into the device file.
 

@@ -8,10 +8,10 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
-from hapticd.client import Client
 from hapticd.core.errors import ConfigError
 
 with lazily():
+    from hapticd.client import client as clients
     from hapticd.rig import certificate, known_parts, records
     from hapticd.rig import hand as hands
     from hapticd.rig import result as results
@@ -61,7 +61,7 @@ def verify(
     known = known_parts.KnownParts(stiffness, viscous, mass, attach, spring, seconds)
     subjects: list[certificate.Subject] = []
 
-    def measure(client: "Client", ask: "hands.Ask") -> "results.StepResult":
+    def measure(client: "clients.Client", ask: "hands.Ask") -> "results.StepResult":
         servo = client.hello().servo
         refuse_another_file(servo["device_file_sha256"], settings)
         board = records.identity_of(client, records.collect(client, LOOK_S).records)

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from hapticd.cli import change, terminal
 from hapticd.cli.lazy import lazily
 from hapticd.cli.zwidth import common
-from hapticd.client import Client
 from hapticd.core.environment import Environment
 from hapticd.core.params import from_plain
 from hapticd.core.units import US_PER_S
 
 with lazily():
+    from hapticd.client import client as clients
     from hapticd.model import scene as model_scene
     from hapticd.zwidth import scenes, sources, watch
 
@@ -27,7 +27,7 @@ with lazily():
 class Rig:
     """A daemon, and what is known of its device."""
 
-    client: "Client"
+    client: "clients.Client"
     instance: str  # name of the daemon
     device: str  # name in its device file
     simulated: bool  # its board is simulated

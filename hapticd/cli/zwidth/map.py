@@ -11,11 +11,11 @@ from hapticd.cli import terminal
 from hapticd.cli.lazy import lazily
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
-from hapticd.core.arrays import Floats
 
 with lazily():
     import numpy as np
 
+    from hapticd.core import arrays
     from hapticd.signal import compare, passive_set
     from hapticd.zwidth import executors, outcomes, store
     from hapticd.zwidth import map as maps
@@ -118,7 +118,7 @@ def command(
 
 def _axes(
     stiffness: common.Range, viscous: common.Range, mass: common.Range
-) -> "tuple[Floats, Floats, Floats]":
+) -> "tuple[arrays.Floats, arrays.Floats, arrays.Floats]":
     return (
         np.linspace(*common.ranged("--stiffness", stiffness)),
         np.linspace(*common.ranged("--viscous", viscous)),
