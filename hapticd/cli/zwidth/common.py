@@ -90,7 +90,6 @@ JsonOutcomes = Annotated[
         ),
     ),
 ]
-Admittance = Annotated[bool, typer.Option("--admittance", help="Draw the admittance as well.")]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -207,7 +207,6 @@ class TrialResultOptions:
 
     out: common.Out = None
     plot: common.Plot = False
-    admittance: common.Admittance = False
     figure_width: terminal.FigureWidth = None
     as_json: terminal.Json = False
 
@@ -407,9 +406,7 @@ def _show(
     folder = common.folder(results.out, "trial")
     trials.write(folder, result, common.provenance_now(), sines)
     with common.drawing(folder):
-        paths = []
-        if results.plot or results.admittance:
-            paths = draw_trial(result, folder, results.figure_width, sines, results.admittance)
+        paths = draw_trial(result, folder, results.figure_width, sines) if results.plot else []
     found = store.to_json(trials.summary(result, sines))
     lines = [terminal.wrapped(line, sys.stdout) for line in _lines(result)]
     lines += [compared(result, sines)] if sines else []
@@ -508,14 +505,12 @@ def draw_trial(
     folder: Path,
     width_mm: float | None,
     sines: "stepped_sine.ReferenceSines | None" = None,
-    admittance: bool = True,
 ) -> list[Path]:
-    """The figure of the trial in `folder`, and that of its admittance if asked; the files."""
-    paths = [*style.save(figures.trial_figure(result, sines), folder, "trial", width_mm)]
-    if admittance:
-        figure = figures.trial_figure(result, sines, admittance=True)
-        paths += style.save(figure, folder, "trial_admittance", width_mm)
-    return paths
+    """The figures of the trial and of its admittance in `folder`; the files."""
+    impedance = figures.trial_figure(result, sines)
+    admittance = figures.trial_figure(result, sines, admittance=True)
+    paths = style.save(impedance, folder, "trial", width_mm)
+    return [*paths, *style.save(admittance, folder, "trial_admittance", width_mm)]
 
 
 def import_record(
