@@ -269,7 +269,9 @@ def test_every_template_has_a_place() -> None:
 # --- install-system -------------------------------------------------------------------------------
 
 
-def test_every_file_is_shown_where_no_root_is_named(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_file_is_shown_where_no_root_is_named(
+    runtime: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["install-system"]) == 0
     shown = capsys.readouterr().out
     assert [line[7:] for line in shown.splitlines() if line.startswith("# === /")] == list(
