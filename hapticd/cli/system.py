@@ -28,7 +28,7 @@ with lazily():
     from hapticd.recording import calibrations
     from hapticd.run import resolve
     from hapticd.run import system_files as service
-    from hapticd.run.doctor import checks, interpreter, late, wake
+    from hapticd.run.doctor import checks, late, wake
     from hapticd.run.doctor import machine as machines
     from hapticd.run.doctor import report as reports
     from hapticd.run.doctor import requirements as needs
@@ -192,8 +192,7 @@ def doctor(
     asked = needs.requirements(load.load(config), instance)
     machine = machines.this_machine()
     status = _latest_status(instance)
-    built = interpreter.judge(interpreter.this_build())
-    findings = [*checks.examine(machine, asked), built, *_timing(status)]
+    findings = [*checks.examine(machine, asked), *_timing(status)]
     measured: dict[str, Any] = {}
     if seconds > 0:
         if not as_json:

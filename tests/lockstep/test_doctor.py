@@ -4,6 +4,7 @@ import dataclasses
 import gzip
 import json
 import os
+import platform
 import socket
 from collections import Counter
 from collections.abc import Callable
@@ -18,7 +19,14 @@ from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.core.units import NS_PER_S, NS_PER_US
 from hapticd.run.doctor import machine, probes, wake
 from hapticd.run.doctor.checks import CHECKS, Check, CheckResult, examine, examined
-from hapticd.run.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Machine, cores_in
+from hapticd.run.doctor.machine import (
+    CAP_IPC_LOCK,
+    CAP_SYS_NICE,
+    UNLIMITED,
+    Build,
+    Machine,
+    cores_in,
+)
 from hapticd.run.doctor.requirements import Requirements, requirements
 from hapticd.servo.loop import virtual_wait
 from hapticd.settings.load import load
@@ -67,6 +75,7 @@ def make(tmp_path: Path) -> Callable[..., Machine]:
             "clock_resolution_s": 1e-9,
             "may_write": lambda path: True,
             "free_bytes": lambda path: 10**12,
+            "build": PYENV,
         }
         return Machine(root=tmp_path, **(ordinary | facts))
 
@@ -126,6 +135,14 @@ def limited(name: str, limit: tuple[int, int]) -> dict[str, Any]:
 
 def swapping(swappiness: int) -> dict[str, str]:
     return {"proc/swaps": "Filename\n/dev/sda2", "proc/sys/vm/swappiness": str(swappiness)}
+
+
+PYENV = Build("3.11.7", "/home/ada/.pyenv", "'--enable-shared'", "-DNDEBUG -g -O3 -Wall", False)
+QUICK = "'--enable-optimizations' '--with-lto'"
+
+
+def built(**changes: Any) -> dict[str, Any]:
+    return {"build": PYENV._replace(**changes)}
 
 
 ROWS: list[Row] = [
@@ -518,6 +535,53 @@ ROWS: list[Row] = [
     (probes.runtime_folder, {}, {}, ASKED, "ok", "no daemon has run yet", ""),
     (probes.transport, {}, {}, ASKED, "ok", "no daemon has measured it yet", ""),
     (probes.keys, {}, {}, ASKED, "ok", "none needed", ""),
+    # --- interpreter
+    (probes.interpreter, {}, {}, ASKED, "warn", "3.11.7 without profile-guided", "--with-lto"),
+    (
+        probes.interpreter,
+        {},
+        built(options=QUICK),
+        ASKED,
+        "ok",
+        "Python 3.11.7, profile-guided and link-time optimisation, -O3",
+        "",
+    ),
+    (
+        probes.interpreter,
+        {},
+        built(prefix="/usr", flags="-O3 -g -O2"),
+        ASKED,
+        "ok",
+        "of the distribution, -O2",
+        "",
+    ),
+    (
+        probes.interpreter,
+        {},
+        built(options=QUICK, flags="-O3 -O0"),
+        ASKED,
+        "warn",
+        "for debugging (-O0)",
+        "uv python install",
+    ),
+    (
+        probes.interpreter,
+        {},
+        built(options=QUICK, debug=True),
+        ASKED,
+        "warn",
+        "for debugging",
+        "uv python install",
+    ),
+    (
+        probes.interpreter,
+        {},
+        built(flags=""),
+        ASKED,
+        "warn",
+        "an unknown -O level",
+        "uv python install",
+    ),
 ]
 
 
@@ -638,7 +702,9 @@ def test_core_lists_are_those_of_the_kernel(text: str, cores: set[int]) -> None:
 def test_this_machine_can_be_examined() -> None:
     wanted = requirements(load(shipped("config") / "hapticd.toml"))
     assert wanted.simulated
-    assert len(examine(machine.this_machine(), wanted)) == len(CHECKS)
+    found = examine(machine.this_machine(), wanted)
+    assert len(found) == len(CHECKS)
+    assert f"Python {platform.python_version()}" in found[-1].found
 
 
 # --- the wake-up measurement ----------------------------------------------------------------------
@@ -715,14 +781,12 @@ def told(result: CheckResult) -> str | probes.Flaw:
 
 
 def find_only(monkeypatch: pytest.MonkeyPatch, *found: CheckResult) -> None:
-    """`hapticd doctor` finds this; the last is that of the interpreter."""
-    *others, last = found
+    """`hapticd doctor` finds this."""
     checks = [
         Check(one.name, lambda m, a, one=one: told(one), one.level, one.why, one.fix)  # type: ignore[misc]
-        for one in others
+        for one in found
     ]
     monkeypatch.setattr("hapticd.run.doctor.checks.CHECKS", checks)
-    monkeypatch.setattr("hapticd.run.doctor.interpreter.judge", lambda build: last)
 
 
 @pytest.fixture

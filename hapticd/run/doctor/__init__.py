@@ -9,7 +9,6 @@ Each check finds, judges, explains and names the exact fix.
     probes    what is looked at for each row
     requirements   what the configuration asks of the machine
     machine   the machine as the checks see it; `this_machine()` is the one that we run on
-    interpreter   how Python was built
     late      what the ticks of a running daemon say
     wake      how late a process with the servo's rights wakes; the only part that measures
 

@@ -242,7 +242,15 @@ FOLDERS = (  # the daemon's report and folders: disk, and who may read and write
     ),
     Check("keys", probes.keys, FAIL, "whoever has the key can pose as its owner"),
 )
-CHECKS = (*RIGHTS, *PROCESSOR, *KERNEL, *USB, *FOLDERS)
+INTERPRETER = Check(  # how it was built
+    "interpreter",
+    probes.interpreter,
+    WARN,
+    "a tick takes a tenth to a fifth longer, measured against Debian's build of 3.11",
+    "run hapticd with the distribution's python3 or with one of `uv python install`; or build with"
+    " --enable-optimizations --with-lto",
+)
+CHECKS = (*RIGHTS, *PROCESSOR, *KERNEL, *USB, *FOLDERS, INTERPRETER)
 
 
 def examine(machine: Machine, asked: Requirements) -> list[CheckResult]:

@@ -523,3 +523,30 @@ def keys(machine: Machine, asked: Requirements) -> str | Flaw:
         f"{len(readable)} secret key readable by others",
         f"chmod 600 {' '.join(map(str, readable))}, {again}",
     )
+
+
+# --- interpreter: the tick is Python, so its time is the interpreter's ----------------------------
+
+DISTRIBUTION = "/usr"  # the prefix of its interpreter
+
+
+def interpreter(machine: Machine, asked: Requirements) -> str | Flaw:
+    """CPython's own Makefile optimises for a measured profile only with `--enable-optimizations`,
+    which pyenv leaves out by default.
+
+    Distributions pass their options in other ways and show none, so of an interpreter below /usr
+    nothing is concluded.
+    """
+    build = machine.build
+    levels = re.findall(r"-O(?:[0-3gsz]|fast)\b", build.flags)
+    level = levels[-1] if levels else "an unknown -O level"
+    found = f"Python {build.version}"
+    if build.debug or level in ("-O0", "-Og"):
+        why = "an interpreter for debugging is several times slower"
+        return Flaw(f"{found}, for debugging ({level})", why=why)
+    if "--enable-optimizations" in build.options:
+        linked = " and link-time" if "--with-lto" in build.options else ""
+        return f"{found}, profile-guided{linked} optimisation, {level}"
+    if build.prefix == DISTRIBUTION:
+        return f"{found} of the distribution, {level}"
+    return Flaw(f"{found} without profile-guided optimisation, {level}")
