@@ -76,7 +76,7 @@ STAGED_S = 60.0  # far beyond what the stages of a change may take
 POLL_S = 0.05
 
 
-def _settled(client: "clients.Client", receipt: "Receipt") -> "Receipt":
+def _settled(client: "clients.Client", receipt: Receipt) -> Receipt:
     """The receipt of the last stage of a change in stages: an enable that waits for its turn ends
     with the connection that asked for it. CommandError: it was cancelled.
     """
@@ -93,7 +93,7 @@ def _settled(client: "clients.Client", receipt: "Receipt") -> "Receipt":
     raise CommandError("timeout", f"no end of the stages within {STAGED_S:g} s; see `status`")
 
 
-def _ended(event: dict[str, Any], begun: "Receipt", state: str) -> "Receipt":
+def _ended(event: dict[str, Any], begun: Receipt, state: str) -> Receipt:
     if event["result"] != "applied":
         raise CommandError("refused", f"{event['cmd']}: {event['result']}: {event['text']}")
     names = ("result", "revision", "first_tick", "ramp_end_tick", "effective")
@@ -101,8 +101,8 @@ def _ended(event: dict[str, Any], begun: "Receipt", state: str) -> "Receipt":
 
 
 def _found_out(
-    client: "clients.Client", verdict: "GuardVerdict | None"
-) -> "tuple[GuardVerdict | None, list[str]]":
+    client: "clients.Client", verdict: GuardVerdict | None
+) -> tuple[GuardVerdict | None, list[str]]:
     """`verdict` with the hand that would shake an unsafe request, and that hand in words."""
     if verdict is None or verdict.safe is not False:
         return verdict, []

@@ -111,7 +111,7 @@ POLICIES = {
 }
 
 
-def _guarded(guard: "GuardParams") -> str:
+def _guarded(guard: GuardParams) -> str:
     return f"guard {guard.policy} by {guard.basis}: {POLICIES[guard.policy]}."
 
 

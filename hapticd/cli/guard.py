@@ -62,7 +62,7 @@ def guard(
     terminal.show(told, (*guard_lines(found), *verdict_lines(found.verdict)), as_json)
 
 
-def _judged(client: "clients.Client", found: "GuardStatus") -> "GuardStatus":
+def _judged(client: "clients.Client", found: GuardStatus) -> GuardStatus:
     """`found` with the verdict on what is in force, if a worker gives it in time."""
     deadline = time.monotonic() + PATIENCE_S
     while not found.verdict and found.worker in COMING and time.monotonic() < deadline:
@@ -71,12 +71,12 @@ def _judged(client: "clients.Client", found: "GuardStatus") -> "GuardStatus":
     return found
 
 
-def guard_lines(found: "GuardStatus") -> list[str]:
+def guard_lines(found: GuardStatus) -> list[str]:
     """What the guard goes by and what it says of what is in force, as `status` shows it too."""
     return [guard_line(found), *delay_lines(found), margin_words(found)]
 
 
-def delay_lines(found: "GuardStatus") -> list[str]:
+def delay_lines(found: GuardStatus) -> list[str]:
     """The delays that there are by their names, and which of them the guard counts on."""
     delays = found.delays
     if not delays or delays.counted_periods is None:

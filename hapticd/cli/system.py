@@ -7,8 +7,9 @@ All three print and none applies anything: `doctor` names the exact fix of what 
 import datetime
 import json
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -39,9 +40,6 @@ with lazily():
 
 
 TEMPLATE_SERIAL = "CHANGE-ME"  # of config/devices/example-board.toml
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 
 config_app = typer.Typer(no_args_is_help=True, help="Check, show and resolve the configuration.")
@@ -77,7 +75,7 @@ def check_config(
             terminal.talk(f"hapticd: not to be relied on: {one}; {one.remedy}")
 
 
-def _simulation_and_network_rules(config: "config_files.Config") -> "Iterator[load.Mistake]":
+def _simulation_and_network_rules(config: "config_files.Config") -> Iterator["load.Mistake"]:
     """Injections that no simulated board knows, and telemetry in the clear."""
     if auth.without_leave(params.GatewayParams(**config.gateway.model_dump())):
         host = repr(config.gateway.tcp_host)
@@ -89,7 +87,7 @@ def _simulation_and_network_rules(config: "config_files.Config") -> "Iterator[lo
             yield load.Mistake(path, repr(one.kind), reason)
 
 
-def _template_rules(device: "device_files.DeviceFile") -> "Iterator[load.Mistake]":
+def _template_rules(device: "device_files.DeviceFile") -> Iterator["load.Mistake"]:
     """A device file that nobody has made a board's own."""
     if device.serial == TEMPLATE_SERIAL:
         reason = "is the template's; copy it to devices/NAME.toml, and write your board's serial"
@@ -255,7 +253,7 @@ def _wake(
     return wake.judge(measured, asked), measured
 
 
-def _check_lines(finding: "checks.CheckResult") -> "Iterator[str]":
+def _check_lines(finding: "checks.CheckResult") -> Iterator[str]:
     level = terminal.coloured(f"{finding.level:4}", LEVEL_COLOURS[finding.level])
     yield f"{level}  {finding.name:16}  {finding.found}"
     for label, text in (("why", finding.why), ("fix", finding.fix)):
