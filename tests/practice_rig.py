@@ -43,7 +43,7 @@ from hapticd.cli.app import main as hapticd_main
 from hapticd.client import Client
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.core.params import BoardParams, ServoParams
+from hapticd.core.params import BoardParams, ServoParams, read_params
 from hapticd.core.process import die_with_parent, on_stop
 from hapticd.mailbox.files import runtime_folder
 from hapticd.rig.hand import Action, Request
@@ -174,7 +174,7 @@ def servo(folder: Path, arguments: list[str]) -> None:
     person.distance_error_m = truth.distance_error_m
     board = BlindBoard(truth, None, person.pull_n)
     threading.Thread(target=serve_hand, args=(folder / HAND, person), daemon=True).start()
-    params = servo_main.read_json(ServoParams, arguments[0])
+    params = read_params(ServoParams, Path(arguments[0]))
     with patch.object(servo_main, "simulated_backend", board.backend):
         found = servo_main.Servo(params, BoardParams(**NOMINAL), MonotonicClock())
     on_stop(found.stop)

@@ -4,9 +4,10 @@
     terminal    options that verbs share, what is printed where, the progress bar, figures on disk
     change      a connection to the daemon, NAME=VALUE words, receipts
     numbers     numbers as people type them
+    lazy        imports that happen at the first use of a module
     daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
                 mark, perturb
-    monitor     the live screen (screen: what it shows)
+    monitor     the lines of status, live in a terminal; events
     console     the operators' page
     guard       guard; lease: leases of the environment and the damping
     bridge      bridge lsl: telemetry for other tools
@@ -25,7 +26,7 @@ line and its exit code:
     0 done   1 failed   2 usage   3 no daemon   4 refused   5 stopped or faulted
     6 requirement not met   78 configuration   130 interrupted
 
-A verb imports what it needs when it runs, so that `--help` and the small verbs stay quick: nothing
-here may import numpy, pydantic, zmq or rich at its top, except `screen`, which `monitor` loads when
-it draws.
+What is large is imported within `lazy.lazily()` and loaded when a verb uses it, so that `--help`
+and the small verbs stay quick: nothing here may import numpy, pydantic, zmq or rich at its top in
+another way.
 """

@@ -17,7 +17,7 @@ from hapticd.core.errors import GuardWarning, HapticdError
 
 __all__ = ["main"]
 
-SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, and function
+SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, and verb or group
     "Daily use": {
         "run": "daemon.run",
         "status": "daemon.status",
@@ -31,6 +31,7 @@ SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, 
         "reset": "daemon.reset",
         "zero": "daemon.zero",
         "home": "daemon.home",
+        "lease": "lease.lease_app",
     },
     "Look": {
         "monitor": "monitor.monitor",
@@ -43,20 +44,21 @@ SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, 
         "mark": "daemon.mark",
         "dump": "daemon.dump",
         "replay": "recording.replay",
+        "rec": "recording.rec_app",
     },
-    "Set up": {"doctor": "system.doctor", "install-system": "system.install_system"},
-    "Simulate": {"accuracy": "sim.accuracy", "sim-board": "sim_board.sim_board"},
-}
-SECTIONS_OF_GROUPS: dict[str, dict[str, str]] = {  # module, and its verbs
-    "Daily use": {"lease": "lease.lease_app"},
-    "Record": {"rec": "recording.rec_app"},
     "Set up": {
+        "doctor": "system.doctor",
+        "install-system": "system.install_system",
         "config": "system.config_app",
         "rig": "rig.app",
         "keys": "keys.app",
         "bridge": "bridge.app",
     },
-    "Simulate": {"sim": "sim.sim_app"},
+    "Simulate": {
+        "accuracy": "sim.accuracy",
+        "sim-board": "sim_board.sim_board",
+        "sim": "sim.sim_app",
+    },
     "Measure": {"zwidth": "zwidth.app", "perturb": "daemon.perturb_app"},
 }
 CLASSES = {"damping": "numbers.SignedLevel"}  # of verbs that read their words in another way
@@ -74,15 +76,15 @@ def command_line(asked: str = "") -> typer.Typer:
         context_settings=HELP_NAMES,
     )
     app.callback()(hapticd)
-    known = (*SECTIONS.values(), *SECTIONS_OF_GROUPS.values())
-    whole = not any(asked in names for names in known)
-    for section, verbs in SECTIONS.items():
-        for name in verbs if whole else verbs.keys() & {asked}:
-            kind = _loaded(CLASSES[name]) if name in CLASSES else None
-            terminal.verb(app, name, rich_help_panel=section, cls=kind)(_loaded(verbs[name]))
-    for section, groups in SECTIONS_OF_GROUPS.items():
-        for name in groups if whole else groups.keys() & {asked}:
-            app.add_typer(_loaded(groups[name]), name=name, rich_help_panel=section)
+    whole = not any(asked in names for names in SECTIONS.values())
+    for section, names in SECTIONS.items():
+        for name in names if whole else names.keys() & {asked}:
+            found = _loaded(names[name])
+            if isinstance(found, typer.Typer):
+                app.add_typer(found, name=name, rich_help_panel=section)
+            else:
+                kind = _loaded(CLASSES[name]) if name in CLASSES else None
+                terminal.verb(app, name, rich_help_panel=section, cls=kind)(found)
     return app
 
 

@@ -6,19 +6,20 @@ A word that is no number or names no parameter is a usage error (exit 2) before 
 import dataclasses
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.numbers import number, unknown
 from hapticd.client.formatting import objection_lines, receipt_text, refusal_lines
 from hapticd.core.errors import CommandError
+from hapticd.protocol.answers import GuardVerdict, Receipt
 from hapticd.protocol.limits import PLACES
 
-if TYPE_CHECKING:
-    from hapticd.client import Client, GuardVerdict, Receipt
-
+with lazily():
+    from hapticd.client import client as clients
 
 NAMES = tuple(name for name in PLACES if name != "ramp_s")
 
@@ -43,14 +44,12 @@ def changes(words: Sequence[str]) -> dict[str, Any]:
 ACTOR = "command line"
 
 
-def connect(instance: str, timeout_s: float = 2.0) -> "Client":
+def connect(instance: str, timeout_s: float = 2.0) -> "clients.Client":
     """A client of the daemon `instance` that is shown as the command line."""
-    from hapticd.client import Client
-
-    return Client(instance, timeout_s=timeout_s, name=ACTOR)
+    return clients.Client(instance, timeout_s=timeout_s, name=ACTOR)
 
 
-def change(instance: str, as_json: bool, ask: "Callable[[Client], Receipt]") -> None:
+def change(instance: str, as_json: bool, ask: "Callable[[clients.Client], Receipt]") -> None:
     """Connect to `instance`, `ask` it, and print the receipt; warnings of the guard go to stderr.
 
     CommandError: refused; by the guard with its verdict in words.
@@ -77,7 +76,7 @@ STAGED_S = 60.0  # far beyond what the stages of a change may take
 POLL_S = 0.05
 
 
-def _settled(client: "Client", receipt: "Receipt") -> "Receipt":
+def _settled(client: "clients.Client", receipt: Receipt) -> Receipt:
     """The receipt of the last stage of a change in stages: an enable that waits for its turn ends
     with the connection that asked for it. CommandError: it was cancelled.
     """
@@ -94,7 +93,7 @@ def _settled(client: "Client", receipt: "Receipt") -> "Receipt":
     raise CommandError("timeout", f"no end of the stages within {STAGED_S:g} s; see `status`")
 
 
-def _ended(event: dict[str, Any], begun: "Receipt", state: str) -> "Receipt":
+def _ended(event: dict[str, Any], begun: Receipt, state: str) -> Receipt:
     if event["result"] != "applied":
         raise CommandError("refused", f"{event['cmd']}: {event['result']}: {event['text']}")
     names = ("result", "revision", "first_tick", "ramp_end_tick", "effective")
@@ -102,8 +101,8 @@ def _ended(event: dict[str, Any], begun: "Receipt", state: str) -> "Receipt":
 
 
 def _found_out(
-    client: "Client", verdict: "GuardVerdict | None"
-) -> "tuple[GuardVerdict | None, list[str]]":
+    client: "clients.Client", verdict: GuardVerdict | None
+) -> tuple[GuardVerdict | None, list[str]]:
     """`verdict` with the hand that would shake an unsafe request, and that hand in words."""
     if verdict is None or verdict.safe is not False:
         return verdict, []

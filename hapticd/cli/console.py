@@ -5,17 +5,20 @@ from typing import Annotated
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
+from hapticd.core.process import on_stop
 
-Port = Annotated[
-    int | None,
-    typer.Option(
-        "--port", metavar="N", min=1, max=65535, help="Else 9873, or any free one when taken."
-    ),
-]
+with lazily():
+    from hapticd.console import server
 
 
 def console(
-    port: Port = None,
+    port: Annotated[
+        int | None,
+        typer.Option(
+            "--port", metavar="N", min=1, max=65535, help="Else 9873, or any free one when taken."
+        ),
+    ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -23,13 +26,9 @@ def console(
 
     The daemon need not run yet. Pages are served to browsers of this computer alone.
     """
-    from hapticd.console.server import serve
-    from hapticd.core.process import on_stop
 
     def tell(url: str) -> None:
-        if as_json:
-            terminal.data_json({"ok": True, "url": url})
-        else:
-            terminal.data(f"operators' page: {url}   (Ctrl-C here ends it)")
+        line = f"operators' page: {url}   (Ctrl-C here ends it)"
+        terminal.show({"url": url}, [line], as_json)
 
-    serve(instance, port, on_stop, tell)
+    server.serve(instance, port, on_stop, tell)

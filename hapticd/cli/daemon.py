@@ -9,13 +9,17 @@ import shutil
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect
+from hapticd.cli.guard import guard_lines
+from hapticd.cli.lazy import lazily
+from hapticd.cli.lease import lease_lines
 from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
 from hapticd.client.formatting import (
@@ -26,13 +30,19 @@ from hapticd.client.formatting import (
     timing_words,
 )
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError
+from hapticd.core.params import COMMISSIONING_SHARE, GuardParams
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
+from hapticd.mailbox.files import runtime_folder
 from hapticd.protocol.answers import Compensation, Delivered, StageTimes, Status, answer_of
 
-if TYPE_CHECKING:
-    from hapticd.core.params import GuardParams
-    from hapticd.run.supervisor import ProcessEvent
-    from hapticd.settings.load import Settings
+with lazily():
+    import numpy as np
+
+    from hapticd.client import fast_stop
+    from hapticd.core import clock, process
+    from hapticd.mailbox import daemons
+    from hapticd.run import supervisor as supervisors
+    from hapticd.settings import build, inputs, load
 
 
 def run(
@@ -50,19 +60,11 @@ def run(
     """Start the daemon in the foreground, with the operators' page. Ctrl-C ends it: force fades to
     0. A second Ctrl-C kills it.
     """
-    from hapticd.core.clock import MonotonicClock
-    from hapticd.core.process import on_stop
-    from hapticd.mailbox.files import runtime_folder
-    from hapticd.run.supervisor import Supervisor
-    from hapticd.settings.load import Override, load
-
-    overrides = (
-        () if rate_hz is None else (Override(("realtime", "rate_hz"), rate_hz, "--rate-hz"),)
-    )
-    settings = load(config, overrides)
+    rate = load.Override(("realtime", "rate_hz"), rate_hz, "--rate-hz")
+    settings = load.load(config, () if rate_hz is None else (rate,))
     followers: list[subprocess.Popen[bytes]] = []
 
-    def tell(event: "ProcessEvent") -> None:
+    def tell(event: "supervisors.ProcessEvent") -> None:
         try:
             if as_json:
                 terminal.data_json(
@@ -80,15 +82,15 @@ def run(
             terminal.hush()
             supervisor.stop()
 
-    supervisor = Supervisor(
+    supervisor = supervisors.Supervisor(
         runtime_folder(instance),
         settings,
         instance,
-        MonotonicClock(),
+        clock.MonotonicClock(),
         tell,
         console=CONSOLE_MODULE if console else "",
     )
-    on_stop(supervisor.stop)
+    process.on_stop(supervisor.stop)
     try:
         supervisor.run()
     finally:
@@ -101,9 +103,8 @@ def _follow_events(instance: str) -> "subprocess.Popen[bytes]":
     """`hapticd events` in this terminal, from a process of its own: the one that looks after servo
     and gateway has no threads and no sockets.
     """
-    from hapticd.run.supervisor import launch
-
-    return launch("hapticd", "events", "--instance", instance, "--parent", str(os.getpid()))
+    words = ("events", "--instance", instance, "--parent", str(os.getpid()))
+    return supervisors.launch("hapticd", *words)
 
 
 CONSOLE_MODULE = "hapticd.console.main"  # started by name: `run` itself loads no web server
@@ -116,15 +117,12 @@ POLICIES = {
 }
 
 
-def _guarded(guard: "GuardParams") -> str:
+def _guarded(guard: GuardParams) -> str:
     return f"guard {guard.policy} by {guard.basis}: {POLICIES[guard.policy]}."
 
 
-def _ready_text(settings: "Settings", instance: str) -> str:
-    from hapticd.core.params import COMMISSIONING_SHARE
-    from hapticd.settings.build import commissioning, guard_params
-
-    guard = guard_params(settings)
+def _ready_text(settings: "load.Settings", instance: str) -> str:
+    guard = build.guard_params(settings)
     device = settings.device
     config = settings.config
     which = "" if instance == terminal.INSTANCE else f" --instance {instance}"
@@ -134,7 +132,7 @@ def _ready_text(settings: "Settings", instance: str) -> str:
     else:
         board = f"REAL BOARD {device.serial}: {device.name}, up to {device.limits.force_n} N."
         head = terminal.coloured(board, terminal.RED)
-    if commissioning(device):
+    if build.commissioning(device):
         force_n = COMMISSIONING_SHARE * device.limits.force_n
         head += f"\n\nIts signs are not verified: at most {force_n:g} N until `hapticd rig motor`."
     level = f"{config.active_damping_ns_per_m:g} N s/m"
@@ -171,30 +169,25 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
     """State, parameters in force, faults and timing. Exit 3 until servo and gateway are
     both ready.
     """
-    from hapticd.mailbox.daemons import console_place, daemon_folder, living_report
-
     try:
         with connect(instance) as client:
             found = client.call("status")["result"]
     except DaemonDown as error:
         # without a gateway, as before the board is found
-        servo = living_report(daemon_folder(instance))
+        servo = daemons.living_report(daemons.daemon_folder(instance))
         found = dict.fromkeys(MUST_HAVE) | {"state": "down", "reason": str(error), "servo": servo}
         found |= error.plain()
-    found["console"] = console_place(daemon_folder(instance))
+    found["console"] = daemons.console_place(daemons.daemon_folder(instance))
     if as_json:
         terminal.data_json(found)
     else:
-        for line in _status_lines(answer_of(Status, found), found):
-            terminal.data(line)
+        terminal.data("\n".join(status_lines(answer_of(Status, found), found)))
     if found["state"] in NOT_READY:
         raise typer.Exit(DaemonDown.exit_code)
 
 
-def _status_lines(found: Status, more: dict[str, Any]) -> list[str]:
-    from hapticd.cli.guard import guard_lines
-    from hapticd.cli.lease import lease_lines
-
+def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
+    """What `status` prints, and `monitor` ten times a second; `more` is what no Status has."""
     state = terminal.coloured(found.state, STATE_COLOURS.get(found.state, terminal.RED))
     waits = board_words(found.servo)
     if found.state in NOT_READY:
@@ -334,34 +327,28 @@ def get_parameters(
         terminal.data(f"{name} = {value}")
 
 
-Changes = Annotated[
-    list[str] | None,
-    typer.Argument(
-        metavar="NAME=VALUE...",
-        help="K in N/m, B in N s/m, M in kg, damping in N s/m, ...",
-        show_default=False,
-    ),
-]
-Ramp = Annotated[
-    float | None,
-    typer.Option("--ramp-s", metavar="S", help="Length of the ramp; else as configured."),
-]
-AtTick = Annotated[
-    int | None,
-    typer.Option(
-        "--at-tick", metavar="N", help="Servo tick from which it acts; else the next one."
-    ),
-]
-IfRev = Annotated[
-    int | None, typer.Option("--if-rev", metavar="N", help="Only if the revision is still N.")
-]
-
-
 def set_parameters(
-    what: Changes = None,
-    ramp_s: Ramp = None,
-    at_tick: AtTick = None,
-    if_rev: IfRev = None,
+    what: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME=VALUE...",
+            help="K in N/m, B in N s/m, M in kg, damping in N s/m, ...",
+            show_default=False,
+        ),
+    ] = None,
+    ramp_s: Annotated[
+        float | None,
+        typer.Option("--ramp-s", metavar="S", help="Length of the ramp; else as configured."),
+    ] = None,
+    at_tick: Annotated[
+        int | None,
+        typer.Option(
+            "--at-tick", metavar="N", help="Servo tick from which it acts; else the next one."
+        ),
+    ] = None,
+    if_rev: Annotated[
+        int | None, typer.Option("--if-rev", metavar="N", help="Only if the revision is still N.")
+    ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -382,13 +369,10 @@ def set_parameters(
     )
 
 
-DampingValue = Annotated[
-    str, typer.Argument(metavar="on|off|auto|LEVEL", help="LEVEL in N s/m; 0 is off.")
-]
-
-
 def damping(
-    value: DampingValue,
+    value: Annotated[
+        str, typer.Argument(metavar="on|off|auto|LEVEL", help="LEVEL in N s/m; 0 is off.")
+    ],
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -419,9 +403,7 @@ def stop(instance: terminal.OneOfAll = None, as_json: terminal.Json = False) -> 
     """Stop every daemon of yours and the service: force to 0 at once, latched until
     `hapticd reset`. Anyone may, at any time; never refused.
     """
-    from hapticd.client.fast_stop import main
-
-    raise typer.Exit(main(instance, as_json))
+    raise typer.Exit(fast_stop.main(instance, as_json))
 
 
 def reset(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json = False) -> None:
@@ -447,11 +429,9 @@ def home(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
             time.sleep(HOMING_POLL_S)
     if found.state != "disabled":
         raise CommandError("stopped", f"home: {found.cause}; {found.remedy}")
-    if as_json:
-        terminal.data_json({"ok": True, "state": found.state, "homed": bool(found.homed)})
-    else:
-        known = "the origin is known" if found.homed else "this device needs no homing"
-        terminal.data(f"disabled: {known}")
+    known = "the origin is known" if found.homed else "this device needs no homing"
+    told = {"state": found.state, "homed": bool(found.homed)}
+    terminal.show(told, [f"disabled: {known}"], as_json)
 
 
 DUMP_PATIENCE_S = 20.0
@@ -471,41 +451,24 @@ def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
             late = f"{path} was not written within {DUMP_PATIENCE_S:g} s"
             raise HapticdError(f"{late}; `hapticd status` lists the last events")
         time.sleep(DUMP_POLL_S)
-    if as_json:
-        terminal.data_json({"ok": True, **found})
-    else:
-        terminal.data(f"{path}: {found['records']} records")
-
-
-MarkText = Annotated[str, typer.Argument(metavar="TEXT", help="At most 96 characters.")]
+    terminal.show(found, [f"{path}: {found['records']} records"], as_json)
 
 
 def mark(
-    text: MarkText,
+    text: Annotated[str, typer.Argument(metavar="TEXT", help="At most 96 characters.")],
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
     """Note words with the tick at which they came: an event, which recordings keep."""
     with connect(instance) as client:
         found = client.mark(text)
-    if as_json:
-        terminal.data_json({"ok": True, **found})
-    else:
-        terminal.data(f"tick {found['tick']}: {text}")
+    terminal.show(found, [f"tick {found['tick']}: {text}"], as_json)
 
 
 perturb_app = typer.Typer(
     no_args_is_help=True,
     help="Load, start and stop a perturbation: a force waveform at 4 kHz over what is rendered.",
 )
-WaveformFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE",
-        callback=terminal.there,
-        help="Force in N: .npy of shape (n,), or text with one number a line.",
-    ),
-]
 
 
 WAVEFORM_FORMATS = "a waveform is text with a force in N on each line, or .npy of shape (n,)"
@@ -513,18 +476,19 @@ WAVEFORM_FORMATS = "a waveform is text with a force in N on each line, or .npy o
 
 @terminal.verb(perturb_app, "load")
 def load_waveform(
-    file: WaveformFile,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            callback=terminal.there,
+            help="Force in N: .npy of shape (n,), or text with one number a line.",
+        ),
+    ],
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
     """Load a waveform; it does not start by itself."""
-    import warnings
-
-    import numpy as np
-
-    from hapticd.settings.inputs import WAVEFORM_BYTES, regular
-
-    regular(file, WAVEFORM_BYTES)
+    inputs.regular(file, inputs.WAVEFORM_BYTES)
     try:
         with warnings.catch_warnings(action="ignore"):  # of an empty file; it is refused below
             samples_n = (
@@ -541,10 +505,9 @@ def load_waveform(
         )
     with connect(instance) as client:
         count = client.perturb_load(samples_n)
-    if as_json:
-        terminal.data_json({"ok": True, "samples": count, "seconds": count / PROBE_RATE_HZ})
-    else:
-        terminal.data(f"{count} samples loaded, {count / PROBE_RATE_HZ:.3f} s")
+    seconds = count / PROBE_RATE_HZ
+    line = f"{count} samples loaded, {seconds:.3f} s"
+    terminal.show({"samples": count, "seconds": seconds}, [line], as_json)
 
 
 @terminal.verb(perturb_app, "start")

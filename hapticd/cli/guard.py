@@ -1,40 +1,25 @@
 """The verb of the guard: show and change what is done with environments that are not passive."""
 
 import time
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.cli.lazy import lazily
 from hapticd.client.formatting import guard_line, margin_words, verdict_lines
 from hapticd.core import params
+from hapticd.protocol.answers import GuardStatus
 
-if TYPE_CHECKING:
-    from hapticd.client import Client
-    from hapticd.protocol.answers import GuardStatus
+with lazily():
+    from hapticd.client import client as clients
 
 Policy = Annotated[
     params.Policy | None,
     typer.Argument(
         case_sensitive=False,
         help="What is done with an environment that is not known to be passive.",
-    ),
-]
-Basis = Annotated[
-    params.BasisName | None,
-    typer.Option("--basis", case_sensitive=False, help="What a verdict rests on."),
-]
-Margin = Annotated[
-    float | None,
-    typer.Option("--margin", metavar="NS_PER_M", help="Damping that has to be left, N s/m."),
-]
-Mode = Annotated[
-    params.DampingMode | None,
-    typer.Option(
-        "--mode",
-        case_sensitive=False,
-        help="Active damping off, at its level, or the least that will do.",
     ),
 ]
 
@@ -46,9 +31,22 @@ COMING = ("up", "starting")
 
 def guard(
     policy: Policy = None,
-    basis: Basis = None,
-    margin: Margin = None,
-    mode: Mode = None,
+    basis: Annotated[
+        params.BasisName | None,
+        typer.Option("--basis", case_sensitive=False, help="What a verdict rests on."),
+    ] = None,
+    margin: Annotated[
+        float | None,
+        typer.Option("--margin", metavar="NS_PER_M", help="Damping that has to be left, N s/m."),
+    ] = None,
+    mode: Annotated[
+        params.DampingMode | None,
+        typer.Option(
+            "--mode",
+            case_sensitive=False,
+            help="Active damping off, at its level, or the least that will do.",
+        ),
+    ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -60,14 +58,11 @@ def guard(
     with connect(instance) as client:
         found = client.guard(policy, basis=basis, margin_ns_per_m=margin, mode=mode)
         found = _judged(client, found)
-        if as_json:
-            terminal.data_json({"ok": True, **client.call("guard")["result"]})
-            return
-    for line in (*guard_lines(found), *verdict_lines(found.verdict)):
-        terminal.data(line)
+        told = client.call("guard")["result"] if as_json else {}
+    terminal.show(told, (*guard_lines(found), *verdict_lines(found.verdict)), as_json)
 
 
-def _judged(client: "Client", found: "GuardStatus") -> "GuardStatus":
+def _judged(client: "clients.Client", found: GuardStatus) -> GuardStatus:
     """`found` with the verdict on what is in force, if a worker gives it in time."""
     deadline = time.monotonic() + PATIENCE_S
     while not found.verdict and found.worker in COMING and time.monotonic() < deadline:
@@ -76,12 +71,12 @@ def _judged(client: "Client", found: "GuardStatus") -> "GuardStatus":
     return found
 
 
-def guard_lines(found: "GuardStatus") -> list[str]:
+def guard_lines(found: GuardStatus) -> list[str]:
     """What the guard goes by and what it says of what is in force, as `status` shows it too."""
     return [guard_line(found), *delay_lines(found), margin_words(found)]
 
 
-def delay_lines(found: "GuardStatus") -> list[str]:
+def delay_lines(found: GuardStatus) -> list[str]:
     """The delays that there are by their names, and which of them the guard counts on."""
     delays = found.delays
     if not delays or delays.counted_periods is None:

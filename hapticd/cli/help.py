@@ -4,13 +4,13 @@ from typing import Annotated
 
 import typer
 
-Verbs = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="[VERB [SUBVERB]]", help="For example `set`, or `rec export`."),
-]
 
-
-def explain(verb: Verbs = None) -> None:
+def explain(
+    verb: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[VERB [SUBVERB]]", help="For example `set`, or `rec export`."),
+    ] = None,
+) -> None:
     """Explain a verb, as its --help does; without a VERB list all of them."""
     from hapticd.cli.app import command_line
 

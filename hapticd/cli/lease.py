@@ -7,8 +7,12 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.cli.lazy import lazily
 from hapticd.core import params
 from hapticd.protocol.answers import LeaseHeld
+
+with lazily():
+    from hapticd.core import process
 
 lease_app = typer.Typer(
     no_args_is_help=True,
@@ -18,16 +22,12 @@ What = Annotated[
     params.Leased,
     typer.Argument(metavar="WHAT", help="environment, damping, perturbation or measuring."),
 ]
-Ttl = Annotated[
-    float | None, typer.Option("--ttl-s", metavar="S", help="It ends when we are silent so long.")
-]
 AtEnd = Annotated[
     params.AtEnd | None,
     typer.Option(
         "--at-end", metavar="WHAT", help="If we die: hold, zero (K, B, M to 0) or disable."
     ),
 ]
-TakeOver = Annotated[bool, typer.Option("--take-over", help="Also if another holds it.")]
 SLICE_S = 1.0
 
 
@@ -36,35 +36,33 @@ def show(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     """Who holds what, and for how long."""
     with connect(instance) as client:
         leases = client.status().leases
-    if as_json:
-        held = {what: asdict(one) for what, one in leases.items()}
-        terminal.data_json({"ok": True, "leases": held})
-        return
-    for line in lease_lines(leases) or ["nobody holds a lease: anyone may change everything"]:
-        terminal.data(line)
+    held = {what: asdict(one) for what, one in leases.items()}
+    lines = lease_lines(leases) or ["nobody holds a lease: anyone may change everything"]
+    terminal.show({"leases": held}, lines, as_json)
 
 
 @terminal.verb(lease_app, "take")
 def take(
     what: What,
-    take_over: TakeOver = False,
-    ttl_s: Ttl = None,
+    take_over: Annotated[
+        bool, typer.Option("--take-over", help="Also if another holds it.")
+    ] = False,
+    ttl_s: Annotated[
+        float | None,
+        typer.Option("--ttl-s", metavar="S", help="It ends when we are silent so long."),
+    ] = None,
     at_end: AtEnd = None,
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
     """Hold a lease until Ctrl-C, so that nobody else changes it; e.g. to keep scripts away."""
-    from hapticd.core.process import on_stop
-
     ending: list[bool] = []
-    on_stop(lambda: ending.append(True))
+    process.on_stop(lambda: ending.append(True))
     with connect(instance) as client:
         lease = client.lease(what, ttl_s=ttl_s, at_end=at_end, take_over=take_over)
         held = lease.take()
-        if as_json:
-            terminal.data_json({"ok": True, "what": what, **asdict(held)})
-        else:
-            terminal.data(f"{_line(what, held)}; Ctrl-C releases it")
+        line = f"{_line(what, held)}; Ctrl-C releases it"
+        terminal.show({"what": what, **asdict(held)}, [line], as_json)
         while not ending:
             lease.sleep(min(SLICE_S, held.ttl_s / 2))
         lease.release()
@@ -82,13 +80,10 @@ def release(
         lease = client.lease(what, take_over=True)
         lease.take()
         lease.release()
-    if as_json:
-        held = {name: asdict(one) for name, one in before.items()}
-        terminal.data_json({"ok": True, "what": what, "before": held})
-        return
-    for line in lease_lines(before) or ["nobody held a lease"]:
-        terminal.data(f"before: {line}")
-    terminal.data(f"{what} is anyone's to change")
+    held = {name: asdict(one) for name, one in before.items()}
+    lines = [f"before: {line}" for line in lease_lines(before) or ["nobody held a lease"]]
+    lines.append(f"{what} is anyone's to change")
+    terminal.show({"what": what, "before": held}, lines, as_json)
 
 
 def lease_lines(leases: dict[str, LeaseHeld]) -> list[str]:

@@ -1,5 +1,11 @@
-"""Watch one daemon live: as strip charts, where single keys stop it or end the view, or event by
-event.
+"""Watch one daemon live in a terminal, where a key stops it, or event by event.
+
+This is for a terminal without a browser: the lines of `hapticd status`, ten times a second, from
+telemetry alone. Charts and controls are on the operators' page.
+
+Two rules. The lamp shows the servo's state, never anybody's wish. When data stay away, every value
+gives way to NO DATA: an old value never looks like a fresh one. Each line is cut at the right edge,
+and what stops the device stands left in the first.
 
 Keys come from the terminal without waiting and without Enter, and none come when stdin is no
 terminal. What would break it: waiting for data without a time-out, for then a silent daemon would
@@ -11,22 +17,35 @@ import select
 import sys
 import termios
 import tty
-from collections import deque
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass, field
 from datetime import datetime
-from threading import Thread
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import Annotated, Any, Self
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.cli.daemon import status_lines
+from hapticd.cli.lazy import lazily
+from hapticd.client import fast_stop
+from hapticd.core import clock
 from hapticd.core.errors import HapticdError
+from hapticd.core.faults import BY_NUMBER
+from hapticd.core.process import die_with_parent
 from hapticd.core.units import NS_PER_S
+from hapticd.mailbox.layout import State
+from hapticd.protocol.answers import Status, answer_of
 
-if TYPE_CHECKING:
-    from hapticd.cli.screen import History
+with lazily():
+    import msgpack
+    from rich import console as rich_console
+    from rich import live as rich_live
+    from rich import text as rich_text
+
+    from hapticd.client import blocks
+    from hapticd.client import events as event_texts
 
 
 class Keys:
@@ -50,11 +69,12 @@ class Keys:
 
 
 REDRAW_NS = NS_PER_S // 10
+NO_DATA_S = 0.5
 LOOK_S = 0.02  # between looks at what has come, and at the keys
 TICKS = "servo.raw"
 STATE = "state"  # what no record holds; nothing is asked, so that no key waits for an answer
 EVENT = "event"
-ASKED = "active_damping_asked_ns_per_m"
+STOP_KEYS = (" ", "\x1b")
 NEWEST = (
     "tick",
     "position_m",
@@ -71,7 +91,35 @@ NEWEST = (
     "lease_control",
     "lease_active_damping",
 )
-Show = Callable[["History", bool | None, float], None]  # history, simulated, seconds without data
+
+
+LAMPS = {
+    "disabled": "black on white",
+    "enabled": "black on green",
+    "homing": "black on yellow",
+}
+TRIPPED = "bold white on red"
+BADGES = {
+    None: (" hapticd ", "reverse"),
+    True: (" SIMULATED ", "bold black on yellow"),
+    False: (" REAL BOARD ", "bold white on red"),
+}
+
+
+@dataclass
+class View:
+    """What is known of the daemon at one moment."""
+
+    newest: Any = None  # its newest record (layout.TELEMETRY); None before the first
+    simulated: bool | None = None  # None until the daemon said so
+    silent_s: float = 0.0  # since the newest record came
+    state: dict[str, Any] = field(default_factory=dict)  # the newest message `state`
+    event: str = "none yet"  # the newest, in words
+
+    @property
+    def fresh(self) -> bool:
+        """Whether the newest record may be shown."""
+        return self.newest is not None and self.silent_s < NO_DATA_S
 
 
 def monitor(
@@ -81,142 +129,136 @@ def monitor(
     ] = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
-    """Watch live on one screen. Space or Esc stops the daemon, d switches active damping on or off,
-    q or Ctrl-C ends only this screen.
+    """Watch live in a terminal: state, force, position, verdict and faults. Space or Esc stops the
+    daemon, q or Ctrl-C ends only this screen. Charts and controls are on the operators' page.
 
     With --json, or when stdout is no terminal: one line every 0.1 s.
     """
     if as_json or not sys.stdout.isatty():
         watch(instance, seconds, _print_json if as_json else _print_line)
         return
-    from rich.console import Console
-    from rich.live import Live
-
-    from hapticd.cli.screen import screen
-
-    console = Console()
-
-    def show(history: "History", simulated: bool | None, silent_s: float) -> None:
-        live.update(screen(history, simulated, silent_s, console.size), refresh=True)
-
-    with Live(console=console, screen=True, auto_refresh=False) as live:
-        watch(instance, seconds, show)
+    console = rich_console.Console()
+    with rich_live.Live(console=console, screen=True, auto_refresh=False) as live:
+        watch(instance, seconds, lambda view: live.update(screen(view), refresh=True))
 
 
-def watch(instance: str, seconds: float | None, show: Show) -> None:
+def watch(instance: str, seconds: float | None, show: Callable[[View], None]) -> None:
     """Show what comes ten times a second, also when nothing comes, and obey keys.
 
     `seconds` None: until q is pressed.
     """
-    import msgpack
-
-    from hapticd.cli.screen import NO_DATA_S, History
-    from hapticd.client.blocks import BlockDecoder
-    from hapticd.client.events import event_words
-    from hapticd.core.clock import MonotonicClock
-
-    clock = MonotonicClock()
-    begin_ns = clock.now_ns()
+    now_ns = clock.MonotonicClock().now_ns
+    begin_ns = now_ns()
     newest_ns = begin_ns  # when the last record came
     shown_ns = 0
-    history = History()
-    news: deque[str] = deque()
-    simulated = None
-    decoder = BlockDecoder()
+    view = View()
+    decoder = blocks.BlockDecoder()
     with (
         connect(instance, timeout_s=NO_DATA_S) as client,
         Keys() as keys,
         closing(client.messages((TICKS, STATE, EVENT), LOOK_S)) as messages,
     ):
         # nobody there at the start is an error; one who goes away later is NO DATA
-        history.force_limit_n = float(client.hello().servo["safety"]["force_limit_n"])
+        client.hello()
         for message in messages:
-            now_ns = clock.now_ns()
-            if message is not None and message[0] == STATE:
-                history.told(msgpack.unpackb(message[1]))
-            elif message is not None and message[0] == EVENT:
-                history.event = event_words(msgpack.unpackb(message[1]))
-            elif message is not None:
-                block = decoder.decode(message[1])
-                newest_ns = now_ns if len(block.records) else newest_ns
-                simulated = bool(block.header["simulated"])
-                history = history.follow(block)
-            elif now_ns - shown_ns >= REDRAW_NS:  # what came together is shown once
-                shown_ns = now_ns
-                show(history, simulated, (now_ns - newest_ns) / NS_PER_S)
-            while news:
-                history.event = news.popleft()
+            at_ns = now_ns()
+            if message is not None and _take(view, decoder, *message):
+                newest_ns = at_ns
+            elif message is None and at_ns - shown_ns >= REDRAW_NS:  # what came together, once
+                shown_ns = at_ns
+                view.silent_s = (at_ns - newest_ns) / NS_PER_S
+                show(view)
             pressed = keys.pressed()
-            if pressed in (" ", "\x1b"):
+            if pressed in STOP_KEYS:
                 _press_stop(instance)
-            if "d" in pressed and history.newest is not None:
-                _switch_damping(instance, not history.newest[ASKED], news)
-            if "q" in pressed or (seconds is not None and now_ns - begin_ns >= seconds * NS_PER_S):
+            if "q" in pressed or (seconds is not None and at_ns - begin_ns >= seconds * NS_PER_S):
                 return
 
 
-def _press_stop(instance: str) -> None:
-    from hapticd.client.fast_stop import stop
+def _take(view: View, decoder: Any, topic: str, payload: bytes) -> bool:
+    """Put a message into `view`; whether it brought records."""
+    if topic == STATE:
+        view.state = msgpack.unpackb(payload)
+        return False
+    if topic == EVENT:
+        view.event = event_texts.event_words(msgpack.unpackb(payload))
+        return False
+    block = decoder.decode(payload)
+    view.simulated = bool(block.header["simulated"])
+    if block.restarted:  # another servo, of which nothing is known yet
+        view.state = {}
+    if len(block.records):
+        view.newest = block.records[-1]
+    return len(block.records) > 0
 
+
+def _press_stop(instance: str) -> None:
     try:
-        stop(instance)
+        fast_stop.stop(instance)
     except HapticdError as error:
         terminal.talk(f"hapticd: stop: {error}")
 
 
-def _switch_damping(instance: str, on: bool, news: deque[str]) -> None:
-    """Ask beside the screen, so that a stop pressed meanwhile waits for nobody's answer; what came
-    of it goes into `news`.
-    """
-
-    def ask() -> None:
-        try:
-            with connect(instance) as client:
-                client.damping("on" if on else "off")
-            news.append(f"damping {'on' if on else 'off'}")
-        except HapticdError as error:
-            news.append(f"damping: {error}")
-
-    Thread(target=ask, daemon=True).start()
-
-
-def _newest(history: "History", simulated: bool | None, silent_s: float) -> dict[str, Any]:
-    from hapticd.cli.screen import NO_DATA_S
-    from hapticd.core.faults import BY_NUMBER
-    from hapticd.mailbox.layout import State
-
-    newest = history.newest
-    if newest is None or silent_s >= NO_DATA_S:
-        return {"state": "no_data", "simulated": simulated, "silent_s": round(silent_s, 3)}
-    words = {
+def _newest(view: View) -> dict[str, Any]:
+    newest = view.newest
+    if not view.fresh:
+        silent_s = round(view.silent_s, 3)
+        return {"state": "no_data", "simulated": view.simulated, "silent_s": silent_s}
+    return {
         "state": State(int(newest["state"])).name.lower(),
         "fault": BY_NUMBER[int(newest["fault"])].code,
-    }
-    return {
-        **words,
-        "simulated": simulated,
+        "simulated": view.simulated,
         **{name: newest[name].item() for name in NEWEST},
         "wake_us": newest["wake_ns"] / 1e3,
-        "delivered_active_damping": history.delivered,
-        "guard": history.guard,
+        "delivered_active_damping": view.state.get("delivered_active_damping", {}),
+        "guard": view.state.get("guard", {}),
     }
 
 
-def _print_json(history: "History", simulated: bool | None, silent_s: float) -> None:
-    terminal.data_json(_newest(history, simulated, silent_s))
-
-
-def _print_line(history: "History", simulated: bool | None, silent_s: float) -> None:
-    found = _newest(history, simulated, silent_s)
-    badge = "SIMULATED " if simulated else ""
-    if found["state"] == "no_data":
-        terminal.data(f"{badge}NO DATA for {silent_s:.1f} s")
+def screen(view: View) -> "rich_console.Group":
+    """`view` in a terminal."""
+    lines = [rich_text.Text().append(*BADGES[view.simulated])]
+    if view.fresh:
+        found = _newest(view)
+        lines[0].append(" ").append(
+            f" {found['state'].upper()} ", LAMPS.get(found["state"], TRIPPED)
+        )
+        lines += [rich_text.Text.from_ansi(line) for line in _status(view, found)]
+        lines.append(rich_text.Text(f"  last event: {view.event}"))
     else:
-        x_mm = 1e3 * found["position_m"]
-        force_n = found["force_n"]
-        damping = found["active_damping_ns_per_m"]
-        moving = f"x {x_mm:.4f} mm  force {force_n:.4f} N  damping {damping:.4g} N s/m"
-        terminal.data(f"{badge}{found['state']} {moving}")
+        waiting = view.simulated is None
+        silent = "waiting for the daemon" if waiting else f"NO DATA for {view.silent_s:.1f} s"
+        lines.append(rich_text.Text(f"\n {silent} \n", TRIPPED))
+    lines[0].append("  Space/Esc: STOP  q: quit", "bold")
+    for line in lines:
+        line.no_wrap = True
+        line.overflow = "ellipsis"
+    return rich_console.Group(*lines)
+
+
+def _status(view: View, newest: dict[str, Any]) -> list[str]:
+    """The lines of `status`, its values those of the newest record as far as it has them."""
+    fault = BY_NUMBER[int(view.newest["fault"])]
+    named = {"cause": fault.cause, "action": fault.action, "remedy": fault.remedy}
+    known = {name: value for name, value in newest.items() if value != {}}
+    found = {**view.state, **known, **named}
+    return status_lines(answer_of(Status, found), found)[1:]
+
+
+def _print_json(view: View) -> None:
+    terminal.data_json(_newest(view))
+
+
+def _print_line(view: View) -> None:
+    found = _newest(view)
+    badge = "SIMULATED " if view.simulated else ""
+    if not view.fresh:
+        terminal.data(f"{badge}NO DATA for {view.silent_s:.1f} s")
+        return
+    x_mm = 1e3 * found["position_m"]
+    damping = found["active_damping_ns_per_m"]
+    moving = f"x {x_mm:.4f} mm  force {found['force_n']:.4f} N  damping {damping:.4g} N s/m"
+    terminal.data(f"{badge}{found['state']} {moving}")
 
 
 def events(
@@ -231,14 +273,9 @@ def events(
 
     `hapticd run` does the same in its own terminal. Ctrl-C ends it.
     """
-    import msgpack
-
-    from hapticd.core.clock import MonotonicClock
-    from hapticd.core.process import die_with_parent
-
     die_with_parent(parent)
-    clock = MonotonicClock()
-    begin_ns = clock.now_ns()
+    now_ns = clock.MonotonicClock().now_ns
+    begin_ns = now_ns()
     with connect(instance) as client, closing(client.messages((EVENT,), LOOK_S)) as messages:
         rights = client.status().servo.get("realtime") or {}
         refused = [f"{name}: {one['text']}" for name, one in rights.items() if not one["granted"]]
@@ -249,13 +286,11 @@ def events(
             if message is not None:
                 event = msgpack.unpackb(message[1])
                 terminal.data_json(event) if as_json else terminal.data(_timed(event))
-            if seconds is not None and clock.now_ns() - begin_ns >= seconds * NS_PER_S:
+            if seconds is not None and now_ns() - begin_ns >= seconds * NS_PER_S:
                 return
 
 
 def _timed(event: dict[str, Any]) -> str:
     """An event with the time of day."""
-    from hapticd.client.events import event_words
-
     at = datetime.fromtimestamp(event["timestamp"]).strftime("%H:%M:%S")
-    return f"{at} {event_words(event)}"
+    return f"{at} {event_texts.event_words(event)}"

@@ -4,20 +4,29 @@ A replay runs the servo's own step over the recorded frames, so it repeats a rec
 """
 
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import changes, connect
+from hapticd.cli.lazy import lazily
+from hapticd.core.environment import flat
 from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.process import on_stop
+from hapticd.mailbox.layout import Value
+from hapticd.protocol.limits import PLACES
 
-if TYPE_CHECKING:
-    from hapticd.mailbox.layout import Value
-    from hapticd.recording.recorder import RecordingProgress
-    from hapticd.recording.replay import ReplayResult
+with lazily():
+    from hapticd.recording import energy, pack, recorder
+    from hapticd.recording import file as files
+    from hapticd.recording import replay as replays
+    from hapticd.zwidth import store
+    from hapticd.zwidth.report import style
+    from hapticd.zwidth.report import trial as figures
 
 
 ENDING = ".h5"
@@ -31,25 +40,22 @@ def _recording_name(file: Path) -> Path:
     return file
 
 
-NewFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE",
-        callback=_recording_name,
-        help="NAME.h5; while it grows it is called NAME.part.h5.",
-    ),
-]
-Seconds = Annotated[
-    float | None,
-    typer.Option("--seconds", metavar="S", help="Recorded time; else until Ctrl-C.", min=0.001),
-]
-Note = Annotated[str, typer.Option("--note", metavar="TEXT", help="Your words, kept in the file.")]
-
-
 def record(
-    file: NewFile,
-    seconds: Seconds = None,
-    note: Note = "",
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            callback=_recording_name,
+            help="NAME.h5; while it grows it is called NAME.part.h5.",
+        ),
+    ],
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", metavar="S", help="Recorded time; else until Ctrl-C.", min=0.001),
+    ] = None,
+    note: Annotated[
+        str, typer.Option("--note", metavar="TEXT", help="Your words, kept in the file.")
+    ] = "",
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
@@ -58,22 +64,16 @@ def record(
 
     Ctrl-C ends it in order. A recorder that was killed loses at most 100 ms: `hapticd rec recover`.
     """
-    from hapticd.core.process import on_stop
-    from hapticd.recording.recorder import RecordingParams, record
-
     asked: list[bool] = []
     on_stop(lambda: asked.append(True))
-    params = RecordingParams(file, seconds, note)
+    params = recorder.RecordingParams(file, seconds, note)
     with connect(instance) as client, terminal.progress(as_json) as tell:
 
-        def draw(progress: "RecordingProgress") -> None:
+        def draw(progress: "recorder.RecordingProgress") -> None:
             tell(_progress_words(progress), round(progress.seconds), round(seconds or 0))
 
-        result = record(client, params, lambda: bool(asked), draw)
-    if as_json:
-        terminal.data_json({"ok": True, **result})
-    else:
-        terminal.data(finished_line(result["ended"], result))
+        result = recorder.record(client, params, lambda: bool(asked), draw)
+    terminal.show(result, [finished_line(result["ended"], result)], as_json)
 
 
 def finished_line(ended: str, summary: dict[str, Any]) -> str:
@@ -87,7 +87,7 @@ def finished_line(ended: str, summary: dict[str, Any]) -> str:
     return f"{summary['file']}: {ended}, {simulated}{taken}, {size_mb:.3g} MB"
 
 
-def _progress_words(progress: "RecordingProgress") -> str:
+def _progress_words(progress: "recorder.RecordingProgress") -> str:
     missing = f", {progress.missing} MISSING" if progress.missing else ""
     size_mb = progress.file_bytes / 1e6
     return f"{progress.seconds:.1f} s, {progress.records} records{missing}, {size_mb:.1f} MB"
@@ -106,10 +106,6 @@ Target = Annotated[
         metavar="[OUT]", help="Else beside it, with another ending.", show_default=False
     ),
 ]
-Kind = Annotated[
-    Literal["mat", "csv"],
-    typer.Argument(metavar="mat|csv", help="MATLAB 5, or comma-separated values."),
-]
 ATTRIBUTES_SHOWN = (
     "started_utc", "device_name", "device_serial", "rate_hz", "winding_c", "hapticd_version",
     "hapticd_commit", "kernel", "cpu", "realtime", "calibration_doubts", "certificate", "leases",
@@ -120,44 +116,39 @@ ATTRIBUTES_SHOWN = (
 @terminal.verb(rec_app, "recover")
 def recover(file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
     """Make a finished file of one whose recorder died, or of a flight recording."""
-    from hapticd.recording.pack import pack
-
-    summary = pack(file, out or _beside(file, ".h5"), recovered=True)
-    if as_json:
-        terminal.data_json({"ok": True, **summary})
-    else:
-        terminal.data(finished_line("recovered", summary))
+    summary = pack.pack(file, out or _beside(file, ".h5"), recovered=True)
+    terminal.show(summary, [finished_line("recovered", summary)], as_json)
 
 
 @terminal.verb(rec_app, "info")
 def info(file: Source, as_json: terminal.Json = False) -> None:
     """What is in a recording and where it comes from."""
-    from hapticd.recording.energy import total_j
-    from hapticd.recording.file import open_recording
-    from hapticd.recording.pack import summary
-
-    with open_recording(file) as recording:
-        found = summary(recording)
+    with files.open_recording(file) as recording:
+        found = pack.summary(recording)
         attributes = {name: _plain(value) for name, value in recording.attributes.items()}
-        energy: dict[str, float] = {}
+        energy_j: dict[str, float] = {}
         with suppress(ConfigError):  # records of another version
-            energy = total_j(recording)
-    if as_json:
-        terminal.data_json({"ok": True, **found, "energy_j": energy, "attributes": attributes})
-        return
+            energy_j = energy.total_j(recording)
+    lines = _info_lines(found, energy_j, attributes)
+    terminal.show({**found, "energy_j": energy_j, "attributes": attributes}, lines, as_json)
+
+
+def _info_lines(
+    found: dict[str, Any], energy_j: dict[str, float], attributes: dict[str, Any]
+) -> Iterator[str]:
     badge = terminal.coloured("SIMULATED  ", terminal.YELLOW) if found["simulated"] else ""
     probe = found["probe_samples"]
     missing = found["missing"]
     size = f"{found['seconds']:.3f} s, {found['records']} records, {probe} probe samples"
-    terminal.data(f"{badge}{size}, {found['lives']} servo life")
-    terminal.data(f"missing: {missing['servo']} records, {missing['probe']} probe samples")
+    yield f"{badge}{size}, {found['lives']} servo life"
+    yield f"missing: {missing['servo']} records, {missing['probe']} probe samples"
     if lost := found["lost_slots"]:
-        terminal.data(f"lost slots: {lost} periods without a tick, for the host came late")
-    if energy:
-        terminal.data(f"work on the device: {_energy_words(energy)}")
+        yield f"lost slots: {lost} periods without a tick, for the host came late"
+    if energy_j:
+        yield f"work on the device: {_energy_words(energy_j)}"
     for name in ATTRIBUTES_SHOWN:
         if attributes.get(name) not in (None, "", "{}"):
-            terminal.data(f"{name} = {attributes[name]}")
+            yield f"{name} = {attributes[name]}"
 
 
 def _energy_words(energy_j: dict[str, float]) -> str:
@@ -177,19 +168,22 @@ def _plain(value: Any) -> Any:
 
 
 @terminal.verb(rec_app, "export")
-def export(kind: Kind, file: Source, out: Target = None, as_json: terminal.Json = False) -> None:
+def export(
+    kind: Annotated[
+        Literal["mat", "csv"],
+        typer.Argument(metavar="mat|csv", help="MATLAB 5, or comma-separated values."),
+    ],
+    file: Source,
+    out: Target = None,
+    as_json: terminal.Json = False,
+) -> None:
     """Convert: `hapticd rec export mat FILE`."""
-    from hapticd.recording.file import open_recording
-    from hapticd.recording.pack import to_csv, to_mat
-
     target = out or _beside(file, f".{kind}")
-    with open_recording(file) as recording:
-        written = [to_mat(recording, target)] if kind == "mat" else to_csv(recording, target)
-    if as_json:
-        terminal.data_json({"ok": True, "files": [str(path) for path in written]})
-        return
-    for path in written:
-        terminal.data(str(path))
+    with files.open_recording(file) as recording:
+        mat = kind == "mat"
+        paths = [pack.to_mat(recording, target)] if mat else pack.to_csv(recording, target)
+    written = [str(path) for path in paths]
+    terminal.show({"files": written}, written, as_json)
 
 
 def _beside(file: Path, ending: str) -> Path:
@@ -200,33 +194,25 @@ def _beside(file: Path, ending: str) -> Path:
     return target
 
 
-ReplayFile = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE", callback=terminal.there, help="NAME.h5, NAME.part.h5 or NAME.flight."
-    ),
-]
-Held = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat."
-    ),
-]
-FilterHz = Annotated[
-    float | None,
-    typer.Option("--filter-hz", metavar="HZ", help="Hold the corners of both filters.", min=0.1),
-]
-ReplayPlot = Annotated[
-    Path | None,
-    typer.Option("--plot", metavar="NAME", help="Draw NAME.png, .svg and .pdf; with --set always."),
-]
-
-
 def replay(
-    file: ReplayFile,
-    held: Held = None,
-    filter_hz: FilterHz = None,
-    plot: ReplayPlot = None,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", callback=terminal.there, help="NAME.h5, NAME.part.h5 or NAME.flight."
+        ),
+    ],
+    held: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="Hold a setting, as in `hapticd set`; repeat."
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            "--plot", metavar="NAME", help="Draw NAME.png, .svg and .pdf; with --set always."
+        ),
+    ] = None,
     figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
 ) -> None:
@@ -236,15 +222,11 @@ def replay(
     The motion stays the recorded one: it shows what the law would have asked for. Exit 1 if a plain
     replay differs by a bit.
     """
-    from hapticd.recording.file import open_recording
-    from hapticd.recording.replay import replay_recording
-
-    corners = ("filters.velocity_hz", "filters.acceleration_hz") if filter_hz is not None else ()
-    words = [*(held or []), *(f"{name}={filter_hz:g}" for name in corners)]
+    words = held or []
     terminal.need_figures(bool(words or plot))
-    with open_recording(file) as recording:
+    with files.open_recording(file) as recording:
         begin = time.process_time()
-        result = replay_recording(recording, _instead(words))
+        result = replays.replay_recording(recording, _instead(words))
         seconds = time.process_time() - begin
         rate_hz = recording.params.realtime.rate_hz
         simulated = bool(recording.attributes["simulated"])
@@ -257,20 +239,13 @@ def replay(
         drawn = plot or file.with_name(f"{file.name.partition('.')[0]}-replay")
         title = f"{file.name}{', SIMULATED' if simulated else ''}"
         found["figures"] = _drawn(result, drawn, title, ", ".join(words), figure_width)
-    if as_json:
-        terminal.data_json({"ok": True, **found})
-    else:
-        _show_replay(found)
+    terminal.show(found, _replay_lines(found), as_json)
     if not words and result.first_difference is not None:
         why = "another version recorded it, or the file is damaged"
         raise HapticdError(f"{file}: the replay differs from the recording; {why}")
 
 
-def _instead(words: list[str]) -> "dict[Value, float]":
-    from hapticd.core.environment import flat
-    from hapticd.mailbox.layout import Value
-    from hapticd.protocol.limits import PLACES
-
+def _instead(words: list[str]) -> dict[Value, float]:
     found = {PLACES[name]: float(value) for name, value in flat(changes(words))}
     if Value.ACTIVE_DAMPING in found:
         found[Value.ACTIVE_DAMPING_ON] = float(found[Value.ACTIVE_DAMPING] != 0.0)
@@ -278,16 +253,12 @@ def _instead(words: list[str]) -> "dict[Value, float]":
 
 
 def _drawn(
-    result: "ReplayResult", path: Path, title: str, changed: str, width_mm: float | None
+    result: "replays.ReplayResult", path: Path, title: str, changed: str, width_mm: float | None
 ) -> list[str]:
-    from hapticd.zwidth.report.style import save
-    from hapticd.zwidth.report.trial import replay_figure
-    from hapticd.zwidth.store import FIGURE_KINDS
-
-    figure = replay_figure(result, title, changed or "replayed", width_mm)
-    named = path.suffix in {f".{kind}" for kind in FIGURE_KINDS}
+    figure = figures.replay_figure(result, title, changed or "replayed", width_mm)
+    named = path.suffix in {f".{kind}" for kind in store.FIGURE_KINDS}
     name = path.stem if named else path.name
-    return [str(one) for one in save(figure, path.parent, name)]
+    return [str(one) for one in style.save(figure, path.parent, name)]
 
 
 def _replay_verdict(found: dict[str, Any]) -> str:
@@ -302,25 +273,23 @@ def _replay_verdict(found: dict[str, Any]) -> str:
     return f"{held} the force is another {from_tick}, by {difference_n:.4g} N rms"
 
 
-def _show_replay(found: dict[str, Any]) -> None:
-
+def _replay_lines(found: dict[str, Any]) -> Iterator[str]:
     speed = f"{found['times_real_time']:.0f} x real time"
     segments = "1 segment" if found["legs"] == 1 else f"{found['legs']} segments"
-    terminal.data(f"{found['ticks']} ticks in {segments}, {speed}: {_replay_verdict(found)}")
+    yield f"{found['ticks']} ticks in {segments}, {speed}: {_replay_verdict(found)}"
     if left_out := found["left_out"]:
         why = "a replay begins at the servo's first checkpoint, after the start and after a gap"
-        terminal.data(f"left out: {left_out} ticks; {why}")
+        yield f"left out: {left_out} ticks; {why}"
     if (first := found["first_difference"]) and not found["held"]:
         difference = f"{first['field']} was {first['recorded']}, is {first['replayed']}"
-        terminal.data(f"from tick {first['tick']}: {difference}")
-    for name, word in (("recorded", "recorded"), ("replayed", "replayed")):
+        yield f"from tick {first['tick']}: {difference}"
+    for name in ("recorded", "replayed"):
         rms_n = found["force_rms_n"][name]
         peak_n = found["force_peak_n"][name]
-        terminal.data(f"force {word:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N")
+        yield f"force {name:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N"
     if not any(found["force_peak_n"].values()):
-        terminal.data(
+        yield (
             "no force in either: force was off, or nothing moved; enable the display, set a"
             " stiffness and move the handle while it records"
         )
-    for path in found.get("figures", []):
-        terminal.data(path)
+    yield from found.get("figures", [])

@@ -1,42 +1,30 @@
 """Simulate scenes: run them, explain them, their effects, their damping, their accuracy."""
 
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+import time
+from typing import Annotated, Any, Literal
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.terminal import progress
 
-if TYPE_CHECKING:
-    from hapticd.model.scene import Scene
-    from hapticd.studies.scene import SceneResult, SceneTrial
+with lazily():
+    from hapticd.model import compose, stability
+    from hapticd.model import scene as model_scene
+    from hapticd.settings import scene as scenes
+    from hapticd.studies import accuracy as accuracies
+    from hapticd.studies import effects as effect_studies
+    from hapticd.studies import report
+    from hapticd.studies import scene as scene_studies
+    from hapticd.zwidth import scenes as displays
+    from hapticd.zwidth import store
+    from hapticd.zwidth.report import table
+
 
 QUESTIONS = (
     "limits: passive K, B, M; phase: of Z in the band; peak: of |Z| near 100 Hz, as in Fig. 8."
 )
-Tolerance = Annotated[
-    str,
-    typer.Option("--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02."),
-]
-TrialSeconds = Annotated[
-    float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of simulated trials.")
-]
-SceneSeconds = Annotated[
-    float | None,
-    typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's."),
-]
-Quick = Annotated[
-    bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")
-]
-
-
-class EffectsQuestion(StrEnum):
-    """What is asked of the scene."""
-
-    LIMITS = "limits"
-    PHASE = "phase"
-    PEAK = "peak"
 
 
 sim_app = typer.Typer(
@@ -50,64 +38,53 @@ def sim_run(
     scene: terminal.SceneName,
     plot: terminal.Plot = False,
     figure_width: terminal.FigureWidth = None,
-    seconds: SceneSeconds = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option("--seconds", metavar="S", min=0.001, help="Length in place of the scene's."),
+    ] = None,
     out: terminal.Out = terminal.HERE,
     as_json: terminal.Json = False,
 ) -> None:
     """Simulate a scene with and without its active damping: traces, and impedance and
     verdict where noise moves it.
     """
-    from hapticd.settings.scene import load_scene
-    from hapticd.studies.report import scene_figure, scene_table
-    from hapticd.studies.scene import plan_scene, run_scene
-    from hapticd.zwidth.report.table import text
-
-    terminal.need_engine()
-    terminal.need_figures(plot)
-    plan = plan_scene(load_scene(scene), seconds)
+    terminal.need_engine(plot)
+    plan = scene_studies.plan_scene(scenes.load_scene(scene), seconds)
     with progress(as_json) as tell:
-        result = run_scene(plan, tell)
+        result = scene_studies.run_scene(plan, tell)
     paths = []
     if plot:
-        figure = scene_figure(result, figure_width)
+        figure = report.scene_figure(result, figure_width)
         paths = terminal.save_figure(figure, out, plan.scene.name, as_json)
-    if as_json:
-        terminal.data_json({**_result_json(result), "figures": paths})
-        return
-    terminal.data(f"{plan.scene.title}: {plan.seconds:g} s, SIMULATED {plan.scene.device}\n")
-    terminal.data(text(scene_table(result)))
+    trials = [_trial_json(trial) for trial in result.trials]
+    lines = [
+        f"{plan.scene.title}: {plan.seconds:g} s, SIMULATED {plan.scene.device}\n",
+        table.text(report.scene_table(result)),
+    ]
     for trial in result.trials:
         if trial.judged is not None:
-            terminal.data(f"\n{trial.case.name}: {trial.judged.verdict}")
+            lines.append(f"\n{trial.case.name}: {trial.judged.verdict}")
+    found = {"seconds": plan.seconds, "trials": trials, "figures": paths}
+    terminal.show({**_about(plan.scene), **found}, lines, as_json)
 
 
-def _result_json(result: "SceneResult") -> dict[str, Any]:
-    trials = [_trial_json(trial) for trial in result.trials]
-    return {**_about(result.plan.scene), "seconds": result.plan.seconds, "trials": trials}
+def _about(scene: "model_scene.Scene") -> dict[str, Any]:
+    return {"simulated": True, "scene": scene.name, "title": scene.title, "device": scene.device}
 
 
-def _about(scene: "Scene") -> dict[str, Any]:
-    return {
-        "ok": True,
-        "simulated": True,
-        "scene": scene.name,
-        "title": scene.title,
-        "device": scene.device,
-    }
+def _head(scene: "model_scene.Scene") -> str:
+    return f"{scene.title}: SIMULATED {scene.device}"
 
 
-def _trial_json(trial: "SceneTrial") -> dict[str, Any]:
-    from hapticd.studies.report import impedance_rows
-    from hapticd.zwidth.store import to_json
-
+def _trial_json(trial: "scene_studies.SceneTrial") -> dict[str, Any]:
     found = {
         "leg": trial.case,
         **trial.numbers,
         "verdict": trial.judged and trial.judged.verdict,
         "winding_c": trial.winding_c,
-        "impedance": impedance_rows(trial),
+        "impedance": report.impedance_rows(trial),
     }
-    return {name: to_json(value) for name, value in found.items()}
+    return {name: store.to_json(value) for name, value in found.items()}
 
 
 @terminal.verb(sim_app, "explain")
@@ -115,43 +92,37 @@ def sim_explain(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     """Say what a scene simulates: states, nonlinearities, time constants, step, why
     each is there, and its measured cost.
     """
-    import time
-
-    from hapticd.model.compose import compose
-    from hapticd.model.stability import explain
-    from hapticd.settings.scene import load_scene
-    from hapticd.studies import report as words
-    from hapticd.studies.accuracy import cost
-    from hapticd.zwidth.report.table import text
-    from hapticd.zwidth.scenes import SUBSTEPS
-    from hapticd.zwidth.store import to_json
-
-    loaded = load_scene(scene)
-    found = explain(
-        compose(loaded), sorted({step.level_ns_per_m for step in loaded.active_damping})
-    )
-    spent = cost(loaded, scene, time.process_time_ns)
-    if as_json:
-        costs = {"cost": to_json(spent), "substeps": SUBSTEPS}
-        terminal.data_json({**_about(loaded), **to_json(found), **costs})
-        return
+    loaded = scenes.load_scene(scene)
+    levels = sorted({step.level_ns_per_m for step in loaded.active_damping})
+    found = stability.explain(compose.compose(loaded), levels)
+    spent = accuracies.cost(loaded, scene, time.process_time_ns)
     size = f"{len(found.states)} states, {len(found.nonlinearities)} nonlinearities"
-    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}, {size}")
-    for part in words.explained(found):
-        terminal.data(f"\n{text(part)}")
-    terminal.data("")
-    for line in (*words.step_words(found, loaded, SUBSTEPS), *words.cost_words(spent)):
-        terminal.data(line)
+    lines = [
+        f"{_head(loaded)}, {size}",
+        *(f"\n{table.text(part)}" for part in report.explained(found)),
+        "",
+        *report.step_words(found, loaded, displays.SUBSTEPS),
+        *report.cost_words(spent),
+    ]
+    costs = {"cost": store.to_json(spent), "substeps": displays.SUBSTEPS}
+    terminal.show({**_about(loaded), **store.to_json(found), **costs}, lines, as_json)
 
 
 @terminal.verb(sim_app, "effects")
 def sim_effects(
     scene: terminal.SceneName,
     question: Annotated[
-        EffectsQuestion, typer.Option("--for", help=QUESTIONS)
-    ] = EffectsQuestion.LIMITS,
-    tolerance: Tolerance = "2%",
-    seconds: TrialSeconds = 90.0,
+        Literal["limits", "phase", "peak"], typer.Option("--for", help=QUESTIONS)
+    ] = "limits",
+    tolerance: Annotated[
+        str,
+        typer.Option(
+            "--tolerance", metavar="SHARE", help="Change that does not matter: 2% or 0.02."
+        ),
+    ] = "2%",
+    seconds: Annotated[
+        float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of simulated trials.")
+    ] = 90.0,
     plot: terminal.Plot = True,
     figure_width: terminal.FigureWidth = None,
     out: terminal.Out = terminal.HERE,
@@ -160,33 +131,28 @@ def sim_effects(
     """Leave effects out one at a time, see what the answer does, and propose the
     cheapest set that is enough.
     """
-    import time
-
-    from hapticd.settings.scene import load_scene
-    from hapticd.studies.effects import EffectsParams, plan_effects, run_effects
-    from hapticd.studies.report import effects_figure, effects_table, effects_words
-    from hapticd.zwidth.report.table import text
-    from hapticd.zwidth.store import to_json
-
-    terminal.need_engine()
-    terminal.need_figures(plot)
-    loaded = load_scene(scene)
-    plan = plan_effects(EffectsParams(loaded, question.value, share(tolerance), seconds))
+    terminal.need_engine(plot)
+    loaded = scenes.load_scene(scene)
+    asked = effect_studies.EffectsParams(loaded, question, share(tolerance), seconds)
+    plan = effect_studies.plan_effects(asked)
     with progress(as_json) as tell:
-        result = run_effects(plan, time.process_time_ns, tell)
+        result = effect_studies.run_effects(plan, time.process_time_ns, tell)
     paths = []
     if plot:
-        name = f"{loaded.name}-effects-{question.value}"
-        figure = effects_figure(result, figure_width)
+        name = f"{loaded.name}-effects-{question}"
+        figure = report.effects_figure(result, figure_width)
         paths = terminal.save_figure(figure, out, name, as_json)
-    if as_json:
-        about = {"ok": True, "simulated": True, "scene": loaded.name}
-        asked = {"question": question.value, "tolerance": plan.params.tolerance}
-        found = to_json(result, skip=("plan",))
-        terminal.data_json({**about, **asked, **found, "figures": paths})
-        return
-    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(effects_table(result))}\n")
-    terminal.data(effects_words(result))
+    found = {
+        "simulated": True,
+        "scene": loaded.name,
+        "question": question,
+        "tolerance": plan.params.tolerance,
+        **store.to_json(result, skip=("plan",)),
+        "figures": paths,
+    }
+    effects = table.text(report.effects_table(result))
+    lines = [f"{_head(loaded)}\n\n{effects}\n", report.effects_words(result)]
+    terminal.show(found, lines, as_json)
 
 
 def share(text: str) -> float:
@@ -204,28 +170,20 @@ def sim_ceiling(scene: terminal.SceneName, as_json: terminal.Json = False) -> No
     """Say the largest stable active damping: of the device alone, with the scene's
     environment, and hot or cold.
     """
-    from hapticd.settings.scene import load_scene
-    from hapticd.studies.report import ceiling_table, ceiling_words
-    from hapticd.studies.scene import ceiling
-    from hapticd.zwidth.report.table import text
-    from hapticd.zwidth.store import to_json
-
-    loaded = load_scene(scene)
-    found = ceiling(loaded)
-    if as_json:
-        about = {"ok": True, "simulated": True, "scene": loaded.name, "unit": "N s/m"}
-        terminal.data_json({**about, **to_json(found)})
-        return
-    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n")
-    for line in ceiling_words(found):
-        terminal.data(line)
+    loaded = scenes.load_scene(scene)
+    found = scene_studies.ceiling(loaded)
+    lines = [f"{_head(loaded)}\n", *report.ceiling_words(found)]
     if found.warmer:
-        terminal.data(f"\n{text(ceiling_table(found))}")
+        lines.append(f"\n{table.text(report.ceiling_table(found))}")
+    about = {"simulated": True, "scene": loaded.name, "unit": "N s/m"}
+    terminal.show({**about, **store.to_json(found)}, lines, as_json)
 
 
 def accuracy(
     scene: terminal.SceneName,
-    quick: Quick = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A coarse look: shorter trials, fewer settings.")
+    ] = False,
     plot: terminal.Plot = True,
     figure_width: terminal.FigureWidth = None,
     out: terminal.Out = terminal.HERE,
@@ -236,40 +194,30 @@ def accuracy(
 
     The first run of a scene also compiles its kernels, which are kept.
     """
-    import time
-
-    from hapticd.settings.scene import load_scene
-    from hapticd.studies.accuracy import plan_accuracy, run_accuracy
-    from hapticd.studies.report import (
-        accuracy_figure,
-        accuracy_table,
-        accuracy_words,
-        integrators_figure,
-    )
-    from hapticd.studies.scene import compare_integrators
-    from hapticd.zwidth.report.table import text
-    from hapticd.zwidth.store import to_json
-
-    terminal.need_engine()
-    terminal.need_figures(plot)
-    loaded = load_scene(scene)
-    explicit = compare_integrators(loaded)
+    terminal.need_engine(plot)
+    loaded = scenes.load_scene(scene)
+    explicit = scene_studies.compare_integrators(loaded)
+    plan = accuracies.plan_accuracy(loaded, scene, quick)
     with progress(as_json) as tell:
-        result = run_accuracy(plan_accuracy(loaded, scene, quick), time.process_time_ns, tell)
+        result = accuracies.run_accuracy(plan, time.process_time_ns, tell)
     paths = []
     if plot:
         figures = {
-            "accuracy": accuracy_figure(result, figure_width),
-            "integrators": integrators_figure(explicit, loaded.title, figure_width),
+            "accuracy": report.accuracy_figure(result, figure_width),
+            "integrators": report.integrators_figure(explicit, loaded.title, figure_width),
         }
         for name, figure in figures.items():
             named = f"{loaded.name}-{name}"
             paths += terminal.save_figure(figure, out, named, as_json)
-    if as_json:
-        about = {"ok": True, "simulated": True, "scene": loaded.name, "title": loaded.title}
-        found = {**to_json(result, skip=("plan",)), "integrators": to_json(explicit)}
-        terminal.data_json({**about, "quick": quick, **found, "figures": paths})
-        return
-    terminal.data(f"{loaded.title}: SIMULATED {loaded.device}\n\n{text(accuracy_table(result))}\n")
-    for line in accuracy_words(result):
-        terminal.data(line)
+    found = {
+        "simulated": True,
+        "scene": loaded.name,
+        "title": loaded.title,
+        "quick": quick,
+        **store.to_json(result, skip=("plan",)),
+        "integrators": store.to_json(explicit),
+        "figures": paths,
+    }
+    measured = table.text(report.accuracy_table(result))
+    lines = [f"{_head(loaded)}\n\n{measured}\n", *report.accuracy_words(result)]
+    terminal.show(found, lines, as_json)

@@ -1,26 +1,25 @@
 """The simulated board in a process of its own, at a true USB bus: `hapticd sim-board`."""
 
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
+from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import ConfigError
+from hapticd.core.process import on_stop
+
+with lazily():
+    from hapticd.settings import build, load
+    from hapticd.sim import board, injection, usb_device, usbip
 
 LOOPBACK = "127.0.0.1"
 MOST_PORT = 65535
 
 
-class TransferKind(StrEnum):
-    """How frames travel."""
-
-    BULK = "bulk"
-    INTERRUPT = "interrupt"
-
-
 def sim_board(
-    usbip: Annotated[
+    where: Annotated[
         str,
         typer.Option(
             "--usbip",
@@ -30,8 +29,8 @@ def sim_board(
     ],
     config: terminal.ConfigFile = None,
     transfer: Annotated[
-        TransferKind, typer.Option("--transfer", help="How frames travel.")
-    ] = TransferKind.BULK,
+        Literal["bulk", "interrupt"], typer.Option("--transfer", help="How frames travel.")
+    ] = "bulk",
     as_json: terminal.JsonLines = False,
 ) -> None:
     """Offer the simulated board to the USB bus of any Linux, by USB/IP. Ctrl-C ends it.
@@ -39,24 +38,15 @@ def sim_board(
     Whoever attaches it has it: USB/IP knows no rights, so it stays on this machine unless HOST is
     named.
     """
-    from hapticd.core.clock import MonotonicClock
-    from hapticd.core.process import on_stop
-    from hapticd.settings.build import board_params
-    from hapticd.settings.load import load
-    from hapticd.sim.board import make_board
-    from hapticd.sim.injection import with_injections
-    from hapticd.sim.usb_device import UsbDevice, check_traits
-    from hapticd.sim.usbip import BUS_ID, UsbipServer
-
-    host, port = address(usbip)
-    settings = load(config)
-    params = board_params(settings)
+    host, port = address(where)
+    settings = load.load(config)
+    params = build.board_params(settings)
     if params is None:
         raise ConfigError(
             f"{settings.device_file}: not a simulated device; name one with `device` in"
             f" {settings.config_file}"
         )
-    check_traits(params)
+    usb_device.check_traits(params)
 
     def tell(event: str, text: str) -> None:
         if as_json:
@@ -64,15 +54,17 @@ def sim_board(
         else:
             terminal.data(text)
 
-    port_of_board = with_injections(make_board(params), params)
-    device = UsbDevice(port_of_board, transfer.value, params.hello_s)
-    server = UsbipServer(device, MonotonicClock(), host, port, lambda text: tell("peer", text))
+    simulated = injection.with_injections(board.make_board(params), params)
+    device = usb_device.UsbDevice(simulated, transfer, params.hello_s)
+    server = usbip.UsbipServer(
+        device, MonotonicClock(), host, port, lambda text: tell("peer", text)
+    )
     on_stop(server.stop)
     place, _, place_port = server.address.rpartition(":")
     tell(
         "ready",
         f"SIMULATED board {params.serial} at {server.address}; attach it with\n"
-        f"  usbip --tcp-port {place_port} attach -r {place.strip('[]')} -b {BUS_ID}",
+        f"  usbip --tcp-port {place_port} attach -r {place.strip('[]')} -b {usbip.BUS_ID}",
     )
     server.serve()
 

@@ -11,7 +11,7 @@ import os
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -19,14 +19,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hapticd.cli.lazy import lazily
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError, MailboxError
 from hapticd.core.extras import need
 from hapticd.mailbox.files import DEFAULT_INSTANCE, runtime_folder
 
+with lazily():
+    from hapticd.settings import toml
+    from hapticd.zwidth import store
+    from hapticd.zwidth.report import paper, style
+
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from hapticd.zwidth.store import Progress
 
 
 Verb = Callable[..., None]
@@ -93,6 +98,15 @@ def data(text: str) -> None:
 def data_json(content: Any) -> None:
     """One object in one line."""
     print(json.dumps(content, default=str), flush=True)
+
+
+def show(found: Mapping[str, Any], lines: Iterable[str], as_json: bool) -> None:
+    """What a verb found: with --json one object that begins with `ok`, else lines for people."""
+    if as_json:
+        data_json({"ok": True, **found})
+        return
+    for line in lines:
+        data(line)
 
 
 def talk(text: str) -> None:
@@ -191,10 +205,8 @@ def there(path: Path | None) -> Path | None:
     """`path` if something is there, else BadParameter with the name that is nearly the same."""
     if path is None or os.path.exists(path):
         return path
-    from hapticd.settings.toml import did_you_mean
-
     folder = path.parent
-    meant = did_you_mean(path.name, os.listdir(folder)) if os.access(folder, os.R_OK) else ""
+    meant = toml.did_you_mean(path.name, os.listdir(folder)) if os.access(folder, os.R_OK) else ""
     raise typer.BadParameter(f"{path}: no such file; check the path and its permissions{meant}")
 
 
@@ -249,7 +261,7 @@ SIMULATED_BANNER = """\
 
 
 @contextmanager
-def progress(quiet: bool = False) -> "Iterator[Progress]":
+def progress(quiet: bool = False) -> "Iterator[store.Progress]":
     """Yields `tell(what, done, total)`, which draws the bar; total 0: how many is not known.
 
     Without a terminal, or `quiet`, it does nothing.
@@ -292,17 +304,19 @@ def need_figures(wanted: bool) -> None:
         need("matplotlib", "a figure")
 
 
-def need_engine() -> None:
-    """Fail before a prediction rather than after it. MissingLibrary if numba is missing."""
+def need_engine(figures: bool = False) -> None:
+    """Fail before a prediction rather than after it.
+
+    MissingLibrary if numba is missing, or matplotlib where figures are wanted.
+    """
     need("numba", "the batch engine")
+    need_figures(figures)
 
 
 def figure_width_mm(text: str) -> float:
     """The width [mm] in the text of --figure-width. BadParameter for others."""
-    from hapticd.zwidth.report.paper import width_mm
-
     try:
-        return width_mm(text)
+        return paper.width_mm(text)
     except ConfigError as error:
         raise typer.BadParameter(str(error)) from None
 
@@ -320,8 +334,6 @@ FigureWidth = Annotated[
 
 def save_figure(figure: "Figure", folder: Path, name: str, as_json: bool) -> list[str]:
     """Save the figure's files and say where; the paths."""
-    from hapticd.zwidth.report import style
-
     paths = [str(path) for path in style.save(figure, folder, name)]
     if not as_json:
         talk(f"drawn: {', '.join(paths)}")

@@ -6,10 +6,12 @@ rebuilds a tree and refuses unknown or missing keys.
 """
 
 import dataclasses
+import json
 import math
 import types
 import typing
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from hapticd.core.constraints import (
@@ -76,6 +78,7 @@ __all__ = [
     "UsbParams",
     "UsbTable",
     "from_plain",
+    "read_params",
     "to_plain",
 ]
 
@@ -809,6 +812,14 @@ def from_plain(kind: type[T], plain: Any, where: str = "") -> T:
         raise ConfigError(
             f"{where or kind.__name__}: {error}; written by another version? resolve again"
         ) from error
+
+
+def read_params(kind: type[T], path: Path) -> T:
+    """The parameters of `kind` in the JSON file `path`. ConfigError names the file."""
+    try:
+        return from_plain(kind, json.loads(path.read_text()), str(path))
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}; make it with `hapticd config resolve`") from error
 
 
 def _value(hint: Any, plain: Any, where: str) -> Any:

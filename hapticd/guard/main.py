@@ -14,7 +14,6 @@ is longer than it says.
 """
 
 import argparse
-import json
 import os
 import select
 import socket
@@ -25,8 +24,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgpack
 
-from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.core.params import GuardSetup, from_plain
+from hapticd.core.errors import HapticdError
+from hapticd.core.params import GuardSetup, read_params
 from hapticd.core.process import die_with_parent, on_stop
 from hapticd.guard.worker import LENGTH
 from hapticd.mailbox.files import GUARD_JSON
@@ -50,7 +49,7 @@ def main(arguments: list[str]) -> int:
     from hapticd.guard.judge import Judge
 
     try:
-        judge = Judge(_read(asked.folder / GUARD_JSON))
+        judge = Judge(read_params(GuardSetup, asked.folder / GUARD_JSON))
     except HapticdError as error:
         sys.stderr.write(f"hapticd guard: {error}\n")
         return error.exit_code
@@ -69,13 +68,6 @@ def _be_a_batch() -> None:
 
 def _end() -> None:
     raise SystemExit(0)
-
-
-def _read(path: Path) -> GuardSetup:
-    try:
-        return from_plain(GuardSetup, json.loads(path.read_text()), str(path))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: {error}; make it with `hapticd config resolve`") from error
 
 
 def serve(line: socket.socket, judge: "Judge") -> None:

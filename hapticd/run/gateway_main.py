@@ -10,7 +10,6 @@ What would break it: an import that brings numba, scipy or pyusb (import-linter 
 """
 
 import argparse
-import json
 import os
 import socket
 import subprocess
@@ -18,8 +17,8 @@ import sys
 from pathlib import Path
 
 from hapticd.core.clock import MonotonicClock
-from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.core.params import GatewaySetup, from_plain
+from hapticd.core.errors import HapticdError
+from hapticd.core.params import GatewaySetup, read_params
 from hapticd.core.process import Feeder, die_with_parent, notify, on_stop
 from hapticd.gateway import server
 from hapticd.mailbox.files import GATEWAY_JSON, GUARD_JSON
@@ -45,7 +44,7 @@ def main(arguments: list[str]) -> int:
         return bool(ending)
 
     def read() -> GatewaySetup:
-        return _read(asked.folder / GATEWAY_JSON)
+        return read_params(GatewaySetup, asked.folder / GATEWAY_JSON)
 
     def judge(line: socket.socket) -> "subprocess.Popen[bytes]":
         return guard_worker(asked.folder, line)
@@ -81,13 +80,6 @@ def guard_worker(folder: Path, line: socket.socket) -> "subprocess.Popen[bytes]"
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         process_group=0,
     )
-
-
-def _read(path: Path) -> GatewaySetup:
-    try:
-        return from_plain(GatewaySetup, json.loads(path.read_text()), str(path))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: {error}; make it with `hapticd config resolve`") from error
 
 
 def _say_ready(descriptor: int | None) -> None:

@@ -88,7 +88,10 @@ def replay(
     state = unflatten(segment.state)
     obeyed = _by_tick(segment.requests)
     records = segment.records
-    slots = _slots(records)
+    # time, and delay of the force in effect [periods], as the loop gave them to step
+    slots: list[int] = records["slot"].tolist()
+    periods_per_us = params.realtime.rate_hz / US_PER_S
+    delays = [delay_us * periods_per_us for delay_us in records["delay_us"].tolist()]
     if instead:
         state = _held(state, instead, slots[0], params)
         obeyed = {
@@ -103,7 +106,6 @@ def replay(
     blobs = []
     rows = []
     columns = (records[name].tolist() for name in ("tick", "arrival", "host"))
-    delays = _delays(records, params.realtime.rate_hz)
     for tick, arrival, host, frame, delay, slot in zip(*columns, heads, delays, slots, strict=True):
         if arrival >= 0:
             head = unpack(frame[:size])
@@ -125,18 +127,6 @@ def replay(
         blobs.append(settled.blob)
         rows.append((flags, torque, settled.damping_count, *numbers, work, excess))
     return _assembled(blobs, rows)
-
-
-def _delays(records: Records, rate_hz: float) -> list[float]:
-    """Delay of the force in effect [periods] at each tick, as the loop gave it to step."""
-    periods_per_us = rate_hz / US_PER_S
-    return [delay_us * periods_per_us for delay_us in records["delay_us"].tolist()]
-
-
-def _slots(records: Records) -> list[int]:
-    """The time of each record, as the loop gave it to step."""
-    found: list[int] = records["slot"].tolist()
-    return found
 
 
 def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.void]:

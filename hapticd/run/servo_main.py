@@ -15,7 +15,6 @@ What would break it: an import at the top that loads numpy, pydantic or zmq, or 
 real board; import-linter and a test look at that.
 """
 
-import json
 import os
 import sys
 from collections.abc import Callable
@@ -24,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from hapticd.core.clock import Clock, MonotonicClock
 from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.core.params import BoardParams, ServoParams, from_plain
+from hapticd.core.params import BoardParams, ServoParams, read_params
 from hapticd.core.process import die_with_parent, notify, on_stop
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.mailbox import files, layout
@@ -51,15 +50,6 @@ def simulated_backend(
     from hapticd.sim.transport import make_backend
 
     return make_backend(params, clock, on_slip)
-
-
-def read_json(kind: Any, path: str) -> Any:
-    """The parameters of `kind` in the JSON file `path`. ConfigError names the file."""
-    try:
-        plain = json.loads(Path(path).read_text())
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: {error}; make it with `hapticd config resolve`") from error
-    return from_plain(kind, plain, path)
 
 
 def startup_message(text: str) -> None:
@@ -184,17 +174,17 @@ class Servo:
 def main(arguments: list[str]) -> int:
     """Run a servo; the exit code."""
     parent = int(arguments[arguments.index("--parent") + 1]) if "--parent" in arguments else None
-    paths = [item for item in arguments if item.endswith(".json")]
+    paths = [Path(item) for item in arguments if item.endswith(".json")]
     die_with_parent(parent)
     try:
         if not paths:
             raise ConfigError(
                 "name the servo.json to start from; `hapticd config resolve` makes one"
             )
-        params = read_json(ServoParams, paths[0])
+        params = read_params(ServoParams, paths[0])
         if params.simulated and len(paths) < 2:
             raise ConfigError(f"{paths[0]} says simulated; name the board.json too")
-        board = read_json(BoardParams, paths[1]) if params.simulated else None
+        board = read_params(BoardParams, paths[1]) if params.simulated else None
         servo = Servo(params, board, MonotonicClock())
         on_stop(servo.stop)
         servo.run()

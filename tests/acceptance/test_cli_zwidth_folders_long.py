@@ -57,7 +57,7 @@ def test_interrupted_limits_go_on(
 
 def test_folder_never_mixes_two_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["trial", "--seconds", "8", "--out", str(tmp_path)]
-    run([*words, "--admittance"], capsys)
+    run([*words, "--plot"], capsys)
     (tmp_path / "notes.png").write_text("mine")
     (tmp_path / "trials.jsonl").write_text('{"key": "a"}\n')
     assert {"trial.png", "trial_admittance.svg"} <= names(tmp_path)

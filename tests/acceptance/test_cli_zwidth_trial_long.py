@@ -17,7 +17,7 @@ from hapticd.settings.toml import shipped
 
 
 def test_run_of_multisines_is_drawn_again_with_its_admittance(tmp_path, capsys):
-    run(["trial", *LINEAR, *MULTISINE, "--out", str(tmp_path), "--admittance"], capsys)
+    run(["trial", *LINEAR, *MULTISINE, "--out", str(tmp_path), "--plot"], capsys)
     names = {"trial.png", "trial_admittance.png"}
     drawn = (tmp_path / "trial.svg").read_text()
     assert "predicted" in drawn

@@ -239,7 +239,7 @@ def test_base_installation_runs_daemon_commands_and_page(
 
 
 def test_base_installation_writes_the_files_of_the_service(locked: Installed) -> None:
-    shown = done(locked.hapticd("install-system", "--print")).stdout
+    shown = done(locked.hapticd("install-system")).stdout
     assert f"ExecStart={locked.python} -I -X utf8 -m hapticd.run.servo_main" in shown
 
 

@@ -132,7 +132,10 @@ def test_replay_with_other_settings_draws_both(
 ) -> None:
     assert (
         main(
-            ["replay", str(file), "--set", "B=5", "--set", "active_damping=0", "--filter-hz", "60"]
+            [
+                *("replay", str(file), "--set", "B=5", "--set", "active_damping=0"),
+                *("--set", "filters.velocity_hz=60", "--set", "filters.acceleration_hz=60"),
+            ]
         )
         == 0
     )

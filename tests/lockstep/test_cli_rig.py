@@ -102,7 +102,7 @@ def test_a_table_that_outlived_its_newton_is_offered_again(config):
 
 
 def test_the_path_waits_until_the_daemon_has_read_what_was_written(config, hand, monkeypatch):
-    where = guided.Where("default", config)
+    where = steps.StepOptions(instance="default", config=config)
     monkeypatch.setattr(guided, "connect", steps.connect)
     write(load(config).device_file, [Change("force", "full_scale_n", 9.0)], "rig motor", DAY)
     assert "force" in guided._stale(where)

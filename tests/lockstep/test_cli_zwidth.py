@@ -96,7 +96,7 @@ def test_dead_workers_leave_what_is_kept(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["trial", "--estimator", "h"], 2, "use spa or h_force"),
+        (["trial", "--estimator", "h"], 2, "'h' is not one of 'spa', 'h_force'"),
         (["trial", "x.csv", "--stepped-sine"], 2, "a record that exists cannot be perturbed again"),
         (["trial", "--seconds", "1"], 65, "a trial of 1 s: a verdict takes 3.84 s or more"),
         (["trial", "--scene", "fgi4"], 78, "did you mean 'fig4'?"),

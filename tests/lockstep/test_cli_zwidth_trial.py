@@ -153,7 +153,7 @@ def test_brackets_of_help_texts_are_printed(capsys):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--excitation", "chirp"], 2, "--excitation 'chirp': use noise or multisine"),
+        (["--excitation", "chirp"], 2, "'chirp' is not one of 'noise', 'multisine'"),
         (
             ["--excitation", "multisine", "--until-decided"],
             2,

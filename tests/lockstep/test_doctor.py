@@ -4,6 +4,7 @@ import dataclasses
 import gzip
 import json
 import os
+import platform
 import socket
 from collections import Counter
 from collections.abc import Callable
@@ -16,14 +17,23 @@ from hapticd.cli.app import main
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import RealtimeParams, UsbParams
 from hapticd.core.units import NS_PER_S, NS_PER_US
-from hapticd.run.doctor import checks, machine, wake
-from hapticd.run.doctor.checks import CHECKS, CheckResult, Requirements, examine, requirements
-from hapticd.run.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, UNLIMITED, Machine, cores_in
+from hapticd.run.doctor import machine, probes, wake
+from hapticd.run.doctor.checks import CHECKS, Check, CheckResult, examine, examined
+from hapticd.run.doctor.machine import (
+    CAP_IPC_LOCK,
+    CAP_SYS_NICE,
+    UNLIMITED,
+    Build,
+    Machine,
+    cores_in,
+)
+from hapticd.run.doctor.requirements import Requirements, requirements
 from hapticd.servo.loop import virtual_wait
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 
-Check = Callable[[Machine, Requirements], CheckResult]
+Probe = Callable[[Machine, Requirements], str | probes.Flaw]
+TABLE = {check.probe: check for check in CHECKS}
 NO_LIMIT = (UNLIMITED, UNLIMITED)
 BOARD_FILES = {
     "sys/bus/usb/devices/1-2/idVendor": "1209",
@@ -65,6 +75,7 @@ def make(tmp_path: Path) -> Callable[..., Machine]:
             "clock_resolution_s": 1e-9,
             "may_write": lambda path: True,
             "free_bytes": lambda path: 10**12,
+            "build": PYENV,
         }
         return Machine(root=tmp_path, **(ordinary | facts))
 
@@ -78,20 +89,25 @@ def asked(**changes: Any) -> Requirements:
     return dataclasses.replace(base, **changes)
 
 
+def judged(probe: Probe, machine: Machine, wanted: Requirements) -> CheckResult:
+    """What the row of the table with `probe` says."""
+    return examined(TABLE[probe], machine, wanted)
+
+
 def realtime(**changes: Any) -> Requirements:
     return asked(realtime=RealtimeParams(**changes))
 
 
-Row = tuple[Check, dict[str, str], dict[str, Any], Requirements, str, str, str]
+Row = tuple[Probe, dict[str, str], dict[str, Any], Requirements, str, str, str]
 CONFIG = "boot/config-6.1"
 RELEASE = {"proc/sys/kernel/osrelease": "6.1"}
 FOUR_CORES = [f"sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor" for core in range(4)]
-CLOCK = f"{checks.CLOCK}/available_clocksource"
-NOW = f"{checks.CLOCK}/current_clocksource"
-CPU = checks.CPU
-IDLE = f"{checks.CPU}/cpuidle/current_driver"
+CLOCK = f"{probes.CLOCK}/available_clocksource"
+NOW = f"{probes.CLOCK}/current_clocksource"
+CPU = probes.CPU
+IDLE = f"{probes.CPU}/cpuidle/current_driver"
 FLAW = f"{CPU}/vulnerabilities/mds"
-LATENCY = checks.DMA_LATENCY
+LATENCY = probes.DMA_LATENCY
 RT_TIME = "sys/fs/cgroup/cpu/user.slice/cpu.rt_runtime_us"
 IRQS = "proc/interrupts"
 POWER = "sys/bus/usb/devices/1-2/power/control"
@@ -110,7 +126,7 @@ ASKED = asked()
 
 
 def throttled(runtime_us: int) -> dict[str, str]:
-    return {f"{checks.SCHED}_runtime_us": str(runtime_us), f"{checks.SCHED}_period_us": "1000000"}
+    return {f"{probes.SCHED}_runtime_us": str(runtime_us), f"{probes.SCHED}_period_us": "1000000"}
 
 
 def limited(name: str, limit: tuple[int, int]) -> dict[str, Any]:
@@ -121,12 +137,20 @@ def swapping(swappiness: int) -> dict[str, str]:
     return {"proc/swaps": "Filename\n/dev/sda2", "proc/sys/vm/swappiness": str(swappiness)}
 
 
+PYENV = Build("3.11.7", "/home/ada/.pyenv", "'--enable-shared'", "-DNDEBUG -g -O3 -Wall", False)
+QUICK = "'--enable-optimizations' '--with-lto'"
+
+
+def built(**changes: Any) -> dict[str, Any]:
+    return {"build": PYENV._replace(**changes)}
+
+
 ROWS: list[Row] = [
     # --- rights
-    (checks.group, {}, {"uid": 0, "groups": frozenset()}, ASKED, "ok", "root", ""),
-    (checks.group, {}, {}, ASKED, "ok", "member of hapticd", ""),
+    (probes.group, {}, {"uid": 0, "groups": frozenset()}, ASKED, "ok", "root", ""),
+    (probes.group, {}, {}, ASKED, "ok", "member of hapticd", ""),
     (
-        checks.group,
+        probes.group,
         {"etc/group": "hapticd:x:999:"},
         {"groups": frozenset()},
         ASKED,
@@ -135,7 +159,7 @@ ROWS: list[Row] = [
         "usermod --append",
     ),
     (
-        checks.group,
+        probes.group,
         {"etc/group": "users:x:100:"},
         {"groups": frozenset()},
         ASKED,
@@ -143,9 +167,9 @@ ROWS: list[Row] = [
         "there is no group",
         "systemd-sysusers",
     ),
-    (checks.rtprio, {}, {}, ASKED, "ok", "85, the servo asks for 79", ""),
+    (probes.rtprio, {}, {}, ASKED, "ok", "85, the servo asks for 79", ""),
     (
-        checks.rtprio,
+        probes.rtprio,
         {},
         {"capabilities": 1 << CAP_SYS_NICE, "limits": {"rtprio": (0, 0)}},
         ASKED,
@@ -154,7 +178,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.rtprio,
+        probes.rtprio,
         {},
         limited("rtprio", (0, 0)),
         ASKED,
@@ -163,7 +187,7 @@ ROWS: list[Row] = [
         "LimitRTPRIO=85",
     ),
     (
-        checks.rtprio,
+        probes.rtprio,
         {},
         limited("rtprio", (85, 85)),
         realtime(priority=90),
@@ -171,10 +195,10 @@ ROWS: list[Row] = [
         "85, the servo asks for 90",
         "rtprio 85",
     ),
-    (checks.memlock, {}, {}, ASKED, "ok", "unlimited", ""),
-    (checks.memlock, {}, limited("memlock", (1 << 23, 1 << 28)), ASKED, "ok", "256 MB", ""),
+    (probes.memlock, {}, {}, ASKED, "ok", "unlimited", ""),
+    (probes.memlock, {}, limited("memlock", (1 << 23, 1 << 28)), ASKED, "ok", "256 MB", ""),
     (
-        checks.memlock,
+        probes.memlock,
         {},
         limited("memlock", (1 << 23, 1 << 23)),
         ASKED,
@@ -183,7 +207,7 @@ ROWS: list[Row] = [
         "LimitMEMLOCK=infinity",
     ),
     (
-        checks.memlock,
+        probes.memlock,
         {},
         {"capabilities": 1 << CAP_IPC_LOCK, "limits": {"memlock": (0, 0)}},
         ASKED,
@@ -191,9 +215,9 @@ ROWS: list[Row] = [
         "CAP_IPC_LOCK",
         "",
     ),
-    (checks.rttime, {}, {}, ASKED, "ok", "unlimited", ""),
+    (probes.rttime, {}, {}, ASKED, "ok", "unlimited", ""),
     (
-        checks.rttime,
+        probes.rttime,
         {},
         limited("rttime", (200_000, 200_000)),
         ASKED,
@@ -201,15 +225,15 @@ ROWS: list[Row] = [
         "200000 us",
         "LimitRTTIME=infinity",
     ),
-    (checks.c_states, {LATENCY: ""}, {}, ASKED, "ok", "may be written", ""),
-    (checks.c_states, {LATENCY: ""}, DENIED, ASKED, "warn", "may not be written", "udev rule"),
-    (checks.c_states, {IDLE: "haltpoll"}, {}, ASKED, "ok", "haltpoll", ""),
-    (checks.c_states, {}, {}, ASKED, "ok", "driver none", ""),
-    (checks.c_states, {IDLE: "intel_idle"}, {}, ASKED, "warn", "intel_idle", "max_cstate=1"),
+    (probes.c_states, {LATENCY: ""}, {}, ASKED, "ok", "may be written", ""),
+    (probes.c_states, {LATENCY: ""}, DENIED, ASKED, "warn", "may not be written", "udev rule"),
+    (probes.c_states, {IDLE: "haltpoll"}, {}, ASKED, "ok", "haltpoll", ""),
+    (probes.c_states, {}, {}, ASKED, "ok", "driver none", ""),
+    (probes.c_states, {IDLE: "intel_idle"}, {}, ASKED, "warn", "intel_idle", "max_cstate=1"),
     # --- processor
-    (checks.governor, {}, {}, ASKED, "ok", "not scaled", ""),
+    (probes.governor, {}, {}, ASKED, "ok", "not scaled", ""),
     (
-        checks.governor,
+        probes.governor,
         dict.fromkeys(FOUR_CORES, "performance"),
         {},
         ASKED,
@@ -218,7 +242,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.governor,
+        probes.governor,
         dict.fromkeys(FOUR_CORES, "powersave"),
         {},
         ASKED,
@@ -226,10 +250,10 @@ ROWS: list[Row] = [
         "powersave on 4 of 4",
         "cpupower",
     ),
-    (checks.smt, {}, {}, ASKED, "ok", "no two threads", ""),
-    (checks.smt, {f"{CPU}/smt/active": "0"}, {}, ASKED, "ok", "no two threads", ""),
+    (probes.smt, {}, {}, ASKED, "ok", "no two threads", ""),
+    (probes.smt, {f"{CPU}/smt/active": "0"}, {}, ASKED, "ok", "no two threads", ""),
     (
-        checks.smt,
+        probes.smt,
         {f"{CPU}/smt/active": "1"},
         {},
         ASKED,
@@ -237,9 +261,9 @@ ROWS: list[Row] = [
         "two threads share a core",
         "smt/control",
     ),
-    (checks.cores, {}, {}, ASKED, "ok", "0,1,2,3 allowed, the servo takes 3", ""),
+    (probes.cores, {}, {}, ASKED, "ok", "0,1,2,3 allowed, the servo takes 3", ""),
     (
-        checks.cores,
+        probes.cores,
         {},
         {},
         realtime(core=7),
@@ -247,12 +271,12 @@ ROWS: list[Row] = [
         "realtime.core = 7, this process may use 0,1,2,3",
         "name one of 0,1,2,3",
     ),
-    (checks.cores, {f"{CPU}/isolated": "7"}, {}, realtime(core=7), "ok", "takes 7", ""),
-    (checks.cores, {}, {"cores": frozenset({2})}, ASKED, "warn", "only core 2", "second core"),
-    (checks.isolation, {f"{CPU}/isolated": "2-3"}, {}, ASKED, "ok", "core 3 is isolated", ""),
-    (checks.isolation, {}, {}, ASKED, "ok", "not needed at 1000 Hz", ""),
+    (probes.cores, {f"{CPU}/isolated": "7"}, {}, realtime(core=7), "ok", "takes 7", ""),
+    (probes.cores, {}, {"cores": frozenset({2})}, ASKED, "warn", "only core 2", "second core"),
+    (probes.isolation, {f"{CPU}/isolated": "2-3"}, {}, ASKED, "ok", "core 3 is isolated", ""),
+    (probes.isolation, {}, {}, ASKED, "ok", "not needed at 1000 Hz", ""),
     (
-        checks.isolation,
+        probes.isolation,
         {},
         {},
         realtime(rate_hz=4000.0),
@@ -260,14 +284,14 @@ ROWS: list[Row] = [
         "not isolated at 4000 Hz",
         "isolcpus=managed_irq,domain,3",
     ),
-    (checks.clock_source, {NOW: "tsc"}, {}, ASKED, "ok", "tsc", ""),
-    (checks.clock_source, {NOW: "hpet", CLOCK: "tsc hpet"}, {}, ASKED, "warn", "hpet", "echo tsc"),
-    (checks.clock_source, {NOW: "hpet"}, {}, ASKED, "warn", "hpet", "dmesg"),
-    (checks.clock_source, {NOW: "jiffies"}, {}, ASKED, "fail", "jiffies", "dmesg"),
-    (checks.mitigations, {"proc/cmdline": "quiet mitigations=off"}, {}, ASKED, "ok", "off", ""),
-    (checks.mitigations, {FLAW: "Not affected"}, {}, ASKED, "ok", "none is active", ""),
+    (probes.clock_source, {NOW: "tsc"}, {}, ASKED, "ok", "tsc", ""),
+    (probes.clock_source, {NOW: "hpet", CLOCK: "tsc hpet"}, {}, ASKED, "warn", "hpet", "echo tsc"),
+    (probes.clock_source, {NOW: "hpet"}, {}, ASKED, "warn", "hpet", "dmesg"),
+    (probes.clock_source, {NOW: "jiffies"}, {}, ASKED, "fail", "jiffies", "dmesg"),
+    (probes.mitigations, {"proc/cmdline": "quiet mitigations=off"}, {}, ASKED, "ok", "off", ""),
+    (probes.mitigations, {FLAW: "Not affected"}, {}, ASKED, "ok", "none is active", ""),
     (
-        checks.mitigations,
+        probes.mitigations,
         {FLAW: "Mitigation: clear"},
         {},
         ASKED,
@@ -276,9 +300,9 @@ ROWS: list[Row] = [
         "mitigations=off",
     ),
     # --- kernel
-    (checks.timers, {}, {}, ASKED, "ok", "high resolution", ""),
+    (probes.timers, {}, {}, ASKED, "ok", "high resolution", ""),
     (
-        checks.timers,
+        probes.timers,
         {**RELEASE, CONFIG: "CONFIG_HZ=250"},
         {},
         ASKED,
@@ -287,7 +311,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.timers,
+        probes.timers,
         HZ_100,
         {"clock_resolution_s": 0.01},
         ASKED,
@@ -296,7 +320,7 @@ ROWS: list[Row] = [
         "HIGH_RES",
     ),
     (
-        checks.tickless,
+        probes.tickless,
         {f"{CPU}/nohz_full": "3"},
         {},
         ASKED,
@@ -304,10 +328,10 @@ ROWS: list[Row] = [
         "core 3 has no scheduler tick",
         "",
     ),
-    (checks.tickless, {}, {}, ASKED, "ok", "only while busy", ""),
-    (checks.tickless, {"proc/cmdline": "nohz=off"}, {}, ASKED, "warn", "off", "remove nohz=off"),
+    (probes.tickless, {}, {}, ASKED, "ok", "only while busy", ""),
+    (probes.tickless, {"proc/cmdline": "nohz=off"}, {}, ASKED, "warn", "off", "remove nohz=off"),
     (
-        checks.tickless,
+        probes.tickless,
         {**RELEASE, CONFIG: "CONFIG_HZ_PERIODIC=y"},
         {},
         ASKED,
@@ -315,9 +339,9 @@ ROWS: list[Row] = [
         "off",
         "NO_HZ_IDLE",
     ),
-    (checks.preemption, {"sys/kernel/realtime": "1"}, {}, ASKED, "ok", "PREEMPT_RT", ""),
+    (probes.preemption, {"sys/kernel/realtime": "1"}, {}, ASKED, "ok", "PREEMPT_RT", ""),
     (
-        checks.preemption,
+        probes.preemption,
         {"proc/version": "Linux 6.12 #1 SMP PREEMPT_RT"},
         {},
         ASKED,
@@ -326,7 +350,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.preemption,
+        probes.preemption,
         {"sys/kernel/debug/sched/preempt": "none voluntary (full)"},
         {},
         ASKED,
@@ -335,7 +359,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.preemption,
+        probes.preemption,
         {"proc/cmdline": "preempt=voluntary threadirqs"},
         {},
         ASKED,
@@ -344,7 +368,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.preemption,
+        probes.preemption,
         {**RELEASE, CONFIG: "CONFIG_PREEMPT_VOLUNTARY=y"},
         {},
         ASKED,
@@ -352,10 +376,10 @@ ROWS: list[Row] = [
         "voluntary",
         "preempt=full",
     ),
-    (checks.preemption, {}, {}, ASKED, "warn", "unknown", "linux-image-rt-amd64"),
-    (checks.irq_priority, {}, {}, ASKED, "ok", "no threads", ""),
+    (probes.preemption, {}, {}, ASKED, "warn", "unknown", "linux-image-rt-amd64"),
+    (probes.irq_priority, {}, {}, ASKED, "ok", "no threads", ""),
     (
-        checks.irq_priority,
+        probes.irq_priority,
         IRQ_THREAD,
         {},
         ASKED,
@@ -364,7 +388,7 @@ ROWS: list[Row] = [
         "chrt --fifo --pid 85 77",
     ),
     (
-        checks.irq_priority,
+        probes.irq_priority,
         {"proc/77/stat": IRQ_STAT.replace(" 50 1 0", " 90 1 0")},
         {},
         ASKED,
@@ -373,7 +397,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.irq_sharing,
+        probes.irq_sharing,
         {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1"},
         {},
         ASKED,
@@ -382,7 +406,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.irq_sharing,
+        probes.irq_sharing,
         {IRQS: " 16: 5 IO-APIC xhci_hcd:usb1, snd_hda"},
         {},
         ASKED,
@@ -390,10 +414,10 @@ ROWS: list[Row] = [
         "line 16 is shared",
         "another",
     ),
-    (checks.throttling, throttled(950000), {}, ASKED, "ok", "950000 of", ""),
-    (checks.throttling, throttled(-1), {}, ASKED, "warn", "off", "sched_rt_runtime_us=950000"),
+    (probes.throttling, throttled(950000), {}, ASKED, "ok", "950000 of", ""),
+    (probes.throttling, throttled(-1), {}, ASKED, "warn", "off", "sched_rt_runtime_us=950000"),
     (
-        checks.throttling,
+        probes.throttling,
         throttled(400000),
         {},
         ASKED,
@@ -401,10 +425,10 @@ ROWS: list[Row] = [
         "400000 of",
         "sched_rt_runtime_us=950000",
     ),
-    (checks.throttling, {}, {}, ASKED, "ok", "does not throttle", ""),
-    (checks.rt_group, {}, {}, ASKED, "ok", "no real-time time is given to groups", ""),
+    (probes.throttling, {}, {}, ASKED, "ok", "does not throttle", ""),
+    (probes.rt_group, {}, {}, ASKED, "ok", "no real-time time is given to groups", ""),
     (
-        checks.rt_group,
+        probes.rt_group,
         {**GROUPED, "proc/cmdline": "rt_group_sched=0"},
         {},
         ASKED,
@@ -413,7 +437,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.rt_group,
+        probes.rt_group,
         {**GROUPED, "proc/self/cgroup": "1:cpu:/"},
         {},
         ASKED,
@@ -422,7 +446,7 @@ ROWS: list[Row] = [
         "",
     ),
     (
-        checks.rt_group,
+        probes.rt_group,
         GROUPED,
         {},
         ASKED,
@@ -430,16 +454,16 @@ ROWS: list[Row] = [
         "group /user.slice has no",
         "cpu/user.slice/cpu.rt_runtime_us",
     ),
-    (checks.rt_group, {**GROUPED, RT_TIME: "950000"}, {}, ASKED, "ok", "has real-time time", ""),
-    (checks.swap, {"proc/swaps": "Filename Type Size"}, {}, ASKED, "ok", "none", ""),
-    (checks.swap, swapping(60), {}, ASKED, "warn", "swappiness 60", "swappiness=10"),
-    (checks.swap, swapping(1), {}, ASKED, "ok", "swappiness 1", ""),
-    (checks.load, {"proc/loadavg": "1.20 3.0 2.0 1/300 4"}, {}, ASKED, "ok", "1.2 programs", ""),
-    (checks.load, {"proc/loadavg": "99.5 3.0 2.0 1/300 4"}, {}, ASKED, "warn", "99.5", "close"),
+    (probes.rt_group, {**GROUPED, RT_TIME: "950000"}, {}, ASKED, "ok", "has real-time time", ""),
+    (probes.swap, {"proc/swaps": "Filename Type Size"}, {}, ASKED, "ok", "none", ""),
+    (probes.swap, swapping(60), {}, ASKED, "warn", "swappiness 60", "swappiness=10"),
+    (probes.swap, swapping(1), {}, ASKED, "ok", "swappiness 1", ""),
+    (probes.load, {"proc/loadavg": "1.20 3.0 2.0 1/300 4"}, {}, ASKED, "ok", "1.2 programs", ""),
+    (probes.load, {"proc/loadavg": "99.5 3.0 2.0 1/300 4"}, {}, ASKED, "warn", "99.5", "close"),
     # --- usb
-    (checks.board, BOARD_FILES, {}, ASKED, "ok", "1209:0001 at 1-2", ""),
+    (probes.board, BOARD_FILES, {}, ASKED, "ok", "1209:0001 at 1-2", ""),
     (
-        checks.board,
+        probes.board,
         BOARD_FILES,
         {},
         asked(usb=UsbParams(serial="HB-8")),
@@ -447,15 +471,15 @@ ROWS: list[Row] = [
         "with serial HB-8",
         "lsusb -d 1209:0001",
     ),
-    (checks.board, {}, {}, asked(usb=UsbParams()), "fail", "no 1209:0001 on the bus", "plug it in"),
-    (checks.board, {}, {}, asked(simulated=True), "ok", "simulated", ""),
-    (checks.hub, BOARD_FILES, {}, ASKED, "ok", "1-2 is a root port", ""),
-    (checks.hub, HUB_FILES, {}, ASKED, "warn", "1-2.4.1 is behind 1-2, 1-2.4", "use a root port"),
-    (checks.hub, {}, {}, ASKED, "ok", "no board", ""),
-    (checks.hub, {}, {}, asked(simulated=True), "ok", "simulated", ""),
-    (checks.permission, BOARD_FILES, {}, ASKED, "ok", "/dev/bus/usb/001/012 may be opened", ""),
+    (probes.board, {}, {}, asked(usb=UsbParams()), "fail", "no 1209:0001 on the bus", "plug it in"),
+    (probes.board, {}, {}, asked(simulated=True), "ok", "simulated", ""),
+    (probes.hub, BOARD_FILES, {}, ASKED, "ok", "1-2 is a root port", ""),
+    (probes.hub, HUB_FILES, {}, ASKED, "warn", "1-2.4.1 is behind 1-2, 1-2.4", "use a root port"),
+    (probes.hub, {}, {}, ASKED, "ok", "no board", ""),
+    (probes.hub, {}, {}, asked(simulated=True), "ok", "simulated", ""),
+    (probes.permission, BOARD_FILES, {}, ASKED, "ok", "/dev/bus/usb/001/012 may be opened", ""),
     (
-        checks.permission,
+        probes.permission,
         BOARD_FILES,
         DENIED,
         ASKED,
@@ -463,11 +487,11 @@ ROWS: list[Row] = [
         "/dev/bus/usb/001/012 may not be",
         "udevadm trigger",
     ),
-    (checks.permission, {}, {}, ASKED, "ok", "no board", ""),
-    (checks.permission, {}, {}, asked(simulated=True), "ok", "simulated", ""),
-    (checks.autosuspend, BOARD_FILES | {POWER: "on"}, {}, ASKED, "ok", "off", ""),
+    (probes.permission, {}, {}, ASKED, "ok", "no board", ""),
+    (probes.permission, {}, {}, asked(simulated=True), "ok", "simulated", ""),
+    (probes.autosuspend, BOARD_FILES | {POWER: "on"}, {}, ASKED, "ok", "off", ""),
     (
-        checks.autosuspend,
+        probes.autosuspend,
         BOARD_FILES | {POWER: "auto"},
         {},
         ASKED,
@@ -475,10 +499,10 @@ ROWS: list[Row] = [
         "on",
         "1-2/power/control",
     ),
-    (checks.autosuspend, {}, {}, ASKED, "ok", "no board", ""),
-    (checks.udev_rule, {RULE: '"1209" "0001"'}, {}, ASKED, "ok", "70-hapticd.rules", ""),
+    (probes.autosuspend, {}, {}, ASKED, "ok", "no board", ""),
+    (probes.udev_rule, {RULE: '"1209" "0001"'}, {}, ASKED, "ok", "70-hapticd.rules", ""),
     (
-        checks.udev_rule,
+        probes.udev_rule,
         {RULE: '"16c0" "04d2"'},
         {},
         ASKED,
@@ -486,12 +510,12 @@ ROWS: list[Row] = [
         "names another board",
         "install-system",
     ),
-    (checks.udev_rule, {}, {}, ASKED, "warn", "none for hapticd", "install-system --root /"),
-    (checks.udev_rule, {}, {}, asked(simulated=True), "ok", "simulated", ""),
+    (probes.udev_rule, {}, {}, ASKED, "warn", "none for hapticd", "install-system --root /"),
+    (probes.udev_rule, {}, {}, asked(simulated=True), "ok", "simulated", ""),
     # --- folders
-    (checks.disk, {}, {}, ASKED, "ok", "1e+03 GB free in /data", ""),
+    (probes.disk, {}, {}, ASKED, "ok", "1e+03 GB free in /data", ""),
     (
-        checks.disk,
+        probes.disk,
         {},
         {"free_bytes": lambda path: 10**9},
         ASKED,
@@ -500,7 +524,7 @@ ROWS: list[Row] = [
         "record elsewhere",
     ),
     (
-        checks.disk,
+        probes.disk,
         {},
         {"free_bytes": lambda path: 10**8},
         ASKED,
@@ -508,16 +532,63 @@ ROWS: list[Row] = [
         "0.1 GB free",
         "record elsewhere",
     ),
-    (checks.runtime_folder, {}, {}, ASKED, "ok", "no daemon has run yet", ""),
-    (checks.transport, {}, {}, ASKED, "ok", "no daemon has measured it yet", ""),
-    (checks.keys, {}, {}, ASKED, "ok", "none needed", ""),
+    (probes.runtime_folder, {}, {}, ASKED, "ok", "no daemon has run yet", ""),
+    (probes.transport, {}, {}, ASKED, "ok", "no daemon has measured it yet", ""),
+    (probes.keys, {}, {}, ASKED, "ok", "none needed", ""),
+    # --- interpreter
+    (probes.interpreter, {}, {}, ASKED, "warn", "3.11.7 without profile-guided", "--with-lto"),
+    (
+        probes.interpreter,
+        {},
+        built(options=QUICK),
+        ASKED,
+        "ok",
+        "Python 3.11.7, profile-guided and link-time optimisation, -O3",
+        "",
+    ),
+    (
+        probes.interpreter,
+        {},
+        built(prefix="/usr", flags="-O3 -g -O2"),
+        ASKED,
+        "ok",
+        "of the distribution, -O2",
+        "",
+    ),
+    (
+        probes.interpreter,
+        {},
+        built(options=QUICK, flags="-O3 -O0"),
+        ASKED,
+        "warn",
+        "for debugging (-O0)",
+        "uv python install",
+    ),
+    (
+        probes.interpreter,
+        {},
+        built(options=QUICK, debug=True),
+        ASKED,
+        "warn",
+        "for debugging",
+        "uv python install",
+    ),
+    (
+        probes.interpreter,
+        {},
+        built(flags=""),
+        ASKED,
+        "warn",
+        "an unknown -O level",
+        "uv python install",
+    ),
 ]
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row[0].__name__}-{row[4]}-{row[5][:24]}")
 def test_check_finds_judges_and_fixes(row: Row, make: Callable[..., Machine]) -> None:
-    check, files, facts, wanted, level, found, fix = row
-    finding = check(make(files, **facts), wanted)
+    probe, files, facts, wanted, level, found, fix = row
+    finding = judged(probe, make(files, **facts), wanted)
     assert (finding.level, found in finding.found) == (level, True), finding
     assert (fix in finding.fix) if fix else finding.fix == "", finding
     assert bool(finding.why) == (level != "ok")
@@ -525,7 +596,7 @@ def test_check_finds_judges_and_fixes(row: Row, make: Callable[..., Machine]) ->
 
 def test_every_check_is_tested_in_every_level() -> None:
     tested = {row[0] for row in ROWS}
-    assert tested == set(CHECKS)
+    assert tested == set(TABLE)
 
 
 def test_names_are_unique(make: Callable[..., Machine]) -> None:
@@ -541,9 +612,9 @@ def test_runtime_folder_open_to_others_fails(make: Callable[..., Machine], tmp_p
     folder.mkdir(mode=0o750)
     folder.chmod(0o750)
     wanted = asked(runtime=folder)
-    assert checks.runtime_folder(make(), wanted).level == "ok"
+    assert judged(probes.runtime_folder, make(), wanted).level == "ok"
     folder.chmod(0o777)
-    finding = checks.runtime_folder(make(), wanted)
+    finding = judged(probes.runtime_folder, make(), wanted)
     assert (finding.level, finding.found) == ("fail", f"{folder} has mode 0777")
     assert finding.fix.startswith(f"chmod 0750 {folder}")
 
@@ -553,11 +624,11 @@ def test_runtime_folder_that_clients_do_not_believe_fails(
 ) -> None:
     (tmp_path / "there").mkdir(mode=0o750)
     (tmp_path / "link").symlink_to(tmp_path / "there")
-    finding = checks.runtime_folder(make(), asked(runtime=tmp_path / "link"))
+    finding = judged(probes.runtime_folder, make(), asked(runtime=tmp_path / "link"))
     assert (finding.level, finding.found) == ("fail", f"{tmp_path / 'link'} is a link")
     owner = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)
-    finding = checks.runtime_folder(make(), asked(runtime=tmp_path / "there"))
+    finding = judged(probes.runtime_folder, make(), asked(runtime=tmp_path / "there"))
     assert finding.found == f"{tmp_path / 'there'} belongs to user {owner}, not to {owner + 1}"
 
 
@@ -567,7 +638,7 @@ def test_socket_open_to_others_fails(make: Callable[..., Machine], tmp_path: Pat
     with socket.socket(socket.AF_UNIX) as command:
         command.bind(str(folder / "command"))
         (folder / "command").chmod(0o666)
-        finding = checks.runtime_folder(make(), asked(runtime=folder))
+        finding = judged(probes.runtime_folder, make(), asked(runtime=folder))
     assert (finding.level, finding.found) == ("fail", "open to others: command 0666")
     assert finding.fix == f"chmod o= {folder / 'command'}"
 
@@ -578,7 +649,7 @@ def test_bus_is_judged_as_the_daemon_measured_it(
 ) -> None:
     found = {"pair_us": 400.0, "sample_phase": 0.3125, "delay_us": 687.5, "rate_hz": rate_hz}
     (tmp_path / "servo.report").write_text(json.dumps({"transport": found}))
-    finding = checks.transport(make(), asked(runtime=tmp_path))
+    finding = judged(probes.transport, make(), asked(runtime=tmp_path))
     assert finding.level == level
     assert "takes 400 us; IN is latched 0.3125 periods" in finding.found
     assert finding.fix == ("" if level == "ok" else "set realtime.rate_hz to at most 820")
@@ -587,9 +658,9 @@ def test_bus_is_judged_as_the_daemon_measured_it(
 def test_key_readable_by_others_fails(make: Callable[..., Machine], tmp_path: Path) -> None:
     secret = tmp_path / "server.key_secret"
     secret.touch(mode=0o600)
-    assert checks.keys(make(), asked(keys=tmp_path)).level == "ok"
+    assert judged(probes.keys, make(), asked(keys=tmp_path)).level == "ok"
     secret.chmod(0o644)
-    finding = checks.keys(make(), asked(keys=tmp_path))
+    finding = judged(probes.keys, make(), asked(keys=tmp_path))
     assert (finding.level, finding.fix.startswith(f"chmod 600 {secret}")) == ("fail", True)
 
 
@@ -631,7 +702,9 @@ def test_core_lists_are_those_of_the_kernel(text: str, cores: set[int]) -> None:
 def test_this_machine_can_be_examined() -> None:
     wanted = requirements(load(shipped("config") / "hapticd.toml"))
     assert wanted.simulated
-    assert len(examine(machine.this_machine(), wanted)) == len(CHECKS)
+    found = examine(machine.this_machine(), wanted)
+    assert len(found) == len(CHECKS)
+    assert f"Python {platform.python_version()}" in found[-1].found
 
 
 # --- the wake-up measurement ----------------------------------------------------------------------
@@ -702,12 +775,18 @@ def test_worker_that_fails_says_why() -> None:
 # --- the verb -------------------------------------------------------------------------------------
 
 
+def told(result: CheckResult) -> str | probes.Flaw:
+    """What a probe returns whose row says `result`."""
+    return result.found if result.level == "ok" else probes.Flaw(result.found)
+
+
 def find_only(monkeypatch: pytest.MonkeyPatch, *found: CheckResult) -> None:
-    """`hapticd doctor` finds this; the last is that of the interpreter."""
-    *others, last = found
-    checks = tuple(lambda m, a, item=item: item for item in others)
+    """`hapticd doctor` finds this."""
+    checks = [
+        Check(one.name, lambda m, a, one=one: told(one), one.level, one.why, one.fix)  # type: ignore[misc]
+        for one in found
+    ]
     monkeypatch.setattr("hapticd.run.doctor.checks.CHECKS", checks)
-    monkeypatch.setattr("hapticd.run.doctor.interpreter.judge", lambda build: last)
 
 
 @pytest.fixture

@@ -269,8 +269,10 @@ def test_every_template_has_a_place() -> None:
 # --- install-system -------------------------------------------------------------------------------
 
 
-def test_print_shows_every_file(runtime: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["install-system", "--print"]) == 0
+def test_every_file_is_shown_where_no_root_is_named(
+    runtime: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["install-system"]) == 0
     shown = capsys.readouterr().out
     assert [line[7:] for line in shown.splitlines() if line.startswith("# === /")] == list(
         system_files.PLACES.values()
@@ -289,14 +291,6 @@ def test_root_receives_every_file_and_nothing_else(
         == {str(tmp_path / place) for place in system_files.PLACES.values()}
     )
     assert told["next"][-1] == "systemctl enable --now hapticd.target"
-
-
-@pytest.mark.parametrize("words", [[], ["--print", "--root", "/tmp"]])
-def test_print_or_root_must_be_said(
-    words: list[str], runtime: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["install-system", *words]) == 2
-    assert "one of --print and --root DIR" in capsys.readouterr().err
 
 
 def test_root_that_cannot_be_written_says_so(tmp_path: Path) -> None:

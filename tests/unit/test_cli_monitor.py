@@ -1,4 +1,4 @@
-"""Strip charts, the screen, and the watching loop on virtual time."""
+"""The screen, and the watching loop on virtual time."""
 
 import io
 import json
@@ -12,12 +12,12 @@ from rich.console import Console
 
 from hapticd.cli import monitor
 from hapticd.cli.app import main
-from hapticd.cli.screen import History, envelope, screen, strip
+from hapticd.cli.monitor import View, screen
 from hapticd.client import fast_stop
 from hapticd.core.clock import VirtualClock
 from hapticd.core.faults import BY_CODE
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.mailbox.layout import TELEMETRY, Flag, State
+from hapticd.mailbox.layout import TELEMETRY, State
 from hapticd.protocol.answers import Hello, Status
 from hapticd.protocol.telemetry import Origin, RingBlock, raw_message
 
@@ -46,160 +46,102 @@ def rows_of_ticks(count: int, first: int = 0, **fields: Any) -> Any:
     return block
 
 
-def drawn(
-    history: History,
-    simulated: bool | None,
-    silent_s: float,
-    size: tuple[int, int] = (100, 45),
-) -> str:
+def view(**fields: Any) -> View:
+    """A view of a simulated daemon whose newest record has `fields`."""
+    return View(newest=rows_of_ticks(1, **fields)[0], simulated=True)
+
+
+def drawn(shown: View, size: tuple[int, int] = (100, 45)) -> str:
     columns, lines = size
     console = Console(file=io.StringIO(), width=columns, height=lines, force_terminal=False)
-    console.print(screen(history, simulated, silent_s, size))
+    console.print(screen(shown))
     return console.file.getvalue()  # type: ignore[attr-defined,no-any-return]
 
 
-def test_envelope_keeps_a_single_peak() -> None:
-    values = np.zeros(1000)
-    values[777] = 5.0
-    lows, highs = envelope(values, 1000, 50)
-    assert lows.tolist() == [0.0] * 50
-    assert np.flatnonzero(highs).tolist() == [777 // 20]
-
-
-def test_envelope_is_blank_before_the_first_sample() -> None:
-    lows, highs = envelope([1.0, 2.0], 10, 5)
-    assert np.isnan(lows[:4]).all()
-    assert (lows[4], highs[4]) == (1.0, 2.0)
-
-
-def test_strip_draws_a_ramp_dot_by_dot() -> None:
-    assert strip([0, 1, 2, 3], 4, 2, 1, 0, 3) == ["⡠⠊"]
-
-
-def test_strip_of_a_constant_is_one_line() -> None:
-    assert strip([7.0] * 6, 6, 3, 2, 7.0, 7.0) == ["⠀⠀⠀", "⣀⣀⣀"]
-
-
-def test_history_holds_ten_seconds() -> None:
-    history = History()
-    for block in range(700):
-        history.add(rows_of_ticks(20, 20 * block))
-    assert history.length == 10_000
-    assert 10_000 <= len(history.column("tick")) < 10_020
-    assert history.newest["tick"] == 13_999
-
-
 def test_screen_shows_state_and_simulated_badge() -> None:
-    history = History()
-    history.add(
-        rows_of_ticks(
-            1000, state=State.ENABLED, stiffness_n_per_m=100.0, position_m=0.002, force_n=-0.2
-        )
-    )
-    text = drawn(history, True, 0.0)
+    text = drawn(view(state=State.ENABLED, stiffness_n_per_m=100.0, position_m=0.002, force_n=-0.2))
     assert text.startswith(" SIMULATED   ENABLED   Space/Esc: STOP")
     assert "K 100 N/m" in text
-    assert "position  2 mm" in text
-    assert "force  -0.2 N" in text
-    assert "ENABLED---" in text
+    assert "x 2.0000 mm, force -0.2000 N" in text
 
 
-def full(**fields: Any) -> History:
-    """Ten seconds in which everything has something to say."""
-    history = History()
-    moving = {
-        "watches": 7,
-        "position_m": np.sin(np.arange(10_000)),
-        "force_n": -0.2,
-        "winding_c": 43.21,
+def full(**fields: Any) -> View:
+    """A view in which everything has something to say."""
+    found = view(state=State.ENABLED, position_m=0.012, force_n=-0.2, delay_us=125, **fields)
+    found.state = {
+        "rate_hz": 1000.0,
+        "counters": {"late_events": 3, "lost_slots": 2},
+        "delivered_active_damping": DELIVERED,
+        "guard": GUARD,
+        "leases": {"environment": {"name": "sweep", "actor": 17, "ttl_s": 2.0}},
+        "commissioning": {"force_limit_n": 0.8, "remedy": "the signs are not verified"},
+        "late": {"bus": {"count": 2, "latest_us": 700.0}},
     }
-    history.add(rows_of_ticks(10_000, state=State.ENABLED, revision=12345, **moving, **fields))
-    history.delivered = DELIVERED
-    history.guard = GUARD
-    history.force_limit_n = 8.0
-    history.event = "enabled -> disabled (by sweep)"
-    return history
+    found.event = "enabled -> disabled (by sweep)"
+    return found
 
 
 def test_screen_fits_80_columns_and_24_lines() -> None:
-    lines = drawn(full(), True, 0.0, (80, 24)).splitlines()
+    lines = drawn(full(), (80, 24)).splitlines()
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 80
     text = "\n".join(lines)
     for told in (
-        "Space/Esc: STOP  d: damping  q: quit",
-        "position  ",
-        "limit 8 N",
-        "active damping",
-        "wake-up latency",
-        "lost slots 0",
-        "winding 43.2 C",
+        "Space/Esc: STOP  q: quit",
+        "x 12.0000 mm, force -0.2000 N",
+        "1000 Hz, 3 late, 2 slots lost",
+        "sample to force 125 us (0.125 periods)",
+        "delivered 1.7 (1.6 to 1.8)",
+        "guard     warn, by theorem",
+        "environment: sweep (actor 17)",
+        "at most 0.8 N: the signs are not verified",
         "last event: enabled -> disabled (by sweep)",
     ):
         assert told in text
-    axis = lines[-1]
-    assert axis.startswith("-10 s")
-    assert axis.index("-5 s") == 37
-    assert axis.endswith("now")
 
 
-def test_a_small_terminal_shows_fewer_charts_and_how_to_stop() -> None:
-    text = drawn(full(), True, 0.0, (60, 16))
-    lines = text.splitlines()
-    assert len(lines) <= 16
+def test_a_narrow_terminal_cuts_lines_and_still_says_how_to_stop() -> None:
+    lines = drawn(full(), (45, 10)).splitlines()
+    assert max(map(len, lines)) <= 45
     assert "Space/Esc: STOP" in lines[0]
-    assert "position" in text
-    assert "wake-up" not in text
+    assert "now       x 12.0000 mm" in lines[2]
 
 
-def test_screen_counts_what_was_late_lost_or_at_the_limit() -> None:
-    flags = np.zeros(10_000, int)
-    flags[:100] = Flag.LATE
-    flags[:2000] |= Flag.CLAMPED
-    text = drawn(full(flags=flags, lost_slots=3), True, 0.0)
-    assert "lost slots 3  late 1 %  at the force limit 20 %" in text
-
-
-def test_stretches_of_a_state_carry_its_name() -> None:
-    history = History()
-    history.add(rows_of_ticks(5000))
-    history.add(rows_of_ticks(4900, 5000, state=State.ENABLED))
-    history.add(rows_of_ticks(100, 9900, state=State.FAULT))
-    text = drawn(history, True, 0.0, (101, 24))
-    assert f"DISABLED{42 * '-'}ENABLED{42 * '-'}F" in text
-
-
-def test_screen_names_who_holds_what() -> None:
-    history = History()
-    history.add(rows_of_ticks(10))
-    assert "leased" not in drawn(history, True, 0.0)
-    history.add(rows_of_ticks(10, lease_control=17))
-    assert "leased: environment by actor 17" in drawn(history, True, 0.0)
+def test_values_of_the_newest_record_go_before_those_of_the_newest_state() -> None:
+    shown = full()
+    shown.state |= {"state": "fault", "position_m": 0.5, "fault": "usb_lost"}
+    text = drawn(shown)
+    assert "x 12.0000 mm" in text
+    assert "usb_lost" not in text
 
 
 def test_screen_of_a_real_board_says_so() -> None:
-    history = History()
-    history.add(rows_of_ticks(10))
-    text = drawn(history, False, 0.0)
+    shown = view()
+    shown.simulated = False
+    text = drawn(shown)
     assert "REAL BOARD" in text
     assert "SIMULATED" not in text
 
 
 def test_screen_names_fault_and_remedy() -> None:
-    history = History()
     fault = BY_CODE["usb_lost"]
-    history.add(rows_of_ticks(10, state=State.FAULT, fault=fault.number))
-    assert f"usb_lost: {fault.cause}; {fault.remedy}" in drawn(history, True, 0.0)
+    text = drawn(view(state=State.FAULT, fault=fault.number), (200, 45))
+    assert f"usb_lost: {fault.cause}. {fault.action}. To leave: {fault.remedy}" in text
 
 
 def test_silence_replaces_every_value() -> None:
-    history = History()
-    history.add(rows_of_ticks(100, state=State.ENABLED, position_m=0.002))
-    assert "NO DATA" not in drawn(history, True, 0.49)
-    text = drawn(history, True, 0.5)
+    shown = view(state=State.ENABLED, position_m=0.002)
+    shown.silent_s = 0.49
+    assert "NO DATA" not in drawn(shown)
+    shown.silent_s = 0.5
+    text = drawn(shown)
     assert "NO DATA for 0.5 s" in text
     assert "ENABLED" not in text
-    assert "position" not in text
+    assert "2.0000" not in text
+
+
+def test_screen_waits_for_the_daemon_before_the_first_record() -> None:
+    assert "waiting for the daemon" in drawn(View())
 
 
 class StreamDouble:
@@ -207,10 +149,9 @@ class StreamDouble:
     silence.
     """
 
-    def __init__(self, clock: VirtualClock, script: list[Any], asked: list[str]) -> None:
+    def __init__(self, clock: VirtualClock, script: list[Any]) -> None:
         self._clock = clock
         self._script = iter(script)
-        self._asked = asked
 
     def __enter__(self) -> Self:
         return self
@@ -225,9 +166,6 @@ class StreamDouble:
         refused = {"granted": False, "text": "refused: no; LimitRTPRIO=80"}
         granted = {"granted": True, "text": "granted"}
         return Status("disabled", servo={"realtime": {"core": granted, "fifo": refused}})
-
-    def damping(self, value: str) -> None:
-        self._asked.append(value)
 
     def call(self, cmd: str, **_fields: Any) -> dict[str, Any]:
         raise AssertionError(f"{cmd}: a key waits while the daemon is asked")
@@ -268,15 +206,13 @@ def block(first: int, life: int = 1, **fields: Any) -> bytes:
     return raw_message(RingBlock(life, first, 0, found.tobytes(), found), Origin(life, 0, True))
 
 
-def play(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, script: list[Any]) -> list[str]:
-    """What is asked of the damping."""
-    asked: list[str] = []
+def play(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, script: list[Any]) -> None:
+    """Have the verbs watch a daemon that sends `script`."""
 
     def connect(instance: str, timeout_s: float = 1.0) -> StreamDouble:
-        return StreamDouble(clock, script, asked)
+        return StreamDouble(clock, script)
 
     monkeypatch.setattr(monitor, "connect", connect)
-    return asked
 
 
 def test_json_lines_follow_data_and_silence(
@@ -315,48 +251,39 @@ def test_plain_lines_when_stdout_is_no_terminal(
 
 @pytest.mark.parametrize(
     ("delivered", "words"),
-    [(DELIVERED, "delivered 1.7 (1.6 .. 1.8)"), ({"basis": "unknown"}, "delivered: unknown")],
+    [
+        (DELIVERED, "delivered 1.7 (1.6 to 1.8) of 1.74"),
+        ({"basis": "too little motion"}, "delivered of 0 N s/m commanded: too little motion"),
+    ],
 )
 def test_screen_shows_what_is_delivered_beside_what_is_commanded(
     delivered: dict[str, Any], words: str
 ) -> None:
-    history = History()
-    history.add(rows_of_ticks(20))
-    history.delivered = delivered
-    (line,) = [
-        one for one in drawn(history, True, 0.0).splitlines() if one.startswith("active damping")
-    ]
+    shown = view()
+    shown.state = {"delivered_active_damping": delivered}
+    (line,) = [one for one in drawn(shown).splitlines() if one.startswith("  damping ")]
     assert words in line
 
 
 def test_screen_shows_policy_and_verdict() -> None:
-    history = History()
-    history.add(rows_of_ticks(20))
-    assert "guard: unknown" in drawn(history, True, 0.0)
-    history.guard = GUARD
-    text = drawn(history, True, 0.0)
-    assert "guard: warn, by theorem; active damping level; delay 0.125 periods" in text
+    shown = view()
+    assert "guard" not in drawn(shown)
+    shown.state = {"guard": GUARD}
+    text = drawn(shown)
+    assert "warn, by theorem; active damping level; delay 0.125 periods" in text
     assert "0.9 N s/m short at 112 Hz" in text
 
 
-def test_new_servo_life_begins_a_new_history(
+def test_nothing_is_known_of_another_servo_but_its_records(
     monkeypatch: pytest.MonkeyPatch, clock: VirtualClock
 ) -> None:
-    lengths: list[int] = []
-    play(
-        monkeypatch,
-        clock,
-        [
-            *(block(20 * i) for i in range(10)),
-            *(block(20 * i, life=2) for i in range(10)),
-        ],
-    )
+    told: list[tuple[int, bool]] = []
+    script = [*(block(20 * i) for i in range(10)), *(block(20 * i, life=2) for i in range(10))]
+    play(monkeypatch, clock, script)
     monitor.watch(
-        "default",
-        0.39,
-        lambda history, simulated, silent_s: lengths.append(len(history.column("tick"))),
+        "default", 0.39, lambda shown: told.append((shown.newest["tick"], bool(shown.state)))
     )
-    assert lengths == [20, 120, 20, 120]
+    assert told == [(19, True), (119, True), (19, False), (119, False)]
 
 
 @pytest.mark.parametrize("key", [" ", "\x1b"])
@@ -370,26 +297,6 @@ def test_space_and_escape_stop_the_daemon(
     play(monkeypatch, clock, [block(20 * i) for i in range(10)])
     monitor.watch("left", None, lambda *view: None)
     assert stopped == ["left"]
-
-
-@pytest.mark.parametrize(("asked_ns_per_m", "answer"), [(0.0, "on"), (1.74, "off")])
-def test_d_switches_the_active_damping(
-    monkeypatch: pytest.MonkeyPatch, clock: VirtualClock, asked_ns_per_m: float, answer: str
-) -> None:
-    class AtOnce:
-        """A thread that is done when it has begun."""
-
-        def __init__(self, target: Any, daemon: bool) -> None:
-            self.start = target
-
-    pressed = iter(["", "", "d", "", "q"])
-    told: list[str] = []
-    monkeypatch.setattr(monitor, "Thread", AtOnce)
-    monkeypatch.setattr(monitor.Keys, "pressed", lambda self: next(pressed))
-    script = [block(20 * i, active_damping_asked_ns_per_m=asked_ns_per_m) for i in range(10)]
-    asked = play(monkeypatch, clock, script)
-    monitor.watch("left", None, lambda history, *_: told.append(history.event))
-    assert asked == [answer]
 
 
 def test_arrow_keys_do_not_stop(monkeypatch: pytest.MonkeyPatch, clock: VirtualClock) -> None:

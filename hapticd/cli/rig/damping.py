@@ -3,34 +3,22 @@
 What would break it: as in `steps`.
 """
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
 
-if TYPE_CHECKING:
-    from hapticd.client import Client
-    from hapticd.rig.result import StepResult
-
-Level = Annotated[
-    float | None,
-    typer.Option("--level", metavar="NS_PER_M", min=0.0, help="Of active damping; else half."),
-]
-AuditSeconds = Annotated[
-    float, typer.Option("--seconds", min=6.0, max=60.0, help="For which the handle is moved.")
-]
-TrimSeconds = Annotated[
-    float, typer.Option("--seconds", min=3.0, max=600.0, help="For which it is shown.")
-]
+with lazily():
+    from hapticd.rig import audit as audit_step
+    from hapticd.rig import damping as damping_step
+    from hapticd.rig import trim as trim_step
 
 
 def damping(
-    yes: steps.Yes = False,
-    config: terminal.ConfigFile = None,
-    instance: terminal.Instance = terminal.INSTANCE,
-    as_json: terminal.Json = False,
+    options: steps.StepOptions,
 ) -> None:
     """Polarity of the active damping, N s/m per count, physical damping, and what the compensation
     leaves of the winding's resistance, by pushes and free glides with a tenth of the force.
@@ -38,21 +26,15 @@ def damping(
     Let go of the handle. Writes the table `damping` and `limits.physical_damping_ns_per_m` of the
     device file.
     """
-    from hapticd.rig.damping import measure
-    from hapticd.settings.load import load
-
-    step = steps.perform(
-        instance, load(config), lambda client: measure(client, steps.asking(yes)), yes
-    )
-    steps.show(step, as_json)
+    steps.run(options, damping_step.measure)
 
 
 def trim(
-    seconds: TrimSeconds = 20.0,
-    yes: steps.Yes = False,
-    config: terminal.ConfigFile = None,
-    instance: terminal.Instance = terminal.INSTANCE,
-    as_json: terminal.Json = False,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=3.0, max=600.0, help="For which it is shown.")
+    ] = 20.0,
+    *,
+    options: steps.StepOptions,
 ) -> None:
     """Live: what the resistance compensation leaves of the back-EMF, the loop gain that it makes at
     the limit of the active damping, and the greatest damping that is allowed.
@@ -60,30 +42,24 @@ def trim(
     Move the handle to and fro against a weak spring meanwhile; active damping is off. Below a loop
     gain of -0.5 it warns, below -0.9 it ends and refuses (exit 4).
     """
-    from hapticd.rig.trim import measure
-    from hapticd.settings.load import load
-
-    def step(client: "Client") -> "StepResult":
-        return measure(client, steps.asking(yes), seconds, terminal.talk)
-
-    steps.show(steps.perform(instance, load(config), step, yes), as_json)
+    steps.run(
+        options,
+        lambda client, ask: trim_step.measure(client, ask, seconds, terminal.talk),
+    )
 
 
 def audit(
-    level: Level = None,
-    seconds: AuditSeconds = 6.0,
-    yes: steps.Yes = False,
-    config: terminal.ConfigFile = None,
-    instance: terminal.Instance = terminal.INSTANCE,
-    as_json: terminal.Json = False,
+    level: Annotated[
+        float | None,
+        typer.Option("--level", metavar="NS_PER_M", min=0.0, help="Of active damping; else half."),
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=6.0, max=60.0, help="For which the handle is moved.")
+    ] = 6.0,
+    *,
+    options: steps.StepOptions,
 ) -> None:
     """What is commanded against what is delivered, of active damping and force, while a hand moves
     the handle to and fro against a weak spring. Writes nothing into the device file.
     """
-    from hapticd.rig.audit import measure
-    from hapticd.settings.load import load
-
-    def step(client: "Client") -> "StepResult":
-        return measure(client, steps.asking(yes), level, seconds)
-
-    steps.show(steps.perform(instance, load(config), step, yes), as_json)
+    steps.run(options, lambda client, ask: audit_step.measure(client, ask, level, seconds))

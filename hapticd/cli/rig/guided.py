@@ -11,21 +11,26 @@ import datetime
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import isfinite
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import damping, sensors, steps
 from hapticd.cli.rig.identify import identify
 from hapticd.cli.rig.motor import motor
+from hapticd.cli.rig.steps import StepOptions
 from hapticd.cli.rig.verify import verify
 from hapticd.core.errors import DaemonDown, HapticdError
+from hapticd.core.params import RIG_STEPS, to_plain
 
-if TYPE_CHECKING:
-    from hapticd.settings.device import DeviceFile
+with lazily():
+    from hapticd.recording import calibrations
+    from hapticd.settings import build, load
+    from hapticd.settings import device as device_files
+
 
 WELCOME = """\
 First day at the rig: what is measured goes into the device file, with its date and interval.
@@ -38,13 +43,6 @@ NOT_VERIFIED = "Signs are not verified yet: do what was refused again with `hapt
 DONE = "The path is at its end. `hapticd status`, docs/first-day.md: what to look at, and a trial."
 
 
-class Where(NamedTuple):
-    """Which daemon, by which configuration."""
-
-    instance: str
-    config: Path | None
-
-
 class Step(NamedTuple):
     """A step as the path offers it."""
 
@@ -52,7 +50,7 @@ class Step(NamedTuple):
     title: str
     table: str  # of the device file, where its date stands; "": it writes nothing
     questions: Sequence[str]
-    act: Callable[[Where, list[float]], None]
+    act: Callable[[StepOptions, list[float]], None]
 
 
 MASSES = [
@@ -71,7 +69,7 @@ FIRST = (
         "sign, scale and noise, by hand",
         "position",
         ("distance from position A to B in m",),
-        lambda at, given: steps.encoder(given[0], **at._asdict()),
+        lambda at, given: steps.encoder(given[0], options=at),
     ),
 )
 SIGN = Step(
@@ -79,7 +77,7 @@ SIGN = Step(
     "its sign, by pushes of 20 ms",
     "commissioning",
     (),
-    lambda at, _: motor(**at._asdict()),
+    lambda at, _: motor(options=at),
 )
 LATER = (
     Step(
@@ -87,42 +85,42 @@ LATER = (
         "its gain and offset, by five masses",
         "force",
         MASSES,
-        lambda at, given: motor(given, **at._asdict()),
+        lambda at, given: motor(given, options=at),
     ),
     Step(
         "damping",
         "its polarity and N s/m per count, by pushes and glides",
         "active_damping",
         (),
-        lambda at, _: damping.damping(**at._asdict()),
+        lambda at, _: damping.damping(at),
     ),
     Step(
         "probe",
         "both channels, by shaking the handle without and with a mass",
         "probe_velocity",
         ("mass that is fixed to the handle in kg",),
-        lambda at, given: sensors.probe(given[0], **at._asdict()),
+        lambda at, given: sensors.probe(given[0], options=at),
     ),
     Step(
         "temperature",
         "the winding's sensor, and the back-EMF by hand",
         "temperature",
         ("temperature of the room in degC",),
-        lambda at, given: sensors.temperature(given, **at._asdict()),
+        lambda at, given: sensors.temperature(given, options=at),
     ),
     Step(
         "identify",
         "mass, friction and delay, by shaking the free handle",
         "model",
         (),
-        lambda at, _: identify(**at._asdict()),
+        lambda at, _: identify(at),
     ),
     Step(
         "verify",
         "known springs, dampers and masses, and the certificate",
         "",
         (),
-        lambda at, _: verify(**at._asdict()),
+        lambda at, _: verify(options=at),
     ),
 )
 
@@ -135,7 +133,7 @@ def guided(
     """The guided path, where no verb is named."""
     if context.invoked_subcommand is not None:
         return
-    where = Where(instance, config)
+    where = StepOptions(instance=instance, config=config)
     terminal.talk(WELCOME)
     for step in FIRST:
         _offer(step, where)
@@ -148,14 +146,12 @@ def guided(
     terminal.talk(DONE)
 
 
-def _verified(where: Where) -> bool:
+def _verified(where: StepOptions) -> bool:
     """Whether the device file says that the signs are verified, for its board."""
-    from hapticd.settings.build import commissioning
-
-    return not commissioning(_device(where))
+    return not build.commissioning(_device(where))
 
 
-def _offer(step: Step, where: Where) -> bool:
+def _offer(step: Step, where: StepOptions) -> bool:
     """Whether `step` was wanted, and begun."""
     _await_restart(where)
     device = _device(where)
@@ -170,7 +166,7 @@ def _offer(step: Step, where: Where) -> bool:
     return True
 
 
-def measured(table: str, device: "DeviceFile") -> str:
+def measured(table: str, device: "device_files.DeviceFile") -> str:
     """When `table` of `device` was measured by a step, and how old that is; "": never."""
     date = _measured_on(table, device)
     if date is None:
@@ -179,21 +175,15 @@ def measured(table: str, device: "DeviceFile") -> str:
     return f"measured {date.isoformat()}, {f'{days} days ago' if days else 'today'}"
 
 
-def in_doubt(table: str, device: "DeviceFile") -> str:
+def in_doubt(table: str, device: "device_files.DeviceFile") -> str:
     """Why what was measured into `table` of `device` cannot be relied on any more; "": it can."""
-    from hapticd.core.params import to_plain
-    from hapticd.recording.calibrations import doubts
-    from hapticd.settings.build import device_params
-
-    servo = {"simulated": device.simulated, "device": to_plain(device_params(device))}
-    found = doubts(servo, datetime.date.today(), probed=True)
+    servo = {"simulated": device.simulated, "device": to_plain(build.device_params(device))}
+    found = calibrations.doubts(servo, datetime.date.today(), probed=True)
     return "; ".join(one.reason for one in found if one.table == table)
 
 
-def _measured_on(table: str, device: "DeviceFile") -> datetime.date | None:
+def _measured_on(table: str, device: "device_files.DeviceFile") -> datetime.date | None:
     """When a step measured `table` of `device`; None: never."""
-    from hapticd.core.params import RIG_STEPS
-
     found = getattr(device, table) if table else None
     if table == "model" and found is not None:
         found = found.table("masses")
@@ -203,35 +193,31 @@ def _measured_on(table: str, device: "DeviceFile") -> datetime.date | None:
     return day
 
 
-def _device(where: Where) -> "DeviceFile":
-    from hapticd.settings.load import load
-
-    return load(where.config).device
+def _device(where: StepOptions) -> "device_files.DeviceFile":
+    return load.load(where.config).device
 
 
-def _await_restart(where: Where) -> None:
+def _await_restart(where: StepOptions) -> None:
     """Until the daemon runs, and has read what the device file says."""
     while reason := _stale(where):
         steps.answer(f"{reason}: start the daemon again, then Enter")
 
 
-def _stale(where: Where) -> str:
+def _stale(where: StepOptions) -> str:
     """Why no step may begin, "": nothing bars it."""
-    from hapticd.settings.load import load
-
     try:
         with connect(where.instance) as client:
             servo = client.hello().servo
     except DaemonDown:
         return "no daemon runs"
-    settings = load(where.config)
+    settings = load.load(where.config)
     if scales := steps.not_read_yet(servo["device"], settings.device):
         return f"the device file has a new {', '.join(scales)}"
     read = servo["device_file_sha256"]
     return "the device file has changed" if read not in ("", settings.device_file_sha256) else ""
 
 
-def _commissioning(where: Where) -> bool:
+def _commissioning(where: StepOptions) -> bool:
     with connect(where.instance) as client:
         return bool(client.hello().servo["device"]["commissioning"])
 

@@ -7,48 +7,44 @@ from typing import Annotated
 
 import typer
 
-from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
 
-Fixed = Annotated[
-    float,
-    typer.Option("--mass", metavar="KG", min=1e-4, help="What is fixed to the handle, in kg."),
-]
-Sure = Annotated[
-    float, typer.Option("--tolerance", metavar="R", min=0.0, help="Of that mass (95 %), relative.")
-]
+with lazily():
+    from hapticd.rig import one_signal
+    from hapticd.rig import probe as probe_step
+    from hapticd.rig import temperature as temperature_step
+
 Lowest = Annotated[
     float,
     typer.Option("--lowest", metavar="HZ", min=0.1, help="Lowest frequency that is judged."),
 ]
-Stiffness = Annotated[
-    float,
-    typer.Option("--stiffness", metavar="N/M", min=0.0, help="Of the spring that is judged there."),
-]
-Celsius = Annotated[
-    list[float],
-    typer.Option("--at", metavar="C", help="What a thermometer says, in degC; once or twice."),
-]
-Thermometer = Annotated[
-    float, typer.Option("--tolerance", metavar="C", min=0.0, help="Of the thermometer (95 %).")
-]
-NoShake = Annotated[bool, typer.Option("--no-shake", help="Leave the back-EMF channel out.")]
-NoSignal = Annotated[
-    bool,
-    typer.Option("--no-one-signal", help="There is no signal for both channels: leave skew out."),
-]
 
 
 def probe(
-    mass: Fixed,
-    tolerance: Sure = 1e-3,
+    mass: Annotated[
+        float,
+        typer.Option("--mass", metavar="KG", min=1e-4, help="What is fixed to the handle, in kg."),
+    ],
+    tolerance: Annotated[
+        float,
+        typer.Option("--tolerance", metavar="R", min=0.0, help="Of that mass (95 %), relative."),
+    ] = 1e-3,
     lowest: Lowest = 2.0,
-    stiffness: Stiffness = 600.0,
-    no_one_signal: NoSignal = False,
-    yes: steps.Yes = False,
-    config: terminal.ConfigFile = None,
-    instance: terminal.Instance = terminal.INSTANCE,
-    as_json: terminal.Json = False,
+    stiffness: Annotated[
+        float,
+        typer.Option(
+            "--stiffness", metavar="N/M", min=0.0, help="Of the spring that is judged there."
+        ),
+    ] = 600.0,
+    no_one_signal: Annotated[
+        bool,
+        typer.Option(
+            "--no-one-signal", help="There is no signal for both channels: leave skew out."
+        ),
+    ] = False,
+    *,
+    options: steps.StepOptions,
 ) -> None:
     """Gain, sign, offset and noise of both probe channels: the perturbation shakes the free handle
     at 10 to 30 Hz, without and with a known mass. One signal into both channels shows skew and
@@ -56,43 +52,35 @@ def probe(
 
     Writes the tables `probe_torque` and `probe_velocity` of the device file.
     """
-    from hapticd.rig.one_signal import Judged
-    from hapticd.rig.probe import Attached, measure
-    from hapticd.settings.load import load
-
-    attached = Attached(mass, tolerance)
-    judged = Judged(lowest, stiffness)
-    found = steps.perform(
-        instance,
-        load(config),
-        lambda client: measure(client, steps.asking(yes), attached, judged, not no_one_signal),
-        yes,
+    attached = probe_step.Attached(mass, tolerance)
+    judged = one_signal.Judged(lowest, stiffness)
+    steps.run(
+        options,
+        lambda client, ask: probe_step.measure(client, ask, attached, judged, not no_one_signal),
     )
-    steps.show(found, as_json)
 
 
 def temperature(
-    at: Celsius,
-    tolerance: Thermometer = 0.5,
-    no_shake: NoShake = False,
-    yes: steps.Yes = False,
-    config: terminal.ConfigFile = None,
-    instance: terminal.Instance = terminal.INSTANCE,
-    as_json: terminal.Json = False,
+    at: Annotated[
+        list[float],
+        typer.Option("--at", metavar="C", help="What a thermometer says, in degC; once or twice."),
+    ],
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", metavar="C", min=0.0, help="Of the thermometer (95 %).")
+    ] = 0.5,
+    no_shake: Annotated[
+        bool, typer.Option("--no-shake", help="Leave the back-EMF channel out.")
+    ] = False,
+    *,
+    options: steps.StepOptions,
 ) -> None:
     """Offset, noise and drift of the winding's temperature at a stated temperature, its scale with
     a second one; then scale and sign of the back-EMF channel, while a hand shakes the handle.
 
     Makes no force. Writes the tables `temperature` and `emf_velocity` of the device file.
     """
-    from hapticd.rig.temperature import Stated, measure
-    from hapticd.settings.load import load
-
-    stated = Stated(tuple(at), tolerance)
-    found = steps.perform(
-        instance,
-        load(config),
-        lambda client: measure(client, steps.asking(yes), stated, not no_shake),
-        yes,
+    stated = temperature_step.Stated(tuple(at), tolerance)
+    steps.run(
+        options,
+        lambda client, ask: temperature_step.measure(client, ask, stated, not no_shake),
     )
-    steps.show(found, as_json)

@@ -12,41 +12,58 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
+from hapticd.cli.lazy import lazily
 from hapticd.cli.zwidth.live import signals_end_with_force_off
 from hapticd.core.errors import ConfigError
+from hapticd.core.params import to_plain
 
-if TYPE_CHECKING:
-    from hapticd.client import Client
-    from hapticd.rig.hand import Ask, Request
-    from hapticd.rig.result import StepResult
-    from hapticd.settings.device import DeviceFile
-    from hapticd.settings.load import Settings
+with lazily():
+    from hapticd.client import client as clients
+    from hapticd.rig import device_file, machine_hand, records
+    from hapticd.rig import encoder as encoder_step
+    from hapticd.rig import hand as hands
+    from hapticd.rig import link as link_step
+    from hapticd.rig import result as results
+    from hapticd.settings import build, load
+    from hapticd.settings import device as device_files
+
 
 REFUSED = 4  # exit code of a step that found something that must not stay
 HAND = "HAPTICD_HAND"  # environment: the socket of a program that is the hand
 PAUSE_S = 5.0  # for what a hand should do, with --yes
 COLOURS = {"ok": terminal.GREEN, "warning": terminal.YELLOW, "refused": terminal.RED}
 
-Yes = Annotated[
-    bool, typer.Option("--yes", help="Ask nothing: announce what to do, wait 5 s, then write.")
-]
-Apart = Annotated[
-    float, typer.Option("--distance", metavar="M", min=1e-4, help="From position A to B, in m.")
-]
-Tolerance = Annotated[
-    float, typer.Option("--tolerance", metavar="M", min=0.0, help="Of that distance (95 %), in m.")
-]
+
+@dataclass(frozen=True, kw_only=True)
+class StepOptions:
+    """Whether a person is asked, and which daemon by which configuration."""
+
+    yes: Annotated[
+        bool,
+        typer.Option("--yes", help="Ask nothing: announce what to do, wait 5 s, then write."),
+    ] = False
+    config: terminal.ConfigFile = None
+    instance: terminal.Instance = terminal.INSTANCE
+    as_json: terminal.Json = False
 
 
-def show(result: "StepResult", as_json: bool) -> None:
+def run(
+    options: StepOptions, measure: "Callable[[clients.Client, hands.Ask], results.StepResult]"
+) -> None:
+    """Do a step on the daemon, keep and write what it found, and show it."""
+    settings = load.load(options.config)
+    show(perform(options, settings, measure), options.as_json)
+
+
+def show(result: "results.StepResult", as_json: bool) -> None:
     """What was found; ends the process with 4 if something was refused."""
     if as_json:
         terminal.data_json(result.plain())
@@ -57,7 +74,7 @@ def show(result: "StepResult", as_json: bool) -> None:
         raise typer.Exit(REFUSED)
 
 
-def lines(result: "StepResult") -> list[str]:
+def lines(result: "results.StepResult") -> list[str]:
     """`result` for people, a line for each thing."""
     found = [f"  {value}" for value in result.values]
     for one in result.findings:
@@ -67,16 +84,14 @@ def lines(result: "StepResult") -> list[str]:
     return [f"rig {result.step}", *found]
 
 
-def asking(yes: bool) -> "Ask":
+def asking(yes: bool) -> "hands.Ask":
     """What asks a person; with --yes it tells, and waits a while. Where HAPTICD_HAND names a
     socket, the program there is the hand.
     """
-    from hapticd.rig.machine_hand import asked_at
-
     machine = os.environ.get(HAND)
-    done = asked_at(Path(machine)) if machine else None
+    done = machine_hand.asked_at(Path(machine)) if machine else None
 
-    def ask(request: "Request") -> None:
+    def ask(request: "hands.Request") -> None:
         terminal.talk(f"> {request.text}")
         if done:
             done(request)
@@ -107,28 +122,28 @@ def agreed(question: str, usual: bool = True) -> bool:
 
 
 def perform(
-    instance: str, settings: "Settings", step: "Callable[[Client], StepResult]", yes: bool
-) -> "StepResult":
-    """Do `step` on the daemon, keep its records, and write what it found into the device file.
+    options: StepOptions,
+    settings: "load.Settings",
+    measure: "Callable[[clients.Client, hands.Ask], results.StepResult]",
+) -> "results.StepResult":
+    """Have `measure` do a step, keep its records, and write what it found into the device file.
 
     ConfigError if the daemon runs another device than `settings`, or the file cannot be written.
     """
-    from hapticd.rig.device_file import refuse_shipped
-
-    refuse_shipped(settings.device_file)
+    device_file.refuse_shipped(settings.device_file)
     with ExitStack() as stack:
         stack.enter_context(signals_end_with_force_off())
-        client = stack.enter_context(connect(instance))
+        client = stack.enter_context(connect(options.instance))
         _refuse_another(client.hello().servo["device"], settings)
         try:
-            result = step(client)
+            result = measure(client, asking(options.yes))
         except KeyboardInterrupt:
             terminal.talk(f"interrupted: force is off, {settings.device_file} is as it was")
             raise
-    return _written(result, settings, yes)
+    return _written(result, settings, options.yes)
 
 
-def _refuse_another(running: "Mapping[str, Any]", settings: "Settings") -> None:
+def _refuse_another(running: "Mapping[str, Any]", settings: "load.Settings") -> None:
     """ConfigError if the running daemon does not have the device file of `settings`: what one step
     has written, as the sign of the position, the next one builds upon.
     """
@@ -144,14 +159,11 @@ def _refuse_another(running: "Mapping[str, Any]", settings: "Settings") -> None:
         )
 
 
-def not_read_yet(running: "Mapping[str, Any]", device: "DeviceFile") -> list[str]:
+def not_read_yet(running: "Mapping[str, Any]", device: "device_files.DeviceFile") -> list[str]:
     """Scales of `device` that are others than those of a running servo, whose parameters of the
     device are `running`, as its hello says them.
     """
-    from hapticd.core.params import to_plain
-    from hapticd.settings.build import device_params
-
-    written = to_plain(device_params(device))
+    written = to_plain(build.device_params(device))
     scales = [name for name, one in written.items() if isinstance(one, dict) and "per_count" in one]
     return [name for name in scales if _meaning(written[name]) != _meaning(running[name])]
 
@@ -160,13 +172,12 @@ def _meaning(scale: "Mapping[str, Any]") -> tuple[Any, ...]:
     return tuple(scale[key] for key in ("sign", "per_count", "offset_count"))
 
 
-def _written(result: "StepResult", settings: "Settings", yes: bool) -> "StepResult":
-    from hapticd.rig.device_file import write
-    from hapticd.rig.records import keep
-
+def _written(
+    result: "results.StepResult", settings: "load.Settings", yes: bool
+) -> "results.StepResult":
     day = datetime.date.today()
     path = settings.device_file
-    kept = keep(path, result.step, day, result.arrays)
+    kept = records.keep(path, result.step, day, result.arrays)
     if not result.settled or not result.changes:
         return result
     if not yes:
@@ -175,9 +186,9 @@ def _written(result: "StepResult", settings: "Settings", yes: bool) -> "StepResu
         if not agreed(f"write this into {path}?"):
             terminal.talk(f"not written: {path} is as it was")
             return replace(result, changes=())
-    words = "; ".join(str(value) for value in result.values)
-    record = f"rig/{kept.path.name} {kept.sha256}"
-    write(path, result.changes, f"rig {result.step}", day, f"{words or 'signs seen'}; {record}")
+    words = "; ".join(str(value) for value in result.values) or "signs seen"
+    note = f"{words}; rig/{kept.path.name} {kept.sha256}"
+    device_file.write(path, result.changes, f"rig {result.step}", day, note)
     terminal.talk(f"written: {path}; it counts from the next start of the daemon")
     return result
 
@@ -186,28 +197,25 @@ def link(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     """Ten seconds of frames without force: delay, jitter, age, damaged and missing frames, and the
     board's clock; a verdict and a remedy for each. Exit 4 if something must not stay.
     """
-    from hapticd.rig.link import measure
-
     with connect(instance) as client:
-        show(measure(client), as_json)
+        show(link_step.measure(client), as_json)
 
 
 def encoder(
-    distance: Apart,
-    tolerance: Tolerance = 10e-6,
-    yes: Yes = False,
-    config: terminal.ConfigFile = None,
-    instance: terminal.Instance = terminal.INSTANCE,
-    as_json: terminal.Json = False,
+    distance: Annotated[
+        float, typer.Option("--distance", metavar="M", min=1e-4, help="From position A to B, in m.")
+    ],
+    tolerance: Annotated[
+        float,
+        typer.Option("--tolerance", metavar="M", min=0.0, help="Of that distance (95 %), in m."),
+    ] = 10e-6,
+    *,
+    options: StepOptions,
 ) -> None:
     """Sign, scale and noise of the encoder, by hand: no force is made.
 
     The handle is moved to positive x, then between two positions a stated distance apart, and last
     to where x = 0 shall be. Writes the table `position` of the device file.
     """
-    from hapticd.rig.encoder import Distance, measure
-    from hapticd.settings.load import load
-
-    apart = Distance(distance, tolerance)
-    found = perform(instance, load(config), lambda client: measure(client, asking(yes), apart), yes)
-    show(found, as_json)
+    apart = encoder_step.Distance(distance, tolerance)
+    run(options, lambda client, ask: encoder_step.measure(client, ask, apart))

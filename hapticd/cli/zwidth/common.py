@@ -10,20 +10,25 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from hapticd.cli import terminal
-from hapticd.core.errors import HapticdError
+from hapticd.cli.lazy import lazily
+from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.protocol.limits import CommandLimits
 
-if TYPE_CHECKING:
-    from hapticd.model.scene import Scene
-    from hapticd.settings.device import DeviceFile
-    from hapticd.zwidth.outcomes import Conditions, Outcome
-    from hapticd.zwidth.scenes import Display
-    from hapticd.zwidth.sources import Trial
-    from hapticd.zwidth.store import TrialStore
+with lazily():
+    from hapticd.guard import bounds
+    from hapticd.mailbox import environment_limits
+    from hapticd.model import scene as model_scene
+    from hapticd.recording import provenance
+    from hapticd.settings import device as device_files
+    from hapticd.settings import scene as scene_files
+    from hapticd.settings import toml
+    from hapticd.zwidth import outcomes, scenes, sources, store
+
 
 SceneName = Annotated[
     str,
@@ -85,7 +90,6 @@ JsonOutcomes = Annotated[
         ),
     ),
 ]
-Admittance = Annotated[bool, typer.Option("--admittance", help="Draw the admittance as well.")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,7 +129,7 @@ OUTCOME_FIELDS = (
 
 
 @contextmanager
-def keeping(store: "TrialStore", folder: Path) -> Iterator[None]:
+def keeping(kept: "store.TrialStore", folder: Path) -> Iterator[None]:
     """Says what is kept and how to go on where something ends a run early.
 
     That is Ctrl-C (exit 130), or workers that died.
@@ -133,11 +137,11 @@ def keeping(store: "TrialStore", folder: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        terminal.talk(_goes_on(store, folder))
+        terminal.talk(_goes_on(kept, folder))
         raise typer.Exit(130) from None
     except HapticdError:
-        if store.known:
-            terminal.talk(_goes_on(store, folder))
+        if kept.known:
+            terminal.talk(_goes_on(kept, folder))
         raise
 
 
@@ -156,84 +160,68 @@ def drawing(folder: Path) -> AbstractContextManager[None]:
     return interruptible(f"the result is kept in {folder}, without all of its figures")
 
 
-def _goes_on(store: "TrialStore", folder: Path) -> str:
+def _goes_on(kept: "store.TrialStore", folder: Path) -> str:
     return (
-        f"{len(store.known)} trials are kept in {folder}; the same command with --out {folder} goes"
+        f"{len(kept.known)} trials are kept in {folder}; the same command with --out {folder} goes"
         " on there"
     )
 
 
-def scene_of(name: str) -> "Scene":
+def scene_of(name: str) -> "model_scene.Scene":
     """The scene of that name, or the simulated device of that name with all of its effects.
 
     ConfigError names what there is.
     """
-    from hapticd.core.errors import ConfigError
-    from hapticd.settings.scene import load_scene
-    from hapticd.zwidth.scenes import device_scene
-
     try:
-        return load_scene(name)
+        return scene_files.load_scene(name)
     except ConfigError as error:
-        found = device_scene(str(Path(name).resolve()) if name.endswith(".toml") else name)
+        found = scenes.device_scene(str(Path(name).resolve()) if name.endswith(".toml") else name)
         if found is None:
             raise error
         return found
 
 
-def record_file(word: str, sources: tuple[str, ...]) -> Path:
-    """The record that `word` names, which is none of `sources`. BadParameter if it is not there."""
-    from hapticd.settings.toml import did_you_mean
-
+def record_file(word: str, known: tuple[str, ...]) -> Path:
+    """The record that `word` names, which is none of `known`. BadParameter if it is not there."""
     path = Path(word)
-    meant = did_you_mean(word, sources)
+    meant = toml.did_you_mean(word, known)
     if meant and not path.exists():
-        raise typer.BadParameter(f"{word!r} is not {', '.join(sources)} or a file{meant}")
+        raise typer.BadParameter(f"{word!r} is not {', '.join(known)} or a file{meant}")
     terminal.there(path)
     return path
 
 
-def device_of(name: str) -> "DeviceFile":
+def device_of(name: str) -> "device_files.DeviceFile":
     """The device file of that scene, or of that name; `scene_of` has found it before."""
-    from hapticd.core.errors import ConfigError
-    from hapticd.settings.scene import load_files
-    from hapticd.zwidth.scenes import device_file
-
     try:
-        return load_files(name).device
+        return scene_files.load_files(name).device
     except ConfigError:
-        return device_file(str(Path(name).resolve()) if name.endswith(".toml") else name)
+        return scenes.device_file(str(Path(name).resolve()) if name.endswith(".toml") else name)
 
 
-def require_within(name: str, shown: "Display", asked: dict[str, float]) -> None:
+def require_within(name: str, shown: "scenes.Display", asked: dict[str, float]) -> None:
     """BadParameter for what a daemon would refuse to render on this device."""
-    from hapticd.guard.bounds import passive_ranges
-    from hapticd.mailbox.environment_limits import UNKNOWN, environment_limits
-    from hapticd.protocol.limits import CommandLimits
-    from hapticd.zwidth.scenes import filters
-
-    device = device_of(name)
-    ceiling = device.limits.active_damping_ns_per_m
-    passive = UNKNOWN
-    if device.model is not None:
-        passive = passive_ranges(shown.model, filters(shown.scene), ceiling)
-    limits = CommandLimits(shown.model.rate_hz, ceiling, environment_limits(passive))
+    own = device_of(name)
+    ceiling = own.limits.active_damping_ns_per_m
+    passive = environment_limits.UNKNOWN
+    if own.model is not None:
+        passive = bounds.passive_ranges(shown.model, scenes.filters(shown.scene), ceiling)
+    widest = environment_limits.environment_limits(passive)
+    limits = CommandLimits(shown.model.rate_hz, ceiling, widest)
     if broken := limits.broken_by(asked):
         raise typer.BadParameter("; ".join(one["msg"] for one in broken))
 
 
 def conditions(
-    scene: "Scene",
+    scene: "model_scene.Scene",
     seconds: float,
     seed: int,
     band_hz: tuple[float, float] = (2.0, 500.0),
     confidence: float = 0.95,
-) -> "Conditions":
+) -> "outcomes.Conditions":
     """Conditions of many trials: the scene's noise with that seed."""
-    from hapticd.zwidth.outcomes import Conditions
-    from hapticd.zwidth.scenes import noise
-
-    return Conditions(scene, seconds, replace(noise(scene), seed=seed), band_hz, confidence)
+    noise = replace(scenes.noise(scene), seed=seed)
+    return outcomes.Conditions(scene, seconds, noise, band_hz, confidence)
 
 
 def levels(text: str) -> tuple[float, ...]:
@@ -262,33 +250,36 @@ def ranged(name: str, given: Range, least: int = 2) -> Range:
     return given
 
 
-def environment_words(trial: "Trial") -> str:
+def environment_words(trial: "sources.Trial") -> str:
     """K, B, M and active damping of `trial` with their units."""
     k, b, m = trial.environment
     active = f"active damping {trial.active_damping_ns_per_m:g} N s/m"
     return f"K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, {active}"
 
 
-def print_outcomes(new: "list[Outcome]", **more: Any) -> None:
+def print_outcomes(new: "list[outcomes.Outcome]", **more: Any) -> None:
     """A line of JSON for each outcome: what was tried, its verdict and margin, and `more`."""
-    from hapticd.zwidth.store import to_json
-
     for outcome in new:
-        shown = to_json({name: getattr(outcome, name) for name in OUTCOME_FIELDS})
+        shown = store.to_json({name: getattr(outcome, name) for name in OUTCOME_FIELDS})
         terminal.data_json({"type": "outcome", **more, **shown})
 
 
-def print_result(found: dict[str, Any], folder: Path, figures: Iterable[Path]) -> None:
-    """The last line of --json: what was found, where it is kept, and its figures."""
+def show_result(
+    found: dict[str, Any],
+    lines: Iterable[str],
+    folder: Path,
+    figures: Iterable[Path],
+    as_json: bool,
+) -> None:
+    """What was found, where it is kept, and its figures: the last line of --json, or for people."""
     files = [str(path) for path in figures]
-    terminal.data_json({"ok": True, **found, "folder": str(folder), "figures": files})
+    kept = {**found, "folder": str(folder), "figures": files}
+    terminal.show(kept, [*lines, f"kept in {folder}", *files], as_json)
 
 
 def write_summary(folder: Path, about: dict[str, Any], **more: Any) -> None:
     """Write run.json: what the run is `about`, and where its numbers come from (`more` of it)."""
-    from hapticd.zwidth.store import write_run
-
-    write_run(folder, {**about, "provenance": provenance_now(**more)})
+    store.write_run(folder, {**about, "provenance": provenance_now(**more)})
 
 
 def folder(out: Path | None, what: str) -> Path:
@@ -296,23 +287,15 @@ def folder(out: Path | None, what: str) -> Path:
     return out or RUNS / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{what}"
 
 
-def print_kept(folder: Path, files: Iterable[Path]) -> None:
-    """Prints where results are, and the names of the figures."""
-    terminal.data(f"kept in {folder}")
-    for file in files:
-        terminal.data(str(file))
-
-
-def tell_open(level: dict[str, Any], what: str) -> None:
-    """Says at which ends of `what`, a grid or a box, the set of a level goes on."""
-    if level["open_ends"]:
-        ends = ", ".join(level["open_ends"])
-        damping = f"{level['active_damping_ns_per_m']:g} N s/m"
-        terminal.talk(f"at {damping} the set goes beyond the {what}: {ends}")
+def tell_open(levels: list[dict[str, Any]], what: str) -> None:
+    """Says at which ends of `what`, a grid or a box, the set of each level goes on."""
+    for level in levels:
+        if level["open_ends"]:
+            ends = ", ".join(level["open_ends"])
+            damping = f"{level['active_damping_ns_per_m']:g} N s/m"
+            terminal.talk(f"at {damping} the set goes beyond the {what}: {ends}")
 
 
 def provenance_now(**more: Any) -> dict[str, Any]:
     """Where the numbers of a run come from: versions, machine, the time, and `more`."""
-    from hapticd.recording.provenance import provenance
-
-    return provenance(date=datetime.now(UTC).isoformat(timespec="seconds"), **more)
+    return provenance.provenance(date=datetime.now(UTC).isoformat(timespec="seconds"), **more)

@@ -1,33 +1,21 @@
 """K, B and M limits along their axes: predicted, then by simulated trials."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
-if TYPE_CHECKING:
-    from hapticd.zwidth.limits import AxisLimit, LimitsResult, Scan
-    from hapticd.zwidth.outcomes import Conditions, Outcome
-    from hapticd.zwidth.report.table import Table
+with lazily():
+    from hapticd.signal import passive_set
+    from hapticd.zwidth import executors, limits, outcomes, store
+    from hapticd.zwidth.report import passive_set as figures
+    from hapticd.zwidth.report import style, table
 
-Amplitudes = Annotated[
-    int,
-    typer.Option(
-        "--amplitudes",
-        metavar="N",
-        min=1,
-        max=9,
-        help="Perturbation amplitudes, each twice the last.",
-    ),
-]
-Axis = Annotated[str, typer.Option("--axis", metavar="KBM", help="Which of K, B, M.")]
-Seeds = Annotated[
-    int,
-    typer.Option("--seeds", metavar="N", min=1, help="Repeat with other noise, for the scatter."),
-]
+
 UNITS = {"K": ("N/m", 1.0), "B": ("N s/m", 1.0), "M": ("g", 1e3)}  # printed unit, units per SI unit
 COLUMNS = (
     "limit",
@@ -51,9 +39,23 @@ NOTE = (
 def command(
     scene: common.SceneName = "fig4",
     active_damping: common.Damping = "0,1.74",
-    amplitudes: Amplitudes = 1,
-    axis: Axis = "KBM",
-    seeds: Seeds = 1,
+    amplitudes: Annotated[
+        int,
+        typer.Option(
+            "--amplitudes",
+            metavar="N",
+            min=1,
+            max=9,
+            help="Perturbation amplitudes, each twice the last.",
+        ),
+    ] = 1,
+    axis: Annotated[str, typer.Option("--axis", metavar="KBM", help="Which of K, B, M.")] = "KBM",
+    seeds: Annotated[
+        int,
+        typer.Option(
+            "--seeds", metavar="N", min=1, help="Repeat with other noise, for the scatter."
+        ),
+    ] = 1,
     *,
     trials: common.TrialsOptions,
     confidence: common.Confidence = 0.95,
@@ -68,75 +70,50 @@ def command(
     Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
     new outcome is a line, with its limit, amplitude and seed, and the last line is the result.
     """
-    from hapticd.signal.passive_set import AXES
-    from hapticd.zwidth.executors import executor
-    from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
-    from hapticd.zwidth.report import style
-    from hapticd.zwidth.report.passive_set import limits_figure
-    from hapticd.zwidth.store import TrialStore
-
-    terminal.need_engine()
-    terminal.need_figures(results.plot)
-    if not axis or set(axis) - set(AXES):
+    terminal.need_engine(results.plot)
+    if not axis or set(axis) - set(passive_set.AXES):
         raise typer.BadParameter(f"--axis {axis!r}: use one or more of the letters K, B, M")
     conditions = common.conditions(
         common.scene_of(scene), trials.seconds, trials.seed, trials.band, confidence
     )
     factors = tuple(2.0**doubling for doubling in range(amplitudes))
-    wanted = tuple(AXES.index(name) for name in axis)
-    params = LimitsParams(conditions, common.levels(active_damping), factors, wanted, seeds)
+    wanted = tuple(passive_set.AXES.index(name) for name in axis)
+    params = limits.LimitsParams(conditions, common.levels(active_damping), factors, wanted, seeds)
     folder = common.folder(results.out, "limits")
-    store = TrialStore(folder / "trials.jsonl")
+    kept = store.TrialStore(folder / "trials.jsonl")
 
-    def follow(scan: "Scan", given: "Conditions", new: "list[Outcome]") -> None:
+    def follow(
+        scan: "limits.Scan", given: "outcomes.Conditions", new: "list[outcomes.Outcome]"
+    ) -> None:
         if results.as_json:
+            limit = passive_set.AXES[scan.axis]
             seed = given.excitation.seed
-            common.print_outcomes(new, limit=AXES[scan.axis], amplitude=scan.amplitude, seed=seed)
+            common.print_outcomes(new, limit=limit, amplitude=scan.amplitude, seed=seed)
 
-    with common.keeping(store, folder), executor(trials.where) as pool, progress() as tell:
-        result = run_limits(plan_limits(params), store, tell, pool, follow)
-    rows = _rows_json(result)
+    with common.keeping(kept, folder), executors.executor(trials.where) as pool, progress() as tell:
+        result = limits.run_limits(limits.plan_limits(params), kept, tell, pool, follow)
+    rows = [{"name": limit.name, **store.to_json(limit)} for limit in result.limits]
     about = {"kind": "limits", "scene": scene, "seconds": trials.seconds, "limits": rows}
     common.write_summary(folder, about, seed=trials.seed)
     with common.drawing(folder):
-        width_mm = results.figure_width
-        paths = (
-            style.save(limits_figure(result, width_mm), folder, "limits") if results.plot else ()
-        )
-    if results.as_json:
-        common.print_result({"made": result.made, "limits": rows}, folder, paths)
-        return
-    _print(result)
-    common.print_kept(folder, paths)
+        figure = figures.limits_figure(result, results.figure_width) if results.plot else None
+        paths = style.save(figure, folder, "limits") if figure else ()
+    judged = "; ".join(sorted({limit.judged.words for limit in result.limits}))
+    lines = [table.text(_table(result)), NOTE, judged, f"{result.made} trials made"]
+    found = {"made": result.made, "limits": rows}
+    common.show_result(found, lines, folder, paths, results.as_json)
 
 
-def _rows_json(result: "LimitsResult") -> list[dict[str, object]]:
-    from hapticd.zwidth.store import to_json
-
-    return [{"name": limit.name, **to_json(limit)} for limit in result.limits]
-
-
-def _print(result: "LimitsResult") -> None:
-    from hapticd.zwidth.report.table import text
-
-    terminal.data(text(_table(result)))
-    terminal.data(NOTE)
-    terminal.data("; ".join(sorted({limit.judged.words for limit in result.limits})))
-    terminal.data(f"{result.made} trials made")
-
-
-def _table(result: "LimitsResult") -> "Table":
-    from hapticd.zwidth.report.table import table
-
+def _table(result: "limits.LimitsResult") -> "table.Table":
     params = result.plan.params
     scattered = params.seeds > 1
     rows = [_row(limit, scattered) for limit in result.limits]
     device = params.conditions.scene.device
     title = f"SIMULATED {device}: axis limits, the other two being 0"
-    return table((*COLUMNS, "scatter") if scattered else COLUMNS, rows, title)
+    return table.table((*COLUMNS, "scatter") if scattered else COLUMNS, rows, title)
 
 
-def _row(limit: "AxisLimit", scattered: bool) -> tuple[str | float, ...]:
+def _row(limit: "limits.AxisLimit", scattered: bool) -> tuple[str | float, ...]:
     unit, factor = UNITS[limit.name]
     found = (limit.scan.predicted, limit.value, limit.lower, limit.upper)
     return (

@@ -9,28 +9,30 @@ import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from hapticd.cli import change, terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.zwidth import common
+from hapticd.core.environment import Environment
+from hapticd.core.params import from_plain
 from hapticd.core.units import US_PER_S
 
-if TYPE_CHECKING:
-    from hapticd.client import Client
-    from hapticd.model.scene import Scene
-    from hapticd.zwidth.sources import Trial
+with lazily():
+    from hapticd.client import client as clients
+    from hapticd.model import scene as model_scene
+    from hapticd.zwidth import scenes, sources, watch
 
 
 @dataclass(frozen=True)
 class Rig:
     """A daemon, and what is known of its device."""
 
-    client: "Client"
+    client: "clients.Client"
     instance: str  # name of the daemon
     device: str  # name in its device file
     simulated: bool  # its board is simulated
     skew_s: float  # by which the probe's velocity is later than its force, as its device file says
-    model: "Scene | None"  # the scene of the simulated device of that name, if there is one
+    model: "model_scene.Scene | None"  # that of the simulated device of that name, if there is one
 
     @property
     def origin(self) -> str:
@@ -43,15 +45,11 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
 
     What ends this process meanwhile ends the trial with force off.
     """
-    from hapticd.core.environment import Environment
-    from hapticd.core.params import from_plain
-    from hapticd.zwidth.scenes import scene_of_device
-
     stack.enter_context(signals_end_with_force_off())
     client = stack.enter_context(change.connect(instance))
     servo = client.hello().servo
     name = servo["device"]["name"]
-    model = scene_of_device(name)
+    model = scenes.scene_of_device(name)
     if model is not None:
         own = from_plain(Environment, servo["environment"])
         filtered = replace(
@@ -64,12 +62,12 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
     return Rig(client, instance, name, servo["simulated"], skew_s, model)
 
 
-def announce(rig: Rig, trial: "Trial", scene: "Scene | None", skew_s: float) -> None:
+def announce(
+    rig: Rig, trial: "sources.Trial", scene: "model_scene.Scene | None", skew_s: float
+) -> None:
     """Say on stderr what is about to happen, before it does. `scene` is the one that was named,
     `skew_s` what is taken out.
     """
-    from hapticd.zwidth.watch import CENTRING_N_PER_M
-
     kind = "simulated" if rig.simulated else "real, it moves"
     terminal.talk(
         f"enables the device {rig.device!r} of daemon {rig.instance!r} ({kind}) in"
@@ -83,7 +81,8 @@ def announce(rig: Rig, trial: "Trial", scene: "Scene | None", skew_s: float) -> 
         )
     if trial.environment[0] == 0.0:
         terminal.talk(
-            f"with K = 0 nothing holds the device in its travel; -K {CENTRING_N_PER_M:g} would"
+            "with K = 0 nothing holds the device in its travel; -K"
+            f" {watch.CENTRING_N_PER_M:g} would"
         )
     if rig.model is None:
         terminal.talk(f"no model of a device {rig.device!r} is known, so nothing is predicted")

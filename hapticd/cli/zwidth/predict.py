@@ -1,18 +1,20 @@
 """One environment without a trial: what theory says, in a second."""
 
 from math import isfinite, log, sqrt
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.zwidth import common
 
-if TYPE_CHECKING:
-    from hapticd.model.coupled import Hand
-    from hapticd.model.forecast import Forecast
-    from hapticd.model.linearise import Perturbation
-    from hapticd.model.predict import Prediction
+with lazily():
+    import numpy as np
+
+    from hapticd.model import coupled, forecast, linearise, predict
+    from hapticd.zwidth import scenes, sources, store
+
 
 DEVICE_OF = "fig4"  # where no scene is named
 LEFT_OUT = "What is not given; without it the device of fig4, and 0."
@@ -36,12 +38,8 @@ def command(
     fades as the motion grows. Where the theorem finds damping missing, the passive hand that shakes
     the display is built and tried. K < 0 is always refused.
     """
-    from hapticd.model.forecast import forecast
-    from hapticd.zwidth import scenes
-    from hapticd.zwidth.sources import given
-
     shown = scenes.display(common.scene_of(scene or DEVICE_OF))
-    asked = given(
+    asked = sources.given(
         (stiffness, viscous, mass), active_damping, shown.scene if scene else None, bool(scene)
     )
     k, b, m = asked.free
@@ -50,19 +48,18 @@ def command(
     common.require_within(
         scene or DEVICE_OF, shown, {"K": k, "B": b, "M": m, "active_damping": level}
     )
-    found = forecast(shown.model, (k, b, m), level, shown.filters, shown.perturbation, band)
+    found = forecast.forecast(
+        shown.model, (k, b, m), level, shown.filters, shown.perturbation, band
+    )
     drive = shown.model.drive
-    if as_json:
-        about = {"ok": True, "simulated": True, "device": shown.scene.device}
-        about |= {"amplifier_limit_n": drive.limit_n} if drive else {}
-        terminal.data_json({**about, **_outlook_json(found, (k, b, m), level)})
-        return
+    about: dict[str, Any] = {"simulated": True, "device": shown.scene.device}
     environment = f"K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g"
-    terminal.data(f"SIMULATED {shown.scene.device}: {environment}, active damping {level:g} N s/m")
-    for name, words in _lines(found, shown.perturbation):
-        terminal.data(f"{name:11} {words}")
+    lines = [f"SIMULATED {shown.scene.device}: {environment}, active damping {level:g} N s/m"]
+    lines += [f"{name:11} {words}" for name, words in _lines(found, shown.perturbation)]
     if drive:
-        terminal.data(f"not covered an amplifier at its limit, {drive.limit_n:.3g} N in all")
+        about["amplifier_limit_n"] = drive.limit_n
+        lines.append(f"not covered an amplifier at its limit, {drive.limit_n:.3g} N in all")
+    terminal.show({**about, **_forecast_json(found, (k, b, m), level)}, lines, as_json)
 
 
 def _require_finite(values: dict[str, float]) -> None:
@@ -72,7 +69,9 @@ def _require_finite(values: dict[str, float]) -> None:
             raise typer.BadParameter(f"{option} {value:g}: {needed}")
 
 
-def _lines(found: "Forecast", perturbation: "Perturbation") -> list[tuple[str, str]]:
+def _lines(
+    found: "forecast.Forecast", perturbation: "linearise.Perturbation"
+) -> list[tuple[str, str]]:
     motion = _motion(found.radius, found.period_s)
     prediction = f"{_least(found.true)}, {_friction(found.true)}"
     return [
@@ -85,7 +84,7 @@ def _lines(found: "Forecast", perturbation: "Perturbation") -> list[tuple[str, s
     ]
 
 
-def _verdict(found: "Forecast") -> str:
+def _verdict(found: "forecast.Forecast") -> str:
     prediction = found.true
     if found.refused:
         seen = "" if prediction.margin_ns_per_m[0] < 0.0 else ", though Re Z >= 0 all over the band"
@@ -112,7 +111,7 @@ def _motion(radius: float, period_s: float) -> str:
     return f"motion {how} in {seconds:.3g} s"
 
 
-def _theorem(found: "Forecast") -> str:
+def _theorem(found: "forecast.Forecast") -> str:
     if found.refused or not found.stable:
         return "says nothing: it presumes K >= 0 and a stable loop"
     if found.theorem_passive:
@@ -120,25 +119,25 @@ def _theorem(found: "Forecast") -> str:
     return f"{-found.theorem_margin:.3g} N s/m missing without friction"
 
 
-def _least(prediction: "Prediction") -> str:
+def _least(prediction: "predict.Prediction") -> str:
     return (
         f"least Re Z {prediction.margin_ns_per_m[0]:+.3g} N s/m at {prediction.worst_hz[0]:.3g} Hz"
     )
 
 
-def _friction(prediction: "Prediction") -> str:
+def _friction(prediction: "predict.Prediction") -> str:
     counts = prediction.friction_ns_per_m[0]
     return f"friction counting for {counts:.3g} N s/m" if counts else "no friction"
 
 
-def _amplitude(perturbation: "Perturbation") -> str:
+def _amplitude(perturbation: "linearise.Perturbation") -> str:
     density = perturbation.psd_n2_per_hz
     band_hz = perturbation.band_hz
     force_n = sqrt(density * band_hz)
     return f"for noise of {density:.3g} N^2/Hz up to {band_hz:g} Hz, {force_n:.2g} N rms"
 
 
-def _hand(found: "Forecast") -> str:
+def _hand(found: "forecast.Forecast") -> str:
     if found.refused or not found.stable:
         return "none is needed: it is unstable by itself" if not found.stable else "not sought"
     if found.withstands:
@@ -150,7 +149,7 @@ def _hand(found: "Forecast") -> str:
     return f"{_named(shaker.hand)} shakes it at about {shaker.hz:.3g} Hz without friction: {grows}"
 
 
-def _named(hand: "Hand") -> str:
+def _named(hand: "coupled.Hand") -> str:
     """Its largest part; the tuned masses beside serve images alone."""
     mass = float(hand.mass_kg[0])
     grounded = float(hand.stiffness_n_per_m[0].sum())
@@ -160,11 +159,9 @@ def _named(hand: "Hand") -> str:
     return f"{main} with {hand.mass_kg.size - 1} small tuned masses"
 
 
-def _outlook_json(
-    found: "Forecast", point: tuple[float, float, float], level: float
+def _forecast_json(
+    found: "forecast.Forecast", point: tuple[float, float, float], level: float
 ) -> dict[str, Any]:
-    from hapticd.zwidth.store import to_json
-
     perturbation = found.true.perturbation
     numbers: dict[str, Any] = {
         "environment": point,
@@ -183,10 +180,10 @@ def _outlook_json(
         "withstands_every_hand": found.withstands,
         "hand": _built(found),
     }
-    return {name: to_json(value) for name, value in numbers.items()}
+    return {name: store.to_json(value) for name, value in numbers.items()}
 
 
-def _judged(prediction: "Prediction") -> dict[str, Any]:
+def _judged(prediction: "predict.Prediction") -> dict[str, Any]:
     names = (
         "margin_ns_per_m",
         "margin_deg",
@@ -201,9 +198,7 @@ def _judged(prediction: "Prediction") -> dict[str, Any]:
     }
 
 
-def _built(found: "Forecast") -> dict[str, Any] | None:
-    import numpy as np
-
+def _built(found: "forecast.Forecast") -> dict[str, Any] | None:
     if found.shaker is None:
         return None
     hand = found.shaker.hand

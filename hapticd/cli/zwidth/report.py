@@ -8,40 +8,36 @@ from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 from hapticd.cli.zwidth.map import draw_map
 from hapticd.cli.zwidth.trial import draw_trial
+from hapticd.core.errors import ConfigError
 
-if TYPE_CHECKING:
-    from hapticd.model.scene import Scene
-    from hapticd.signal.verdict import Judged
-    from hapticd.zwidth.limits import LimitsResult
-    from hapticd.zwidth.map import MapParams, MapResult
-    from hapticd.zwidth.store import Progress
+with lazily():
+    import numpy as np
+
+    from hapticd.model import scene as model_scene
+    from hapticd.recording import certificate
+    from hapticd.signal import verdict
+    from hapticd.studies.weir2008 import future_page, future_work, page, run, table
+    from hapticd.zwidth import limits as axis_limits
+    from hapticd.zwidth import map as maps
+    from hapticd.zwidth import portable, scenes, simulated, sources, store
+    from hapticd.zwidth import trial as trials
+    from hapticd.zwidth.report import passive_set, style
 
 
 What = Annotated[
     str,
     typer.Argument(
         metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map."
-    ),
-]
-Quick = Annotated[
-    bool,
-    typer.Option(
-        "--quick", help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2."
-    ),
-]
-Seeds = Annotated[
-    int,
-    typer.Option(
-        "--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit."
     ),
 ]
 LINE_S = 10.0  # between two lines of progress where stderr is no terminal
@@ -52,7 +48,7 @@ class DrawnReport:
     """What a report wrote, and from where to where its trials were judged."""
 
     files: list[Path]
-    judged: "Judged"
+    judged: "verdict.Judged"
 
 
 def report(
@@ -67,8 +63,6 @@ def report(
     """Every figure of a simulated device, with NAME.zwidth, its portable summary; or those of a run
     folder, drawn again there, or in --out.
     """
-    from hapticd.zwidth.store import to_json
-
     terminal.need_figures(True)
     folder = Path(what)
     if (folder / "run.json").is_file():
@@ -76,22 +70,16 @@ def report(
     else:
         terminal.need_engine()
         drawn = _of_device(what, active_damping, seconds, seed, out, figure_width)
-    if as_json:
-        files = [str(path) for path in drawn.files]
-        terminal.data_json({"ok": True, "files": files, "judged": to_json(drawn.judged)})
-        return
-    terminal.data(drawn.judged.words)
-    for path in drawn.files:
-        terminal.data(str(path))
+    files = [str(path) for path in drawn.files]
+    found = {"files": files, "judged": store.to_json(drawn.judged)}
+    terminal.show(found, [drawn.judged.words, *files], as_json)
 
 
-def _named(what: str) -> "Scene":
+def _named(what: str) -> "model_scene.Scene":
     """The scene of that name.
 
     ConfigError says what a folder without a run is and what may be done with it.
     """
-    from hapticd.core.errors import ConfigError
-
     try:
         return common.scene_of(what)
     except ConfigError:
@@ -101,9 +89,7 @@ def _named(what: str) -> "Scene":
 
 
 def _instead(folder: Path) -> str:
-    from hapticd.studies.weir2008.page import TABLE_JSON
-
-    if (folder / TABLE_JSON).is_file():
+    if (folder / page.TABLE_JSON).is_file():
         return (
             "the paper, reproduced, with its figures in REPORT.md; make it again: `hapticd zwidth"
             f" reproduce --out {folder}`"
@@ -120,14 +106,9 @@ def _instead(folder: Path) -> str:
 
 
 def _of_run(folder: Path, out: Path, width_mm: float | None) -> DrawnReport:
-    from hapticd.core.errors import ConfigError
-    from hapticd.zwidth.map import kept_map, plan_map
-    from hapticd.zwidth.store import TrialStore, read_summary
-    from hapticd.zwidth.trial import kept_trial
-
-    kept = read_summary(folder)
+    kept = store.read_summary(folder)
     if kept["kind"] == "trial":
-        result = kept_trial(folder, kept, _same_scene(kept))
+        result = trials.kept_trial(folder, kept, _same_scene(kept))
         return DrawnReport(draw_trial(result, out, width_mm), result.verdict.judged)
     if kept["kind"] != "map":
         kind = f"a run of kind {kept['kind']!r}"
@@ -135,34 +116,29 @@ def _of_run(folder: Path, out: Path, width_mm: float | None) -> DrawnReport:
             f"{folder}: {kind} can only be redrawn by the command that made it (--out {folder});"
             " this verb redraws trials and maps"
         )
-    found = kept_map(plan_map(_map_params(kept)), TrialStore(folder / "trials.jsonl"))
+    found = maps.kept_map(
+        maps.plan_map(_map_params(kept)), store.TrialStore(folder / "trials.jsonl")
+    )
     return DrawnReport(draw_map(found, out, width_mm), found.judged)
 
 
-def _same_scene(kept: dict[str, Any]) -> "Scene | None":
+def _same_scene(kept: dict[str, Any]) -> "model_scene.Scene | None":
     """The scene of the run, for its prediction, where it is still what it was."""
-    from hapticd.core.errors import ConfigError
-    from hapticd.zwidth.store import fingerprint
-
     try:
         found = common.scene_of(kept["scene"]) if kept["scene"] else None
     except ConfigError:
         return None
-    return found if found and fingerprint(found) == kept["scene_hash"] else None
+    return found if found and store.fingerprint(found) == kept["scene_hash"] else None
 
 
-def _map_params(kept: dict[str, Any]) -> "MapParams":
-    import numpy as np
-
-    from hapticd.zwidth.map import MapParams
-
+def _map_params(kept: dict[str, Any]) -> "maps.MapParams":
     scene = common.scene_of(kept["scene"])
     asked = kept["parameters"]
     low, high = asked["band_hz"]
     conditions = common.conditions(scene, asked["seconds"], asked["seed"], (low, high))
     stiffness, damping, mass = (np.asarray(axis) for axis in kept["axes"])
     levels = tuple(level["active_damping_ns_per_m"] for level in kept["levels"])
-    return MapParams(
+    return maps.MapParams(
         conditions,
         (stiffness, damping, mass),
         levels,
@@ -180,66 +156,68 @@ def _of_device(
     out: Path | None,
     width_mm: float | None,
 ) -> DrawnReport:
-    from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
-    from hapticd.zwidth.map import params_about, plan_map, run_map
-    from hapticd.zwidth.portable import SUFFIX, device_path
-    from hapticd.zwidth.report import style
-    from hapticd.zwidth.report.passive_set import limits_figure
-    from hapticd.zwidth.store import TrialStore
-
     scene = _named(what)
     name = Path(scene.device).stem
     conditions = common.conditions(scene, seconds, seed)
     folder = common.folder(out, f"report-{name}")
-    store = TrialStore(folder / "trials.jsonl")
-    params = LimitsParams(conditions, common.levels(active_damping))
-    with common.keeping(store, folder), progress() as tell:
-        limits = run_limits(plan_limits(params), store, tell)
-        found = run_map(plan_map(params_about(limits)), store, tell)
-    device_file = device_path(what if what.endswith(".toml") else scene.device)
+    kept = store.TrialStore(folder / "trials.jsonl")
+    params = axis_limits.LimitsParams(conditions, common.levels(active_damping))
+    with common.keeping(kept, folder), progress() as tell:
+        limits = axis_limits.run_limits(axis_limits.plan_limits(params), kept, tell)
+        found = maps.run_map(maps.plan_map(maps.params_about(limits)), kept, tell)
+    device_file = portable.device_path(what if what.endswith(".toml") else scene.device)
     _write(folder, name, device_file, limits, found)
     paths = _own_trial(scene, seconds, folder, width_mm)
-    paths += style.save(limits_figure(limits, width_mm), folder, "limits")
+    paths += style.save(passive_set.limits_figure(limits, width_mm), folder, "limits")
     paths += draw_map(found, folder, width_mm)
-    return DrawnReport([*paths, folder / f"{name}{SUFFIX}"], found.judged)
+    return DrawnReport([*paths, folder / f"{name}{portable.SUFFIX}"], found.judged)
 
 
 def _write(
-    folder: Path, name: str, device_file: Path, limits: "LimitsResult", found: "MapResult"
+    folder: Path,
+    name: str,
+    device_file: Path,
+    limits: "axis_limits.LimitsResult",
+    found: "maps.MapResult",
 ) -> None:
     """run.json and NAME.zwidth, the summary that `zwidth compare` reads."""
-    from hapticd.recording.certificate import certificate_beside
-    from hapticd.zwidth.portable import SUFFIX, conditions_of, device_hash, numbers_of, portable
-    from hapticd.zwidth.store import write_run
-
     conditions = limits.plan.params.conditions
-    about = conditions_of(conditions, found.judged)
+    about = portable.conditions_of(conditions, found.judged)
     provenance = common.provenance_now(seed=conditions.excitation.seed)
     drawn = [(level.active_damping_ns_per_m, level.envelope) for level in found.levels]
-    numbers = [numbers_of(level, conditions.display) for level in found.levels]
-    file_hash = device_hash(str(device_file))
-    certificate = certificate_beside(device_file, file_hash)
-    content = portable(name, file_hash, drawn, limits.limits, about, numbers, certificate)
+    numbers = [portable.numbers_of(level, conditions.display) for level in found.levels]
+    file_hash = portable.device_hash(str(device_file))
+    certified = certificate.certificate_beside(device_file, file_hash)
+    content = portable.portable(name, file_hash, drawn, limits.limits, about, numbers, certified)
     text = json.dumps({**content, "provenance": provenance}) + "\n"
     summary = {"kind": "report", "device": name, **about, "provenance": provenance}
-    write_run(folder, summary, texts={f"{name}{SUFFIX}": text})
+    store.write_run(folder, summary, texts={f"{name}{portable.SUFFIX}": text})
 
 
-def _own_trial(scene: "Scene", seconds: float, folder: Path, width_mm: float | None) -> list[Path]:
+def _own_trial(
+    scene: "model_scene.Scene", seconds: float, folder: Path, width_mm: float | None
+) -> list[Path]:
     """A trial of the environment that the scene itself describes."""
-    from hapticd.zwidth.scenes import level, noise, point
-    from hapticd.zwidth.simulated import engine_source
-    from hapticd.zwidth.sources import Trial
-    from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
-
-    trial = Trial(point(scene), level(scene), seconds, noise(scene))
-    result = run_trial(plan_trial(TrialParams(trial, scene)), engine_source(scene))
+    asked = sources.Trial(scenes.point(scene), scenes.level(scene), seconds, scenes.noise(scene))
+    plan = trials.plan_trial(trials.TrialParams(asked, scene))
+    result = trials.run_trial(plan, simulated.engine_source(scene))
     return draw_trial(result, folder, width_mm)
 
 
 def reproduce(
-    quick: Quick = False,
-    seeds: Seeds = 8,
+    quick: Annotated[
+        bool,
+        typer.Option(
+            "--quick",
+            help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2.",
+        ),
+    ] = False,
+    seeds: Annotated[
+        int,
+        typer.Option(
+            "--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit."
+        ),
+    ] = 8,
     out: common.Out = None,
     figure_width: terminal.FigureWidth = None,
     as_json: terminal.Json = False,
@@ -250,43 +228,35 @@ def reproduce(
     Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG, PDF); with --json
     only if --out names a folder. Ctrl-C is safe: the folder holds the files of one run, or none.
     """
-    from hapticd.studies.weir2008.future_page import future_sections
-    from hapticd.studies.weir2008.future_work import plan_future_work, run_future_work
-    from hapticd.studies.weir2008.page import keep, sections
-    from hapticd.studies.weir2008.page import terminal as terminal_text
-    from hapticd.studies.weir2008.run import plan_reproduce, run_reproduce
-    from hapticd.studies.weir2008.table import as_json as table_json
-
-    terminal.need_engine()
-    terminal.need_figures(out is not None or not as_json)
-    plan = plan_reproduce(quick, seeds)
+    terminal.need_engine(out is not None or not as_json)
+    plan = run.plan_reproduce(quick, seeds)
     files = []
-    further = plan_future_work(quick)
+    further = future_work.plan_future_work(quick)
     with common.interruptible(), watched() as tell:
         found = [
-            *sections(run_reproduce(plan, tell)),
-            *future_sections(run_future_work(further, tell)),
+            *page.sections(run.run_reproduce(plan, tell)),
+            *future_page.future_sections(future_work.run_future_work(further, tell)),
         ]
-        table = table_json(row for section in found for row in section.rows)
+        rows = table.as_json(row for section in found for row in section.rows)
         content: dict[str, Any] = {
             "quick": quick,
             "seeds": len(plan.seeds),
-            "table": table,
+            "table": rows,
             "provenance": common.provenance_now(),
         }
         if out is not None or not as_json:
-            files = keep(found, common.folder(out, "reproduce"), content, tell, figure_width)
+            files = page.keep(found, common.folder(out, "reproduce"), content, tell, figure_width)
     if as_json:
         if files:
             content["files"] = [str(file) for file in files]
         terminal.data_json(content)
         return
-    terminal.data(terminal_text(found))
+    terminal.data(page.terminal(found))
     terminal.data("\n".join(["", "kept", *(f"  {file}" for file in files)]))
 
 
 @contextmanager
-def watched() -> "Iterator[Progress]":
+def watched() -> "Iterator[store.Progress]":
     """The bar; where stderr is no terminal, a line every ten seconds.
 
     So no log is silent for minutes.

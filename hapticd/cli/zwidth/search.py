@@ -1,29 +1,23 @@
 """The boundary of the passive set by few, chosen trials."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
-if TYPE_CHECKING:
-    from hapticd.zwidth.search import SearchResult
+with lazily():
+    import numpy as np
 
-Budget = Annotated[
-    int,
-    typer.Option(
-        "--budget", metavar="N", min=5, help="Trials at most, at each level of active damping."
-    ),
-]
-Doubt = Annotated[
-    float,
-    typer.Option("--doubt", help="End when noise leaves this share of the volume open.", min=0.0),
-]
-Together = Annotated[
-    int, typer.Option("--together", metavar="N", min=1, max=16, help="Trials chosen at once.")
-]
+    from hapticd.signal import passive_set
+    from hapticd.zwidth import executors, search, store
+    from hapticd.zwidth.report import passive_set as figures
+    from hapticd.zwidth.report import style, table
+
+
 COLUMNS = (
     "active N s/m",
     "trials",
@@ -45,9 +39,21 @@ NOTE = (
 def command(
     scene: common.SceneName = "fig4",
     active_damping: common.Damping = "0,1.74",
-    budget: Budget = 40,
-    doubt: Doubt = 0.02,
-    together: Together = 4,
+    budget: Annotated[
+        int,
+        typer.Option(
+            "--budget", metavar="N", min=5, help="Trials at most, at each level of active damping."
+        ),
+    ] = 40,
+    doubt: Annotated[
+        float,
+        typer.Option(
+            "--doubt", help="End when noise leaves this share of the volume open.", min=0.0
+        ),
+    ] = 0.02,
+    together: Annotated[
+        int, typer.Option("--together", metavar="N", min=1, max=16, help="Trials chosen at once.")
+    ] = 4,
     *,
     trials: common.TrialsOptions,
     results: common.ResultsOptions,
@@ -58,58 +64,49 @@ def command(
     Ctrl-C is safe: the same command with the same --out goes on where it ended. With --json each
     new outcome is a line, and the last line is the result.
     """
-    from hapticd.zwidth.executors import executor
-    from hapticd.zwidth.report import style
-    from hapticd.zwidth.report.passive_set import search_figure
-    from hapticd.zwidth.search import SearchParams, plan_search, run_search
-    from hapticd.zwidth.store import TrialStore, to_json
-
-    terminal.need_engine()
-    terminal.need_figures(results.plot)
+    terminal.need_engine(results.plot)
     conditions = common.conditions(common.scene_of(scene), trials.seconds, trials.seed, trials.band)
     folder = common.folder(results.out, "search")
-    store = TrialStore(folder / "trials.jsonl")
+    kept = store.TrialStore(folder / "trials.jsonl")
     found = []
     follow = common.print_outcomes if results.as_json else lambda new: None
-    with common.keeping(store, folder), executor(trials.where) as pool, progress() as tell:
+    with common.keeping(kept, folder), executors.executor(trials.where) as pool, progress() as tell:
         for level in common.levels(active_damping):
-            plan = plan_search(SearchParams(conditions, level, budget, together, doubt))
-            found.append(run_search(plan, store, tell, pool, follow))
+            params = search.SearchParams(conditions, level, budget, together, doubt)
+            plan = search.plan_search(params)
+            found.append(search.run_search(plan, kept, tell, pool, follow))
     levels = [_level(result) for result in found]
     about = {"kind": "search", "scene": scene, "levels": levels}
     common.write_summary(folder, about, seed=trials.seed)
     with common.drawing(folder):
-        width_mm = results.figure_width
-        paths = style.save(search_figure(found, width_mm), folder, "search") if results.plot else ()
-    if results.as_json:
-        common.print_result({"levels": to_json(levels)}, folder, paths)
-        return
-    _print(conditions.scene.device, found, levels)
-    common.print_kept(folder, paths)
+        figure = figures.search_figure(found, results.figure_width) if results.plot else None
+        paths = style.save(figure, folder, "search") if figure else ()
+    judged = "; ".join(sorted({result.judged.words for result in found}))
+    lines = [_table(conditions.scene.device, levels), judged, NOTE]
+    told = {"levels": store.to_json(levels)}
+    common.show_result(told, lines, folder, paths, results.as_json)
+    if not results.as_json:
+        common.tell_open(levels, "box")
 
 
-def _level(result: "SearchResult") -> dict[str, Any]:
+def _level(result: "search.SearchResult") -> dict[str, Any]:
     """What the search found at one level, for run.json, JSON and the table."""
-    from hapticd.signal.passive_set import set_limits, volume
-
     return {
         "judged": result.judged,
         "active_damping_ns_per_m": result.plan.params.active_damping_ns_per_m,
         "trials": len(result.steps),
         "unstable": len(result.search.unstable),
         "doubt": result.doubt,
-        "limits": set_limits(result.found),
+        "limits": passive_set.set_limits(result.found),
         "open_ends": result.open_ends,
-        "volume": volume(result.found),
+        "volume": passive_set.volume(result.found),
         "miss_ns_per_m": _miss_ns_per_m(result),
         "box": result.plan.box,
     }
 
 
-def _miss_ns_per_m(result: "SearchResult") -> float:
+def _miss_ns_per_m(result: "search.SearchResult") -> float:
     """Median difference of expected and found margins over the last half of the trials."""
-    import numpy as np
-
     later = result.steps[len(result.steps) // 2 :]
     missed = [
         abs(step.expected_ns_per_m - step.outcome.margin_ns_per_m) for step in later if step.teaches
@@ -117,9 +114,7 @@ def _miss_ns_per_m(result: "SearchResult") -> float:
     return float(np.nanmedian(missed)) if np.isfinite(missed).any() else float("nan")
 
 
-def _print(device: str, found: "list[SearchResult]", levels: list[dict[str, Any]]) -> None:
-    from hapticd.zwidth.report.table import table, text
-
+def _table(device: str, levels: list[dict[str, Any]]) -> str:
     rows = [
         (
             level["active_damping_ns_per_m"],
@@ -135,8 +130,4 @@ def _print(device: str, found: "list[SearchResult]", levels: list[dict[str, Any]
         for level in levels
     ]
     title = f"SIMULATED {device}: the set as the search holds it; extremes over the set"
-    terminal.data(text(table(COLUMNS, rows, title)))
-    terminal.data("; ".join(sorted({result.judged.words for result in found})))
-    terminal.data(NOTE)
-    for level in levels:
-        common.tell_open(level, "box")
+    return table.text(table.table(COLUMNS, rows, title))

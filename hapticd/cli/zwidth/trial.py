@@ -10,23 +10,41 @@ with the noise.
 import sys
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 from hapticd.cli.zwidth.live import announce, open_rig
 
-if TYPE_CHECKING:
-    from hapticd.model.scene import Excitation, Scene
-    from hapticd.signal.impedance import Estimator
-    from hapticd.zwidth.sources import Source, Trial
-    from hapticd.zwidth.stepped_sine import ReferenceSines
-    from hapticd.zwidth.store import Progress, TrialRecord
-    from hapticd.zwidth.trial import MultisineLayout, TrialParams, TrialPlan, TrialResult
+with lazily():
+    import numpy as np
+
+    from hapticd.model import scene as model_scene
+    from hapticd.run import lockstep, lockstep_client
+    from hapticd.signal import impedance
+    from hapticd.signal import verdict as outlook
+    from hapticd.zwidth import (
+        aligned,
+        ending,
+        live,
+        scenes,
+        simulated,
+        sources,
+        stepped_sine,
+        store,
+        watch,
+    )
+    from hapticd.zwidth import recorded as record_files
+    from hapticd.zwidth import trial as trials
+    from hapticd.zwidth.report import style, table
+    from hapticd.zwidth.report import trial as figures
+
 
 LIVE = ("engine", "lockstep", "live")  # sources that can be perturbed; all others are files
 MARKED = ("lockstep", "live")  # sources whose perturbation can begin with a mark
@@ -61,7 +79,7 @@ class TrialOptions:
     mass: common.VirtualMass = None
     active_damping: common.OneDamping = None
     excitation: Annotated[
-        str,
+        Literal["noise", "multisine"],
         typer.Option("--excitation", metavar="noise|multisine", help="How the probe is driven."),
     ] = "noise"
     seconds: Annotated[
@@ -92,13 +110,13 @@ class TrialOptions:
     band: common.Band = (2.0, 500.0)
     confidence: common.Confidence = 0.95
     estimator: Annotated[
-        str,
+        Literal["spa", "h_force"] | None,
         typer.Option(
             "--estimator",
             metavar="spa|h_force",
             help="Input: velocity (paper, noise) or force (multisine).",
         ),
-    ] = ""
+    ] = None
     lag: Annotated[
         int, typer.Option("--lag", metavar="N", help="Window, samples (noise).", min=64)
     ] = 2048
@@ -177,6 +195,11 @@ class FileOptions:
         ),
     ] = 0.0
 
+    @property
+    def columns(self) -> tuple[str, str, float | None, str]:
+        """What is stated of the channels of FILE, in the order in which its readers take it."""
+        return self.force, self.velocity, self.rate_hz, self.counter
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrialResultOptions:
@@ -184,7 +207,6 @@ class TrialResultOptions:
 
     out: common.Out = None
     plot: common.Plot = False
-    admittance: common.Admittance = False
     figure_width: terminal.FigureWidth = None
     as_json: terminal.Json = False
 
@@ -208,40 +230,27 @@ def trial(
     K that holds it in its travel (-K 20). A FILE is .csv, .npz, .mat or .h5; one of multisines
     holds whole realisations, each with its settling period.
     """
-    from hapticd.zwidth.recorded import read_file
-
     _check(asked)
     if asked.source == "engine":
         terminal.need_engine()
     terminal.need_figures(results.plot)
     recorded = None
     if asked.source not in LIVE:
-        recorded = read_file(
-            common.record_file(asked.source, LIVE),
-            file.force,
-            file.velocity,
-            file.rate_hz,
-            file.counter,
-        )
+        recorded = record_files.read_file(common.record_file(asked.source, LIVE), *file.columns)
     _tried(asked, file, recorded, instance, results)
 
 
 def _tried(
     asked: TrialOptions,
     file: FileOptions,
-    recorded: "TrialRecord | None",
+    recorded: "store.TrialRecord | None",
     instance: str,
     results: TrialResultOptions,
 ) -> None:
     """The trial, of a record where there is one."""
-    from hapticd.zwidth.ending import EndReason
-    from hapticd.zwidth.sources import file_source
-    from hapticd.zwidth.stepped_sine import may_follow, stepped_sine
-    from hapticd.zwidth.trial import plan_trial
-
     name = "" if recorded else _scene_name(asked)
     scene = common.scene_of(name) if name else None
-    plan = plan_trial(_params(asked, file, scene, recorded))
+    plan = trials.plan_trial(_params(asked, file, scene, recorded))
     with common.interruptible(), ExitStack() as stack:
         if asked.source == "live":
             plan, source = _live(plan, scene, instance, asked, file, stack)
@@ -249,24 +258,21 @@ def _tried(
             if scene and not recorded:
                 _refuse_beyond(name, scene, plan.params.trial)
             terminal.talk(announced(asked.source, plan.params.trial, scene, recorded))
-            simulated = scene or common.scene_of(ENGINE_SCENE)
-            source = file_source(recorded) if recorded else _simulated(asked, simulated, stack)
+            shown = scene or common.scene_of(ENGINE_SCENE)
+            source = sources.file_source(recorded) if recorded else _simulated(asked, shown, stack)
         tell = stack.enter_context(progress())
         result = _judged(plan, source, recorded, tell)
-        wanted = asked.sine and may_follow(result.recorded)
-        sines = stepped_sine(plan.params.trial, source, tell) if wanted else None
+        wanted = asked.sine and stepped_sine.may_follow(result.recorded)
+        sines = stepped_sine.stepped_sine(plan.params.trial, source, tell) if wanted else None
     _show(result, sines, results)
     ended = result.recorded.ended
-    if asked.source == "live" and ended and ended.reason in (EndReason.FAULT, EndReason.STOPPED):
+    stopped = (ending.EndReason.FAULT, ending.EndReason.STOPPED)
+    if asked.source == "live" and ended and ended.reason in stopped:
         raise typer.Exit(STOPPED)  # the device is left like that
 
 
 def _check(asked: TrialOptions) -> None:
     """BadParameter for options that do not go together."""
-    if asked.estimator not in ("", "spa", "h_force"):
-        raise typer.BadParameter(f"--estimator {asked.estimator!r}: use spa or h_force")
-    if asked.excitation not in ("noise", "multisine"):
-        raise typer.BadParameter(f"--excitation {asked.excitation!r}: use noise or multisine")
     if asked.sine and asked.source not in LIVE:
         raise typer.BadParameter(
             "--stepped-sine: a record that exists cannot be perturbed again; use engine, lockstep"
@@ -289,26 +295,25 @@ def _scene_name(asked: TrialOptions) -> str:
 
 
 def _params(
-    asked: TrialOptions, file: FileOptions, scene: "Scene | None", recorded: "TrialRecord | None"
-) -> "TrialParams":
-    from hapticd.zwidth.sources import Trial, given
-    from hapticd.zwidth.trial import MultisineLayout, TrialParams
-    from hapticd.zwidth.watch import Watch
-
+    asked: TrialOptions,
+    file: FileOptions,
+    scene: "model_scene.Scene | None",
+    recorded: "store.TrialRecord | None",
+) -> "trials.TrialParams":
     layout = None
     if asked.excitation == "multisine":
-        layout = MultisineLayout(asked.realisations, asked.periods)
+        layout = trials.MultisineLayout(asked.realisations, asked.periods)
     typed = (asked.stiffness, asked.viscous, asked.mass)
-    rendered = given(typed, asked.active_damping, scene, bool(asked.scene), recorded)
-    trial = Trial(
+    rendered = sources.given(typed, asked.active_damping, scene, bool(asked.scene), recorded)
+    trial = sources.Trial(
         environment=rendered.free,
         active_damping_ns_per_m=rendered.active_damping_ns_per_m,
         seconds=asked.seconds,
         excitation=_excitation(asked, scene, layout),
-        watch=Watch(until_decided=asked.until_decided, winding_limit_c=asked.hottest),
+        watch=watch.Watch(until_decided=asked.until_decided, winding_limit_c=asked.hottest),
         mark=asked.mark,
     )
-    return TrialParams(
+    return trials.TrialParams(
         trial,
         scene if asked.source != "live" else None,  # the daemon's device is asked for its own
         asked.band,
@@ -323,113 +328,92 @@ def _params(
 
 
 def _excitation(
-    asked: TrialOptions, scene: "Scene | None", layout: "MultisineLayout | None"
-) -> "Excitation":
+    asked: TrialOptions, scene: "model_scene.Scene | None", layout: "trials.MultisineLayout | None"
+) -> "model_scene.Excitation":
     """The scene's noise with the seed and density that are asked for, or multisines like it."""
-    from hapticd.zwidth import scenes
-    from hapticd.zwidth.sources import Trial
-    from hapticd.zwidth.trial import multisine_like
-
-    noise = scenes.noise(scene) if scene else Trial().excitation
+    noise = scenes.noise(scene) if scene else sources.Trial().excitation
     noise = replace(noise, seed=asked.seed)
     if asked.psd is not None:
         noise = replace(noise, psd_n2_per_hz=asked.psd)
-    return multisine_like(noise, asked.band[1]) if layout else noise
+    return trials.multisine_like(noise, asked.band[1]) if layout else noise
 
 
-def _estimator(asked: TrialOptions, layout: "MultisineLayout | None") -> "Estimator":
+def _estimator(
+    asked: TrialOptions, layout: "trials.MultisineLayout | None"
+) -> "impedance.Estimator":
     """Multisines are judged from force to velocity unless the other way is asked for."""
     by_force = asked.estimator == "h_force" or (layout is not None and not asked.estimator)
     return "h_force" if by_force else "spa"
 
 
 def _judged(
-    plan: "TrialPlan", source: "Source", recorded: "TrialRecord | None", tell: "Progress"
-) -> "TrialResult":
+    plan: "trials.TrialPlan",
+    source: "sources.Source",
+    recorded: "store.TrialRecord | None",
+    tell: "store.Progress",
+) -> "trials.TrialResult":
     """Run the plan; a file of multisines is there already, realisation after realisation."""
-    from hapticd.zwidth.trial import judged, run_trial
-
     if recorded is None:
-        return run_trial(plan, source, tell)
-    return judged(plan, source(plan.params.trial, tell))
+        return trials.run_trial(plan, source, tell)
+    return trials.judged(plan, source(plan.params.trial, tell))
 
 
 def _live(
-    plan: "TrialPlan",
-    scene: "Scene | None",
+    plan: "trials.TrialPlan",
+    scene: "model_scene.Scene | None",
     instance: str,
     asked: TrialOptions,
     file: FileOptions,
     stack: ExitStack,
-) -> "tuple[TrialPlan, Source]":
+) -> "tuple[trials.TrialPlan, sources.Source]":
     """The plan with the curve of the daemon's device, and the source.
 
     Whether its loop is stable is seen, not predicted.
     """
-    from hapticd.zwidth.live import daemon_source
-    from hapticd.zwidth.trial import plan_trial
-
     found = open_rig(instance, stack)
     skew_s = found.skew_s if file.skew is None else file.skew
     announce(found, plan.params.trial, scene, skew_s)
-    known = plan_trial(replace(plan.params, scene=found.model, skew_s=skew_s))
-    return replace(known, spectral_radius=None), daemon_source(
+    known = trials.plan_trial(replace(plan.params, scene=found.model, skew_s=skew_s))
+    return replace(known, spectral_radius=None), live.daemon_source(
         found.client, found.origin, asked.uncalibrated
     )
 
 
-def _refuse_beyond(name: str, scene: "Scene", trial: "Trial") -> None:
+def _refuse_beyond(name: str, scene: "model_scene.Scene", trial: "sources.Trial") -> None:
     """What a daemon would refuse on that scene's device, as a live trial refuses it."""
-    from hapticd.zwidth.live import allowed_waveform
-    from hapticd.zwidth.scenes import display
-
     values = dict(zip("KBM", trial.environment, strict=True))
     level = {"active_damping": trial.active_damping_ns_per_m}
-    common.require_within(name, display(scene), values | level)
-    allowed_waveform(trial, common.device_of(name).limits.probe_n)
+    common.require_within(name, scenes.display(scene), values | level)
+    live.allowed_waveform(trial, common.device_of(name).limits.probe_n)
 
 
-def _simulated(asked: TrialOptions, scene: "Scene", stack: ExitStack) -> "Source":
+def _simulated(
+    asked: TrialOptions, scene: "model_scene.Scene", stack: ExitStack
+) -> "sources.Source":
     """The batch engine, or the whole stack on virtual time for as long as `stack` is open."""
-    from hapticd.run.lockstep import scene_params
-    from hapticd.run.lockstep_client import LockStepClient
-    from hapticd.zwidth.live import daemon_source
-    from hapticd.zwidth.simulated import engine_source
-
     if asked.source == "engine":
-        return engine_source(scene)
-    bench = stack.enter_context(LockStepClient(*scene_params(_scene_name(asked))))
-    return daemon_source(bench, f"lock-step, scene {scene.name}")
+        return simulated.engine_source(scene)
+    setup = lockstep.scene_params(_scene_name(asked))
+    bench = stack.enter_context(lockstep_client.LockStepClient(*setup))
+    return live.daemon_source(bench, f"lock-step, scene {scene.name}")
 
 
 def _show(
-    result: "TrialResult", sines: "ReferenceSines | None", results: TrialResultOptions
+    result: "trials.TrialResult",
+    sines: "stepped_sine.ReferenceSines | None",
+    results: TrialResultOptions,
 ) -> None:
-    from hapticd.zwidth.store import to_json
-    from hapticd.zwidth.trial import summary, write
-
     folder = common.folder(results.out, "trial")
-    write(folder, result, common.provenance_now(), sines)
+    trials.write(folder, result, common.provenance_now(), sines)
     with common.drawing(folder):
-        wanted = results.plot or results.admittance
-        paths = (
-            draw_trial(result, folder, results.figure_width, sines, results.admittance)
-            if wanted
-            else []
-        )
-    if results.as_json:
-        found = to_json(summary(result, sines))
-        files = [str(path) for path in paths]
-        terminal.data_json({"ok": True, **found, "folder": str(folder), "figures": files})
-        return
-    for line in _lines(result):
-        terminal.data(terminal.wrapped(line, sys.stdout))
-    if sines is not None:
-        terminal.data(compared(result, sines))
-    common.print_kept(folder, paths)
+        paths = draw_trial(result, folder, results.figure_width, sines) if results.plot else []
+    found = store.to_json(trials.summary(result, sines))
+    lines = [terminal.wrapped(line, sys.stdout) for line in _lines(result)]
+    lines += [compared(result, sines)] if sines else []
+    common.show_result(found, lines, folder, paths, results.as_json)
 
 
-def _lines(result: "TrialResult") -> list[str]:
+def _lines(result: "trials.TrialResult") -> list[str]:
     """What is printed of a trial: what was tried, the verdict, what it rests on."""
     badge = "SIMULATED " if result.recorded.simulated else ""
     what = common.environment_words(result.plan.params.trial)
@@ -445,7 +429,10 @@ def _lines(result: "TrialResult") -> list[str]:
 
 
 def announced(
-    source: str, trial: "Trial", scene: "Scene | None", recorded: "TrialRecord | None"
+    source: str,
+    trial: "sources.Trial",
+    scene: "model_scene.Scene | None",
+    recorded: "store.TrialRecord | None",
 ) -> str:
     """What is about to be simulated or read, environment and all."""
     what = common.environment_words(trial)
@@ -456,12 +443,8 @@ def announced(
     return f"simulates {what} by the {source}{device}"
 
 
-def needed(result: "TrialResult") -> str:
+def needed(result: "trials.TrialResult") -> str:
     """What would decide, as far as it can be said."""
-    from math import ceil
-
-    from hapticd.signal import verdict as outlook
-
     verdict = result.verdict
     layout = result.plan.params.multisine
     voiding = sorted({finding.code for finding in verdict.findings if finding.voids})
@@ -480,12 +463,8 @@ def needed(result: "TrialResult") -> str:
     return f"some {count} realisations would decide{remedy}"
 
 
-def compared(result: "TrialResult", sines: "ReferenceSines") -> str:
+def compared(result: "trials.TrialResult", sines: "stepped_sine.ReferenceSines") -> str:
     """Sines and noise side by side, a line for each frequency of `sines`."""
-    import numpy as np
-
-    from hapticd.zwidth.report.table import table, text
-
     rows = []
     moved_mm_per_s = 1e3 * sines.velocity_rms_m_per_s
     measured = result.measured
@@ -505,10 +484,10 @@ def compared(result: "TrialResult", sines: "ReferenceSines") -> str:
     )
     title = f"stepped sine of {sines.force_n:g} N rms beside the noise"
     known_mm_per_s = moved_mm_per_s[np.isfinite(moved_mm_per_s)].tolist()
-    return f"{text(table(columns, rows, title))}\n{_amplitudes(result, known_mm_per_s)}"
+    return f"{table.text(table.table(columns, rows, title))}\n{_amplitudes(result, known_mm_per_s)}"
 
 
-def _amplitudes(result: "TrialResult", sines_mm_per_s: list[float]) -> str:
+def _amplitudes(result: "trials.TrialResult", sines_mm_per_s: list[float]) -> str:
     """Why sines and noise may differ, and which of them is judged."""
     noise = 1e3 * result.verdict.amplitude.velocity_sd_m_per_s
     between = (
@@ -522,38 +501,30 @@ def _amplitudes(result: "TrialResult", sines_mm_per_s: list[float]) -> str:
 
 
 def draw_trial(
-    result: "TrialResult",
+    result: "trials.TrialResult",
     folder: Path,
     width_mm: float | None,
-    sines: "ReferenceSines | None" = None,
-    admittance: bool = True,
+    sines: "stepped_sine.ReferenceSines | None" = None,
 ) -> list[Path]:
-    """The figure of the trial in `folder`, and that of its admittance if asked; the files."""
-    from hapticd.zwidth.report import style
-    from hapticd.zwidth.report.trial import trial_figure
-
-    paths = [*style.save(trial_figure(result, sines, width_mm=width_mm), folder, "trial")]
-    if admittance:
-        figure = trial_figure(result, sines, admittance=True, width_mm=width_mm)
-        paths += style.save(figure, folder, "trial_admittance")
-    return paths
+    """The figures of the trial and of its admittance in `folder`; the files."""
+    impedance = figures.trial_figure(result, sines, width_mm=width_mm)
+    admittance = figures.trial_figure(result, sines, admittance=True, width_mm=width_mm)
+    paths = style.save(impedance, folder, "trial")
+    return [*paths, *style.save(admittance, folder, "trial_admittance")]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ImportOptions:
-    """The file, and what was rendered while it was recorded."""
-
-    source: Annotated[Path, typer.Argument(metavar="FILE", callback=terminal.there, help=FILES)]
+def import_record(
+    source: Annotated[Path, typer.Argument(metavar="FILE", callback=terminal.there, help=FILES)],
     stiffness: Annotated[
         float | None, typer.Option("-K", "--stiffness", metavar="N/M", help="What was rendered.")
-    ] = None
+    ] = None,
     viscous: Annotated[
         float | None, typer.Option("-B", "--viscous", metavar="NS/M", help="What was rendered.")
-    ] = None
+    ] = None,
     mass: Annotated[
         float | None, typer.Option("-M", "--mass", metavar="KG", help="What was rendered.")
-    ] = None
-    active_damping: common.OneDamping = None
+    ] = None,
+    active_damping: common.OneDamping = None,
     align: Annotated[
         Path | None,
         typer.Option(
@@ -562,13 +533,9 @@ class ImportOptions:
             callback=terminal.there,
             help="hapticd's own record of the same trial, marked: clock and gaps of FILE by it.",
         ),
-    ] = None
-
-
-def import_record(
-    rendered: ImportOptions,
-    file: FileOptions,
+    ] = None,
     *,
+    file: FileOptions,
     band: common.Band = (2.0, 500.0),
     out: common.Out = None,
     plot: common.Plot = False,
@@ -582,22 +549,18 @@ def import_record(
     --mark`), FILE is put on hapticd's samples: where it begins, how its clock runs, what it lost.
     What was rendered, and the lost slots, are then those of OWN.
     """
-    from hapticd.zwidth.aligned import read_aligned
-    from hapticd.zwidth.recorded import read_file
-
     asked = TrialOptions(
-        source=str(rendered.source),
-        stiffness=rendered.stiffness,
-        viscous=rendered.viscous,
-        mass=rendered.mass,
-        active_damping=rendered.active_damping,
+        source=str(source),
+        stiffness=stiffness,
+        viscous=viscous,
+        mass=mass,
+        active_damping=active_damping,
         band=band,
     )
-    stated = file.force, file.velocity, file.rate_hz, file.counter
     recorded = (
-        read_aligned(rendered.source, rendered.align, *stated)
-        if rendered.align
-        else read_file(rendered.source, *stated)
+        aligned.read_aligned(source, align, *file.columns)
+        if align
+        else record_files.read_file(source, *file.columns)
     )
     results = TrialResultOptions(out=out, plot=plot, as_json=as_json)
     _tried(asked, file, recorded, "", results)

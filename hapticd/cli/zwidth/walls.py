@@ -1,16 +1,21 @@
 """Impacts on virtual walls: how stiff a wall may be at each damping before it oscillates."""
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from hapticd.cli import terminal
+from hapticd.cli.lazy import lazily
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
+from hapticd.core.errors import AnalysisError
 
-if TYPE_CHECKING:
-    from hapticd.zwidth.report.table import Table
-    from hapticd.zwidth.walls import WallResult
+with lazily():
+    import numpy as np
+
+    from hapticd.zwidth import store, walls
+    from hapticd.zwidth.report import passive_set, style, table
+
 
 Stiffness = Annotated[
     common.Range,
@@ -18,23 +23,22 @@ Stiffness = Annotated[
         "--stiffness", metavar="LOW HIGH N", help="Stiffness of the walls, N/m, evenly in ln K."
     ),
 ]
-Viscous = Annotated[
-    common.Range,
-    typer.Option("--viscous", metavar="LOW HIGH N", help="Damping of the walls, N s/m."),
-]
-Settle = Annotated[float, typer.Option("--settle-s", metavar="S", help="Time to come to rest.")]
-Still = Annotated[
-    float, typer.Option("--still", metavar="M/S", help="Speed to and fro that counts as rest.")
-]
 
 
 def command(
     scene: common.SceneName = "wall",
     active_damping: common.Damping = "0,1.74",
     stiffness: Stiffness = (20.0, 3000.0, 18),
-    viscous: Viscous = (0.0, 8.0, 13),
-    settle_s: Settle = 1.5,
-    still: Still = 2e-3,
+    viscous: Annotated[
+        common.Range,
+        typer.Option("--viscous", metavar="LOW HIGH N", help="Damping of the walls, N s/m."),
+    ] = (0.0, 8.0, 13),
+    settle_s: Annotated[
+        float, typer.Option("--settle-s", metavar="S", help="Time to come to rest.")
+    ] = 1.5,
+    still: Annotated[
+        float, typer.Option("--still", metavar="M/S", help="Speed to and fro that counts as rest.")
+    ] = 2e-3,
     out: common.Out = None,
     plot: common.Plot = True,
     figure_width: terminal.FigureWidth = None,
@@ -43,16 +47,9 @@ def command(
     """How stiff a virtual wall may be at each damping before an impact sets it oscillating: the K-B
     plot of one device.
     """
-    from hapticd.zwidth.report import style
-    from hapticd.zwidth.report.passive_set import walls_figure
-    from hapticd.zwidth.report.table import text
-    from hapticd.zwidth.store import to_json
-    from hapticd.zwidth.walls import WallMapParams, plan_walls, run_walls
-
-    terminal.need_engine()
-    terminal.need_figures(plot)
+    terminal.need_engine(plot)
     stiffnesses, dampings = _grid(stiffness, viscous)
-    params = WallMapParams(
+    params = walls.WallMapParams(
         common.scene_of(scene),
         stiffnesses,
         dampings,
@@ -60,30 +57,23 @@ def command(
         settle_s,
         still,
     )
-    plan = plan_walls(params)
+    plan = walls.plan_walls(params)
     with common.interruptible(), progress() as tell:
-        result = run_walls(plan, tell)
+        result = walls.run_walls(plan, tell)
     folder = common.folder(out, "walls")
     common.write_summary(folder, {"kind": "walls", "scene": scene, "lines": result.lines})
     with common.drawing(folder):
-        paths = (
-            style.save(walls_figure(result, width_mm=figure_width), folder, "walls") if plot else ()
-        )
-    if as_json:
-        common.print_result({"lines": to_json(result.lines)}, folder, paths)
-        return
-    terminal.data(text(_table(result, dampings)))
-    common.print_kept(folder, paths)
+        figure = passive_set.walls_figure(result, width_mm=figure_width) if plot else None
+        paths = style.save(figure, folder, "walls") if figure else ()
+    found = {"lines": store.to_json(result.lines)}
+    lines = [table.text(_table(result, dampings))]
+    common.show_result(found, lines, folder, paths, as_json)
 
 
 def _grid(
     stiffness: common.Range, viscous: common.Range
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Stiffnesses [N/m] and dampings [N s/m] of the walls. AnalysisError: K is not above 0."""
-    import numpy as np
-
-    from hapticd.core.errors import AnalysisError
-
     low, high, count = common.ranged("--stiffness", stiffness, 1)
     if low <= 0.0:
         raise AnalysisError("wall stiffnesses: an ascending list above 0 N/m is needed")
@@ -91,10 +81,8 @@ def _grid(
     return tuple(np.geomspace(low, high, count).tolist()), tuple(dampings.tolist())
 
 
-def _table(result: "WallResult", dampings: tuple[float, ...]) -> "Table":
+def _table(result: "walls.WallResult", dampings: tuple[float, ...]) -> "table.Table":
     """A row for each damping of the wall, a column for each level of active damping."""
-    from hapticd.zwidth.report.table import table
-
     params = result.plan.params
     rows: list[tuple[str | float, ...]] = []
     for place, damping in enumerate(dampings):
@@ -104,4 +92,4 @@ def _table(result: "WallResult", dampings: tuple[float, ...]) -> "Table":
         )
     columns = ("wall B N s/m", *(f"K N/m at {level:g} N s/m" for level in params.levels))
     title = f"SIMULATED {params.scene.device}: stiffest stable wall, by active damping"
-    return table(columns, rows, title)
+    return table.table(columns, rows, title)

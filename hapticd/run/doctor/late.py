@@ -2,8 +2,6 @@
 some are late. Each cause has its remedy.
 """
 
-from typing import NamedTuple
-
 from hapticd.mailbox.layout import LateCause
 from hapticd.protocol.answers import Status
 from hapticd.protocol.room import Room
@@ -15,33 +13,26 @@ NAME = "late ticks"
 RARE = 1e-4  # share of the ticks; what a quiet computer without isolated cores keeps to
 
 
-class Advice(NamedTuple):
-    """Why ticks are late, and what to do."""
-
-    why: str
-    fix: str
-
-
 ABOVE = "see the lines above: rtprio limit, governor, C-state latency, isolation"
 OWN = "the servo's own work takes too long; see the interpreter above, or lower realtime.rate_hz"
-ADVICE = {
-    LateCause.WAKE: Advice("something else had the servo's core when the tick was due", ABOVE),
-    LateCause.SUBMISSION: Advice("the kernel took the transfers late", ABOVE),
-    LateCause.BUS: Advice(
+ADVICE = {  # why ticks are late, and what to do
+    LateCause.WAKE: ("something else had the servo's core when the tick was due", ABOVE),
+    LateCause.SUBMISSION: ("the kernel took the transfers late", ABOVE),
+    LateCause.BUS: (
         "the board got its frame late, or sent none",
         "use a root port, and look what else is on the board's bus",
     ),
-    LateCause.COMPLETION: Advice(
+    LateCause.COMPLETION: (
         "the frame was there in time; the interrupt or the wake-up after it was late",
         "move other interrupts off the servo's core; with threaded interrupts raise the USB"
         " controller's",
     ),
-    LateCause.TRANSFER: Advice(
+    LateCause.TRANSFER: (
         "a transfer took long, one after the other",
         "set usb.in_flight = true, which also tells the parts of a transfer apart",
     ),
-    LateCause.STEP: Advice("computing the force took long", OWN),
-    LateCause.PUBLISH: Advice("what follows the frame took long", OWN),
+    LateCause.STEP: ("computing the force took long", OWN),
+    LateCause.PUBLISH: ("what follows the frame took long", OWN),
 }
 
 

@@ -1,23 +1,37 @@
 """The machine as the checks see it: files below a root, and facts about this process.
 
-The facts are those that no file tells: rights, limits, groups, free space.
+The facts are those that no file tells: rights, limits, groups, free space, the interpreter.
 """
 
 import grp
 import gzip
 import os
+import platform
 import resource
 import shutil
+import sys
+import sysconfig
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 __all__ = ["this_machine"]
 
 UNLIMITED = resource.RLIM_INFINITY
 CAP_IPC_LOCK = 14  # bits of linux/capability.h
 CAP_SYS_NICE = 23
+
+
+class Build(NamedTuple):
+    """What `sysconfig` knows of how the interpreter was built."""
+
+    version: str
+    prefix: str  # of its installation
+    options: str  # of configure
+    flags: str  # of the compiler
+    debug: bool
 
 
 @dataclass(frozen=True)
@@ -33,6 +47,7 @@ class Machine:
     clock_resolution_s: float  # of CLOCK_MONOTONIC
     may_write: Callable[[Path], bool]  # whether this user may write a file
     free_bytes: Callable[[Path], int]  # of the disk that a folder is on
+    build: Build  # of the interpreter that runs this
 
     def text(self, path: str) -> str | None:
         """Content of a file without blanks at its ends; None if it cannot be read."""
@@ -40,6 +55,10 @@ class Machine:
             return (self.root / path).read_text(errors="replace").strip()
         except OSError:
             return None
+
+    def lines(self, path: str) -> list[str]:
+        """Lines of a file; none if it cannot be read."""
+        return (self.text(path) or "").splitlines()
 
     def number(self, path: str) -> int | None:
         """The first word of a file as an integer; None if there is none."""
@@ -93,6 +112,8 @@ class Machine:
 
 def this_machine() -> Machine:
     """The one we run on."""
+    options, flags, debug = sysconfig.get_config_vars("CONFIG_ARGS", "PY_CFLAGS", "Py_DEBUG")
+    version = platform.python_version()
     return Machine(
         root=Path("/"),
         uid=os.getuid(),
@@ -103,6 +124,7 @@ def this_machine() -> Machine:
         clock_resolution_s=time.clock_getres(time.CLOCK_MONOTONIC),
         may_write=lambda path: os.access(path, os.W_OK),
         free_bytes=lambda path: shutil.disk_usage(path).free,
+        build=Build(version, sys.base_prefix, options or "", flags or "", bool(debug)),
     )
 
 

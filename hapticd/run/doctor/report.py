@@ -22,8 +22,10 @@ from typing import Any
 
 import hapticd
 from hapticd.core.errors import ConfigError
-from hapticd.run.doctor.checks import CheckResult, Requirements, board_path, hubs_above
+from hapticd.run.doctor.checks import CheckResult
 from hapticd.run.doctor.machine import Machine
+from hapticd.run.doctor.probes import board_path, hubs_above
+from hapticd.run.doctor.requirements import Requirements
 
 __all__ = ["report_of", "write_report"]
 
@@ -131,7 +133,7 @@ def _flag(name: str) -> str:
 
 
 def _machine(machine: Machine) -> dict[str, Any]:
-    lines = (machine.text("proc/cpuinfo") or "").splitlines()
+    lines = machine.lines("proc/cpuinfo")
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     system = re.search(r'^PRETTY_NAME="?([^"\n]*)', machine.text("etc/os-release") or "", re.M)
     return {

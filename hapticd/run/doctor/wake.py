@@ -18,12 +18,14 @@ from typing import Any
 
 from hapticd.core.params import RealtimeParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
-from hapticd.run.doctor.checks import CheckResult, Requirements, fail, ok, warn
+from hapticd.run.doctor.checks import CheckResult, fail, ok, warn
+from hapticd.run.doctor.requirements import Requirements
 from hapticd.servo import host
 from hapticd.servo.loop import Wait, first_deadline, spinning_wait
 
 __all__ = ["judge", "measure"]
 
+NAME = "wake-up"
 PERIOD_NS = NS_PER_MS
 PRIORITY = 80
 QUANTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "max_us": 1.0}
@@ -86,39 +88,24 @@ def measure(seconds: float, core: int | None) -> dict[str, Any]:
 
 def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
     """The measured histogram as a line."""
-    name = "wake-up"
     count = sum(found["histogram_us"].values())
     shown = "p50 {p50_us} us, p99 {p99_us} us, p99.9 {p999_us} us, max {max_us} us".format(**found)
     fifo = found["rights"]["fifo"]
-    with_rights = fifo["granted"]
-    policy = f"SCHED_FIFO {PRIORITY}" if with_rights else "without SCHED_FIFO"
+    policy = f"SCHED_FIFO {PRIORITY}" if fifo["granted"] else "without SCHED_FIFO"
     text = f"{shown} over {count} wakes, {policy}"
     spin_us = asked.realtime.spin_us
-    period_us = US_PER_S / asked.realtime.rate_hz
-    if found["p99_us"] > period_us / 2:
-        return fail(
-            name,
-            text,
-            f"one wake in a hundred is more than half a period ({period_us / 2:g} us) late",
-            "see the lines above",
-        )
+    half_us = US_PER_S / asked.realtime.rate_hz / 2
+    if found["p99_us"] > half_us:
+        why = f"one wake in a hundred is more than half a period ({half_us:g} us) late"
+        return fail(NAME, text, why, "see the lines above")
     if found["p99_us"] > spin_us:
-        spin = f"the {spin_us:g} us that the servo spins ahead of its deadline"
-        why = f"one wake in a hundred is later than {spin}"
-        return warn(
-            name,
-            text,
-            why,
-            f"see the lines above; or realtime.spin_us = {found['p99_us'] // 10 * 10 + 20}",
-        )
-    if not with_rights:
-        return warn(
-            name,
-            text,
-            f"good while the machine is idle; {fifo['text']}",
-            "see the rtprio limit above",
-        )
-    return ok(name, text)
+        why = f"one wake in a hundred is later than the {spin_us:g} us that the servo spins ahead"
+        fix = f"see the lines above; or realtime.spin_us = {found['p99_us'] // 10 * 10 + 20}"
+        return warn(NAME, text, f"{why} of its deadline", fix)
+    if not fifo["granted"]:
+        why = f"good while the machine is idle; {fifo['text']}"
+        return warn(NAME, text, why, "see the rtprio limit above")
+    return ok(NAME, text)
 
 
 def main(arguments: list[str]) -> int:

@@ -1,0 +1,48 @@
+"""Imports that happen when a module is first used, so that `--help` and small verbs start quickly.
+
+    with lazily():
+        import numpy as np
+        from hapticd.zwidth import limits
+
+Each name that is bound there stands for a module, which is imported at the first access to one of
+its names. So only whole modules can wait, not names of them, and a module that is missing is an
+error at its first use. Nothing waits in `sys.modules`: libraries that look through all modules, as
+`inspect` does, would load what nobody needs, and in the middle of other imports.
+
+What would break it: a package that gives a name to something else than its module of that name.
+"""
+
+import builtins
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+
+class _Waiting(ModuleType):
+    """A module that is imported when it is used."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(import_module(self.__name__), name)
+
+
+def _waiting(
+    name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
+) -> ModuleType:
+    """What `import name`, or `from name import fromlist`, binds."""
+    found = _Waiting(name)
+    for one in fromlist or ():
+        setattr(found, one, _Waiting(f"{name}.{one}"))
+    return found
+
+
+@contextmanager
+def lazily() -> Iterator[None]:
+    """Modules that are imported within this context wait until they are used."""
+    usual = builtins.__import__
+    builtins.__import__ = _waiting
+    try:
+        yield
+    finally:
+        builtins.__import__ = usual

@@ -1,0 +1,552 @@
+"""The probes: each looks at one property of the machine and says what it found.
+
+A probe is a pure function of the machine (files below a root folder and a few facts about this
+process) and of the requirements. It returns a sentence where all is well, else a `Flaw`, with a
+level, a reason or a remedy of its own where those of the table in `checks` do not fit. So every
+branch is tested on a made-up tree of files.
+
+What would break it: a probe that raises for a file that is missing (containers and virtual machines
+lack many of them: `Machine.text` returns None).
+"""
+
+import json
+import re
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from hapticd.core.errors import MailboxError
+from hapticd.mailbox import files, layout
+from hapticd.mailbox.daemons import require_trusted
+from hapticd.run.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, Machine, cores_in
+from hapticd.run.doctor.requirements import Requirements
+
+WARN = "warn"  # it works, and can be better, or will fail one day
+FAIL = "fail"  # the servo misses a right or a deadline
+
+
+class Flaw(NamedTuple):
+    """What is not as it should be."""
+
+    found: str
+    fix: str = ""  # the exact remedy, where the table has none
+    why: str = ""  # it matters, where the table has another reason
+    level: str = ""  # WARN or FAIL, where the table has another
+
+
+# --- rights: what this user may ask of the scheduler and of memory --------------------------------
+
+GROUP = "hapticd"
+SERVO_LOCKS_BYTES = 128 << 20  # everything a servo maps, libraries included, with reserve
+JOIN = "sudo usermod --append --groups hapticd $USER, then log in again"
+INSTALL = "sudo hapticd install-system --root /"
+DMA_LATENCY = "dev/cpu_dma_latency"
+
+
+def group(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Member of the service's group: that is what rights, board and sockets are given to."""
+    if machine.uid == 0:
+        return "root needs no group"
+    if GROUP in machine.groups:
+        return f"member of {GROUP}"
+    if any(line.startswith(f"{GROUP}:") for line in machine.lines("etc/group")):
+        return Flaw(f"not a member of {GROUP}")
+    return Flaw(f"there is no group {GROUP}", f"{INSTALL} && sudo systemd-sysusers; {JOIN}")
+
+
+def rtprio(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Real-time priority: the one setting that decides the 99th percentile."""
+    if machine.capable(CAP_SYS_NICE):
+        return "CAP_SYS_NICE: any priority"
+    limit = machine.limit("rtprio")
+    found = f"{limit:g}, the servo asks for {asked.realtime.priority}"
+    return found if limit >= asked.realtime.priority else Flaw(found)
+
+
+def memlock(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Locked memory: no page fault within a tick."""
+    if machine.capable(CAP_IPC_LOCK):
+        return "CAP_IPC_LOCK: any amount"
+    limit = machine.hard_limit("memlock")
+    found = "unlimited" if limit == float("inf") else f"{limit / 2**20:.3g} MB"
+    return found if limit >= SERVO_LOCKS_BYTES else Flaw(found)
+
+
+def rttime(machine: Machine, asked: Requirements) -> str | Flaw:
+    """No limit to how long a FIFO process may stay awake.
+
+    RealtimeKit sets RLIMIT_RTTIME, and the kernel then kills a process that does not sleep.
+    """
+    limit = machine.limit("rttime")
+    return "unlimited" if limit == float("inf") else Flaw(f"{limit:g} us")
+
+
+def c_states(machine: Machine, asked: Requirements) -> str | Flaw:
+    """/dev/cpu_dma_latency: held open, it keeps the core out of deep sleep."""
+    path = machine.root / DMA_LATENCY
+    if path.exists() and machine.may_write(path):
+        return f"/{DMA_LATENCY} may be written"
+    if path.exists():
+        return Flaw(f"/{DMA_LATENCY} may not be written")
+    driver = machine.text("sys/devices/system/cpu/cpuidle/current_driver") or "none"
+    if driver in ("none", "haltpoll"):
+        return f"no deep sleep to forbid (cpuidle driver {driver})"
+    return Flaw(
+        f"/{DMA_LATENCY} is missing, cpuidle driver {driver}",
+        "processor.max_cstate=1 on the kernel command line",
+    )
+
+
+# --- processor: cores, clocks and what slows them -------------------------------------------------
+
+CPU = "sys/devices/system/cpu"
+CLOCK = "sys/devices/system/clocksource/clocksource0"
+QUICK_CLOCKS = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page")
+BUSY_RATE_HZ = 2000.0  # from here on an isolated core shows
+
+
+def servo_core(machine: Machine, asked: Requirements) -> int:
+    """The core that the servo takes."""
+    return asked.realtime.core if asked.realtime.core is not None else max(machine.cores)
+
+
+def governor(machine: Machine, asked: Requirements) -> str | Flaw:
+    """A core that slows down between ticks is slow when the tick comes."""
+    found = [
+        path.read_text().strip()
+        for path in machine.find(f"{CPU}/cpu[0-9]*/cpufreq/scaling_governor")
+    ]
+    slow = [governor for governor in found if governor != "performance"]
+    if not found:
+        return "the frequency is not scaled here (virtual machine, or fixed)"
+    if not slow:
+        return f"performance on all {len(found)} cores"
+    return Flaw(f"{slow[0]} on {len(slow)} of {len(found)} cores")
+
+
+def smt(machine: Machine, asked: Requirements) -> str | Flaw:
+    """A sibling thread takes half of the servo's core whenever it likes."""
+    if machine.text(f"{CPU}/smt/active") == "1":
+        return Flaw("two threads share a core")
+    return "no two threads share a core"
+
+
+def cores(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Servo and gateway want a core each."""
+    core = servo_core(machine, asked)
+    allowed = ",".join(map(str, sorted(machine.cores)))
+    if core not in machine.cores | isolated(machine):
+        return Flaw(
+            f"realtime.core = {core}, this process may use {allowed}",
+            f"name one of {allowed} as realtime.core, or leave it out; or widen the affinity:"
+            " taskset, AllowedCPUs=",
+            "the servo cannot go to its core",
+            FAIL,
+        )
+    if len(machine.cores | {core}) < 2:
+        return Flaw(f"only core {allowed}")
+    return f"{allowed} allowed, the servo takes {core}"
+
+
+def isolated(machine: Machine) -> frozenset[int]:
+    """Cores that the scheduler leaves alone."""
+    return cores_in(machine.text(f"{CPU}/isolated") or "")
+
+
+def isolation(machine: Machine, asked: Requirements) -> str | Flaw:
+    """An isolated core keeps its caches; at 1 kHz it does not show."""
+    core = servo_core(machine, asked)
+    rate_hz = asked.realtime.rate_hz
+    if core in isolated(machine):
+        return f"core {core} is isolated"
+    if rate_hz < BUSY_RATE_HZ:
+        return f"core {core} is not isolated; not needed at {rate_hz:g} Hz"
+    return Flaw(
+        f"core {core} is not isolated at {rate_hz:g} Hz",
+        f"isolcpus=managed_irq,domain,{core} on the kernel command line, and realtime.core ="
+        f" {core}",
+    )
+
+
+def clock_source(machine: Machine, asked: Requirements) -> str | Flaw:
+    """The loop reads the clock five times a tick, and spins on it."""
+    current = machine.text(f"{CLOCK}/current_clocksource") or "unknown"
+    if current in QUICK_CLOCKS:
+        return current
+    available = (machine.text(f"{CLOCK}/available_clocksource") or "").split()
+    quick = next((clock for clock in QUICK_CLOCKS if clock in available), None)
+    once = f"echo {quick} | sudo tee /{CLOCK}/current_clocksource"
+    fix = f"{once}; for good: clocksource={quick} on the kernel command line" if quick else ""
+    return Flaw(current, fix, level=FAIL if current == "jiffies" else "")
+
+
+def mitigations(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Each system call pays for them."""
+    if machine.boot_option("mitigations") == "off":
+        return "off"
+    active = [
+        path.name
+        for path in machine.find(f"{CPU}/vulnerabilities/*")
+        if path.read_text().startswith("Mitigation")
+    ]
+    return Flaw(f"{len(active)} active ({', '.join(active)})") if active else "none is active"
+
+
+# --- kernel: how it keeps time, schedules, interrupts and swaps -----------------------------------
+
+SCHED = "proc/sys/kernel/sched_rt"
+HIGH_RESOLUTION_S = 1e-6
+SERVO_SHARE = 0.5  # of a core: 0.4 of spinning at most, and the tick
+SWAPPINESS_MAX = 10
+LAZY_MODELS = {
+    "PREEMPT_NONE": "none",
+    "PREEMPT_VOLUNTARY": "voluntary",
+    "PREEMPT_LAZY": "lazy",
+    "PREEMPT": "full",
+}
+CONTROLLER = "xhci"  # the USB host controller's driver
+RT_PRIORITY_FIELD = 39  # of /proc/PID/stat, from 0; proc(5)
+
+
+def timers(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Without high-resolution timers a sleep ends on a scheduler tick."""
+    hz = machine.kernel_option("HZ")
+    shown = f", HZ={hz}" if hz.isdigit() else ""
+    if machine.clock_resolution_s <= HIGH_RESOLUTION_S:
+        return f"high resolution{shown}"
+    return Flaw(f"resolution {1e3 * machine.clock_resolution_s:g} ms{shown}")
+
+
+def tickless(machine: Machine, asked: Requirements) -> str | Flaw:
+    """The scheduler's own tick; the servo's deadlines lie half a period off it."""
+    core = servo_core(machine, asked)
+    if core in cores_in(machine.text(f"{CPU}/nohz_full") or ""):
+        return f"core {core} has no scheduler tick (nohz_full)"
+    if machine.boot_option("nohz") == "off" or machine.kernel_option("HZ_PERIODIC") == "y":
+        return Flaw("off")
+    return "ticks only while busy; the servo's deadlines lie half a period off them"
+
+
+def preemption(machine: Machine, asked: Requirements) -> str | Flaw:
+    """How long the kernel may keep a core that the servo wants."""
+    model = preemption_model(machine)
+    threaded = machine.boot_option("threadirqs") is not None
+    if model == "PREEMPT_RT":
+        return model
+    if model == "full" or threaded:
+        return f"{model}{', threadirqs' if threaded else ''}"
+    return Flaw(model)
+
+
+def preemption_model(machine: Machine) -> str:
+    """PREEMPT_RT, full, lazy, voluntary, none or unknown."""
+    if machine.text("sys/kernel/realtime") == "1" or "PREEMPT_RT" in (
+        machine.text("proc/version") or ""
+    ):
+        return "PREEMPT_RT"
+    chosen = re.search(r"\((\w+)\)", machine.text("sys/kernel/debug/sched/preempt") or "")
+    if chosen:
+        return chosen[1]
+    built = next(
+        (model for option, model in LAZY_MODELS.items() if machine.kernel_option(option) == "y"),
+        "unknown",
+    )
+    return machine.boot_option("preempt") or built
+
+
+def irq_priority(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Where interrupts are threads, the USB controller's goes before the servo that awaits it."""
+    servo = asked.realtime.priority
+    threads = list(_irq_threads(machine))
+    low = [(pid, comm, priority) for pid, comm, priority in threads if priority <= servo]
+    if not threads:
+        return "USB interrupts are no threads: they come before any process"
+    if not low:
+        return f"USB interrupt threads run above the servo's {servo}"
+    _, comm, priority = low[0]
+    fix = "; ".join(f"sudo chrt --fifo --pid {min(99, servo + 6)} {pid}" for pid, _, _ in low)
+    return Flaw(f"{comm} runs at {priority}, the servo at {servo}", fix)
+
+
+def _irq_threads(machine: Machine) -> Iterator[tuple[int, str, int]]:
+    for path in machine.find("proc/[0-9]*/stat"):
+        # a process may end while we look
+        text = machine.text(str(path.relative_to(machine.root))) or ""
+        comm = text[text.find("(") + 1 : text.rfind(")")]
+        if comm.startswith("irq/") and CONTROLLER in comm:
+            after = text[text.rfind(")") + 2 :].split()
+            yield int(text.split()[0]), comm, int(after[RT_PRIORITY_FIELD - 2])
+
+
+def irq_sharing(machine: Machine, asked: Requirements) -> str | Flaw:
+    """An interrupt line that the USB controller shares runs other drivers first."""
+    lines = [line for line in machine.lines("proc/interrupts") if CONTROLLER in line]
+    shared = [line.split()[0].rstrip(":") for line in lines if "," in line]
+    if shared:
+        return Flaw(f"line {', '.join(shared)} is shared")
+    return "the USB controller shares no interrupt line"
+
+
+def throttling(machine: Machine, asked: Requirements) -> str | Flaw:
+    """The kernel's safeguard against a runaway real-time loop; the servo stays far below it."""
+    runtime = machine.number(f"{SCHED}_runtime_us")
+    period = machine.number(f"{SCHED}_period_us")
+    if runtime is None or not period:
+        return "this kernel does not throttle"
+    fix = f"sudo sysctl kernel.sched_rt_runtime_us={round(0.95 * period)}"
+    if runtime < 0:
+        why = "a runaway real-time loop would hang its core for good"
+        return Flaw("off", fix, why, WARN)
+    found = f"{runtime} of {period} us"
+    return Flaw(found, fix) if runtime < SERVO_SHARE * period else found
+
+
+def rt_group(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Kernels with CONFIG_RT_GROUP_SCHED refuse FIFO in a control group without real-time time."""
+    if (
+        machine.kernel_option("RT_GROUP_SCHED") != "y"
+        or machine.boot_option("rt_group_sched") == "0"
+    ):
+        return "no real-time time is given to groups"
+    own = machine.lines("proc/self/cgroup")
+    line = next((line for line in own if re.match(r"\d+:[^:]*\bcpu\b[^:]*:", line)), "")
+    path = line.rpartition(":")[2]
+    if path in ("", "/"):
+        return "this process is in the root group"
+    share = f"sys/fs/cgroup/cpu{path}/cpu.rt_runtime_us"
+    if (machine.number(share) or 0) > 0:
+        return f"group {path} has real-time time"
+    return Flaw(
+        f"group {path} has no real-time time",
+        f"echo 950000 | sudo tee /{share}; for good: rt_group_sched=0 on the kernel command line",
+    )
+
+
+def swap(machine: Machine, asked: Requirements) -> str | Flaw:
+    """The servo locks its memory; gateway and recorder do not."""
+    areas = machine.lines("proc/swaps")[1:]
+    if not areas:
+        return "none"
+    swappiness = machine.number("proc/sys/vm/swappiness")
+    found = f"{len(areas)} area, swappiness {swappiness}"
+    known = swappiness is not None and swappiness <= SWAPPINESS_MAX
+    return found if known else Flaw(found)
+
+
+def load(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Without real-time rights a second without a processor is the fault gateway_lost."""
+    text = (machine.text("proc/loadavg") or "").split()
+    if not text:
+        return "not told"
+    wanted = float(text[0])
+    count = len(machine.cores)
+    found = f"{wanted:g} programs at once in the last minute, for {count} cores"
+    return found if wanted <= count else Flaw(found)
+
+
+# --- usb: is the board there, may we open it, does it stay awake ----------------------------------
+
+RULES = ("etc/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d", "run/udev/rules.d")
+SIMULATED = "the configured board is simulated"
+ABSENT = "no board to look at"
+
+
+def board_path(machine: Machine, asked: Requirements) -> Path | None:
+    """Folder of the configured board in sysfs; None if it is not on the bus."""
+    for path in machine.find("sys/bus/usb/devices/*"):
+        found = [
+            machine.text(str(path.relative_to(machine.root) / name))
+            for name in ("idVendor", "idProduct", "serial")
+        ]
+        if found[:2] == asked.board.split(":") and asked.usb.serial in (None, found[2]):
+            return path
+    return None
+
+
+def board(machine: Machine, asked: Requirements) -> str | Flaw:
+    """The configured board is on the bus."""
+    path = board_path(machine, asked)
+    if asked.simulated:
+        return SIMULATED
+    if path is not None:
+        return f"{asked.board} at {path.name}"
+    serial = f" with serial {asked.usb.serial}" if asked.usb.serial else ""
+    ids = "ids: usb.vendor_id and usb.product_id, serial: device file"
+    fix = f"plug it in and switch it on (lsusb -d {asked.board}); {ids}"
+    return Flaw(f"no {asked.board}{serial} on the bus", fix)
+
+
+def hub(machine: Machine, asked: Requirements) -> str | Flaw:
+    """No hub is between computer and board: each adds to the delay of every transfer."""
+    path = board_path(machine, asked)
+    if asked.simulated or path is None:
+        return SIMULATED if asked.simulated else ABSENT
+    hubs = hubs_above(path.name)
+    if hubs:
+        return Flaw(f"{path.name} is behind {', '.join(hubs)}")
+    return f"none: {path.name} is a root port"
+
+
+def hubs_above(name: str) -> list[str]:
+    """Names in sysfs of the hubs between computer and device, nearest to the computer first:
+    1-1.2.3 hangs at 1-1.2, and that at 1-1.
+    """
+    bus, _, ports = name.partition("-")
+    steps = ports.split(".")[:-1]
+    return [f"{bus}-{'.'.join(steps[: end + 1])}" for end in range(len(steps))]
+
+
+def permission(machine: Machine, asked: Requirements) -> str | Flaw:
+    """This user may open it."""
+    path = board_path(machine, asked)
+    if asked.simulated or path is None:
+        return SIMULATED if asked.simulated else ABSENT
+    place = str(path.relative_to(machine.root))
+    bus, device = (machine.number(f"{place}/{part}") or 0 for part in ("busnum", "devnum"))
+    node = f"dev/bus/usb/{bus:03}/{device:03}"
+    if machine.may_write(machine.root / node):
+        return f"/{node} may be opened"
+    return Flaw(f"/{node} may not be opened")
+
+
+def autosuspend(machine: Machine, asked: Requirements) -> str | Flaw:
+    """It does not fall asleep while the servo pauses."""
+    path = board_path(machine, asked)
+    if asked.simulated or path is None:
+        return SIMULATED if asked.simulated else ABSENT
+    control = f"{path.relative_to(machine.root)}/power/control"
+    if machine.text(control) != "auto":
+        return "off for the board"
+    fix = f"echo on | sudo tee /{control}; for good: {INSTALL} (udev rule)"
+    return Flaw("on for the board", fix)
+
+
+def udev_rule(machine: Machine, asked: Requirements) -> str | Flaw:
+    """The rule that gives the board to group hapticd, for the configured ids."""
+    found = [path for folder in RULES for path in machine.find(f"{folder}/*hapticd*.rules")]
+    named = f"/{found[0].relative_to(machine.root)}" if found else ""
+    vendor, product = asked.board.split(":")
+    if any(vendor in (text := path.read_text()) and product in text for path in found):
+        return named
+    if asked.simulated:
+        return SIMULATED
+    return Flaw(f"{named} names another board" if named else "none for hapticd")
+
+
+# --- folders: disk, and who may read and write in the daemon's folders ----------------------------
+
+HOUR_S = 3600.0
+ENOUGH_H = 8.0  # of recording: a working day
+TOO_LITTLE_H = 0.25
+SECRETS = "*.key_secret"
+REACHED_BY = (  # files of a daemon by which others could reach it
+    files.COMMAND_SOCKET,
+    files.TELEMETRY_SOCKET,
+    files.STOP,
+    files.MAILBOX,
+    files.TELEMETRY,
+)
+
+
+def transport(machine: Machine, asked: Requirements) -> str | Flaw:
+    """The bus leaves time for a tick, as the daemon that runs has measured it."""
+    try:
+        found = json.loads((asked.runtime / files.REPORT).read_text()).get("transport")
+    except (OSError, ValueError, AttributeError):
+        return "no daemon has measured it yet"
+    if not found:
+        return "not measured"
+    measured = (
+        f"a pair of transfers takes {found['pair_us']:.0f} us; IN is latched"
+        f" {found['sample_phase']:g} periods after OUT, force acts {found['delay_us']:.0f} us after"
+        " its sample"
+    )
+    if found["rate_hz"] < asked.realtime.rate_hz:
+        return Flaw(measured, f"set realtime.rate_hz to at most {found['rate_hz']:g}")
+    return measured
+
+
+def disk(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Space for recordings at every tick."""
+    free = machine.free_bytes(asked.recordings)
+    hours = free / (layout.RECORD.size * asked.realtime.rate_hz * HOUR_S)
+    lasting = f"{hours:.3g} h of recording at {asked.realtime.rate_hz:g} Hz"
+    found = f"{free / 1e9:.3g} GB free in {asked.recordings}: {lasting}"
+    if hours >= ENOUGH_H:
+        return found
+    needed_gb = ENOUGH_H / max(hours, 1e-9) * free / 1e9
+    fix = f"free some space there, or record elsewhere; a working day takes {needed_gb:.3g} GB"
+    return Flaw(found, fix, level=FAIL if hours < TOO_LITTLE_H else "")
+
+
+def runtime_folder(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Nobody but its owner and group reaches the daemon."""
+    folder = asked.runtime
+    if not folder.is_dir():
+        return f"{folder}: no daemon has run yet"
+    mode = stat.S_IMODE(folder.stat().st_mode)
+    if mode & 0o027:
+        fix = f"chmod 0750 {folder}, or 0700 if you are alone"
+        return Flaw(f"{folder} has mode {mode:04o}", fix)
+    try:
+        require_trusted(folder)
+    except MailboxError as error:
+        return Flaw(error.found, error.remedy)
+    open_files = list(_open_to_others(folder))
+    if open_files:
+        shown = ", ".join(f"{path.name} {mode:04o}" for path, mode in open_files)
+        fix = f"chmod o= {' '.join(str(path) for path, _ in open_files)}"
+        return Flaw(f"open to others: {shown}", fix)
+    return f"{folder}, mode {mode:04o}"
+
+
+def _open_to_others(folder: Path) -> Iterator[tuple[Path, int]]:
+    for name in REACHED_BY:
+        try:
+            mode = stat.S_IMODE((folder / name).stat().st_mode)
+        except OSError:
+            continue
+        if mode & 0o007:
+            yield folder / name, mode
+
+
+def keys(machine: Machine, asked: Requirements) -> str | Flaw:
+    """Secret keys are for their owner alone."""
+    if asked.keys is None:
+        return "telemetry does not leave this machine: none needed"
+    readable = [path for path in sorted(asked.keys.rglob(SECRETS)) if path.stat().st_mode & 0o077]
+    if not readable:
+        return f"{asked.keys}: secret keys are for their owner alone"
+    again = "and make new ones if someone may have read them"
+    return Flaw(
+        f"{len(readable)} secret key readable by others",
+        f"chmod 600 {' '.join(map(str, readable))}, {again}",
+    )
+
+
+# --- interpreter: the tick is Python, so its time is the interpreter's ----------------------------
+
+DISTRIBUTION = "/usr"  # the prefix of its interpreter
+
+
+def interpreter(machine: Machine, asked: Requirements) -> str | Flaw:
+    """CPython's own Makefile optimises for a measured profile only with `--enable-optimizations`,
+    which pyenv leaves out by default.
+
+    Distributions pass their options in other ways and show none, so of an interpreter below /usr
+    nothing is concluded.
+    """
+    build = machine.build
+    levels = re.findall(r"-O(?:[0-3gsz]|fast)\b", build.flags)
+    level = levels[-1] if levels else "an unknown -O level"
+    found = f"Python {build.version}"
+    if build.debug or level in ("-O0", "-Og"):
+        why = "an interpreter for debugging is several times slower"
+        return Flaw(f"{found}, for debugging ({level})", why=why)
+    if "--enable-optimizations" in build.options:
+        linked = " and link-time" if "--with-lto" in build.options else ""
+        return f"{found}, profile-guided{linked} optimisation, {level}"
+    if build.prefix == DISTRIBUTION:
+        return f"{found} of the distribution, {level}"
+    return Flaw(f"{found} without profile-guided optimisation, {level}")
