@@ -18,8 +18,8 @@ from hapticd.client.lease import ClientLease
 from hapticd.core.errors import AnalysisError, DaemonDown
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.mailbox.layout import State
-from hapticd.rig.link import force_ended
 from hapticd.rig.records import SILENT_LOOKS, TICKS
+from hapticd.rig.steps.link import force_ended
 
 PROBE = "probe"
 LEASE_S = 5.0

@@ -5,7 +5,7 @@ import pytest
 from support.rig_balance import FACTS, runs_of
 from support.shaken_handle import Truth
 
-from hapticd.rig.identify import concluded
+from hapticd.rig.steps.identify import concluded
 
 SEEDS = range(8)
 

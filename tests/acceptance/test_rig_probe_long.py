@@ -9,12 +9,12 @@ from support.rig_hand import Hand
 from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
 from hapticd.core.params import ScaleParams
-from hapticd.rig.added_mass import added, channel
-from hapticd.rig.probe import (
+from hapticd.rig.shaken import LINES_HZ, lines, shaken
+from hapticd.rig.steps.added_mass import added, channel
+from hapticd.rig.steps.probe import (
     force_gain,
     measure,
 )
-from hapticd.rig.shaken import LINES_HZ, lines, shaken
 
 
 def holds(value, truth):

@@ -24,7 +24,7 @@ from hapticd.model.effects import (
 )
 from hapticd.model.tables import board_fields
 from hapticd.protocol.view import as_records
-from hapticd.rig import audit, trim
+from hapticd.rig.steps import audit, trim
 
 N_PER_A = 1.65
 OHM = 1.6

@@ -8,13 +8,14 @@ from support.rig_balance import FACTS, runs_of
 from support.shaken_handle import Truth, shaken
 
 from hapticd.core.errors import AnalysisError
-from hapticd.rig import balance, identify
-from hapticd.rig.balance import RIGID, balanced
-from hapticd.rig.balance_terms import Handle, commanded, friction
 from hapticd.rig.excitation import noise
-from hapticd.rig.identify import concluded
 from hapticd.rig.played import Played
-from hapticd.rig.probe_clock import Clock, clocked
+from hapticd.rig.steps import force_balance as balance
+from hapticd.rig.steps import identify
+from hapticd.rig.steps.force_balance import RIGID, balanced
+from hapticd.rig.steps.force_terms import Handle, commanded, friction
+from hapticd.rig.steps.identify import concluded
+from hapticd.rig.steps.probe_clock import Clock, clocked
 from hapticd.signal.verdict import student_quantile
 
 

@@ -13,10 +13,10 @@ from support.rig_hand import Hand
 from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams
 from hapticd.protocol.view import as_records
-from hapticd.rig.damping import measure
-from hapticd.rig.damping_line import concluded
-from hapticd.rig.glide import Row, balance, row_of
 from hapticd.rig.push import push, ready
+from hapticd.rig.steps.coast_down import Row, balance, row_of
+from hapticd.rig.steps.damping import measure
+from hapticd.rig.steps.damping_line import concluded
 
 N_PER_A = 1.65
 FORCE = ScaleParams(COUNT_N)

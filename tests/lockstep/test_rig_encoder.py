@@ -9,7 +9,7 @@ from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
-from hapticd.rig.encoder import Distance, concluded, measure, passages, scale_of
+from hapticd.rig.steps.encoder import Distance, concluded, measure, passages, scale_of
 from hapticd.usb import frames
 
 DISTANCE = Distance(0.01, 10e-6)

@@ -14,7 +14,8 @@ from hapticd.core.errors import AnalysisError, CommandError, HapticdError
 from hapticd.core.params import ScaleParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.rig.device_file import write
-from hapticd.rig.motor import (
+from hapticd.rig.push import push
+from hapticd.rig.steps.motor import (
     Masses,
     concluded,
     fitted,
@@ -22,7 +23,6 @@ from hapticd.rig.motor import (
     measure_sign,
     most_of,
 )
-from hapticd.rig.push import push
 from hapticd.settings.build import device_params as device_params_of
 from hapticd.settings.device import signs_hash
 from hapticd.settings.load import load_device

@@ -8,9 +8,11 @@ from support.rig_hand import Hand
 from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.rig.added_mass import added, channel
-from hapticd.rig.one_signal import Judged
-from hapticd.rig.probe import (
+from hapticd.rig.result import relative_half
+from hapticd.rig.shaken import LINES_HZ, Recording, amplitudes, lines, shaken, waveform
+from hapticd.rig.steps.added_mass import added, channel
+from hapticd.rig.steps.common_signal import Judged
+from hapticd.rig.steps.probe import (
     Attached,
     Taken,
     alike,
@@ -20,8 +22,6 @@ from hapticd.rig.probe import (
     measure,
     offset,
 )
-from hapticd.rig.result import relative_half
-from hapticd.rig.shaken import LINES_HZ, Recording, amplitudes, lines, shaken, waveform
 
 PLAIN = {
     "probe_limit_n": 1.0,

@@ -5,8 +5,8 @@ import pytest
 from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.rig import back_emf
-from hapticd.rig.temperature import Stated, concluded, drift_of, measure
+from hapticd.rig.steps import back_emf
+from hapticd.rig.steps.temperature import Stated, concluded, drift_of, measure
 
 DEVICE = {
     "temperature": {"per_count": 0.01, "sign": 1, "offset_count": 0.0},

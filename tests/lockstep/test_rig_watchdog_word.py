@@ -7,7 +7,7 @@ from support.boards import board_params
 from support.models import servo_params
 
 from hapticd.rig.certificate import NOT_VERIFIED
-from hapticd.rig.watchdog import measure
+from hapticd.rig.steps.watchdog import measure
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.sim.axis import Axis
 

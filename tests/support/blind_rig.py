@@ -29,9 +29,11 @@ import tomlkit
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import BoardParams
 from hapticd.core.units import COPPER_PER_K
-from hapticd.rig import (
+from hapticd.rig import device_file
+from hapticd.rig.records import keep
+from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.rig.steps import (
     damping,
-    device_file,
     encoder,
     identify,
     link,
@@ -41,9 +43,7 @@ from hapticd.rig import (
     verify,
     winding,
 )
-from hapticd.rig.one_signal import Judged
-from hapticd.rig.records import keep
-from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.rig.steps.common_signal import Judged
 from hapticd.run import lockstep
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import commissioning, servo_params

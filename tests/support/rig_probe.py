@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from hapticd.core.params import TouchParams
-from hapticd.rig.probe import (
+from hapticd.rig.shaken import LINES_HZ, Recording, waveform
+from hapticd.rig.steps.probe import (
     Attached,
 )
-from hapticd.rig.shaken import LINES_HZ, Recording, waveform
 
 N = 2.0 / 32767
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}

@@ -1,6 +1,6 @@
 """A handle with friction that is shaken, rigid or with a mass on a spring, in steps of 15.6 us: an
-independent reference for what `rig.balance` solves, with nothing of the product in it but the form
-of its record.
+independent reference for what `force_balance` solves, with nothing of the product in it but the
+form of its record.
 """
 
 from dataclasses import dataclass

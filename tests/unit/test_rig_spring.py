@@ -7,8 +7,8 @@ from support.rig_hand import Hand
 from support.rig_spring import SPRING
 
 from hapticd.core.errors import AnalysisError
-from hapticd.rig.motor import Most
-from hapticd.rig.spring import Spring, concluded, measure
+from hapticd.rig.steps.motor import Most
+from hapticd.rig.steps.spring import Spring, concluded, measure
 
 SCALE = {"per_count": COUNT_N, "sign": 1, "offset_count": 0.0}
 

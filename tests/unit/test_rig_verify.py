@@ -13,10 +13,11 @@ from support.rig_verify import EMF, FREE, SHORT, nothing, verified
 from hapticd.cli.rig import steps
 from hapticd.core.environment import FilterParams
 from hapticd.core.errors import AnalysisError
-from hapticd.rig import vectors, verify
-from hapticd.rig.known_parts import KnownParts, parts_of
 from hapticd.rig.result import Value
-from hapticd.rig.verify import Rendering, changed, expected, judged, measure, seen
+from hapticd.rig.steps import reference_vectors as vectors
+from hapticd.rig.steps import verify
+from hapticd.rig.steps.known_parts import KnownParts, parts_of
+from hapticd.rig.steps.verify import Rendering, changed, expected, judged, measure, seen
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.signal.impedance import Impedance

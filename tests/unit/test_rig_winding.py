@@ -6,7 +6,7 @@ from support.models import device_params
 from support.rig_winding import rests
 
 from hapticd.core.params import to_plain
-from hapticd.rig.winding import concluded
+from hapticd.rig.steps.winding import concluded
 
 DEVICE = to_plain(device_params())
 

@@ -38,7 +38,7 @@ def damping(
     Let go of the handle. Writes the table `damping` and `limits.physical_damping_ns_per_m` of the
     device file.
     """
-    from hapticd.rig.damping import measure
+    from hapticd.rig.steps.damping import measure
     from hapticd.settings.load import load
 
     step = steps.perform(
@@ -60,7 +60,7 @@ def trim(
     Move the handle to and fro against a weak spring meanwhile; active damping is off. Below a loop
     gain of -0.5 it warns, below -0.9 it ends and refuses (exit 4).
     """
-    from hapticd.rig.trim import measure
+    from hapticd.rig.steps.trim import measure
     from hapticd.settings.load import load
 
     def step(client: "Client") -> "StepResult":
@@ -80,7 +80,7 @@ def audit(
     """What is commanded against what is delivered, of active damping and force, while a hand moves
     the handle to and fro against a weak spring. Writes nothing into the device file.
     """
-    from hapticd.rig.audit import measure
+    from hapticd.rig.steps.audit import measure
     from hapticd.settings.load import load
 
     def step(client: "Client") -> "StepResult":

@@ -16,7 +16,7 @@ def identify(
     Writes the tables `model` of the device file, with which `zwidth predict`, the guard and
     `zwidth search` calculate. Signs have to be verified.
     """
-    from hapticd.rig.identify import measure
+    from hapticd.rig.steps.identify import measure
     from hapticd.settings.load import load
 
     found = perform(instance, load(config), lambda client: measure(client, asking(yes)), yes)

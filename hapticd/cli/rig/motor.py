@@ -71,9 +71,9 @@ def motor(
 
     Writes the tables `force`, `commissioning`, `motor` and `emf_velocity` of the device file.
     """
-    from hapticd.rig import motor
-    from hapticd.rig import spring as springs
-    from hapticd.rig import winding as windings
+    from hapticd.rig.steps import motor
+    from hapticd.rig.steps import spring as springs
+    from hapticd.rig.steps import winding as windings
     from hapticd.settings.load import load
 
     _one_of(bool(mass), spring is not None, offset, winding)

@@ -56,8 +56,8 @@ def probe(
 
     Writes the tables `probe_torque` and `probe_velocity` of the device file.
     """
-    from hapticd.rig.one_signal import Judged
-    from hapticd.rig.probe import Attached, measure
+    from hapticd.rig.steps.common_signal import Judged
+    from hapticd.rig.steps.probe import Attached, measure
     from hapticd.settings.load import load
 
     attached = Attached(mass, tolerance)
@@ -85,7 +85,7 @@ def temperature(
 
     Makes no force. Writes the tables `temperature` and `emf_velocity` of the device file.
     """
-    from hapticd.rig.temperature import Stated, measure
+    from hapticd.rig.steps.temperature import Stated, measure
     from hapticd.settings.load import load
 
     stated = Stated(tuple(at), tolerance)

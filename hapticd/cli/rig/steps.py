@@ -186,7 +186,7 @@ def link(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     """Ten seconds of frames without force: delay, jitter, age, damaged and missing frames, and the
     board's clock; a verdict and a remedy for each. Exit 4 if something must not stay.
     """
-    from hapticd.rig.link import measure
+    from hapticd.rig.steps.link import measure
 
     with connect(instance) as client:
         show(measure(client), as_json)
@@ -205,7 +205,7 @@ def encoder(
     The handle is moved to positive x, then between two positions a stated distance apart, and last
     to where x = 0 shall be. Writes the table `position` of the device file.
     """
-    from hapticd.rig.encoder import Distance, measure
+    from hapticd.rig.steps.encoder import Distance, measure
     from hapticd.settings.load import load
 
     apart = Distance(distance, tolerance)

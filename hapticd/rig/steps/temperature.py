@@ -10,7 +10,7 @@ then the count that means 0 degC follows from it, with the scale that the file h
 and both have the thermometer's tolerance. Drift is a line over the seconds at rest, with blocks for
 its interval, as noise of a sensor is rarely white.
 
-The back-EMF is measured in the same step, while a hand shakes the handle (`rig.back_emf`).
+The back-EMF is measured in the same step, while a hand shakes the handle (`back_emf`).
 
 What would break it: a winding that is still warm from what was done before (the drift shows it), or
 a thermometer that is not where the sensor is.
@@ -28,12 +28,12 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
-from hapticd.rig import back_emf
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled
 from hapticd.rig.plausible import FACTOR
 from hapticd.rig.records import collect, raw_counts
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
+from hapticd.rig.steps import back_emf
+from hapticd.rig.steps.link import require_disabled
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 

@@ -18,11 +18,11 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.params import ServoParams, from_plain
 from hapticd.guard.delivered import Delivered
-from hapticd.rig.damping import undamped
-from hapticd.rig.glide import least_squares
 from hapticd.rig.hand import Ask
-from hapticd.rig.moved import Means, joined, means_of, moved, raw_of, ready_to_move
 from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.rig.steps.coast_down import least_squares
+from hapticd.rig.steps.damping import undamped
+from hapticd.rig.steps.hand_motion import Means, joined, means_of, moved, raw_of, ready_to_move
 from hapticd.signal.delivered import CALIBRATION, Estimate
 
 __all__ = ["measure"]

@@ -17,7 +17,7 @@ import numpy as np
 from hapticd.core.arrays import Floats
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.rig.played import SAMPLE_US, Played
-from hapticd.rig.probe_clock import H_S, Clock, passed
+from hapticd.rig.steps.probe_clock import H_S, Clock, passed
 
 BLOCK = PROBE_RATE_HZ  # samples: lines 1 Hz apart
 EDGE = 20  # samples left out at both ends

@@ -22,9 +22,9 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import ready
 from hapticd.rig.records import collect
+from hapticd.rig.steps.link import require_disabled, require_force, require_verified
 from hapticd.signal.delivered import SIMPSON, WINDOW
 
 STIFFNESS_N_PER_M = 100.0

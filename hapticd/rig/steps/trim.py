@@ -28,12 +28,12 @@ import numpy as np
 
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
-from hapticd.rig.damping import undamped
-from hapticd.rig.damping_line import REFUSE, WARN
-from hapticd.rig.glide import Fitted, least_squares
 from hapticd.rig.hand import Ask
-from hapticd.rig.moved import Means, joined, means_of, moved, raw_of, ready_to_move
 from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.rig.steps.coast_down import Fitted, least_squares
+from hapticd.rig.steps.damping import undamped
+from hapticd.rig.steps.damping_line import REFUSE, WARN
+from hapticd.rig.steps.hand_motion import Means, joined, means_of, moved, raw_of, ready_to_move
 from hapticd.signal.delivered import LAG_S
 from hapticd.usb.frames import Capability
 

@@ -1,7 +1,7 @@
 """How much a count of the damping DAC damps, whether it damps at all, and what the winding leaves.
 
 The handle is pushed and glides until it rests, to either side, at several levels of the damping:
-`rig.glide` makes of each push an equation in which its mass has no part. Strong pushes are short
+`coast_down` makes of each push an equation in which its mass has no part. Strong pushes are short
 and fast, gentle ones (twice the friction) slow, so that damping and friction are told apart, and
 with them what the residual resistance of the winding takes of both.
 
@@ -14,7 +14,7 @@ those without damping do not tell its sign, twice as much is tried, and twice as
 Then the levels rise to the limit, each by a factor of two. What rings at rest, delivers less than
 half of what smaller levels promise, or comes near a loop gain of -1 ends that, and says so.
 
-What all pushes say together, and with which interval, is `rig.damping_line`.
+What all pushes say together, and with which interval, is `damping_line`.
 
 What would break it: a hand on the handle (its push is no row, or lies beside the line).
 """
@@ -30,14 +30,14 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
-from hapticd.rig.damping_line import FACTOR, LEVELS, REFUSE, concluded
-from hapticd.rig.glide import Balance, Row, balance, row_of
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_force, require_verified
-from hapticd.rig.motor import allowed_n, await_rest
 from hapticd.rig.push import push, ready
 from hapticd.rig.records import collect, servo_rate_hz
 from hapticd.rig.result import Finding, StepResult, settled
+from hapticd.rig.steps.coast_down import Balance, Row, balance, row_of
+from hapticd.rig.steps.damping_line import FACTOR, LEVELS, REFUSE, concluded
+from hapticd.rig.steps.link import require_disabled, require_force, require_verified
+from hapticd.rig.steps.motor import allowed_n, await_rest
 
 __all__ = ["measure"]
 

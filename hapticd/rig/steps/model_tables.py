@@ -10,9 +10,9 @@ What would break it: an effect of the plant that becomes part of every model wit
 from math import pi
 
 from hapticd.core.units import US_PER_S
-from hapticd.rig.balance import Balance
-from hapticd.rig.mechanics import Facts, Mechanics, Motor, Path
 from hapticd.rig.result import Change, Value, rounded
+from hapticd.rig.steps.force_balance import Balance
+from hapticd.rig.steps.mechanics import Facts, Mechanics, Motor, Path
 
 
 def changes_of(found: Balance, mechanics: Mechanics, path: Path, facts: Facts) -> list[Change]:

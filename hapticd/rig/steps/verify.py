@@ -43,14 +43,14 @@ from hapticd.core.environment import FilterParams
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S, percent
 from hapticd.model.loop import derivatives, held
 from hapticd.recording.calibrations import doubts
-from hapticd.rig import vectors
 from hapticd.rig.excitation import loudest_n, noise
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.known_parts import BESIDE, USUAL, KnownParts, Part, parts_of
-from hapticd.rig.link import MOST_SPREAD, RARE, require_disabled, require_verified
-from hapticd.rig.mechanics import UNKNOWN_SHARE
 from hapticd.rig.played import Played, play
 from hapticd.rig.result import Finding, StepResult, Value, Verdict, relative_half
+from hapticd.rig.steps import reference_vectors as vectors
+from hapticd.rig.steps.known_parts import BESIDE, USUAL, KnownParts, Part, parts_of
+from hapticd.rig.steps.link import MOST_SPREAD, RARE, require_disabled, require_verified
+from hapticd.rig.steps.mechanics import UNKNOWN_SHARE
 from hapticd.signal.impedance import Impedance, impedance
 from hapticd.signal.spectra import DEFAULT_LAG, spa
 

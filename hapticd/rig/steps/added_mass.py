@@ -15,7 +15,7 @@ for m, m + M and r, and b, c and k of each; the difference is the mass over g, a
 As a transmission that gives next to nothing tells nothing of r, r is taken to be some part of m.
 
 The channels turn the phase. V' against the encoder's velocity shows a delay and a high-pass of the
-velocity channel; one signal into both (`rig.one_signal`) the difference of the torque channel. Both
+velocity channel; one signal into both (`common_signal`) the difference of the torque channel. Both
 are taken out, of V' before its sign is taken too: 0.1 Hz at 10 Hz shift the reversals by as much as
 a slow reversal takes. The scale of V' falls with the square of the frequency as the transmission
 gives; what it is at 0 Hz is its gain.

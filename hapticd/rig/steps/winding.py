@@ -6,7 +6,7 @@ sensors in their intercepts. Moved by hand without force, a winding that carries
 K v: over windows of WINDOW_S the mean of the voltage and the way by the encoder belong together
 exactly, so no velocity is computed from noise. In SI both K are one number [N/A = V s/m]; where
 they differ, the scales of current, voltage, force and position contradict each other. The same
-motion gives scale and sign of the channel `emf_velocity` (`rig.back_emf`).
+motion gives scale and sign of the channel `emf_velocity` (`back_emf`).
 
 Commanded newtons have the interval of `rig motor`, metres that of `rig encoder`; both are taken
 from the sources in the device file.
@@ -28,13 +28,13 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import COPPER_PER_K
-from hapticd.rig import back_emf
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_force, require_verified
-from hapticd.rig.motor import allowed_n, fitted
 from hapticd.rig.push import ready, wall_of
 from hapticd.rig.records import collect, servo_rate_hz
 from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, relative_half, settled
+from hapticd.rig.steps import back_emf
+from hapticd.rig.steps.link import require_disabled, require_force, require_verified
+from hapticd.rig.steps.motor import allowed_n, fitted
 
 __all__ = ["measure"]
 

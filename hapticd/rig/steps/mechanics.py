@@ -21,9 +21,9 @@ import numpy as np
 
 from hapticd.core.environment import FilterParams
 from hapticd.core.units import US_PER_S
-from hapticd.rig.balance import NAMES, Balance
 from hapticd.rig.played import Played
 from hapticd.rig.result import UPPER_END, Value
+from hapticd.rig.steps.force_balance import NAMES, Balance
 from hapticd.signal.verdict import student_quantile
 
 MASS_SHARE = 1e-3  # what the balance itself may be wrong by

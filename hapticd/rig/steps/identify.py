@@ -23,12 +23,14 @@ from hapticd.core.environment import Environment, FilterParams
 from hapticd.core.units import US_PER_S, percent
 from hapticd.model.linearise import GAIN
 from hapticd.model.theorem import required_damping
-from hapticd.rig.assumptions import MATTERS, assumptions, parting, scales_agree
-from hapticd.rig.balance import NAMES, Balance, balanced, parted
 from hapticd.rig.excitation import CENTRE, loudest_n, noise
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_verified
-from hapticd.rig.mechanics import (
+from hapticd.rig.played import Played, play
+from hapticd.rig.result import Finding, StepResult, relative_half, settled
+from hapticd.rig.steps.assumptions import MATTERS, assumptions, parting, scales_agree
+from hapticd.rig.steps.force_balance import NAMES, Balance, balanced, parted
+from hapticd.rig.steps.link import require_disabled, require_verified
+from hapticd.rig.steps.mechanics import (
     Facts,
     Motor,
     Scales,
@@ -37,10 +39,8 @@ from hapticd.rig.mechanics import (
     path_of,
     resonance_of,
 )
-from hapticd.rig.model_tables import changes_of
-from hapticd.rig.motor import limit_n
-from hapticd.rig.played import Played, play
-from hapticd.rig.result import Finding, StepResult, relative_half, settled
+from hapticd.rig.steps.model_tables import changes_of
+from hapticd.rig.steps.motor import limit_n
 
 __all__ = ["measure"]
 

@@ -31,9 +31,9 @@ from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.core.units import NS_PER_US, US_PER_S
 from hapticd.protocol.answers import Status
-from hapticd.rig import watchdog
 from hapticd.rig.records import collect
 from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
+from hapticd.rig.steps import watchdog
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb.frames import Capability
 

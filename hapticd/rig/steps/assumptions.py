@@ -9,9 +9,9 @@ What would break it: two assumptions that fail together; each is tested beside w
 
 from math import hypot, isnan, pi
 
-from hapticd.rig.balance import NAMES, Balance, Test
-from hapticd.rig.mechanics import UNKNOWN_SHARE, Facts, Path, friction_n, half_of, known_half
 from hapticd.rig.result import Finding
+from hapticd.rig.steps.force_balance import NAMES, Balance, Test
+from hapticd.rig.steps.mechanics import UNKNOWN_SHARE, Facts, Path, friction_n, half_of, known_half
 
 MATTERS = {  # from which size on a contradicted assumption matters
     "rigid": 0.03,  # of the mass, at HIGH_HZ

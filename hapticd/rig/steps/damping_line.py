@@ -1,7 +1,7 @@
 """The line of the damping through its levels, and what else pushes and glides say.
 
-The gain of the damping is that of all rows together (`rig.glide`). Its interval adds to that of the
-fit what the device file says of the scales of force and position (`half_width_95`; UNKNOWN without
+The gain of the damping is that of all rows together (`coast_down`). Its interval adds to that of
+the fit what the device file says of the scales of force and position (`half_width_95`; UNKNOWN without
 one), what the levels scatter about the line, and FLOOR.
 
 The residual resistance is the loop gain per N s/m times the square of the force per ampere. Below 0
@@ -24,7 +24,6 @@ import numpy.typing as npt
 from hapticd.core.arrays import Floats
 from hapticd.core.units import percent
 from hapticd.render.winding import LEAST_LOOP_GAIN
-from hapticd.rig.glide import Balance, Row, balance
 from hapticd.rig.result import (
     UPPER_END,
     Change,
@@ -36,6 +35,7 @@ from hapticd.rig.result import (
     rounded,
     settled,
 )
+from hapticd.rig.steps.coast_down import Balance, Row, balance
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 

@@ -42,10 +42,19 @@ import numpy as np
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.rig.balance_terms import BLOCK, EDGE, Handle, Terms, commanded, hung, shifted, terms
 from hapticd.rig.jackknife import Solution, lines, solved
 from hapticd.rig.played import Played
-from hapticd.rig.probe_clock import H_S, Clock, clocked
+from hapticd.rig.steps.force_terms import (
+    BLOCK,
+    EDGE,
+    Handle,
+    Terms,
+    commanded,
+    hung,
+    shifted,
+    terms,
+)
+from hapticd.rig.steps.probe_clock import H_S, Clock, clocked
 from hapticd.signal.verdict import student_quantile
 
 LEAST_BLOCKS = 8

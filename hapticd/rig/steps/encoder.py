@@ -25,9 +25,9 @@ from hapticd.core.errors import AnalysisError
 from hapticd.core.params import MOST_CORRECTION
 from hapticd.core.units import percent
 from hapticd.rig.hand import Action, Ask, Request
-from hapticd.rig.link import require_disabled
 from hapticd.rig.records import collect, counts_of
 from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
+from hapticd.rig.steps.link import require_disabled
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import Capability, StatusBit

@@ -25,8 +25,11 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.units import percent
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_force, require_verified
-from hapticd.rig.motor import (
+from hapticd.rig.push import ready, wall_of
+from hapticd.rig.records import collect
+from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
+from hapticd.rig.steps.link import require_disabled, require_force, require_verified
+from hapticd.rig.steps.motor import (
     MOST_RESIDUAL,
     REPEATS,
     UNBOUNDED,
@@ -38,9 +41,6 @@ from hapticd.rig.motor import (
     most_of,
     settled_n,
 )
-from hapticd.rig.push import ready, wall_of
-from hapticd.rig.records import collect
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, rounded, settled
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST
 

@@ -34,7 +34,6 @@ from hapticd.core.errors import AnalysisError
 from hapticd.core.params import COMMISSIONING_SHARE, MOST_CORRECTION
 from hapticd.core.units import percent
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_force, require_verified
 from hapticd.rig.push import LOOK_S, Pushed, push, ready, wall_of
 from hapticd.rig.records import collect, identity_of
 from hapticd.rig.result import (
@@ -47,6 +46,7 @@ from hapticd.rig.result import (
     rounded,
     settled,
 )
+from hapticd.rig.steps.link import require_disabled, require_force, require_verified
 from hapticd.settings.device import signs_hash
 from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST

@@ -4,8 +4,8 @@ The perturbation shakes the free handle at 10 to 30 Hz (`rig.shaken`), first as 
 known mass fixed to it.
 
 The encoder gives scale and sign of the velocity channel; what the mass adds to the torque gives
-those of the torque channel (`rig.added_mass`). One signal into both channels shows what is left of
-their phases (`rig.one_signal`).
+those of the torque channel (`added_mass`). One signal into both channels shows what is left of
+their phases (`common_signal`).
 
 Dead and swapped channels are found before anything is fitted. What is played is known: the torque
 channel has to follow it, delayed at most, and the velocity channel the encoder's velocity.
@@ -26,12 +26,7 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import percent
-from hapticd.rig import one_signal
-from hapticd.rig.added_mass import Added, added, channel
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_verified
-from hapticd.rig.motor import GRAVITY_M_PER_S2
-from hapticd.rig.one_signal import Judged
 from hapticd.rig.plausible import count_of
 from hapticd.rig.result import (
     POSITION_HALF,
@@ -54,6 +49,11 @@ from hapticd.rig.shaken import (
     shaken,
     waveform,
 )
+from hapticd.rig.steps import common_signal as one_signal
+from hapticd.rig.steps.added_mass import Added, added, channel
+from hapticd.rig.steps.common_signal import Judged
+from hapticd.rig.steps.link import require_disabled, require_verified
+from hapticd.rig.steps.motor import GRAVITY_M_PER_S2
 from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = ["Attached", "measure"]

@@ -1,0 +1,1 @@
+"""The steps of commissioning: each measures one thing and concludes with a `StepResult`."""
