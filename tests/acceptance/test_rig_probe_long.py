@@ -9,7 +9,7 @@ from support.rig_hand import Hand
 from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
 from hapticd.core.params import ScaleParams
-from hapticd.rig.shaken import LINES_HZ, lines, shaken
+from hapticd.rig.excitation import LINES_HZ, lines, sine_run
 from hapticd.rig.steps.added_mass import added, channel
 from hapticd.rig.steps.probe import (
     force_gain,
@@ -72,7 +72,7 @@ def test_what_shakes_is_kept_by_a_lease():
             return type(hand.bench).call(hand.bench, cmd, **fields)
 
         hand.bench.call = noted
-        shaken(hand.bench)
+        sine_run(hand.bench)
         assert not hand.bench.status().leases
     assert leased
     assert all("measuring" in one for one in leased)

@@ -8,16 +8,16 @@ from support.rig_hand import Hand
 from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
 from hapticd.core.errors import AnalysisError, CommandError
+from hapticd.rig.excitation import LINES_HZ, Recording, amplitudes, lines, sine_run, sines
 from hapticd.rig.result import relative_half
-from hapticd.rig.shaken import LINES_HZ, Recording, amplitudes, lines, shaken, waveform
 from hapticd.rig.steps.added_mass import added, channel
 from hapticd.rig.steps.common_signal import Judged
 from hapticd.rig.steps.probe import (
     Attached,
-    Taken,
+    Recordings,
     alike,
+    analyse,
     channels,
-    concluded,
     force_gain,
     measure,
     offset,
@@ -50,7 +50,7 @@ def both_channels(seed, late=0.2, seconds=15):
 
 
 def made_up(seed=1, gain=N, velocity_gain=N, mass_kg=0.02):
-    return Taken(
+    return Recordings(
         still(seed=seed),
         motion(0.008, seed, gain, velocity_gain),
         motion(0.008 + mass_kg, seed + 1, gain, velocity_gain),
@@ -67,14 +67,14 @@ def test_lines_are_the_amplitudes_of_sines_though_samples_are_missing():
 
 
 def test_the_perturbation_keeps_its_peak_and_holds_its_lines_alone():
-    force = waveform(0.7)
+    force = sines(0.7)
     assert np.abs(force).max() == pytest.approx(0.7)
     power = np.abs(np.fft.rfft(force))
     assert power[10:31].min() > 1e3 * np.delete(power, np.s_[10:31]).max()
 
 
 def test_gains_offsets_and_skew_of_a_known_motion():
-    result = concluded(made_up(gain=-1.17 * N, velocity_gain=0.9 * N), MASS, PLAIN, Judged())
+    result = analyse(made_up(gain=-1.17 * N, velocity_gain=0.9 * N), MASS, PLAIN, Judged())
     values = told(result)
     full = values["probe_torque.full_scale_n"]
     assert full.low <= 1.17 * 2.0 <= full.high
@@ -95,7 +95,7 @@ def test_gains_offsets_and_skew_of_a_known_motion():
 
 def test_a_limit_beyond_the_full_scale_comes_down_to_it():
     """Else the device file would be refused."""
-    result = concluded(made_up(), MASS, PLAIN | {"probe_limit_n": 2.4}, Judged())
+    result = analyse(made_up(), MASS, PLAIN | {"probe_limit_n": 2.4}, Judged())
     (limit,) = [one.value for one in result.changes if one.table == "limits"]
     assert 1.98 < limit < 2.0
 
@@ -113,14 +113,14 @@ def test_a_transmission_that_gives_is_not_read_as_mass():
 
 def test_what_leaves_no_line_to_the_mass_is_refused():
     """Somebody forgot to fix it."""
-    result = concluded(made_up(mass_kg=0.0), MASS, PLAIN, Judged())
+    result = analyse(made_up(mass_kg=0.0), MASS, PLAIN, Judged())
     assert not result.settled
     assert not result.changes
     assert any("was it fixed" in one.remedy for one in result.findings if one.verdict == "refused")
 
 
 def test_a_mass_typed_ten_times_wrong_is_refused():
-    result = concluded(made_up(), Attached(0.2), PLAIN, Judged())
+    result = analyse(made_up(), Attached(0.2), PLAIN, Judged())
     assert not result.settled
     assert not result.changes
     assert any("in kg" in one.remedy for one in result.findings)
@@ -218,7 +218,7 @@ def test_authority_that_is_lost_ends_the_step():
 
         hand.bench.call = pressed
         with pytest.raises(AnalysisError, match="force ended meanwhile"):
-            shaken(hand.bench)
+            sine_run(hand.bench)
         assert hand.bench.status().state == "fault"
         assert not hand.bench.newest["perturbing"]
 
@@ -232,7 +232,7 @@ def test_a_handle_that_wanders_off_is_let_go():
 
         hand.bench.call = pulled
         with pytest.raises(AnalysisError, match="beyond"):
-            shaken(hand.bench)
+            sine_run(hand.bench)
         assert hand.bench.status().state == "disabled"
 
 

@@ -6,7 +6,7 @@ from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.rig.steps import back_emf
-from hapticd.rig.steps.temperature import Stated, concluded, drift_of, measure
+from hapticd.rig.steps.temperature import Stated, analyse, drift_of, measure
 
 DEVICE = {
     "temperature": {"per_count": 0.01, "sign": 1, "offset_count": 0.0},
@@ -51,7 +51,7 @@ def refused(result):
 
 
 def test_one_temperature_gives_the_count_that_means_0():
-    result = concluded(counts(21.5, offset=130.0, noise=3.0), Stated((21.5,)), DEVICE)
+    result = analyse(counts(21.5, offset=130.0, noise=3.0), Stated((21.5,)), DEVICE)
     assert result.settled
     values = told(result)
     assert values["temperature.offset_count"].value == pytest.approx(130.0, abs=0.2)
@@ -63,7 +63,7 @@ def test_one_temperature_gives_the_count_that_means_0():
 @pytest.mark.parametrize("per_count", [0.008, -0.012])
 def test_two_temperatures_give_the_scale_and_its_sign(per_count):
     found = counts(20.0, 60.0, per_count=per_count, offset=-200.0)
-    values = told(result := concluded(found, Stated((20.0, 60.0)), DEVICE))
+    values = told(result := analyse(found, Stated((20.0, 60.0)), DEVICE))
     assert values["temperature.c_per_count"].value == pytest.approx(abs(per_count), rel=2e-4)
     assert values["temperature.offset_count"].value == pytest.approx(-200.0, abs=1.0)
     changes = {one.key: one.value for one in result.changes}
@@ -77,7 +77,7 @@ def test_errors_of_the_thermometer_stay_inside_nineteen_times_in_twenty():
     for _ in range(300):
         truth = np.array([20.0, 50.0])
         read = truth + 0.5 / 1.96 * random.standard_normal(2)
-        values = told(concluded(counts(*truth, offset=40.0), Stated(tuple(read)), DEVICE))
+        values = told(analyse(counts(*truth, offset=40.0), Stated(tuple(read)), DEVICE))
         scale += holds(values["temperature.c_per_count"], 0.01)
         offset += holds(values["temperature.offset_count"], 40.0)
     assert 275 <= scale <= 295
@@ -95,7 +95,7 @@ def test_errors_of_the_thermometer_stay_inside_nineteen_times_in_twenty():
     ],
 )
 def test_a_sensor_that_cannot_be_right_is_refused_by_name(found, stated, name):
-    result = concluded(found, Stated(stated), DEVICE)
+    result = analyse(found, Stated(stated), DEVICE)
     (finding,) = refused(result)
     assert name in finding.remedy
     assert not result.changes
@@ -107,13 +107,13 @@ def test_a_drift_is_told_in_kelvin_a_minute():
     drift = drift_of(rising, 0.01)
     assert holds(drift, 0.6)  # 10 counts in 10 s
     assert drift.high - drift.low < 0.1
-    warned = concluded(np.array([2000.0 + 5.0 * (rising - 2000.0)]), Stated((20.0,)), DEVICE)
+    warned = analyse(np.array([2000.0 + 5.0 * (rising - 2000.0)]), Stated((20.0,)), DEVICE)
     assert any("wait until" in one.remedy for one in warned.findings)
 
 
 @pytest.mark.parametrize("gain", [1.2, -0.8])
 def test_back_emf_is_known_by_the_encoder_though_it_comes_late(gain):
-    result = concluded(counts(20.0), Stated((20.0,)), DEVICE, shaken(gain, offset=-12.0))
+    result = analyse(counts(20.0), Stated((20.0,)), DEVICE, shaken(gain, offset=-12.0))
     assert result.settled
     values = told(result)
     full = values["emf_velocity.full_scale_m_per_s"]
@@ -128,7 +128,7 @@ def test_back_emf_lies_in_its_interval_nineteen_times_in_twenty():
     exact = DEVICE | {"position": {"per_count": 1.0, "half_width_95": 0.0}}
     hits = 0
     for seed in range(100):
-        result = back_emf.concluded(shaken(1.1, seed=seed, noise=20.0), exact)
+        result = back_emf.analyse(shaken(1.1, seed=seed, noise=20.0), exact)
         hits += holds(told(result)["emf_velocity.full_scale_m_per_s"], 2.2)
     assert 90 <= hits <= 99
 
@@ -143,7 +143,7 @@ def test_back_emf_lies_in_its_interval_nineteen_times_in_twenty():
     ],
 )
 def test_a_back_emf_that_tells_nothing_is_refused_by_name(ticks, name):
-    result = concluded(counts(20.0), Stated((20.0,)), DEVICE, ticks)
+    result = analyse(counts(20.0), Stated((20.0,)), DEVICE, ticks)
     (finding,) = refused(result)
     assert name in finding.remedy
     assert not result.changes

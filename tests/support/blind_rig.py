@@ -30,7 +30,7 @@ from hapticd.core.errors import HapticdError
 from hapticd.core.params import BoardParams
 from hapticd.core.units import COPPER_PER_K
 from hapticd.rig import device_file
-from hapticd.rig.records import keep
+from hapticd.rig.device_file import keep
 from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.rig.steps import (
     damping,

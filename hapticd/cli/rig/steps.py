@@ -71,7 +71,7 @@ def asking(yes: bool) -> "Ask":
     """What asks a person; with --yes it tells, and waits a while. Where HAPTICD_HAND names a
     socket, the program there is the hand.
     """
-    from hapticd.rig.machine_hand import asked_at
+    from hapticd.rig.hand import asked_at
 
     machine = os.environ.get(HAND)
     done = asked_at(Path(machine)) if machine else None
@@ -161,8 +161,7 @@ def _meaning(scale: "Mapping[str, Any]") -> tuple[Any, ...]:
 
 
 def _written(result: "StepResult", settings: "Settings", yes: bool) -> "StepResult":
-    from hapticd.rig.device_file import write
-    from hapticd.rig.records import keep
+    from hapticd.rig.device_file import keep, write
 
     day = datetime.date.today()
     path = settings.device_file

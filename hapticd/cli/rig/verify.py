@@ -54,9 +54,8 @@ def verify(
     it should be: the certificate then says so.
     """
     from hapticd.rig.certificate import Subject, content, write
-    from hapticd.rig.records import collect, identity_of
-    from hapticd.rig.steps.known_parts import KnownParts
-    from hapticd.rig.steps.verify import measure
+    from hapticd.rig.experiment import collect, identity_of
+    from hapticd.rig.steps.verify import KnownParts, measure
     from hapticd.settings.load import load
 
     settings = load(config)

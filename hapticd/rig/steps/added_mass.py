@@ -31,9 +31,8 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.rig.result import UPPER_END
-from hapticd.rig.shaken import LINES_HZ, Lines, Recording, amplitudes, lines
-from hapticd.signal.verdict import student_quantile
+from hapticd.rig.estimate import Fit, least_squares
+from hapticd.rig.excitation import LINES_HZ, Lines, Recording, amplitudes, lines
 
 UNEVEN = 2.0  # of a variance: what a fit leaves is rather of its model, and not alike at all lines
 PART_SD = 0.3  # of a share that is anything between 0 and 1
@@ -47,6 +46,11 @@ class Channel(NamedTuple):
     relative_half: float  # of its 95 % interval
     turn_per_hz: float  # radians: a delay
     corner_hz: float  # of a first-order high-pass
+
+    @property
+    def phase(self) -> Floats:
+        """By which it turns the lines (l,), in radians."""
+        return self.turn_per_hz * LINES_HZ + self.corner_hz / LINES_HZ
 
 
 class Added(NamedTuple):
@@ -66,10 +70,9 @@ def channel(bare: Lines) -> Channel:
     turn, corner = np.linalg.lstsq(columns, np.angle(sign * ratio), rcond=None)[0]
     # what the transmission gives grows with w^2
     known = np.stack([np.abs(speed), np.abs(speed) * OMEGA**2], axis=1)
-    fit = _solved(known, np.abs(bare.velocity))
-    half = student_quantile(UPPER_END, fit.freedom) * sqrt(fit.covariance[0, 0])
-    counts = float(fit.weights[0])
-    return Channel(sign * counts, half / counts, float(turn), float(corner))
+    fit = least_squares(known, np.abs(bare.velocity), inflate=UNEVEN)
+    counts = float(fit.values[0])
+    return Channel(sign * counts, float(fit.halves[0]) / counts, float(turn), float(corner))
 
 
 def added(bare: Recording, loaded: Recording, of_velocity: Channel, turned: Floats) -> Added:
@@ -77,32 +80,31 @@ def added(bare: Recording, loaded: Recording, of_velocity: Channel, turned: Floa
     channel.
     """
     parts = [_parts(one, of_velocity, turned) for one in (bare, loaded)]
-    nothing = np.zeros(len(LINES_HZ))
-    columns = [np.concatenate([one.inner for one in parts])]
-    for one in (0, 1):
-        for column in parts[one].own:
-            columns.append(np.concatenate([column, nothing] if one == 0 else [nothing, column]))
-    known = np.stack(columns, axis=1)
+    inner = np.concatenate([one.inner for one in parts])
+    # inner, then acceleration, velocity, friction and position of each recording
+    columns = np.zeros((len(inner), 9), np.complex128)
+    columns[:, 0] = inner
+    columns[: len(LINES_HZ), 1:5] = parts[0].own
+    columns[len(LINES_HZ) :, 5:] = parts[1].own
     torque = np.concatenate([one.torque for one in parts])
-    known = np.concatenate([known.real, known.imag])
+    known = np.concatenate([columns.real, columns.imag])
     seen = np.concatenate([torque.real, torque.imag])
-    # columns: inner, then acceleration, velocity, friction and position of each recording
-    fit = _solved(*_within_mass(known, seen, _solved(known, seen)))
-    of = np.zeros(len(columns))
-    of[1] = -1.0
-    of[5] = 1.0
-    half = student_quantile(UPPER_END, fit.freedom) * sqrt(float(of @ fit.covariance @ of))
-    return Added(float(of @ fit.weights), half, fit.left)
+    free = least_squares(known, seen, inflate=UNEVEN)
+    fit = least_squares(*_within_mass(known, seen, free), inflate=UNEVEN)
+    of = np.zeros(9)
+    of[1], of[5] = -1.0, 1.0
+    left = float(np.linalg.norm(fit.residuals) / np.linalg.norm(seen))
+    return Added(float(of @ fit.values), fit.half(of), left)
 
 
-def _within_mass(known: Floats, seen: Floats, free: "_Solved") -> tuple[Floats, Floats]:
+def _within_mass(known: Floats, seen: Floats, free: Fit) -> tuple[Floats, Floats]:
     """`known` and `seen` with a row more: what moves with the probe is a part of what moves, half
     of it give or take PART_SD. A transmission that does not give tells nothing of it.
     """
+    deviation = sqrt(UNEVEN * float(free.residuals @ free.residuals) / free.freedom)
     row = np.zeros(known.shape[1])
-    row[0] = 1.0
-    row[1] = -0.5
-    weight = free.deviation / (PART_SD * abs(float(free.weights[1])))
+    row[:2] = 1.0, -0.5
+    weight = deviation / (PART_SD * abs(float(free.values[1])))
     return np.vstack([known, weight * row]), np.append(seen, 0.0)
 
 
@@ -111,22 +113,20 @@ class _Parts(NamedTuple):
 
     torque: Complexes  # counts
     inner: Complexes  # m/s^2, of the probe's end beyond the encoder's
-    own: tuple[Complexes, ...]  # acceleration, velocity, friction and position
+    own: Complexes  # (l, 4) acceleration, velocity, friction and position
 
 
 def _parts(found: Recording, of_velocity: Channel, turned: Floats) -> _Parts:
     seen = lines(found)
-    phase = of_velocity.turn_per_hz * LINES_HZ + of_velocity.corner_hz / LINES_HZ
-    probe = seen.velocity * np.exp(-1j * phase) / of_velocity.counts
-    torque = seen.torque * np.exp(-1j * (phase - turned))
+    probe = seen.velocity * np.exp(-1j * of_velocity.phase) / of_velocity.counts
+    torque = seen.torque * np.exp(-1j * (of_velocity.phase - turned))
     speed = 1j * OMEGA * seen.position_m
     acceleration = 1j * OMEGA * speed
     signs = np.sign(_without_high_pass(found, of_velocity))
     (friction,) = amplitudes(found.number, signs[None, :])
     friction = friction * np.exp(-1j * of_velocity.turn_per_hz * LINES_HZ)
-    return _Parts(
-        torque, 1j * OMEGA * probe - acceleration, (acceleration, speed, friction, seen.position_m)
-    )
+    own = np.stack([acceleration, speed, friction, seen.position_m], axis=1)
+    return _Parts(torque, 1j * OMEGA * probe - acceleration, own)
 
 
 def _without_high_pass(found: Recording, of_velocity: Channel) -> Floats:
@@ -136,24 +136,3 @@ def _without_high_pass(found: Recording, of_velocity: Channel) -> Floats:
     number = np.arange(len(way))
     way -= np.polyval(np.polyfit(number, way, 1), number)
     return np.asarray(counts + 2.0 * pi * of_velocity.corner_hz * way)
-
-
-class _Solved(NamedTuple):
-    weights: Floats  # (p,)
-    covariance: Floats  # (p, p)
-    freedom: int
-    deviation: float  # of what is left
-    left: float  # share that is not explained
-
-
-def _solved(known: Floats, seen: Floats) -> _Solved:
-    """Least squares of `seen` (n,) by the columns of `known` (n, p)."""
-    size = np.linalg.norm(known, axis=0)
-    inverse = np.linalg.pinv((known / size).T @ (known / size))
-    weights = inverse @ ((known / size).T @ seen)
-    left = seen - known / size @ weights
-    freedom = len(seen) - len(weights)
-    spread = UNEVEN * float(left @ left) / freedom
-    share = float(np.linalg.norm(left) / np.linalg.norm(seen))
-    covariance = inverse * spread / np.outer(size, size)
-    return _Solved(weights / size, covariance, freedom, sqrt(spread), share)

@@ -9,9 +9,9 @@ What would break it: two assumptions that fail together; each is tested beside w
 
 from math import hypot, isnan, pi
 
-from hapticd.rig.result import Finding
+from hapticd.rig.result import Finding, checked
 from hapticd.rig.steps.force_balance import NAMES, Balance, Test
-from hapticd.rig.steps.mechanics import UNKNOWN_SHARE, Facts, Path, friction_n, half_of, known_half
+from hapticd.rig.steps.mechanics import UNKNOWN_SHARE, CommandPath, Facts, friction_n, known_half
 
 MATTERS = {  # from which size on a contradicted assumption matters
     "rigid": 0.03,  # of the mass, at HIGH_HZ
@@ -31,18 +31,17 @@ def scales_agree(found: Balance, facts: Facts) -> list[Finding]:
         what = f"no interval of {', '.join(unknown)}: {100 * UNKNOWN_SHARE:g} % is taken"
         findings.append(Finding(what, "warning", "`hapticd rig` measures them first"))
     off = found.handle.gain - 1.0
-    allowed = hypot(known_half(scales.motor), known_half(scales.probe), half_of(found, "gain"))
+    allowed = hypot(known_half(scales.motor), known_half(scales.probe), found.half("gain"))
     what = f"a newton of the motor is {found.handle.gain:.4g} N of the probe"
-    bad = abs(off) > 1.5 * allowed
     remedy = "repeat `rig motor` with masses, and `rig probe`: one of the two scales is wrong"
-    findings.append(Finding(what, "warning" if bad else "ok", remedy if bad else ""))
-    return findings
+    return [*findings, checked(what, abs(off) <= 1.5 * allowed, remedy)]
 
 
-def parting(path: Path, found: Balance) -> Finding:
+def parting(path: CommandPath, found: Balance) -> Finding:
+    """How the lag is parted into delay and smoothing."""
     lag = NAMES.index("lag_us")
     spread = NAMES.index("spread_us2")
-    together = float(found.correlation[lag, spread])
+    together = float(found.fit.covariance[lag, spread] / (found.sd[lag] * found.sd[spread]))
     what = (
         f"lag of a command {path.lag.value:.4g} us; lag and smoothing go together by {together:.2f}"
     )

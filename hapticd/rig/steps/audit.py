@@ -18,11 +18,20 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.params import ServoParams, from_plain
 from hapticd.guard.delivered import Delivered
+from hapticd.rig.estimate import least_squares
+from hapticd.rig.experiment import begin, undamped
 from hapticd.rig.hand import Ask
-from hapticd.rig.result import Finding, StepResult, Value
-from hapticd.rig.steps.coast_down import least_squares
-from hapticd.rig.steps.damping import undamped
-from hapticd.rig.steps.hand_motion import Means, joined, means_of, moved, raw_of, ready_to_move
+from hapticd.rig.result import Finding, StepResult, Value, checked
+from hapticd.rig.steps.hand_motion import (
+    LEAST_N,
+    WAITS,
+    Means,
+    joined,
+    means_of,
+    moved,
+    raw_of,
+    unknown_ampere,
+)
 from hapticd.signal.delivered import CALIBRATION, Estimate
 
 __all__ = ["measure"]
@@ -30,7 +39,6 @@ __all__ = ["measure"]
 SECONDS = 6.0
 LOW = 0.8  # of what is commanded
 HIGH = 1.2
-LEAST_N = 0.02  # of commanded force, rms: less says nothing
 SETTLED = 1  # pieces until hand and damping have settled
 
 
@@ -41,22 +49,17 @@ def measure(
     the device's limit by default. CommandError unless disabled; AnalysisError where signs are not
     verified, or force ends meanwhile.
     """
-    servo = ready_to_move(bench)
-    if not servo["device"]["motor_n_per_a"]:
-        return StepResult("audit", (), [_unknown()])
+    servo = begin(bench, WAITS)
+    if missing := unknown_ampere(servo["device"]):
+        return StepResult("audit", (), missing)
     wanted = 0.5 * servo["device"]["active_damping_limit_ns_per_m"] if level is None else level
     with undamped(bench):
         bench.damping(wanted)
         pieces = moved(bench, ask, seconds)
-    return concluded(pieces[SETTLED:], servo)
+    return analyse(pieces[SETTLED:], servo)
 
 
-def _unknown() -> Finding:
-    remedy = "`hapticd rig motor --winding` measures it where the board reports its current"
-    return Finding("the device file does not say the force of an ampere", "not done", remedy)
-
-
-def concluded(pieces: Sequence[Records], servo: Mapping[str, Any]) -> StepResult:
+def analyse(pieces: Sequence[Records], servo: Mapping[str, Any]) -> StepResult:
     """What consecutive records, in `pieces`, say on the `servo` of a hello."""
     params = from_plain(ServoParams, dict(servo))
     follows = Delivered(params, lambda: None)
@@ -66,7 +69,7 @@ def concluded(pieces: Sequence[Records], servo: Mapping[str, Any]) -> StepResult
     means = joined([means_of(one, params.device.motor_n_per_a, rate_hz) for one in pieces])
     values, findings = _damping(follows.estimate)
     more_values, more_findings = _force(means, params)
-    arrays = raw_of(list(pieces))
+    arrays = raw_of(pieces)
     return StepResult("audit", values + more_values, findings + more_findings, arrays=arrays)
 
 
@@ -77,8 +80,7 @@ def _damping(found: Estimate) -> tuple[list[Value], list[Finding]]:
         return [], [Finding(what, "not done", "move the handle more, and repeat")]
     value = Value("delivered damping", found.estimate_ns_per_m, "N s/m", found.low, found.high)
     said = f"active damping: {found.estimate_ns_per_m:.3g} of {found.commanded:.3g} N s/m"
-    share = (found.low / found.commanded, found.high / found.commanded)
-    return [value], [_judged(f"{said}, by {found.basis}", share)]
+    return [value], [_delivered(f"{said}, by {found.basis}", value, found.commanded)]
 
 
 def _force(means: Means, servo: ServoParams) -> tuple[list[Value], list[Finding]]:
@@ -89,21 +91,17 @@ def _force(means: Means, servo: ServoParams) -> tuple[list[Value], list[Finding]
     ones = np.ones_like(means.force_n)
     columns = np.column_stack([means.force_n, means.velocity_m_per_s, ones])
     counted_n = servo.device.motor_n_per_a * servo.device.current.per_count
-    found = least_squares(columns, means.motor_n, np.full_like(ones, 1.0 / counted_n))
+    found = least_squares(columns, means.motor_n, ones / counted_n, least=1.0)
     share = float(found.values[0])
     half = hypot(float(found.halves[0]), CALIBRATION * share)
-    value = Value("delivered force", share, "of what is commanded", share - half, share + half)
-    what = f"force: {share:.3g} of what is commanded, by the current"
-    return [value], [_judged(what, (share - half, share + half))]
+    value = Value.around("delivered force", share, "of what is commanded", half)
+    return [value], [_delivered(f"force: {share:.3g} of what is commanded, by the current", value)]
 
 
-def _judged(what: str, share: tuple[float, float]) -> Finding:
-    """A finding for an interval of delivered over commanded."""
-    low, high = share
-    if high < LOW:
+def _delivered(what: str, value: Value, commanded: float = 1.0) -> Finding:
+    """A finding for the interval of what is delivered over what is `commanded`."""
+    if value.high / commanded < LOW:
         remedy = "too little: look at amplifier, supply and resistance compensation"
         return Finding(what, "warning", remedy)
-    if low > HIGH:
-        remedy = "too much: look at the scales of current and force, and at the compensation"
-        return Finding(what, "warning", remedy)
-    return Finding(what, "ok")
+    remedy = "too much: look at the scales of current and force, and at the compensation"
+    return checked(what, value.low / commanded <= HIGH, remedy)

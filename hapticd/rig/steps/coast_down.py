@@ -32,8 +32,8 @@ current).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import hypot, sqrt
-from typing import Any, NamedTuple
+from math import hypot
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,8 +41,7 @@ from hapticd.client.blocks import Records
 from hapticd.core.arrays import Floats
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import US_PER_S
-from hapticd.rig.result import UPPER_END
-from hapticd.signal.verdict import student_quantile
+from hapticd.rig.estimate import Fit, least_squares, separable
 
 STILL_COUNTS = 6.0  # peak to peak at rest, beside the noise
 REST_S = 0.05  # at either end of a record
@@ -52,6 +51,7 @@ GLIDE_EDGES = 20.0  # edges in a way whose last nine are those of its glide
 TIMING_S = 5e-4  # by which the time of motion may be wrong
 MODEL = 0.003  # share of the impulse that the equation may leave out
 ITERATIONS = 30
+LOOP_STEP = 1e-3  # m/s per N, over which the loop gain is differentiated: it is linear
 LEAST_AMPERE_COUNTS = 20.0  # mean current of the weakest push that is believed
 EXPLAINED = 0.03  # of the impulse at count 0 that the current may leave unexplained
 
@@ -113,39 +113,27 @@ def _begin(records: Records, commanded: Floats, away: Floats, edge: float, rate_
     delay_us = records["delay_us"].astype(np.float64)
     told = delay_us[delay_us >= 0.0]
     if not told.size:
-        return _rest(away, edge)
+        return _rest(away, edge, 2)
     pushed = int(np.argmax(commanded != commanded[0]))
     return pushed + float(np.median(told)) * rate_hz / US_PER_S
 
 
 def _end(away: Floats, way: float, edge: float) -> float:
-    """Period in which the motion (n,) ended. Near its end the speed is proportional to time, so the
-    root of the way that is left is a line: it takes as long to `edge` as from there to four times
-    that. Damping brakes a fast handle more than a slow one, so in a glide the root is bent, and the
-    next order is taken as well where the glide is long enough to show it.
+    """Period in which the motion (n,) ended, that of its beginning backwards. Damping brakes a fast
+    handle more than a slow one, so where a glide is long enough the next order is taken as well.
     """
-    left = (way - away)[::-1]
-    back = _glided(left, edge) if way > GLIDE_EDGES * edge else _rest(left, edge)
-    return len(away) - 1 - back
+    order = 3 if way > GLIDE_EDGES * edge else 2
+    return len(away) - 1 - _rest((way - away)[::-1], edge, order)
 
 
-def _rest(rising: Floats, edge: float) -> float:
-    """Where a motion (n,) of constant acceleration from rest began, between samples: the root
-    of its way is a line, so it takes as long to `edge` as from there to four times that.
+def _rest(rising: Floats, edge: float, order: int) -> float:
+    """Where a motion (n,) from rest began, between samples. Near there the speed is proportional to
+    time, so the root of the way is a line: it takes as long to `edge` as from there to four times
+    that. With order 3 it is a parabola, through nine times that as well.
     """
     root = np.sqrt(np.maximum(rising, 0.0))
-    first = float(edge) ** 0.5
-    return 2.0 * _crossing(root, first) - _crossing(root, 2.0 * first)
-
-
-def _glided(rising: Floats, edge: float) -> float:
-    """Where a motion (n,) from rest began whose root is a parabola in time, through the edge, four
-    and nine times that.
-    """
-    root = np.sqrt(np.maximum(rising, 0.0))
-    first = float(edge) ** 0.5
-    one, two, three = (_crossing(root, share * first) for share in (1.0, 2.0, 3.0))
-    return 3.0 * one - 3.0 * two + three
+    one, two, *more = (_crossing(root, share * edge**0.5) for share in range(1, order + 1))
+    return 2.0 * one - two if not more else 3.0 * one - 3.0 * two + more[0]
 
 
 def _crossing(rising: Floats, level: float) -> float:
@@ -158,7 +146,7 @@ def _crossing(rising: Floats, level: float) -> float:
 
 
 @dataclass(frozen=True)
-class Balance:
+class Momentum:
     """What the rows say together, each with half of its 95 % interval."""
 
     gain: float  # of the damping: what it is over what the device file says
@@ -181,7 +169,7 @@ class Balance:
         return np.asarray(_column(rows, "impulse_ns") - taken)
 
 
-def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
+def fit_momentum(rows: Sequence[Row], a_per_count: float) -> Momentum:
     """The fit to `rows`, at least eight; some at level 0, and at two or more others for the loop
     gain, which is taken as 0 else.
     """
@@ -193,25 +181,27 @@ def balance(rows: Sequence[Row], a_per_count: float) -> Balance:
     by_current = _current_tells(rows, a_per_count)
     loads = _column(rows, "charge_as")[:, None] if by_current else friction
     loops = len(np.unique(np.round(np.log2(level[level > 0.0])))) > 1
-    found = _fitted(impulse, damped, loads, level, weight, loops)
+    found = _fit(impulse, damped, loads, level, weight, loops)
     gain, *coefficients = found.values[: 1 + loads.shape[1]]
-    loop = float(found.values[-1]) if loops else 0.0
-    loop_half = float(found.halves[-1]) if loops else 0.0
+    loop, loop_half = (float(found.values[-1]), float(found.halves[-1])) if loops else (0.0, 0.0)
     took = (impulse - gain * damped) / (1.0 + loop * level)
-    mechanics = least_squares(friction, took, weight * (1.0 + loop * level))
+    mechanics = least_squares(friction, took, weight * (1.0 + loop * level), least=1.0)
     physical, coulomb_n, _ = mechanics.values.tolist()
     physical_half, coulomb_half, _ = mechanics.halves.tolist()
-    mistimed_n = coulomb_n * _mistimed(rows)
+    # an error of all times of motion takes of friction, or adds to it; damping loses as much
+    seconds = _column(rows, "seconds")
+    mistimed_n = coulomb_n * TIMING_S / float(np.median(seconds))
+    slowness = float(np.median(seconds / _column(rows, "way_m")))
     lost = loads @ np.array(coefficients)
     left = impulse - gain * damped - lost * (1.0 + loop * level)
-    return Balance(
+    return Momentum(
         float(gain),
         float(found.halves[0]),
         loop,
         loop_half,
         float(coefficients[0]) if by_current else 0.0,
         physical,
-        hypot(physical_half, mistimed_n * _slowness(rows)),
+        hypot(physical_half, mistimed_n * slowness),
         coulomb_n,
         hypot(coulomb_half, mistimed_n),
         by_current,
@@ -240,16 +230,6 @@ def _weights(rows: Sequence[Row], friction: Floats) -> Floats:
     return np.asarray(1.0 / np.hypot(TIMING_S * abs(float(guess[1])), MODEL * impulse))
 
 
-def _mistimed(rows: Sequence[Row]) -> float:
-    """Share of friction that an error of all times of motion would take or add."""
-    return TIMING_S / float(np.median(_column(rows, "seconds")))
-
-
-def _slowness(rows: Sequence[Row]) -> float:
-    """Time of motion over way [s/m], in the middle: what friction loses, damping gains."""
-    return float(np.median(_column(rows, "seconds") / _column(rows, "way_m")))
-
-
 def _current_tells(rows: Sequence[Row], a_per_count: float) -> bool:
     """Whether the current of pushes at level 0 is proportional to their impulse."""
     impulse = _column(rows, "impulse_ns")
@@ -262,42 +242,14 @@ def _current_tells(rows: Sequence[Row], a_per_count: float) -> bool:
     return bool(free.sum() >= 2 and np.ptp(ratio) <= 2.0 * EXPLAINED * abs(ratio.mean()))
 
 
-class Fitted(NamedTuple):
-    """Coefficients (p,) and the halves of their 95 % intervals."""
-
-    values: Floats
-    halves: Floats
-
-
-def _fitted(
+def _fit(
     impulse: Floats, damped: Floats, loads: Floats, level: Floats, weight: Floats, loops: bool
-) -> Fitted:
+) -> Fit:
     """J = k P + (loads a) (1 + g b): (k, a.., g), without g unless `loops`."""
-    loop = 0.0
-    for _ in range(ITERATIONS if loops else 1):
-        columns = np.column_stack([damped, loads * (1.0 + loop * level)[:, None]])
-        linear = least_squares(columns, impulse, weight)
-        if not loops:
-            return linear
-        took = loads @ linear.values[1:]
-        steep = np.column_stack([columns, took * level])
-        # Gauss-Newton in g; the others are linear in it
-        step = least_squares(steep, impulse - columns @ linear.values, weight)
-        loop += float(step.values[-1])
-    return Fitted(np.append(linear.values, loop), step.halves)
 
+    def columns_of(loop: Floats) -> Floats:
+        return np.column_stack([damped, loads * (1.0 + loop * level)[:, None]])
 
-def least_squares(columns: Floats, target: Floats, weight: Floats) -> Fitted:
-    """`columns` (n, p) on `target` (n,), each row times `weight` (n,), one over what may be
-    wrong in it; the residuals count where they are more.
-    """
-    weighted = columns * weight[:, None]
-    size = np.maximum(np.sqrt((weighted**2).sum(axis=0)), 1e-300)
-    scaled = weighted / size
-    values = np.linalg.lstsq(scaled, target * weight, rcond=1e-12)[0]
-    residuals = target * weight - scaled @ values
-    freedom = max(len(target) - columns.shape[1], 1)
-    deviation = max(1.0, sqrt(float(residuals @ residuals) / freedom))
-    spread = np.sqrt(np.diagonal(np.linalg.pinv(scaled.T @ scaled)))
-    half: Any = student_quantile(UPPER_END, freedom) * deviation * spread
-    return Fitted(values / size, half / size)
+    if not loops:
+        return least_squares(columns_of(np.zeros(1)), impulse, weight, least=1.0)
+    return separable(columns_of, impulse, np.zeros(1), LOOP_STEP, ITERATIONS, weight)

@@ -21,14 +21,14 @@ inputs that are coupled otherwise than by the signal.
 """
 
 from dataclasses import dataclass
-from math import cos, pi, sin, sqrt
+from math import cos, pi, sin
 
 import numpy as np
 
 from hapticd.core.arrays import Floats
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
-from hapticd.rig.result import UPPER_END, Change, Finding, Value, rounded
-from hapticd.signal.verdict import student_quantile
+from hapticd.rig.estimate import Fit, least_squares
+from hapticd.rig.result import Change, Finding, Value, checked
 
 __all__ = ["Judged"]
 
@@ -54,20 +54,31 @@ class Judged:
 
 @dataclass(frozen=True)
 class Phase:
-    """phi(f) in radians: `weights` (4,) of f, f^3, 1/f and 1/f^3, with their covariance (4, 4)."""
+    """phi(f) in radians: f, f^3, 1/f and 1/f^3 times the coefficients of a fit."""
 
-    weights: Floats
-    covariance: Floats
-    freedom: float
+    fit: Fit
 
     def at(self, f: Floats) -> Floats:
         """phi (n,) at `f` (n,) in Hz."""
-        found: Floats = _columns(f) @ self.weights
+        found: Floats = _columns(f) @ self.fit.values
         return found
 
-    def half(self, of: Floats) -> float:
-        """Half of the 95 % interval of the sum of `of` (4,) times the weights."""
-        return student_quantile(UPPER_END, self.freedom) * sqrt(float(of @ self.covariance @ of))
+    @property
+    def skew(self) -> Value:
+        """By how much later the velocity is sampled [us]."""
+        # the zero crossing of a line is where it is: what its interpolation adds is in f^3
+        to_us = US_PER_S / (2.0 * pi)
+        skew, half = to_us * float(self.fit.values[0]), to_us * float(self.fit.halves[0])
+        return Value.around(SKEW, skew, "us", half)
+
+    def mismatch(self, judged: Judged) -> Value:
+        """Damping that unequal high-passes feign on the spring of `judged`."""
+        low = judged.lowest_hz
+        of = np.array([0.0, 0.0, 1.0 / low, low**-3.0])
+        angle = float(of @ self.fit.values)
+        per_radian = judged.stiffness_n_per_m / (2.0 * pi * low)
+        half = per_radian * cos(angle) * self.fit.half(of)
+        return Value.around("high-pass mismatch", -per_radian * sin(angle), "N s/m", half)
 
 
 def _columns(f: Floats) -> Floats:
@@ -80,12 +91,11 @@ def phase(torque: Floats, velocity: Floats) -> Phase | Finding:
     f = np.arange(len(window) // 2 + 1) * PROBE_RATE_HZ / len(window)
     inside = (f >= BAND_HZ[0]) & (f <= BAND_HZ[1])
     t, v = (np.fft.rfft((one - one.mean()) * window)[inside] for one in (torque, velocity))
-    f = f[inside]
-    power = np.asarray(np.abs(t) ** 2, np.float64)
+    powers = np.array([(np.abs(one) ** 2).sum() for one in (t, v)])
     # rms of what a window of mean square 3/8 lets through
-    counts = np.sqrt(np.array([power.sum(), (np.abs(v) ** 2).sum()]) * 2.0 / 0.375) / len(torque)
+    counts = np.sqrt(powers * 2.0 / 0.375) / len(torque)
     cross = v * t.conj()
-    shared = abs(cross.sum()) ** 2 / (power.sum() * (np.abs(v) ** 2).sum() + 1e-300)
+    shared = abs(cross.sum()) ** 2 / (powers.prod() + 1e-300)
     if counts.min() < LEAST_COUNTS or shared < LEAST_COHERENT:
         what = (
             f"one signal gives {counts[0]:.3g} counts rms in the torque channel, {counts[1]:.3g} in"
@@ -93,60 +103,28 @@ def phase(torque: Floats, velocity: Floats) -> Phase | Finding:
         )
         remedy = "feed one signal with content from 1 to 200 Hz, as strong as a trial's, into both"
         return Finding(what, "refused", remedy)
-    turned = cross * np.sign(cross.sum().real)
-    return _fitted(f, np.asarray(np.angle(turned), np.float64), power)
-
-
-def _fitted(f: Floats, angles: Floats, weight: Floats) -> Phase:
-    # a column each over its size at the ends, or the normal equations have no digits left
-    scale = np.array([BAND_HZ[1], BAND_HZ[1] ** 3, 1.0 / BAND_HZ[0], BAND_HZ[0] ** -3.0])
-    columns = _columns(f) / scale * np.sqrt(weight)[:, None]
-    inverse = np.linalg.pinv(columns.T @ columns)
-    weights = inverse @ (columns.T @ (angles * np.sqrt(weight)))
-    left = angles * np.sqrt(weight) - columns @ weights
-    freedom = len(f) / HANN_SPREAD - len(scale)
-    spread = UNEVEN * float(left @ left) / (len(f) - len(scale))
-    covariance = inverse * spread * HANN_SPREAD / np.outer(scale, scale)
-    return Phase(weights / scale, covariance, freedom)
-
-
-def values(found: Phase, judged: Judged) -> list[Value]:
-    """Skew and mismatch."""
-    to_us = US_PER_S / (2.0 * pi)
-    skew = to_us * float(found.weights[0])
-    skew_half = to_us * found.half(np.array([1.0, 0.0, 0.0, 0.0]))
-    low = judged.lowest_hz
-    of = np.array([0.0, 0.0, 1.0 / low, low**-3.0])
-    angle = float(of @ found.weights)
-    per_radian = judged.stiffness_n_per_m / (2.0 * pi * low)
-    damping = -per_radian * sin(angle)
-    half = per_radian * cos(angle) * found.half(of)
-    # the zero crossing of a line is where it is: what its interpolation adds to a delay is in f^3
-    return [
-        Value(SKEW, skew, "us", skew - skew_half, skew + skew_half),
-        Value("high-pass mismatch", damping, "N s/m", damping - half, damping + half),
-    ]
+    angles = np.angle(cross * np.sign(cross.sum().real))
+    fit = least_squares(_columns(f[inside]), angles, np.abs(t), inflate=UNEVEN * HANN_SPREAD)
+    return Phase(fit._replace(freedom=len(angles) / HANN_SPREAD - len(fit.values)))
 
 
 def change(skew: Value) -> Change:
     """`skew` into the device file."""
-    return Change("probe_velocity", "skew_us", rounded(skew.value, skew.low, skew.high))
+    return Change("probe_velocity", "skew_us", skew.rounded)
 
 
 def findings(skew: Value, mismatch: Value, judged: Judged) -> list[Finding]:
     """What is to be thought of both."""
     share = skew.value / PERIOD_US
-    what = f"the velocity is sampled {skew.value:.3g} us after the force, {share:.2g} of a sample"
-    said = [Finding(what, "ok")]
-    if abs(share) > MOST_SKEW:
-        remedy = "sample both together; until then live trials take it out, as the device file says"
-        said = [Finding(what, "warning", remedy)]
+    late = f"the velocity is sampled {skew.value:.3g} us after the force, {share:.2g} of a sample"
+    together = "sample both together; until then live trials take it out, as the device file says"
     what = (
         f"unequal high-passes look like {mismatch.value:.3g} N s/m on a spring of"
         f" {judged.stiffness_n_per_m:g} N/m at {judged.lowest_hz:g} Hz"
     )
     most = max(abs(mismatch.low), abs(mismatch.high))
-    if most <= MOST_DAMPING_NS_PER_M:
-        return [*said, Finding(what, "ok")]
     remedy = "couple both channels directly or with equal corners, or judge from a higher frequency"
-    return [*said, Finding(what, "warning", remedy)]
+    return [
+        checked(late, abs(share) <= MOST_SKEW, together),
+        checked(what, most <= MOST_DAMPING_NS_PER_M, remedy),
+    ]

@@ -9,10 +9,10 @@ encoder's difference (see `signal.delivered`). At the few hertz of a hand, delay
 millisecond turn a force by a hundredth.
 
 What would break it: a hand that does not move (there is nothing to see then), a board whose spring
-is not passive at STIFFNESS_N_PER_M.
+is not passive with that of SPRING.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,16 +21,17 @@ import numpy.typing as npt
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
+from hapticd.core.environment import Environment
+from hapticd.rig.experiment import collect, rendering, require_force
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.push import ready
-from hapticd.rig.records import collect
-from hapticd.rig.steps.link import require_disabled, require_force, require_verified
+from hapticd.rig.result import Finding
 from hapticd.signal.delivered import SIMPSON, WINDOW
 
-STIFFNESS_N_PER_M = 100.0
-DAMPING_NS_PER_M = 0.5
+SPRING = Environment(100.0, 0.5)
 RAMP_S = 1.0
 PIECE_S = 1.0
+LEAST_N = 0.02  # rms, of a force: less says nothing
+WAITS = "a hand moves against a spring"  # before that, it looks like a wrong sign
 RAW = (
     "tick",
     "position_m",
@@ -73,20 +74,17 @@ def means_of(records: Records, n_per_a: float, rate_hz: float) -> Means:
     )
 
 
-def joined(pieces: list[Means]) -> Means:
+def joined(pieces: Sequence[Means]) -> Means:
     """All windows of `pieces`."""
-    return Means(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
+    return Means(*map(np.concatenate, zip(*pieces, strict=True)))
 
 
-def ready_to_move(bench: Client) -> dict[str, Any]:
-    """The servo's hello, where a hand may move against a spring: CommandError unless disabled,
-    AnalysisError where signs are not verified.
-    """
-    require_disabled(bench)
-    servo: dict[str, Any] = bench.hello().servo
-    # before, a hand that moves against a spring looks like a wrong sign
-    require_verified(servo, "a hand moves against a spring")
-    return servo
+def unknown_ampere(device: Mapping[str, Any]) -> list[Finding]:
+    """That nobody measured the force of an ampere; nothing if `device` of a hello has it."""
+    if device["motor_n_per_a"]:
+        return []
+    remedy = "`hapticd rig motor --winding` measures it where the board reports its current"
+    return [Finding("the device file does not say the force of an ampere", "not done", remedy)]
 
 
 def moved(
@@ -96,9 +94,7 @@ def moved(
     `seen`, which gets each, says False. AnalysisError if force ends meanwhile.
     """
     pieces: list[Records] = []
-    with ready(bench):
-        bench.set(K=STIFFNESS_N_PER_M, B=DAMPING_NS_PER_M, ramp_s=RAMP_S)
-        collect(bench, RAMP_S)
+    with rendering(bench, SPRING, RAMP_S):
         words = f"move the handle to and fro by some mm, some times a second, for {seconds:g} s"
         ask(Request("shake", f"from now on: {words}", seconds))
         for _ in range(round(seconds / PIECE_S)):
@@ -109,6 +105,6 @@ def moved(
     return pieces
 
 
-def raw_of(pieces: list[Records]) -> dict[str, npt.NDArray[Any]]:
+def raw_of(pieces: Sequence[Records]) -> dict[str, npt.NDArray[Any]]:
     """The raw record."""
     return {name: np.concatenate([one[name] for one in pieces]) for name in RAW}

@@ -24,12 +24,11 @@ from hapticd.core.units import US_PER_S, percent
 from hapticd.model.linearise import GAIN
 from hapticd.model.theorem import required_damping
 from hapticd.rig.excitation import CENTRE, loudest_n, noise
+from hapticd.rig.experiment import PerturbationRun, arrays_of, begin, perturbation_run
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.played import Played, play
-from hapticd.rig.result import Finding, StepResult, relative_half, settled
+from hapticd.rig.result import Finding, StepResult, relative_half
 from hapticd.rig.steps.assumptions import MATTERS, assumptions, parting, scales_agree
-from hapticd.rig.steps.force_balance import NAMES, Balance, balanced, parted
-from hapticd.rig.steps.link import require_disabled, require_verified
+from hapticd.rig.steps.force_balance import NAMES, Balance, fit_rigid_mass, fit_two_masses
 from hapticd.rig.steps.mechanics import (
     Facts,
     Motor,
@@ -53,6 +52,7 @@ DAMPINGS = (0.4, 0.2, 0.1, 0.0)  # N s/m
 SPARE = 1.5
 CERTAIN = 20.0  # deviations of a resonance that is told
 SHOWS = 0.015  # of the mass, that it grows by up to HIGH_HZ: a late channel feigns 1.3 % at most
+WORST_RESIDUAL = 0.2  # of the torque
 ALIKE = 0.03  # share by which one mass and two may differ
 
 
@@ -60,38 +60,34 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     """Perturb the handle and write its model. CommandError unless disabled; AnalysisError while
     signs are not verified, where the handle leaves its travel, or where records are lost.
     """
-    require_disabled(bench)
-    servo = bench.hello().servo
-    require_verified(servo, "the model is measured")
+    servo = begin(bench, "the model is measured")
     facts = facts_of(servo)
     ask(Request("let go", "let go of the handle in the middle of its travel; it will be shaken"))
     loud_n = loudest_n(bench, servo)
     parts = (noise(QUIET_S, QUIET_SHARE * loud_n, 1), noise(LOUD_S, loud_n, 2))
-    free = play(bench, np.concatenate(parts), CENTRE)
+    free = perturbation_run(bench, np.concatenate(parts), CENTRE)
     rendered = stiffest(_solved([free]), facts, limit_n(servo))
-    return concluded((free, play(bench, noise(RENDERED_S, loud_n, 3), rendered)), facts)
+    return analyse((free, perturbation_run(bench, noise(RENDERED_S, loud_n, 3), rendered)), facts)
 
 
 def facts_of(servo: Mapping[str, Any]) -> Facts:
     """What the hello's `servo` says of the device."""
     device = servo["device"]
-    environment = servo["environment"]
-    scales = Scales(
-        relative_half(device["force"], nan),
-        relative_half(device["probe_torque"], nan),
-        relative_half(device["position"], nan),
-    )
+    names = ("force", "probe_torque", "position")
+    scales = Scales(*(relative_half(device[name], nan) for name in names))
     motor = Motor(
         float(device["motor_n_per_a"]),
         float(device["winding_ohm"]),
         float(device["winding_reference_c"]),
         float(device["motor_lever_m"]),
     )
-    filters = (
-        FilterParams(**environment["velocity_filter"]),
-        FilterParams(**environment["acceleration_filter"]),
-    )
-    return Facts(US_PER_S / float(servo["realtime"]["rate_hz"]), scales, filters, motor)
+    return Facts(US_PER_S / float(servo["realtime"]["rate_hz"]), scales, filters_of(servo), motor)
+
+
+def filters_of(servo: Mapping[str, Any]) -> tuple[FilterParams, FilterParams]:
+    """Those of velocity and acceleration in the law of the hello's `servo`."""
+    law = servo["environment"]
+    return FilterParams(**law["velocity_filter"]), FilterParams(**law["acceleration_filter"])
 
 
 def stiffest(found: Balance, facts: Facts, most_n: float) -> Environment:
@@ -111,14 +107,10 @@ def stiffest(found: Balance, facts: Facts, most_n: float) -> Environment:
     return CENTRE
 
 
-def concluded(runs: Sequence[Played], facts: Facts) -> StepResult:
+def analyse(runs: Sequence[PerturbationRun], facts: Facts) -> StepResult:
     """What the `runs` say, the last of which has the stiffest spring."""
     found = _solved(runs)
-    arrays = {
-        name: values
-        for number, run in enumerate(runs)
-        for name, values in run.arrays(number).items()
-    }
+    arrays = arrays_of(runs)
     findings = [_moved(found)]
     if findings[0].verdict == "refused":
         return StepResult("identify", (), findings, (), arrays)
@@ -127,19 +119,19 @@ def concluded(runs: Sequence[Played], facts: Facts) -> StepResult:
     findings += [*scales_agree(found, facts), parting(path, found), *assumptions(found, facts)]
     resonance = resonance_of(found, mechanics.mass)
     values = (*mechanics, *resonance, path.lag, path.delay, path.smoothing, *channels(found))
-    changes = changes_of(found, mechanics, path, facts) if settled(findings) else ()
+    changes = changes_of(found, mechanics, path, facts)
     return StepResult("identify", values, findings, changes, arrays)
 
 
-def _solved(runs: Sequence[Played]) -> Balance:
+def _solved(runs: Sequence[PerturbationRun]) -> Balance:
     """The balance of one rigid mass, or of two where that is contradicted, and two are told that
     together are as heavy.
     """
-    rigid = balanced(runs)
+    rigid = fit_rigid_mass(runs)
     test = next(one for one in rigid.tests if one.name == "rigid")
     if not test.significant or test.size < SHOWS * rigid.handle.mass_kg:
         return rigid
-    two = parted(runs, rigid)
+    two = fit_two_masses(runs, rigid)
     sd = float(two.sd[NAMES.index("slider_rad_s")])
     told = two.settled and two.handle.slider_rad_s > CERTAIN * sd
     share = two.handle.slider_kg / two.handle.mass_kg
@@ -148,19 +140,16 @@ def _solved(runs: Sequence[Played]) -> Balance:
 
 
 def _moved(found: Balance) -> Finding:
-    share = 100.0 * found.residual
+    handle = found.handle
     what = f"forces balance to {percent(found.residual)} of the torque, over {found.blocks} s"
     remedy = "is the handle free, and are both probe channels and their signs right? `rig probe`"
-    if found.handle.coulomb_n < 0.0 or not found.handle.mass_kg > 0.0 or share > 20.0:
+    if handle.coulomb_n < 0.0 or not handle.mass_kg > 0.0 or found.residual > WORST_RESIDUAL:
         return Finding(what, "refused", remedy)
     if not found.settled:
-        lag = f"its lag of {found.handle.lag_us:.4g} us still moves"
-        return Finding(
-            f"the balance has not settled: {lag}", "refused", f"repeat the step; {remedy}"
-        )
-    mass_g = 1e3 * found.handle.whole_kg
-    most_g = 1e3 * found.most_kg
-    if mass_g > most_g:
+        what = f"the balance has not settled: its lag of {handle.lag_us:.4g} us still moves"
+        return Finding(what, "refused", f"repeat the step; {remedy}")
+    if handle.whole_kg > found.most_kg:
+        mass_g, most_g = 1e3 * handle.whole_kg, 1e3 * found.most_kg
         what = f"moving mass {mass_g:.3g} g: all forces together move {most_g:.3g} g at most"
         return Finding(what, "refused", remedy)
     return Finding(what, "ok")

@@ -20,7 +20,6 @@ What would break it: somebody who uses the device meanwhile (it is asked to be d
 """
 
 from collections.abc import Iterator, Mapping
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -28,13 +27,12 @@ import numpy as np
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
-from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.core.units import NS_PER_US, US_PER_S
 from hapticd.protocol.answers import Status
-from hapticd.rig.records import collect
-from hapticd.rig.result import UPPER_END, Finding, StepResult, Value, Verdict
+from hapticd.rig.estimate import NORMAL, in_blocks, jackknife
+from hapticd.rig.experiment import begin, collect
+from hapticd.rig.result import Finding, StepResult, Value, Verdict, checked
 from hapticd.rig.steps import watchdog
-from hapticd.signal.verdict import student_quantile
 from hapticd.usb.frames import Capability
 
 __all__ = ["measure"]
@@ -71,96 +69,53 @@ REMEDIES = {
     "write_errors": "OUT frames are not taken: look at the bus and the firmware's OUT endpoint",
     "lost_slots": "the host misses ticks: `hapticd doctor`",
 }
+RECORDED = ("tick", "time_ns", "board_us", "delay_us", "frame_age_us", "arrival", "flags")
 
 
 def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
     """Listen for `seconds`, then try the watchdog; no force is made. CommandError unless
     disabled.
     """
-    require_disabled(bench)
-    servo = bench.hello().servo
-    before = bench.status()
-    stretch = collect(bench, seconds)
+    servo = begin(bench)
+    before = bench.status().counters
+    span = collect(bench, seconds)
     after = bench.status()
-    period_us = US_PER_S / float(servo["realtime"]["rate_hz"])
-    report = after.servo
-    watched = watchdog.measure(bench, report.get("board", {}))
-    values = (*_values(stretch.records, after), *watched.values)
-    counted = _counted(before, after)
+    watched = watchdog.measure(bench, after.servo.get("board", {}))
+    values = (*_values(span.records, after), *watched.values)
+    counted = {name: count - before.get(name, 0) for name, count in after.counters.items()}
     findings = [
-        *_timing(values, period_us),
-        *_frames(counted, len(stretch.records)),
-        *_features(report),
+        *_timing(values, US_PER_S / float(servo["realtime"]["rate_hz"])),
+        *_frames(counted, len(span.records)),
+        *_features(after.servo),
         *watched.findings,
     ]
-    if stretch.lost:
-        findings.append(
-            Finding(f"{stretch.lost} ticks lost by telemetry", "warning", "repeat on a calm host")
-        )
-    arrays = {
-        name: np.asarray(stretch.records[name])
-        for name in ("tick", "time_ns", "board_us", "delay_us", "frame_age_us", "arrival", "flags")
-    }
-    silences = np.array([(one.seconds, one.tripped) for one in watched.silences])
-    return StepResult("link", values, findings, arrays=arrays | {"silences": silences})
-
-
-def require_disabled(bench: Client) -> None:
-    """CommandError unless the servo is disabled."""
-    state = bench.status().state
-    if state != "disabled":
-        raise CommandError(
-            "refused", f"the servo is {state}, a step begins from disabled; `hapticd disable`"
-        )
-
-
-def require_force(status: Status) -> None:
-    """AnalysisError with the cause if the servo of `status` is not enabled any more."""
-    if status.state != "enabled":
-        raise force_ended(status)
-
-
-def force_ended(status: Status) -> AnalysisError:
-    """The error for a step whose force has ended, with the cause that `status` names."""
-    cause = f": {status.cause}" if status.cause else ""
-    remedy = f"; {status.remedy}" if status.remedy else ""
-    return AnalysisError(
-        f"force ended meanwhile (the servo is {status.state}{cause}){remedy}; then repeat the step"
-    )
-
-
-def require_verified(servo: Mapping[str, Any], what: str) -> None:
-    """AnalysisError that says `what` while the signs of the device of the hello's `servo` are not
-    verified.
-    """
-    if servo["device"]["commissioning"]:
-        raise AnalysisError(
-            f"{what} once the signs are verified: `hapticd rig motor` without masses, then start"
-            " the daemon again"
-        )
+    if span.lost:
+        what = f"{span.lost} ticks lost by telemetry"
+        findings.append(Finding(what, "warning", "repeat on a calm host"))
+    arrays = {name: np.asarray(span.records[name]) for name in RECORDED}
+    arrays["silences"] = watched.arrays.get("silences", np.array([]))
+    return StepResult("link", values, findings, arrays=arrays)
 
 
 def _values(records: Records, status: Status) -> Iterator[Value]:
-    delays = records["delay_us"][records["delay_us"] >= 0].astype(np.float64)
-    ages = records["frame_age_us"][records["frame_age_us"] >= 0].astype(np.float64)
-    for name, found in (("delay", delays), ("frame age", ages)):
+    known = {name: records[name][records[name] >= 0] for name in ("delay_us", "frame_age_us")}
+    for column, found in known.items():
         if len(found) >= LEAST_TICKS:
-            yield median_of(name, found, "us")
-    if len(delays) >= LEAST_TICKS:
-        spread_us = float(np.ptp(np.quantile(delays, (0.005, 0.995))))
-        yield Value("delay spread", spread_us, "us", spread_us, spread_us)
+            name = column.removesuffix("_us").replace("_", " ")
+            yield median_of(name, found.astype(np.float64), "us")
+    if len(known["delay_us"]) >= LEAST_TICKS:
+        spread_us = float(np.ptp(np.quantile(known["delay_us"], (0.005, 0.995))))
+        yield Value.around("delay spread", spread_us, "us", 0.0)
     if len(records) >= BLOCKS * LEAST_TICKS:
         yield drift_of(records["time_ns"], records["board_us"])
-    transport = status.servo.get("transport")
-    if transport:
-        pair_us = float(transport["pair_us"])
-        yield Value("round trip", pair_us, "us", pair_us, pair_us)
+    if transport := status.servo.get("transport"):
+        yield Value.around("round trip", float(transport["pair_us"]), "us", 0.0)
 
 
 def median_of(name: str, found: Floats, unit: str) -> Value:
     """The median of whole numbers `found` (n,), between order statistics (95 %)."""
     ordered = np.sort(found)
-    half = 0.98 * sqrt(len(ordered))  # 1.96 times the deviation of a binomial with p = 1/2
+    half = 0.5 * NORMAL * np.sqrt(len(ordered))  # deviation of a binomial with p = 1/2
     low = max(0, int(np.floor(0.5 * len(ordered) - half)))
     high = min(len(ordered) - 1, int(np.ceil(0.5 * len(ordered) + half)))
     ends = (float(ordered[low]) - ROUNDED, float(ordered[high]) + ROUNDED)
@@ -171,24 +126,9 @@ def drift_of(time_ns: Any, board_us: Any) -> Value:
     """Drift [ppm] of the board's clock: `board_us` (n,) over `time_ns` (n,)."""
     host_us = (np.asarray(time_ns, np.int64) - int(time_ns[0])) / NS_PER_US
     ahead_us = np.asarray(board_us, np.int64) - int(board_us[0]) - host_us
-    blocks = np.array_split(np.arange(len(host_us)), BLOCKS)
-    left = [slope_of(np.delete(host_us, one), np.delete(ahead_us, one)) for one in blocks]
-    whole = slope_of(host_us, ahead_us)
-    deviation = sqrt(BLOCKS - 1) * float(np.std(left))
-    half = student_quantile(UPPER_END, BLOCKS - 1) * deviation
-    ppm = 1e6
-    return Value("clock drift", whole * ppm, "ppm", (whole - half) * ppm, (whole + half) * ppm)
-
-
-def slope_of(x: Floats, y: Floats) -> float:
-    """Slope of the line of least squares through (n,) points."""
-    away = x - x.mean()
-    return float(away @ y / (away @ away))
-
-
-def _counted(before: Status, after: Status) -> dict[str, int]:
-    old = before.counters
-    return {name: count - old.get(name, 0) for name, count in after.counters.items()}
+    columns = np.column_stack([host_us, np.ones_like(host_us)])
+    fit = jackknife(in_blocks(columns, BLOCKS), in_blocks(ahead_us, BLOCKS))
+    return Value.around("clock drift", 1e6 * fit.values[0], "ppm", 1e6 * fit.halves[0])
 
 
 def _timing(values: tuple[Value, ...], period_us: float) -> Iterator[Finding]:
@@ -197,26 +137,15 @@ def _timing(values: tuple[Value, ...], period_us: float) -> Iterator[Finding]:
         yield Finding("no frame came", "refused", "look at `hapticd status`: is a board there?")
         return
     delay = known["delay"].value / period_us
-    late = delay > MOST_DELAY
-    yield Finding(
-        f"sample to force {delay:.3g} periods",
-        "warning" if late else "ok",
-        "a bus of its own, or a lower realtime.rate_hz" if late else "",
-    )
+    remedy = "a bus of its own, or a lower realtime.rate_hz"
+    yield checked(f"sample to force {delay:.3g} periods", delay <= MOST_DELAY, remedy)
     spread = known["delay spread"].value / period_us
-    wide = spread > MOST_SPREAD
-    yield Finding(
-        f"it varies by {spread:.3g} periods",
-        "warning" if wide else "ok",
-        "the board latches IN by the host's OUT: quiet the host (`hapticd doctor`)" if wide else "",
-    )
+    remedy = "the board latches IN by the host's OUT: quiet the host (`hapticd doctor`)"
+    yield checked(f"it varies by {spread:.3g} periods", spread <= MOST_SPREAD, remedy)
     if drift := known.get("clock drift"):
-        fast = min(abs(drift.low), abs(drift.high)) > MOST_DRIFT_PPM
-        yield Finding(
-            f"board's clock {drift.value:.3g} ppm off the host's",
-            "warning" if fast else "ok",
-            "more than a crystal: is it the RC oscillator, or a wrong prescaler?" if fast else "",
-        )
+        what = f"board's clock {drift.value:.3g} ppm off the host's"
+        remedy = "more than a crystal: is it the RC oscillator, or a wrong prescaler?"
+        yield checked(what, min(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_PPM, remedy)
 
 
 def _frames(counted: Mapping[str, int], ticks: int) -> Iterator[Finding]:

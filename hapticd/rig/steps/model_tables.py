@@ -10,18 +10,20 @@ What would break it: an effect of the plant that becomes part of every model wit
 from math import pi
 
 from hapticd.core.units import US_PER_S
-from hapticd.rig.result import Change, Value, rounded
+from hapticd.rig.result import Change, Value
 from hapticd.rig.steps.force_balance import Balance
-from hapticd.rig.steps.mechanics import Facts, Mechanics, Motor, Path
+from hapticd.rig.steps.mechanics import CommandPath, Facts, Mechanics, Motor
 
 
-def changes_of(found: Balance, mechanics: Mechanics, path: Path, facts: Facts) -> list[Change]:
+def changes_of(
+    found: Balance, mechanics: Mechanics, path: CommandPath, facts: Facts
+) -> list[Change]:
     """What is written, table by table."""
     tables: dict[str, dict[str, float | str]] = {
         **_masses(found, mechanics.mass),
         "motor": motor_table(facts.motor),
-        "viscous": {"rotor_ns_per_m": max(0.0, _rounded(mechanics.viscous))},
-        "coulomb": {"rotor_n": max(0.0, _rounded(mechanics.coulomb))},
+        "viscous": {"rotor_ns_per_m": max(0.0, mechanics.viscous.rounded)},
+        "coulomb": {"rotor_n": max(0.0, mechanics.coulomb.rounded)},
         "delay": {"periods": round(path.delay.value / facts.period_us, 5)},
     }
     if path.parted:
@@ -39,7 +41,7 @@ def _masses(found: Balance, mass: Value) -> dict[str, dict[str, float | str]]:
     """Tables of what moves, with the transmission where it yields."""
     handle = found.handle
     if not handle.slider_kg:
-        return {"masses": {"rotor_kg": _rounded(mass), "slider_kg": 0.0}}
+        return {"masses": {"rotor_kg": mass.rounded, "slider_kg": 0.0}}
     slider = mass.value * handle.slider_kg / (handle.mass_kg + handle.slider_kg)
     rate = handle.slider_rad_s
     damping = 2.0 * handle.slider_ratio * rate * slider
@@ -54,10 +56,6 @@ def _masses(found: Balance, mass: Value) -> dict[str, dict[str, float | str]]:
 
 def _digits(value: float) -> float:
     return float(f"{value:.5g}")
-
-
-def _rounded(value: Value) -> float:
-    return rounded(value.value, value.low, value.high)
 
 
 def motor_table(motor: Motor) -> dict[str, float | str]:

@@ -28,12 +28,21 @@ import numpy as np
 
 from hapticd.client.blocks import Records
 from hapticd.client.client import Client
+from hapticd.rig.estimate import least_squares
+from hapticd.rig.experiment import begin, undamped
 from hapticd.rig.hand import Ask
 from hapticd.rig.result import Finding, StepResult, Value
-from hapticd.rig.steps.coast_down import Fitted, least_squares
-from hapticd.rig.steps.damping import undamped
 from hapticd.rig.steps.damping_line import REFUSE, WARN
-from hapticd.rig.steps.hand_motion import Means, joined, means_of, moved, raw_of, ready_to_move
+from hapticd.rig.steps.hand_motion import (
+    LEAST_N,
+    WAITS,
+    Means,
+    joined,
+    means_of,
+    moved,
+    raw_of,
+    unknown_ampere,
+)
 from hapticd.signal.delivered import LAG_S
 from hapticd.usb.frames import Capability
 
@@ -42,7 +51,6 @@ __all__ = ["measure"]
 SECONDS = 20.0
 SEEN = 4  # pieces that an estimate rests on
 ALLOWED = 1e-3  # m/s per N, of what else lags
-LEAST_N = 0.02  # of the motor, rms: less says nothing
 LEAST_M_PER_S = 0.005  # of the handle, rms
 
 NO_DAC = "the board has no resistance DAC: what is compensated is set on the board itself"
@@ -89,10 +97,10 @@ def measure(
     the loop gain at the limit is surely below -0.3. CommandError unless disabled; AnalysisError
     where signs are not verified, or force ends meanwhile.
     """
-    servo = ready_to_move(bench)
+    servo = begin(bench, WAITS)
     device = servo["device"]
-    if missing := _missing(bench, device):
-        return StepResult("trim", (), [missing])
+    if missing := _no_dac(bench) or unknown_ampere(device):
+        return StepResult("trim", (), missing)
     rate_hz = float(servo["realtime"]["rate_hz"])
     means: list[Means] = []
     found: list[Residual] = []
@@ -101,34 +109,38 @@ def measure(
         means.append(means_of(new, float(device["motor_n_per_a"]), rate_hz))
         latest = residual(means[-SEEN:], device, new)
         told("the handle hardly moves" if latest is None else str(latest))
-        found.extend([] if latest is None else [latest])
-        return latest is None or latest.loop + latest.half * latest.top_ns_per_m >= REFUSE
+        if latest is None:
+            return True
+        found.append(latest)
+        return latest.loop + latest.half * latest.top_ns_per_m >= REFUSE
 
     with undamped(bench):
         pieces = moved(bench, ask, seconds, seen)
-    return StepResult("trim", *_concluded(found), arrays=raw_of(pieces))
+    return StepResult("trim", *_last(found), arrays=raw_of(pieces))
 
 
-def _missing(bench: Client, device: dict[str, Any]) -> Finding | None:
-    """Why the board cannot be looked at so."""
-    report = bench.status().servo
-    capabilities = int(report.get("board", {}).get("capabilities", 0))
-    if not capabilities & Capability.RESISTANCE:
-        remedy = "`hapticd rig damping` measures the residual resistance without it"
-        return Finding(NO_DAC, "not done", remedy)
-    if not device["motor_n_per_a"]:
-        remedy = "`hapticd rig motor --winding` measures it where the board reports its current"
-        return Finding("the device file does not say the force of an ampere", "not done", remedy)
-    return None
+def _no_dac(bench: Client) -> list[Finding]:
+    """That the board cannot be looked at so; nothing if it can."""
+    capabilities = int(bench.status().servo.get("board", {}).get("capabilities", 0))
+    if capabilities & Capability.RESISTANCE:
+        return []
+    remedy = "`hapticd rig damping` measures the residual resistance without it"
+    return [Finding(NO_DAC, "not done", remedy)]
 
 
 def residual(pieces: Sequence[Means], device: dict[str, Any], new: Records) -> Residual | None:
     """What the last `pieces` say; None where force or velocity is next to nothing."""
-    means = joined(list(pieces))
+    means = joined(pieces)
     if means.motor_n.std() < LEAST_N or means.velocity_m_per_s.std() < LEAST_M_PER_S:
         return None
-    fit = _fitted(means, float(device["emf_velocity"]["per_count"]))
-    per_force, share = (float(one) for one in fit.values[:2])
+    # coefficients of force, velocity, 1 and acceleration; what is known of the last is a row
+    ones = np.ones_like(means.motor_n)
+    columns = [means.motor_n, means.velocity_m_per_s, ones, means.faster_m_per_s2]
+    rows = np.vstack([np.column_stack(columns), [0.0, 0.0, 0.0, 1.0]])
+    target = np.append(means.seen_m_per_s, -LAG_S)
+    weight = np.append(ones / float(device["emf_velocity"]["per_count"]), 1.0 / LAG_S)
+    fit = least_squares(rows, target, weight, least=1.0)
+    per_force, share = fit.values[:2].tolist()
     if not abs(share) > 0.1:
         return None
     return Residual(
@@ -141,27 +153,16 @@ def residual(pieces: Sequence[Means], device: dict[str, Any], new: Records) -> R
     )
 
 
-def _fitted(means: Means, counted_m_per_s: float) -> Fitted:
-    """Coefficients of force, velocity, 1 and acceleration; what is known of the last is a row."""
-    ones = np.ones_like(means.motor_n)
-    columns = [means.motor_n, means.velocity_m_per_s, ones, means.faster_m_per_s2]
-    rows = np.vstack([np.column_stack(columns), [0.0, 0.0, 0.0, 1.0]])
-    target = np.append(means.seen_m_per_s, -LAG_S)
-    return least_squares(rows, target, np.append(ones / counted_m_per_s, 1.0 / LAG_S))
-
-
-def _concluded(found: Sequence[Residual]) -> tuple[list[Value], list[Finding]]:
+def _last(found: Sequence[Residual]) -> tuple[list[Value], list[Finding]]:
     """The last estimate, and what to think of it."""
     if not found:
         remedy = "move the handle to and fro, and repeat"
         return [], [Finding("residual back-EMF: the handle hardly moved", "not done", remedy)]
     last = found[-1]
     ohm = last.n_per_a**2
-    low = last.rho - last.half
-    high = last.rho + last.half
     values = [
-        Value("residual back-EMF", last.rho, "m/s per N", low, high),
-        Value("residual resistance", ohm * last.rho, "ohm", ohm * low, ohm * high),
+        Value.around("residual back-EMF", last.rho, "m/s per N", last.half),
+        Value.around("residual resistance", ohm * last.rho, "ohm", ohm * last.half),
     ]
     return values, [_margin(last)]
 

@@ -26,8 +26,8 @@ from hapticd.client.client import Client
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import MS_PER_S, US_PER_S
 from hapticd.mailbox.layout import LONGEST_SILENCE_S, Flag
-from hapticd.rig.records import collect, servo_rate_hz
-from hapticd.rig.result import Finding, Value
+from hapticd.rig.experiment import collect, servo_rate_hz
+from hapticd.rig.result import Finding, StepResult, Value, checked
 from hapticd.usb.frames import StatusBit
 
 COUNTS = 16  # of active damping: some thousandths of a N s/m
@@ -53,15 +53,7 @@ class Silence(NamedTuple):
     left: bool  # it took the next frames as ever
 
 
-class Watchdog(NamedTuple):
-    """What was found of it; `silences` are all that were tried."""
-
-    values: list[Value]
-    findings: list[Finding]
-    silences: list[Silence]
-
-
-def measure(bench: Client, board: Mapping[str, Any]) -> Watchdog:
+def measure(bench: Client, board: Mapping[str, Any]) -> StepResult:
     """Try the watchdog of a disabled servo's board, whose hello `board` states `watchdog_ms`."""
     stated_s = float(board.get("watchdog_ms", 0)) / MS_PER_S
     first_s = BEYOND * stated_s + MARGIN_S
@@ -69,12 +61,12 @@ def measure(bench: Client, board: Mapping[str, Any]) -> Watchdog:
         what = f"watchdog of the board: stated is {MS_PER_S * stated_s:g} ms"
         most_ms = MS_PER_S * (LONGEST_SILENCE_S - MARGIN_S) / BEYOND
         remedy = f"not tried; up to {most_ms:.0f} ms can be, and 20 ms is usual"
-        return Watchdog([], [Finding(what, "warning", remedy)], [])
+        return StepResult("watchdog", (), [Finding(what, "warning", remedy)])
     with some_damping(bench):
         silences = [silence(bench, first_s)]
         if silences[0].tripped and not silences[0].authority:
             silences += list(narrowed(bench, silences[0].seconds))
-    return concluded(silences, stated_s, 1.0 / servo_rate_hz(bench))
+    return analyse(silences, stated_s, 1.0 / servo_rate_hz(bench))
 
 
 def narrowed(bench: Client, tripped_s: float) -> Iterator[Silence]:
@@ -136,20 +128,19 @@ def silence(bench: Client, seconds: float) -> Silence:
     )
 
 
-def concluded(silences: list[Silence], stated_s: float, period_s: float) -> Watchdog:
+def analyse(silences: list[Silence], stated_s: float, period_s: float) -> StepResult:
     """What `silences`, the longest first, say of a watchdog of `stated_s`."""
+    arrays = {"silences": np.array([(one.seconds, one.tripped) for one in silences])}
     first = silences[0]
     if not first.tripped:
         what = f"{_NAME}: {MS_PER_S * first.seconds:.4g} ms without frames, and it did not trip"
-        return Watchdog([], [Finding(what, "refused", REMEDY)], silences)
+        return StepResult("watchdog", (), [Finding(what, "refused", REMEDY)], arrays=arrays)
     high_s = min(one.seconds for one in silences if one.tripped)
     low_s = max((one.seconds for one in silences if not one.tripped), default=period_s)
-    low_s = min(low_s, high_s)
-    value = Value(
-        "watchdog", MS_PER_S * (low_s + high_s) / 2, "ms", MS_PER_S * low_s, MS_PER_S * high_s
-    )
+    low_ms, high_ms = MS_PER_S * min(low_s, high_s), MS_PER_S * high_s
+    value = Value("watchdog", (low_ms + high_ms) / 2, "ms", low_ms, high_ms)
     findings = [_time(value, MS_PER_S * stated_s, MS_PER_S * period_s), *_trip(silences)]
-    return Watchdog([value], findings, silences)
+    return StepResult("watchdog", [value], findings, arrays=arrays)
 
 
 _NAME = "watchdog of the board"
@@ -160,10 +151,8 @@ def _time(value: Value, stated_ms: float, period_ms: float) -> Finding:
     what = f"{_NAME}: trips after {value.low:.4g} to {value.high:.4g} ms without frames, {_SAID}"
     if not value.low - period_ms <= stated_ms <= value.high + period_ms:
         return Finding(what, "warning", f"its hello says {stated_ms:g} ms; correct the firmware")
-    if stated_ms > SLOW_MS:
-        remedy = "so long the last force acts after a host has died: 20 ms is usual"
-        return Finding(what, "warning", remedy)
-    return Finding(what, "ok")
+    remedy = "so long the last force acts after a host has died: 20 ms is usual"
+    return checked(what, stated_ms <= SLOW_MS, remedy)
 
 
 def _trip(silences: list[Silence]) -> Iterator[Finding]:
@@ -175,10 +164,10 @@ def _trip(silences: list[Silence]) -> Iterator[Finding]:
         remedy = "an OUT without ENABLE has to clear WATCHDOG; correct the firmware"
         yield Finding("it stays tripped", "refused", remedy)
     step = max(one.asked_ns_per_m for one in tripped) / COUNTS
-    lost = [one for one in tripped if abs(one.held_ns_per_m - one.asked_ns_per_m) > step]
-    if lost:
-        what = f"tripped, it damps {lost[0].held_ns_per_m:.4g} N s/m"
-        remedy = f"{lost[0].asked_ns_per_m:.4g} N s/m was commanded and has to be held for 2 s"
-        yield Finding(what, "refused", remedy)
-    else:
-        yield Finding("tripped, it holds the damping", "ok")
+    for one in tripped:
+        if abs(one.held_ns_per_m - one.asked_ns_per_m) > step:
+            what = f"tripped, it damps {one.held_ns_per_m:.4g} N s/m"
+            remedy = f"{one.asked_ns_per_m:.4g} N s/m was commanded and has to be held for 2 s"
+            yield Finding(what, "refused", remedy)
+            return
+    yield Finding("tripped, it holds the damping", "ok")

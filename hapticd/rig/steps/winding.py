@@ -16,9 +16,9 @@ winding that warms up by more than the interval allows (the resistance is that a
 temperature of the rests, which is written beside it).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from math import hypot, isfinite, nan
+from math import hypot, isfinite
 from typing import Any
 
 import numpy as np
@@ -28,13 +28,21 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import COPPER_PER_K
+from hapticd.rig.estimate import line
+from hapticd.rig.experiment import begin, collect, pull, ready, require_force, servo_rate_hz
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.push import ready, wall_of
-from hapticd.rig.records import collect, servo_rate_hz
-from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, relative_half, settled
+from hapticd.rig.result import (
+    Change,
+    Finding,
+    StepResult,
+    Value,
+    change_of,
+    checked,
+    relative_half,
+    settled,
+)
 from hapticd.rig.steps import back_emf
-from hapticd.rig.steps.link import require_disabled, require_force, require_verified
-from hapticd.rig.steps.motor import allowed_n, fitted
+from hapticd.rig.steps.motor import allowed_n
 
 __all__ = ["measure"]
 
@@ -49,6 +57,7 @@ LEAST_M_PER_S = 5e-3  # rms of a motion that says something
 UNKNOWN = 0.01  # half of the interval of a scale whose source does not state it
 DEAD_COUNTS = 20.0  # span of a channel that says nothing
 AGREE = 0.05
+RESTING = ("force_n", "current_a", "voltage_v", "winding_c")
 ROOM_C = 20.0  # of a winding whose temperature nobody measures
 
 
@@ -56,9 +65,7 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
     """Ask for a held and for a moved handle. CommandError unless disabled; AnalysisError where
     signs are not verified or the handle slips.
     """
-    require_disabled(bench)
-    servo = bench.hello().servo
-    require_verified(servo, "the winding is measured")
+    servo = begin(bench, "the winding is measured")
     ask(Request("hold", "hold the handle firmly where it is; it will be pushed gently", 0.0))
     most_n = allowed_n(servo)
     with ready(bench):
@@ -67,31 +74,27 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
         rests = np.array([_rest(bench, force, start_m) for force in forces])
         status = bench.status()
     require_force(status)
-    ask(
-        Request(
-            "shake", f"move the handle to and fro by some mm for {SHAKE_S:g} s from now", SHAKE_S
-        )
-    )
+    text = f"move the handle to and fro by some mm for {SHAKE_S:g} s from now"
+    ask(Request("shake", text, SHAKE_S))
     shaken = collect(bench, SHAKE_S).records
     ask(Request("let go", "let go of the handle"))
     moved = windows(shaken, servo_rate_hz(bench))
-    found = concluded(rests, moved, servo["device"], lever_m)
-    return _of_circuit(shaken, servo["device"], found)
+    found = analyse(rests, moved, servo["device"], lever_m)
+    return _with_circuit(found, back_emf.analyse(shaken, servo["device"]))
 
 
 def _rest(bench: Client, force_n: float, start_m: float) -> list[float]:
     """Means of commanded force [N], current [A], voltage [V] and the winding's temperature [degC],
     nan where the board does not measure it.
     """
-    bench.set(wall=wall_of(force_n, start_m), ramp_s=RAMP_S)
-    collect(bench, RAMP_S + SETTLE_S)
+    pull(bench, force_n, start_m, RAMP_S, SETTLE_S)
     found = collect(bench, READ_S).records
-    if float(np.ptp(found["position_m"])) > SLIPPED_M:
+    slipped_m = float(np.ptp(found["position_m"]))
+    if slipped_m > SLIPPED_M:
         raise AnalysisError(
-            f"the held handle moved by {1e3 * np.ptp(found['position_m']):.2g} mm; hold it more"
-            " firmly, and repeat"
+            f"the held handle moved by {1e3 * slipped_m:.2g} mm; hold it more firmly, and repeat"
         )
-    return [float(found[name].astype(np.float64).mean()) for name in _RESTING]
+    return [float(found[name].astype(np.float64).mean()) for name in RESTING]
 
 
 def windows(records: Records, rate_hz: float) -> Floats:
@@ -105,9 +108,6 @@ def windows(records: Records, rate_hz: float) -> Floats:
     return np.column_stack([speed[:length], voltage[:length]])
 
 
-_RESTING = ("force_n", "current_a", "voltage_v", "winding_c")
-
-
 def _means(values: Floats, size: int) -> Floats:
     """Means by the trapezium rule from each edge of a window to the next one."""
     middles = (values[1:] + values[:-1]) / 2.0
@@ -116,7 +116,7 @@ def _means(values: Floats, size: int) -> Floats:
     return found
 
 
-def concluded(
+def analyse(
     rests: Floats,
     moved: Floats,
     device: Mapping[str, Any],
@@ -129,46 +129,34 @@ def concluded(
     findings = list(_alive(rests, moved, device))
     if not settled(findings):
         return StepResult("motor", (), findings, (), arrays)
-    newton = relative_half(device["force"], nan)
-    metre = relative_half(device["position"], nan)
+    newton = relative_half(device["force"], UNKNOWN)
+    metre = relative_half(device["position"], UNKNOWN)
     force_n, current_a, voltage_v, winding_c = rests.T
     speed_m_per_s, induced_v = moved.T
+    celsius = float(winding_c.mean())
+    warmed = COPPER_PER_K * float(np.ptp(winding_c)) / 2.0 if isfinite(celsius) else UNKNOWN
     per_ampere = _slope("motor.force_n_per_a", "N/A", current_a, force_n, newton)
-    warmed = COPPER_PER_K * float(np.ptp(winding_c)) / 2.0
     ohm = _slope("motor.winding_ohm", "ohm", current_a, voltage_v, warmed)
     induced = _slope("back-EMF", "V s/m", speed_m_per_s, induced_v, metre)
-    values = [per_ampere, ohm, induced, *_torque(per_ampere, lever_m)]
-    findings += [*_signs(per_ampere, ohm, induced), _agreement(per_ampere, induced)]
-    changes: list[Change] = []
-    if settled(findings):
-        changes = [change_of(one) for one in (per_ampere, ohm)]
-        celsius = float(winding_c.mean())
-        reference_c = round(celsius, 1) if isfinite(celsius) else ROOM_C
-        changes.append(Change("motor", "reference_c", reference_c))
-        if lever_m is not None:
-            changes.append(Change("motor", "lever_m", lever_m))
+    findings += [_signs(per_ampere, ohm, induced), _agreement(per_ampere, induced)]
+    values = [per_ampere, ohm, induced]
+    reference_c = round(celsius, 1) if isfinite(celsius) else ROOM_C
+    changes = [*map(change_of, values[:2]), Change("motor", "reference_c", reference_c)]
+    if lever_m is not None:
+        torque, half = lever_m * per_ampere.value, lever_m * per_ampere.half
+        values.append(Value.around("torque constant", torque, "N m/A", half))
+        changes.append(Change("motor", "lever_m", lever_m))
     return StepResult("motor", values, findings, changes, arrays)
 
 
 def _slope(name: str, unit: str, x: Floats, y: Floats, relative: float) -> Value:
-    """Slope of the line y(x), with an interval that `relative` widens; nan: it is not known."""
-    line = fitted(x, y)
-    share = relative if isfinite(relative) else UNKNOWN
-    half = hypot(line.slope_half, share * line.slope)
-    return Value(name, line.slope, unit, line.slope - half, line.slope + half)
+    """Slope of the line y(x), with an interval that `relative` widens."""
+    found = line(x, y)
+    return Value.around(name, found.slope, unit, hypot(found.slope_half, relative * found.slope))
 
 
-def _torque(per_ampere: Value, lever_m: float | None) -> list[Value]:
-    if lever_m is None:
-        return []
-    found = (per_ampere.value, per_ampere.low, per_ampere.high)
-    value, low, high = (lever_m * one for one in found)
-    return [Value("torque constant", value, "N m/A", low, high)]
-
-
-def _of_circuit(shaken: Records, device: Mapping[str, Any], found: StepResult) -> StepResult:
+def _with_circuit(found: StepResult, circuit: StepResult) -> StepResult:
     """`found` with scale and sign of the circuit's velocity, where that moves with the handle."""
-    circuit = back_emf.concluded(shaken, device)
     if not (found.settled and circuit.settled):
         left = [replace(one, verdict="warning") for one in circuit.findings if one.remedy]
         return replace(found, findings=[*found.findings, *left])
@@ -180,36 +168,31 @@ def _of_circuit(shaken: Records, device: Mapping[str, Any], found: StepResult) -
     )
 
 
-def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> list[Finding]:
-    """Whether the channels say anything, and the handle was moved."""
-    found = []
-    _, current_a, voltage_v, _ = rests.T
-    for values, name in ((current_a, "current"), (voltage_v, "voltage")):
+def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> Iterator[Finding]:
+    """What of the channels says nothing, and a handle that was not moved."""
+    for name, values in zip(("current", "voltage"), rests.T[1:], strict=False):
         span = float(np.ptp(values)) / float(device[name]["per_count"])
         if span < DEAD_COUNTS:
             what = f"under force the {name} changes by {span:.2g} counts"
             remedy = f"the board does not report the motor's {name}, or its sensor is dead"
-            found.append(Finding(what, "refused", remedy))
+            yield Finding(what, "refused", remedy)
     speed = float(moved[:, 0].std())
     if speed < LEAST_M_PER_S:
         what = f"the handle was moved with {1e3 * speed:.2g} mm/s rms"
-        found.append(Finding(what, "refused", "move it faster, by some mm to and fro"))
-    return found
+        yield Finding(what, "refused", "move it faster, by some mm to and fro")
 
 
-def _signs(per_ampere: Value, ohm: Value, induced: Value) -> list[Finding]:
+def _signs(per_ampere: Value, ohm: Value, induced: Value) -> Finding:
     names = {"current": per_ampere, "voltage over current": ohm, "voltage over speed": induced}
     wrong = [name for name, value in names.items() if value.value <= 0.0]
     if not wrong:
-        return [Finding("current and voltage have the signs of the force", "ok")]
+        return Finding("current and voltage have the signs of the force", "ok")
     remedy = "correct the sign of `current` or `voltage` in the device file"
-    return [Finding(f"the wrong way: {', '.join(wrong)}", "refused", remedy)]
+    return Finding(f"the wrong way: {', '.join(wrong)}", "refused", remedy)
 
 
 def _agreement(per_ampere: Value, induced: Value) -> Finding:
     ratio = induced.value / per_ampere.value
     what = f"back-EMF is {ratio:.3g} of the force per ampere; in SI they are one number"
-    if abs(ratio - 1.0) <= AGREE:
-        return Finding(what, "ok")
     remedy = "the scales of current, voltage, force or position are wrong: see their data sheets"
-    return Finding(what, "warning", remedy)
+    return checked(what, abs(ratio - 1.0) <= AGREE, remedy)
