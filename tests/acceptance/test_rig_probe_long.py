@@ -10,11 +10,11 @@ from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
 from hapticd.core.params import ScaleParams
 from hapticd.rig.excitation import LINES_HZ, lines, sine_run
-from hapticd.rig.steps.added_mass import added, channel
 from hapticd.rig.steps.probe import (
     force_gain,
     measure,
 )
+from hapticd.rig.steps.probe_fits import added, channel
 
 
 def holds(value, truth):

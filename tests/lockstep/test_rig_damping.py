@@ -14,9 +14,8 @@ from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams
 from hapticd.protocol.view import as_records
 from hapticd.rig.experiment import push, ready
-from hapticd.rig.steps.coast_down import Row, fit_momentum, row_of
+from hapticd.rig.steps.coast_down import Row, analyse, fit_momentum, row_of
 from hapticd.rig.steps.damping import measure
-from hapticd.rig.steps.damping_line import analyse
 
 N_PER_A = 1.65
 FORCE = ScaleParams(COUNT_N)

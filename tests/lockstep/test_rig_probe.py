@@ -10,8 +10,6 @@ from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.rig.excitation import LINES_HZ, Recording, amplitudes, lines, sine_run, sines
 from hapticd.rig.result import relative_half
-from hapticd.rig.steps.added_mass import added, channel
-from hapticd.rig.steps.common_signal import Judged
 from hapticd.rig.steps.probe import (
     Attached,
     Recordings,
@@ -22,6 +20,7 @@ from hapticd.rig.steps.probe import (
     measure,
     offset,
 )
+from hapticd.rig.steps.probe_fits import Judged, added, channel
 
 PLAIN = {
     "probe_limit_n": 1.0,

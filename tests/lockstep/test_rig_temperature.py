@@ -5,8 +5,8 @@ import pytest
 from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.rig.steps import back_emf
 from hapticd.rig.steps.temperature import Stated, analyse, drift_of, measure
+from hapticd.rig.steps.winding import analyse_back_emf
 
 DEVICE = {
     "temperature": {"per_count": 0.01, "sign": 1, "offset_count": 0.0},
@@ -128,7 +128,7 @@ def test_back_emf_lies_in_its_interval_nineteen_times_in_twenty():
     exact = DEVICE | {"position": {"per_count": 1.0, "half_width_95": 0.0}}
     hits = 0
     for seed in range(100):
-        result = back_emf.analyse(shaken(1.1, seed=seed, noise=20.0), exact)
+        result = analyse_back_emf(shaken(1.1, seed=seed, noise=20.0), exact)
         hits += holds(told(result)["emf_velocity.full_scale_m_per_s"], 2.2)
     assert 90 <= hits <= 99
 

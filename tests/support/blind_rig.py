@@ -43,7 +43,7 @@ from hapticd.rig.steps import (
     verify,
     winding,
 )
-from hapticd.rig.steps.common_signal import Judged
+from hapticd.rig.steps.probe_fits import Judged
 from hapticd.run import lockstep
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import commissioning, servo_params

@@ -60,11 +60,11 @@ def trim(
     Move the handle to and fro against a weak spring meanwhile; active damping is off. Below a loop
     gain of -0.5 it warns, below -0.9 it ends and refuses (exit 4).
     """
-    from hapticd.rig.steps.trim import measure
+    from hapticd.rig.steps.delivery import measure_residual
     from hapticd.settings.load import load
 
     def step(client: "Client") -> "StepResult":
-        return measure(client, steps.asking(yes), seconds, terminal.talk)
+        return measure_residual(client, steps.asking(yes), seconds, terminal.talk)
 
     steps.show(steps.perform(instance, load(config), step, yes), as_json)
 
@@ -80,10 +80,10 @@ def audit(
     """What is commanded against what is delivered, of active damping and force, while a hand moves
     the handle to and fro against a weak spring. Writes nothing into the device file.
     """
-    from hapticd.rig.steps.audit import measure
+    from hapticd.rig.steps.delivery import measure_delivery
     from hapticd.settings.load import load
 
     def step(client: "Client") -> "StepResult":
-        return measure(client, steps.asking(yes), level, seconds)
+        return measure_delivery(client, steps.asking(yes), level, seconds)
 
     steps.show(steps.perform(instance, load(config), step, yes), as_json)

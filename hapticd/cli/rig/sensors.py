@@ -56,8 +56,8 @@ def probe(
 
     Writes the tables `probe_torque` and `probe_velocity` of the device file.
     """
-    from hapticd.rig.steps.common_signal import Judged
     from hapticd.rig.steps.probe import Attached, measure
+    from hapticd.rig.steps.probe_fits import Judged
     from hapticd.settings.load import load
 
     attached = Attached(mass, tolerance)

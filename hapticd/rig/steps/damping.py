@@ -14,7 +14,7 @@ those without damping do not tell its sign, twice as much is tried, and twice as
 Then the levels rise to the limit, each by a factor of two. What rings at rest, delivers less than
 half of what smaller levels promise, or comes near a loop gain of -1 ends that, and says so.
 
-What all pushes say together, and with which interval, is `damping_line`.
+What all pushes say together, and with which interval, is `coast_down` as well.
 
 What would break it: a hand on the handle (its push is no row, or lies beside the line).
 """
@@ -40,8 +40,15 @@ from hapticd.rig.experiment import (
 )
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import FACTOR, Finding, StepResult, settled
-from hapticd.rig.steps.coast_down import Momentum, Row, fit_momentum, row_of
-from hapticd.rig.steps.damping_line import LEVELS, REFUSE, analyse
+from hapticd.rig.steps.coast_down import (
+    LEVELS,
+    REFUSE,
+    Momentum,
+    Row,
+    analyse,
+    fit_momentum,
+    row_of,
+)
 from hapticd.rig.steps.motor import allowed_n, await_rest
 
 __all__ = ["measure"]
@@ -237,12 +244,16 @@ def _polarity(rig: Pushing, stimulus: Stimulus, top: float) -> Finding:
         if found.gain - found.gain_half > 0.0:
             return Finding(f"{share * top:.3g} N s/m make the handle heavier", "ok")
         if found.gain + found.gain_half < 0.0:
-            what = f"damping polarity: {share * top:.3g} N s/m make the handle lighter"
-            remedy = "swap the leads of the back-EMF, or the sign of the multiplier"
-            return Finding(what, "refused", remedy)
-    what = f"no damping is seen up to {TRIED[-1] * top:.3g} N s/m"
-    remedy = "look at the damping DAC, its multiplier and the back-EMF's leads"
-    return Finding(what, "refused", remedy)
+            return Finding(
+                f"damping polarity: {share * top:.3g} N s/m make the handle lighter",
+                "refused",
+                "swap the leads of the back-EMF, or the sign of the multiplier",
+            )
+    return Finding(
+        f"no damping is seen up to {TRIED[-1] * top:.3g} N s/m",
+        "refused",
+        "look at the damping DAC, its multiplier and the back-EMF's leads",
+    )
 
 
 def _levels(rig: Pushing, top: float) -> Finding:
@@ -258,9 +269,11 @@ def _levels(rig: Pushing, top: float) -> Finding:
         rig.bench.damping(level)
         collect(rig.bench, level / rig.slew + 0.1)
         if rig.noise() > quiet + QUIET_COUNTS:
-            what = f"the handle trembles at rest with {level:.3g} N s/m"
-            remedy = "the analog circuit rings: keep limits.active_damping_ns_per_m below"
-            return Finding(what, "warning", remedy)
+            return Finding(
+                f"the handle trembles at rest with {level:.3g} N s/m",
+                "warning",
+                "the analog circuit rings: keep limits.active_damping_ns_per_m below",
+            )
         if weak := _pushed_at(rig, known, level):
             return weak
     return Finding(f"levels up to {top:.3g} N s/m were seen", "ok")
@@ -276,14 +289,20 @@ def _pushed_at(rig: Pushing, known: Momentum, level: float) -> Finding | None:
             rig.row(stimulus)
     rows = rig.rows[before:]
     if not rows:
-        what = f"pushes of {rig.most_n:.3g} N hardly move the handle at {level:.3g} N s/m"
-        return Finding(what, "warning", "the line ends below")
+        return Finding(
+            f"pushes of {rig.most_n:.3g} N hardly move the handle at {level:.3g} N s/m",
+            "warning",
+            "the line ends below",
+        )
     share = float(np.median([_delivered(row, known) for row in rows]))
     if share >= DELIVERS * (known.gain - known.gain_half):
         return None
     del rig.rows[before:]
-    what = f"{level:.3g} N s/m damp {share:.2g} of what they should"
-    return Finding(what, "warning", "the line ends below: look at the damping circuit's range")
+    return Finding(
+        f"{level:.3g} N s/m damp {share:.2g} of what they should",
+        "warning",
+        "the line ends below: look at the damping circuit's range",
+    )
 
 
 def _delivered(row: Row, known: Momentum) -> float:

@@ -172,12 +172,17 @@ def scale_of(steps: Floats, distance: Distance) -> Value:
 def _index(place_m: Floats, m_per_count: float) -> Finding:
     """Whether the passages of the index mark, at `place_m` (k,), agree."""
     if not len(place_m):
-        remedy = "move the handle further, or use another way to home"
-        return Finding("the index mark was not passed", "warning", remedy)
+        return Finding(
+            "the index mark was not passed",
+            "warning",
+            "move the handle further, or use another way to home",
+        )
     apart = float(np.ptp(place_m)) / m_per_count
-    what = f"{len(place_m)} passages of the index mark, {apart:.2g} counts apart"
-    remedy = "counts are lost, or there are several marks: do not home by it"
-    return checked(what, apart <= QUIET_COUNTS, remedy)
+    return checked(
+        f"{len(place_m)} passages of the index mark, {apart:.2g} counts apart",
+        apart <= QUIET_COUNTS,
+        "counts are lost, or there are several marks: do not home by it",
+    )
 
 
 def _mark(place_m: Floats, m_per_count: float) -> Value:
@@ -187,21 +192,29 @@ def _mark(place_m: Floats, m_per_count: float) -> Value:
 
 def _at_rest(rest: Floats) -> Finding:
     wide = float(np.ptp(rest))
-    remedy = "let go of it and keep the table still; else look at shield and supply of the encoder"
-    return checked(f"{wide:g} counts peak to peak at rest", wide <= QUIET_COUNTS, remedy)
+    return checked(
+        f"{wide:g} counts peak to peak at rest",
+        wide <= QUIET_COUNTS,
+        "let go of it and keep the table still; else look at shield and supply of the encoder",
+    )
 
 
 def _moving(moving: Floats, went: float) -> Finding:
     if not abs(went) >= LEAST_COUNTS:
-        what = f"the handle was moved, and the encoder went {went:g} counts"
-        remedy = "encoder stuck: look at its cable and supply, and whether the handle was moved"
-        return Finding(what, "refused", remedy)
+        return Finding(
+            f"the handle was moved, and the encoder went {went:g} counts",
+            "refused",
+            "encoder stuck: look at its cable and supply, and whether the handle was moved",
+        )
     low = moving.astype(np.int64)
     dead = [bit for bit in range(LOW_BITS) if len(np.unique(low >> bit & 1)) == 1]
     if not dead:
         return Finding(f"the lowest {LOW_BITS} bits all change", "ok")
-    what = f"bit {dead[0]} of the count never changes: {1 << dead[0]} counts are dead"
-    return Finding(what, "warning", "look at the interpolator and the width of the counter")
+    return Finding(
+        f"bit {dead[0]} of the count never changes: {1 << dead[0]} counts are dead",
+        "warning",
+        "look at the interpolator and the width of the counter",
+    )
 
 
 def _steps(steps: Floats, went: float) -> Finding:
@@ -209,16 +222,24 @@ def _steps(steps: Floats, went: float) -> Finding:
     if same and (np.abs(steps) >= LEAST_COUNTS).all():
         return Finding("A to B goes the way of the motion before", "ok")
     words = ", ".join(f"{step:g}" for step in steps)
-    remedy = "B lies to positive x of A, as the motion before: repeat the step"
-    return Finding(f"from A to B {words} counts", "refused", remedy)
+    return Finding(
+        f"from A to B {words} counts",
+        "refused",
+        "B lies to positive x of A, as the motion before: repeat the step",
+    )
 
 
 def _believable(scale: Value, m_per_count: float, distance: Distance) -> Finding:
     ratio = scale.value / m_per_count
     if not 1.0 / MOST_CORRECTION <= ratio <= MOST_CORRECTION:
-        what = f"{scale.value:.4g} m per count is {ratio:.3g} times what the device file says"
-        remedy = f"is the distance {distance.metres:g} m right, in metres? Else correct the file"
-        return Finding(what, "refused", remedy)
+        return Finding(
+            f"{scale.value:.4g} m per count is {ratio:.3g} times what the device file says",
+            "refused",
+            f"is the distance {distance.metres:g} m right, in metres? Else correct the file",
+        )
     half = scale.half / scale.value
-    remedy = "rest the handle against something firm at A and B"
-    return checked(f"the scale is known to {percent(half)}", half <= MOST_SCATTER, remedy)
+    return checked(
+        f"the scale is known to {percent(half)}",
+        half <= MOST_SCATTER,
+        "rest the handle against something firm at A and B",
+    )

@@ -197,19 +197,28 @@ def await_rest(bench: Client) -> None:
 
 
 def _pushed(one: Push) -> Finding:
-    what = f"{one.force_n:+.3g} N moved the handle by {1e3 * one.moved_m:+.3g} mm"
-    remedy = "no authority: look at emergency stop, amplifier and motor, and let the handle free"
-    return checked(what, abs(one.moved_m) >= MOVED_M, remedy, "refused")
+    return checked(
+        f"{one.force_n:+.3g} N moved the handle by {1e3 * one.moved_m:+.3g} mm",
+        abs(one.moved_m) >= MOVED_M,
+        "no authority: look at emergency stop, amplifier and motor, and let the handle free",
+        "refused",
+    )
 
 
 def _sign(agree: set[bool]) -> Finding:
     if agree == {True}:
         return Finding("it goes with the force both ways: the sign is right", "ok")
     if agree == {False}:
-        what = "it goes against the force both ways: the other sign is right"
-        return Finding(what, "warning", "the device file gets it; start the daemon again")
-    remedy = "something else moves it: let go of it, lay the axis level, and repeat"
-    return Finding("it goes the same way whatever the force is", "refused", remedy)
+        return Finding(
+            "it goes against the force both ways: the other sign is right",
+            "warning",
+            "the device file gets it; start the daemon again",
+        )
+    return Finding(
+        "it goes the same way whatever the force is",
+        "refused",
+        "something else moves it: let go of it, lay the axis level, and repeat",
+    )
 
 
 def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:

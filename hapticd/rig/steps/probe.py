@@ -4,8 +4,8 @@ The perturbation shakes the free handle at 10 to 30 Hz (`excitation`), first as 
 known mass fixed to it.
 
 The encoder gives scale and sign of the velocity channel; what the mass adds to the torque gives
-those of the torque channel (`added_mass`). One signal into both channels shows what is left of
-their phases (`common_signal`).
+those of the torque channel (`probe_fits`). One signal into both channels shows what is left of
+their phases (`probe_fits`).
 
 Dead and swapped channels are found before anything is fitted. What is played is known: the torque
 channel has to follow it, delayed at most, and the velocity channel the encoder's velocity.
@@ -52,10 +52,18 @@ from hapticd.rig.result import (
     relative_half,
     settled,
 )
-from hapticd.rig.steps import common_signal
-from hapticd.rig.steps.added_mass import Added, added, channel
-from hapticd.rig.steps.common_signal import Judged
 from hapticd.rig.steps.motor import GRAVITY_M_PER_S2
+from hapticd.rig.steps.probe_fits import (
+    SIGNAL_S,
+    SKEW,
+    Added,
+    Judged,
+    added,
+    channel,
+    phase,
+    phase_findings,
+    skew_change,
+)
 from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = ["Attached", "measure"]
@@ -131,10 +139,9 @@ def measure(
         found = found._replace(loaded=sine_run(bench))
         ask(Request("let go", "take the mass off again and let go of the handle"))
         if with_one_signal:
-            seconds = common_signal.SECONDS
-            text = f"feed one signal into both probe channels for {seconds:g} s from now"
-            ask(Request("one signal", text, seconds))
-            found = found._replace(one=recording(record(bench, seconds)))
+            text = f"feed one signal into both probe channels for {SIGNAL_S:g} s from now"
+            ask(Request("one signal", text, SIGNAL_S))
+            found = found._replace(one=recording(record(bench, SIGNAL_S)))
     return analyse(found, attached, device, judged or Judged())
 
 
@@ -164,7 +171,7 @@ def analyse(
         changes = [
             *_signs(gains),
             *map(change_of, scales),
-            *(common_signal.change(one) for one in values if one.name == common_signal.SKEW),
+            *(skew_change(one) for one in values if one.name == SKEW),
             *_within_reach(scales[0], device["probe_limit_n"]),
         ]
         values += [*scales, *_noises(found.rest, gains)]
@@ -178,16 +185,21 @@ def _compared(
     added to `values` and `findings`.
     """
     if one is None:
-        remedy = "feed one signal into both channels; the force gain may be off by some 0.5 %"
-        findings.append(Finding("skew and high-pass mismatch", "not done", remedy))
+        findings.append(
+            Finding(
+                "skew and high-pass mismatch",
+                "not done",
+                "feed one signal into both channels; the force gain may be off by some 0.5 %",
+            )
+        )
         return np.zeros(len(LINES_HZ))
-    found = common_signal.phase(one.torque, one.velocity)
+    found = phase(one.torque, one.velocity)
     if isinstance(found, Finding):
         findings.append(found)
         return np.zeros(len(LINES_HZ))
     mismatch = found.mismatch(judged)
     values += [found.skew, mismatch]
-    findings += common_signal.findings(found.skew, mismatch, judged)
+    findings += phase_findings(found.skew, mismatch, judged)
     return found.at(LINES_HZ)
 
 
@@ -198,18 +210,19 @@ def channels(bare: Lines) -> list[Finding]:
         f"handle {1e3 * moved_m:.3g} mm rms, torque channel {torque:.4g} counts, velocity"
         f" channel {velocity:.4g} counts"
     )
-    if moved_m < MOVED_M and velocity >= LEAST_COUNTS:
-        return [Finding(seen, "refused", "stuck encoder: the velocity channel moves without it")]
-    if torque < LEAST_COUNTS:
+    moved = moved_m >= MOVED_M
+    followed = velocity >= LEAST_COUNTS
+    if followed and not moved:
+        remedy = "stuck encoder: the velocity channel moves without it"
+    elif torque < LEAST_COUNTS:
         remedy = "dead probe channel: no torque; look at the probe's amplifier and at this input"
-        return [Finding(seen, "refused", remedy)]
-    if moved_m < MOVED_M:
+    elif not moved:
         remedy = "the probe does not move the handle: let it free, look at the probe's motor"
-        return [Finding(seen, "refused", remedy)]
-    if velocity < LEAST_COUNTS:
+    elif not followed:
         remedy = "dead probe channel: no velocity; look at its coil, amplifier and this input"
-        return [Finding(seen, "refused", remedy)]
-    return [Finding(seen, "ok"), _in_place(bare)]
+    else:
+        return [Finding(seen, "ok"), _in_place(bare)]
+    return [Finding(seen, "refused", remedy)]
 
 
 def _in_place(bare: Lines) -> Finding:
@@ -222,10 +235,17 @@ def _in_place(bare: Lines) -> Finding:
         f" {100 * right[1]:.3g} %"
     )
     if min(wrong) > max(min(right), LEAST_COHERENT):
-        remedy = "probe channels swapped: exchange the two inputs of the board"
-        return Finding(f"{what}; crosswise {100 * min(wrong):.3g} %", "refused", remedy)
-    remedy = "let the handle free; look at what fixes the probe to it, and at both channels"
-    return checked(what, min(right) >= LEAST_COHERENT, remedy, "refused")
+        return Finding(
+            f"{what}; crosswise {100 * min(wrong):.3g} %",
+            "refused",
+            "probe channels swapped: exchange the two inputs of the board",
+        )
+    return checked(
+        what,
+        min(right) >= LEAST_COHERENT,
+        "let the handle free; look at what fixes the probe to it, and at both channels",
+        "refused",
+    )
 
 
 def alike(found: Complexes, known: Complexes, latest_s: float) -> float:
@@ -246,20 +266,30 @@ def force_gain(found: Added, attached: Attached, position_half: float) -> Gain:
 
 def _weighed(found: Added) -> list[Finding]:
     """What is to be thought of the fit of both recordings."""
-    what = f"masses, damping and friction leave {percent(found.left)} of the torque unexplained"
-    remedy = "fix the mass so that nothing rattles, and keep hands and table still"
-    findings = [checked(what, found.left <= MOST_LEFT, remedy)]
+    findings = [
+        checked(
+            f"masses, damping and friction leave {percent(found.left)} of the torque unexplained",
+            found.left <= MOST_LEFT,
+            "fix the mass so that nothing rattles, and keep hands and table still",
+        )
+    ]
     relative = found.half / abs(found.counts)
     if relative > WORST_HALF:
-        what = f"the mass tells the force to {percent(relative)} alone"
-        findings.append(Finding(what, "refused", "was it fixed? Repeat it, or take a heavier one"))
+        findings.append(
+            Finding(
+                f"the mass tells the force to {percent(relative)} alone",
+                "refused",
+                "was it fixed? Repeat it, or take a heavier one",
+            )
+        )
     return findings
 
 
 def _believable(name: str, gain: Gain, scale: Mapping[str, Any]) -> Finding:
     ratio = gain.per_count / (int(scale["sign"]) * float(scale["per_count"]))
-    remedy = "is the mass in kg, and was it fixed? Else correct the full scale in the file"
-    return plausible(name, ratio, remedy)
+    return plausible(
+        name, ratio, "is the mass in kg, and was it fixed? Else correct the full scale in the file"
+    )
 
 
 def _scales(rest: Recording, gains: Mapping[str, Gain]) -> list[Value]:

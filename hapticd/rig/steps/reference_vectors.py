@@ -60,8 +60,12 @@ def compared() -> list[Finding]:
 
 def _theory() -> Finding:
     worst = max(_off(*one) for one in CLOSED_FORMS)
-    what = f"theory vectors: {len(CLOSED_FORMS)} closed forms, the worst off by {worst:.1g}"
-    return checked(what, worst <= SAME_DAMPING, REINSTALL, "refused")
+    return checked(
+        f"theory vectors: {len(CLOSED_FORMS)} closed forms, the worst off by {worst:.1g}",
+        worst <= SAME_DAMPING,
+        REINSTALL,
+        "refused",
+    )
 
 
 def _off(point: tuple[float, float, float], delay_periods: float, expected: float) -> float:
@@ -82,8 +86,12 @@ def _spa() -> Finding:
         (found.cross, spectrum_of(force, velocity, frequency_hz)),
     )
     worst = max(float(np.max(np.abs(mine - sums)) / np.max(np.abs(sums))) for mine, sums in pairs)
-    what = f"spa vectors: {len(SPA_HZ)} frequencies of three spectra, the worst off by {worst:.1g}"
-    return checked(what, worst <= SAME_SPECTRUM, REINSTALL, "refused")
+    return checked(
+        f"spa vectors: {len(SPA_HZ)} frequencies of three spectra, the worst off by {worst:.1g}",
+        worst <= SAME_SPECTRUM,
+        REINSTALL,
+        "refused",
+    )
 
 
 def spectrum_of(late: Floats, early: Floats, frequency_hz: Floats) -> Complexes:
@@ -106,8 +114,12 @@ def _wire() -> Finding:
     vectors = [json.loads(line) for line in text.splitlines()]
     wrong = list(_wrong(vectors))
     told = f"; wrong: {', '.join(wrong)}" if wrong else ""
-    what = f"wire vectors: {len(vectors)} frames, protocol {frames.PROTOCOL_HASH.hex()}{told}"
-    return checked(what, not wrong, REINSTALL, "refused")
+    return checked(
+        f"wire vectors: {len(vectors)} frames, protocol {frames.PROTOCOL_HASH.hex()}{told}",
+        not wrong,
+        REINSTALL,
+        "refused",
+    )
 
 
 def _wrong(vectors: list[dict[str, Any]]) -> Iterator[str]:

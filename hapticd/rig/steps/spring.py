@@ -124,9 +124,15 @@ def analyse(
     friction = spring.n_per_m * friction_m
     seen = Value.around("friction seen", friction, "N", friction)
     share = found.worst / float(np.ptp(places))
-    what = f"the worst reading lies {percent(share)} of the stretch beside the line"
-    remedy = "does the spring buckle or end, the lever slip, or the handle stick? Repeat the step"
-    findings = [checked(what, share <= MOST_RESIDUAL, remedy, "refused"), believable(scale)]
+    findings = [
+        checked(
+            f"the worst reading lies {percent(share)} of the stretch beside the line",
+            share <= MOST_RESIDUAL,
+            "does the spring buckle or end, the lever slip, or the handle stick? Repeat the step",
+            "refused",
+        ),
+        believable(scale),
+    ]
     changes = full_scale_changes(gain, scale, limits)
     return StepResult("motor", (gain, seen), findings, changes, {"rests": rests})
 

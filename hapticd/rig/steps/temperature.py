@@ -10,7 +10,7 @@ then the count that means 0 degC follows from it, with the scale that the file h
 and both have the thermometer's tolerance. Drift is a line over the seconds at rest, with blocks for
 its interval, as noise of a sensor is rarely white.
 
-The back-EMF is measured in the same step, while a hand shakes the handle (`back_emf`).
+The back-EMF is measured in the same step, while a hand shakes the handle (`winding`).
 
 What would break it: a winding that is still warm from what was done before (the drift shows it), or
 a thermometer that is not where the sensor is.
@@ -41,8 +41,7 @@ from hapticd.rig.result import (
     checked,
     settled,
 )
-from hapticd.rig.steps import back_emf
-from hapticd.rig.steps.back_emf import raw_counts
+from hapticd.rig.steps.winding import analyse_back_emf, raw_counts
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
 __all__ = ["Stated", "measure"]
@@ -132,7 +131,7 @@ def analyse(
         ]
     arrays: dict[str, Any] = {"readings": readings, "stated_c": np.array(stated.celsius)}
     if shaken is not None:
-        other = back_emf.analyse(shaken, device)
+        other = analyse_back_emf(shaken, device)
         values += other.values
         findings += other.findings
         changes += other.changes
@@ -144,17 +143,22 @@ def _living(readings: Floats) -> Finding:
     means = readings.mean(axis=1)
     what = f"the sensor says {', '.join(f'{mean:.1f}' for mean in means)} counts"
     if means.min() <= I16_LOWEST + 1 or means.max() >= I16_HIGHEST - 1:
-        remedy = "the end of its converter: the sensor is open or shorted; look at its wires"
-        return Finding(what, "refused", remedy)
+        return Finding(
+            what,
+            "refused",
+            "the end of its converter: the sensor is open or shorted; look at its wires",
+        )
     follows = len(means) != 2 or abs(means[1] - means[0]) >= LEAST_COUNTS
-    remedy = "stuck sensor: it does not follow the temperature"
-    return checked(what, follows, remedy, "refused")
+    return checked(what, follows, "stuck sensor: it does not follow the temperature", "refused")
 
 
 def _steady(drift: Value) -> Finding:
     steady = max(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_C_PER_MIN
-    remedy = "wait until the winding is as warm as what is around it"
-    return checked(f"it drifts by {drift.value:.2g} K/min", steady, remedy)
+    return checked(
+        f"it drifts by {drift.value:.2g} K/min",
+        steady,
+        "wait until the winding is as warm as what is around it",
+    )
 
 
 def drift_of(counts: Floats, per_count: float) -> Value:
@@ -201,14 +205,18 @@ def _plausible(
     slopes = [one.value for one in scales if one.name == "temperature.c_per_count"]
     ratio = slopes[0] / float(scale["per_count"]) if slopes else 1.0
     if not 1.0 / FACTOR <= ratio <= FACTOR:
-        what = f"a count is {ratio:.3g} of what the device file says"
-        remedy = "are both temperatures in degC, and was the sensor as warm? Else correct the file"
-        return Finding(what, "refused", remedy)
+        return Finding(
+            f"a count is {ratio:.3g} of what the device file says",
+            "refused",
+            "are both temperatures in degC, and was the sensor as warm? Else correct the file",
+        )
     if abs(away_c) > FAR_OFF_C and not slopes:
-        remedy = "look at the kind of sensor and its scale, or state two temperatures"
-        return Finding(what, "refused", remedy)
-    remedy = "the device file gets the count that means 0 degC"
-    return checked(what, abs(away_c) <= MOST_OFF_C, remedy)
+        return Finding(
+            what, "refused", "look at the kind of sensor and its scale, or state two temperatures"
+        )
+    return checked(
+        what, abs(away_c) <= MOST_OFF_C, "the device file gets the count that means 0 degC"
+    )
 
 
 def _sign(readings: Floats, stated: Stated, scale: Mapping[str, Any]) -> int:

@@ -147,11 +147,19 @@ def parts_of(known: KnownParts) -> list[Part]:
         Part("rendered mass", m, "kg", Environment(stiffness, damping, mass + m)),
     ]
     if kg := known.attached_kg:
-        words = f"fix {kg:g} kg firmly to the handle, and let go of it"
-        found.append(Part("attached mass", kg, "kg", BESIDE, Request("attach", words, kg)))
+        found.append(
+            Part(
+                "attached mass",
+                kg,
+                "kg",
+                BESIDE,
+                Request("attach", f"fix {kg:g} kg firmly to the handle, and let go of it", kg),
+            )
+        )
     if spring := known.spring_n_per_m:
-        words = f"put a spring of {spring:g} N/m between handle and frame, and let go"
-        request = Request("spring", words, spring)
+        request = Request(
+            "spring", f"put a spring of {spring:g} N/m between handle and frame, and let go", spring
+        )
         found.append(Part("attached spring", spring, UNIT_N_PER_M, BESIDE, request))
     return found
 
@@ -324,8 +332,12 @@ def agreement(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
         share = f"{100 * UNKNOWN_SHARE:g} %"
         what += f" ({', '.join(unknown)}: no interval known, {share} taken)"
     steps = "`hapticd rig probe`" if part.request else "`hapticd rig motor`, `hapticd rig probe`"
-    remedy = f"let go of the handle and repeat; if it stays so, {steps} and `hapticd rig identify`"
-    return checked(what, abs(off) <= limit, remedy, "refused")
+    return checked(
+        what,
+        abs(off) <= limit,
+        f"let go of the handle and repeat; if it stays so, {steps} and `hapticd rig identify`",
+        "refused",
+    )
 
 
 def _late(counts: Mapping[str, int], ticks: int) -> Finding:
@@ -343,9 +355,11 @@ def _delay(delays_us: Floats, rendering: Rendering) -> Finding:
         return Finding("timing: from sample to force", "not done", "the board tells no ages")
     quantiles = np.quantile(delays_us, (0.005, 0.5, 0.995))
     low, middle, high = quantiles * rendering.rate_hz / US_PER_S
-    what = f"timing: sample to force {middle:.3g} periods, 99 % within {high - low:.3g}"
-    remedy = "repeat `hapticd rig link`, and quiet the host"
-    return checked(what, high - low <= MOST_SPREAD, remedy)
+    return checked(
+        f"timing: sample to force {middle:.3g} periods, 99 % within {high - low:.3g}",
+        high - low <= MOST_SPREAD,
+        "repeat `hapticd rig link`, and quiet the host",
+    )
 
 
 def _calibrations(servo: Mapping[str, Any], day: datetime.date) -> Iterator[Finding]:

@@ -5,15 +5,21 @@ voltage is R i and its force K i: two lines over the forces that were commanded,
 sensors in their intercepts. Moved by hand without force, a winding that carries no current shows
 K v: over windows of WINDOW_S the mean of the voltage and the way by the encoder belong together
 exactly, so no velocity is computed from noise. In SI both K are one number [N/A = V s/m]; where
-they differ, the scales of current, voltage, force and position contradict each other. The same
-motion gives scale and sign of the channel `emf_velocity` (`back_emf`).
+they differ, the scales of current, voltage, force and position contradict each other.
+
+The same motion gives scale and sign of the channel `emf_velocity` (`analyse_back_emf`). The device
+is disabled, so no current flows and the channel says velocity alone, whatever the resistance
+compensation believes. Its counts are fitted by the encoder's velocity, by that one's change and a
+constant; the change tells by how many ticks the channel is late, and the fit is made again with a
+velocity that is as late, by blocks.
 
 Commanded newtons have the interval of `rig motor`, metres that of `rig encoder`; both are taken
 from the sources in the device file.
 
-What would break it: a hand that lets the handle slip while it is held (the windows say so), and a
-winding that warms up by more than the interval allows (the resistance is that at the mean
-temperature of the rests, which is written beside it).
+What would break it: a hand that lets the handle slip while it is held (the windows say so), or
+shakes it so slowly that an AC-coupled amplifier shows, and a winding that warms up by more than the
+interval allows (the resistance is that at the mean temperature of the rests, which is written
+beside it).
 """
 
 from collections.abc import Iterator, Mapping
@@ -27,22 +33,25 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
-from hapticd.core.units import COPPER_PER_K
-from hapticd.rig.estimate import line
+from hapticd.core.params import ScaleParams
+from hapticd.core.units import COPPER_PER_K, US_PER_S
+from hapticd.rig.estimate import Fit, in_blocks, jackknife, line
 from hapticd.rig.experiment import begin, collect, pull, ready, require_force, servo_rate_hz
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import (
+    POSITION_HALF,
     Change,
     Finding,
     StepResult,
     Value,
     change_of,
     checked,
+    plausible,
     relative_half,
     settled,
 )
-from hapticd.rig.steps import back_emf
 from hapticd.rig.steps.motor import allowed_n
+from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = ["measure"]
 
@@ -59,6 +68,11 @@ DEAD_COUNTS = 20.0  # span of a channel that says nothing
 AGREE = 0.05
 RESTING = ("force_n", "current_a", "voltage_v", "winding_c")
 ROOM_C = 20.0  # of a winding whose temperature nobody measures
+BLOCKS = 10
+LEAST_COUNTS = 5.0  # rms of a channel that is not dead
+LEAST_COHERENT = 0.9
+SMOOTHED_TICKS = 9
+RECORDED = ("board_us", "position_m", "emf_velocity_m_per_s")
 
 
 def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult:
@@ -74,13 +88,16 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
         rests = np.array([_rest(bench, force, start_m) for force in forces])
         status = bench.status()
     require_force(status)
-    text = f"move the handle to and fro by some mm for {SHAKE_S:g} s from now"
-    ask(Request("shake", text, SHAKE_S))
+    ask(
+        Request(
+            "shake", f"move the handle to and fro by some mm for {SHAKE_S:g} s from now", SHAKE_S
+        )
+    )
     shaken = collect(bench, SHAKE_S).records
     ask(Request("let go", "let go of the handle"))
     moved = windows(shaken, servo_rate_hz(bench))
     found = analyse(rests, moved, servo["device"], lever_m)
-    return _with_circuit(found, back_emf.analyse(shaken, servo["device"]))
+    return _with_circuit(found, analyse_back_emf(shaken, servo["device"]))
 
 
 def _rest(bench: Client, force_n: float, start_m: float) -> list[float]:
@@ -173,13 +190,18 @@ def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> Iterator[
     for name, values in zip(("current", "voltage"), rests.T[1:], strict=False):
         span = float(np.ptp(values)) / float(device[name]["per_count"])
         if span < DEAD_COUNTS:
-            what = f"under force the {name} changes by {span:.2g} counts"
-            remedy = f"the board does not report the motor's {name}, or its sensor is dead"
-            yield Finding(what, "refused", remedy)
+            yield Finding(
+                f"under force the {name} changes by {span:.2g} counts",
+                "refused",
+                f"the board does not report the motor's {name}, or its sensor is dead",
+            )
     speed = float(moved[:, 0].std())
     if speed < LEAST_M_PER_S:
-        what = f"the handle was moved with {1e3 * speed:.2g} mm/s rms"
-        yield Finding(what, "refused", "move it faster, by some mm to and fro")
+        yield Finding(
+            f"the handle was moved with {1e3 * speed:.2g} mm/s rms",
+            "refused",
+            "move it faster, by some mm to and fro",
+        )
 
 
 def _signs(per_ampere: Value, ohm: Value, induced: Value) -> Finding:
@@ -187,12 +209,90 @@ def _signs(per_ampere: Value, ohm: Value, induced: Value) -> Finding:
     wrong = [name for name, value in names.items() if value.value <= 0.0]
     if not wrong:
         return Finding("current and voltage have the signs of the force", "ok")
-    remedy = "correct the sign of `current` or `voltage` in the device file"
-    return Finding(f"the wrong way: {', '.join(wrong)}", "refused", remedy)
+    return Finding(
+        f"the wrong way: {', '.join(wrong)}",
+        "refused",
+        "correct the sign of `current` or `voltage` in the device file",
+    )
 
 
 def _agreement(per_ampere: Value, induced: Value) -> Finding:
     ratio = induced.value / per_ampere.value
-    what = f"back-EMF is {ratio:.3g} of the force per ampere; in SI they are one number"
-    remedy = "the scales of current, voltage, force or position are wrong: see their data sheets"
-    return checked(what, abs(ratio - 1.0) <= AGREE, remedy)
+    return checked(
+        f"back-EMF is {ratio:.3g} of the force per ampere; in SI they are one number",
+        abs(ratio - 1.0) <= AGREE,
+        "the scales of current, voltage, force or position are wrong: see their data sheets",
+    )
+
+
+def analyse_back_emf(shaken: Records, device: Mapping[str, Any]) -> StepResult:
+    """What the ticks of a handle that was `shaken` say, with the scales of the hello's `device`."""
+    scale = device["emf_velocity"]
+    counts = raw_counts(shaken["emf_velocity_m_per_s"].astype(np.float64), scale)
+    at_s = shaken["board_us"].astype(np.float64) / US_PER_S
+    speed = np.gradient(shaken["position_m"].astype(np.float64), at_s)
+    arrays = {name: np.asarray(shaken[name]) for name in RECORDED}
+    kernel = np.full(SMOOTHED_TICKS, 1.0 / SMOOTHED_TICKS)
+    y, v = (np.convolve(one, kernel, "valid") for one in (counts, speed))
+    first = np.linalg.lstsq(_columns(v), y)[0]
+    finding = _followed(counts, speed, float(first[0]))
+    if finding.verdict == "refused":
+        return StepResult("back-EMF", (), [finding], (), arrays)
+    fit = _late_fit(y, v, -first[1] / first[0])
+    per_speed, _, at_rest = fit.values.tolist()
+    per_speed_half, _, at_rest_half = fit.halves.tolist()
+    full = I16_HIGHEST / per_speed
+    relative = hypot(per_speed_half / per_speed, relative_half(device["position"], POSITION_HALF))
+    # rounding hides where in its count a channel without noise is
+    offset_half = hypot(at_rest_half, 0.5)
+    name = "emf_velocity.full_scale_m_per_s"
+    values = [
+        Value.around(name, abs(full), "m/s", relative * abs(full)),
+        Value.around("emf_velocity.offset_count", at_rest, "counts", offset_half),
+    ]
+    ratio = full / (I16_HIGHEST * int(scale["sign"]) * float(scale["per_count"]))
+    findings = [
+        finding,
+        plausible(
+            "emf_velocity", ratio, "correct full_scale_m_per_s in the device file, and repeat"
+        ),
+    ]
+    sign = Change("emf_velocity", "sign", 1 if full > 0.0 else -1)
+    return StepResult("back-EMF", values, findings, [sign, *map(change_of, values)], arrays)
+
+
+def raw_counts(values: Floats, scale: Mapping[str, Any]) -> Floats:
+    """Counts (n,) of what was read as `values` (n,) by the hello's `scale`."""
+    known = ScaleParams(**scale)
+    found: Floats = known.sign * values / known.per_count + known.offset_count
+    return found
+
+
+def _late_fit(counts: Floats, speed: Floats, late_ticks: float) -> Fit:
+    """Counts per m/s, per m/s a tick, and at rest, from `counts` and `speed` (n,) so late."""
+    tick = np.arange(len(speed), dtype=np.float64)
+    columns = _columns(np.interp(tick - late_ticks, tick, speed))
+    return jackknife(in_blocks(columns, BLOCKS), in_blocks(counts, BLOCKS))
+
+
+def _columns(v: Floats) -> Floats:
+    return np.stack([v, np.gradient(v), np.ones_like(v)], axis=1)
+
+
+def _followed(counts: Floats, speed: Floats, per_speed: float) -> Finding:
+    fast = float(speed.std())
+    share = float(np.corrcoef(counts, speed)[0, 1] ** 2) if counts.std() > 0.0 else 0.0
+    what = (
+        f"back-EMF: {1e3 * fast:.3g} mm/s rms at the encoder, {abs(per_speed) * fast:.3g} counts"
+        f" follow it, {100 * share:.3g} % of the channel"
+    )
+    if fast < LEAST_M_PER_S:
+        return Finding(what, "refused", "the handle was not shaken: by some mm, and repeat")
+    if counts.std() < LEAST_COUNTS:
+        return Finding(what, "refused", "dead back-EMF channel: look at its amplifier and input")
+    return checked(
+        what,
+        share >= LEAST_COHERENT,
+        "it is no velocity: look at what is connected, and at the resistance compensation",
+        "refused",
+    )
