@@ -110,8 +110,7 @@ def sines(peak_n: float) -> Floats:
     phases = -pi * np.arange(LINES_HZ.size) * np.arange(1, LINES_HZ.size + 1) / LINES_HZ.size
     turns = np.outer(np.arange(round(PERIOD_S * PROBE_RATE_HZ)) / PROBE_RATE_HZ, LINES_HZ)
     force = np.cos(2.0 * pi * turns + phases) @ LINES_HZ
-    found: Floats = force * (peak_n / np.abs(force).max())
-    return found
+    return np.asarray(force * (peak_n / np.abs(force).max()))
 
 
 def sine_run(bench: Client) -> Recording:
@@ -138,7 +137,7 @@ def sine_run(bench: Client) -> Recording:
 def recording(found: Streams) -> Recording:
     """Both streams on the probe's time. AnalysisError where they do not belong together."""
     ticks, samples, _ = found
-    latched = ticks["board_us"] * PROBE_RATE_HZ / US_PER_S
+    latched = ticks["board_us"] * (PROBE_RATE_HZ / US_PER_S)
     # the last sample that each tick brought ends within one sample before it was latched
     last = np.flatnonzero(np.diff(samples["time_ns"], append=samples["time_ns"][-1] + 1))
     at_ns, of_sample, of_tick = np.intersect1d(
@@ -176,8 +175,7 @@ def amplitudes(at: Floats, values: Floats) -> Complexes:
     weighted = columns * window[:, None]
     found = np.linalg.lstsq(weighted.T @ weighted, weighted.T @ (values * window).T, rcond=None)[0]
     size = len(LINES_HZ)
-    result: Complexes = (found[:size] - 1j * found[size : 2 * size]).T
-    return result
+    return np.asarray((found[:size] - 1j * found[size : 2 * size]).T)
 
 
 def rms(amplitude: Complexes) -> float:

@@ -1,9 +1,9 @@
 """How a step drives the device and records it: ticks of the servo, and 4 kHz samples of the probe.
 
-A step begins disabled (`begin`), and however it ends the device is disabled again (`ready`). Forces
-at rest and pushes come from a weak wall far away: one of stiffness F / FAR_M whose surface lies
-FAR_M behind the handle pushes with F, and with 1 % less for every 0.2 mm that the handle moves.
-Begin and end of a push are scheduled in the servo before anything moves, so it ends in time
+A step begins disabled (`begin_step`), and however it ends the device is disabled again (`ready`).
+Forces at rest and pushes come from a weak wall far away: one of stiffness F / FAR_M whose surface
+lies FAR_M behind the handle pushes with F, and with 1 % less for every 0.2 mm that the handle
+moves. Begin and end of a push are scheduled in the servo before anything moves, so it ends in time
 whatever becomes of this process.
 
 The perturbation of the probe acts under the measuring lease alone (`perturbing`): nobody else
@@ -86,18 +86,12 @@ class BoardIdentity(NamedTuple):
     life: int | None  # changes whenever it starts; None: no frame of it came
 
 
-class Travel(NamedTuple):
-    """Where a handle may be while a step measures."""
-
-    low_m: float
-    high_m: float
-
-
 class Watch(NamedTuple):
-    """What a recording under force is kept by: the lease, and where the handle may go."""
+    """What a recording under force is kept by: the lease, and between which ends the handle is."""
 
     lease: ClientLease
-    travel: Travel
+    low_m: float
+    high_m: float
 
 
 class Push(NamedTuple):
@@ -109,7 +103,7 @@ class Push(NamedTuple):
 
 
 # --- states ---------------------------------------------------------------------------------------
-def begin(bench: Client, what: str = "") -> dict[str, Any]:
+def begin_step(bench: Client, what: str = "") -> dict[str, Any]:
     """The servo's hello, with which a step begins. CommandError unless the servo is disabled;
     AnalysisError that says `what` comes later, while the device's signs are not verified.
     """
@@ -207,7 +201,7 @@ def record(bench: Client, seconds: float, watch: Watch | None = None) -> Streams
         parts[topic].append(block.records)
         counts = {name: sum(map(len, blocks)) for name, blocks in parts.items()}
         if topic == TICKS and watch:
-            _inside(bench, block.records, watch.travel)
+            _inside(bench, block.records, watch)
             if counts[TICKS] % RENEW_TICKS < len(block.records):
                 watch.lease.renew()
         if not counts[PROBE] and counts[TICKS] > wanted:
@@ -220,16 +214,16 @@ def record(bench: Client, seconds: float, watch: Watch | None = None) -> Streams
     return Streams(np.concatenate(parts[TICKS]), np.concatenate(parts[PROBE]), lost)
 
 
-def _inside(bench: Client, ticks: Records, travel: Travel) -> None:
-    """AnalysisError where force has ended, or the handle left `travel`."""
+def _inside(bench: Client, ticks: Records, watch: Watch) -> None:
+    """AnalysisError where force has ended, or the handle left its travel."""
     if (ticks["state"] != State.ENABLED).any():
         raise _force_ended(bench.status())
     low_m = float(ticks["position_m"].min())
     high_m = float(ticks["position_m"].max())
-    if not travel.low_m <= low_m <= high_m <= travel.high_m:
+    if not watch.low_m <= low_m <= high_m <= watch.high_m:
         raise AnalysisError(
             f"the handle went to {1e3 * low_m:.3g} .. {1e3 * high_m:.3g} mm, beyond"
-            f" {1e3 * travel.low_m:.3g} .. {1e3 * travel.high_m:.3g} mm; let go of it in the middle"
+            f" {1e3 * watch.low_m:.3g} .. {1e3 * watch.high_m:.3g} mm; let go of it in the middle"
             " of its travel, and lay the axis level"
         )
 
@@ -267,17 +261,6 @@ def rendering(bench: Client, environment: Environment, ramp_s: float) -> Iterato
     with ready(bench):
         bench.set(K=stiffness, B=damping, M=mass, ramp_s=ramp_s)
         yield float(collect(bench, ramp_s).records["position_m"][-1])
-
-
-@contextmanager
-def measuring(bench: Client) -> Iterator[ClientLease]:
-    """Hold the measuring lease; the device is disabled if it ends before."""
-    lease = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
-    lease.take()
-    try:
-        yield lease
-    finally:
-        lease.release()
 
 
 def wall_of(force_n: float, at_m: float) -> dict[str, float]:
@@ -375,12 +358,13 @@ def perturbing(
     beyond where it is then and beyond x = 0.
     """
     ends = bench.hello().servo["environment"]["workspace"]
-    travel = Travel(float(ends["lower_m"]), float(ends["upper_m"]))
-    with measuring(bench) as lease, rendering(bench, environment, ramp_s) as at_m:
+    measuring = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
+    with measuring as lease, rendering(bench, environment, ramp_s) as at_m:
+        watch = Watch(lease, float(ends["lower_m"]), float(ends["upper_m"]))
         if reach_m is not None:
-            travel = Travel(min(0.0, at_m) - reach_m, max(0.0, at_m) + reach_m)
+            watch = Watch(lease, min(0.0, at_m) - reach_m, max(0.0, at_m) + reach_m)
         try:
-            yield Watch(lease, travel)
+            yield watch
         finally:
             bench.perturb_stop()
 
@@ -394,19 +378,14 @@ def perturbation_run(
     """
     with perturbing(bench, environment, RAMP_S) as watch:
         bench.perturb_load(waveform_n)
-        still = _whole(record(bench, REST_S, watch))
+        still = record(bench, REST_S, watch)
         bench.perturb_start()
-        moving = _whole(record(bench, waveform_n.size / PROBE_RATE_HZ, watch))
-    return _side_by_side(still, moving, bench.hello().servo["device"])
-
-
-def _whole(found: Streams) -> Streams:
-    if found.lost:
+        moving = record(bench, waveform_n.size / PROBE_RATE_HZ, watch)
+    if lost := still.lost + moving.lost:
         raise AnalysisError(
-            f"{found.lost} records were lost; quiet the host (`hapticd doctor`), and repeat the"
-            " step"
+            f"{lost} records were lost; quiet the host (`hapticd doctor`), and repeat the step"
         )
-    return found
+    return _side_by_side(still, moving, bench.hello().servo["device"])
 
 
 def _signal(samples: Records, name: str, device: Mapping[str, Any]) -> Floats:

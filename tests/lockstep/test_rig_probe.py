@@ -11,7 +11,7 @@ from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.rig.excitation import LINES_HZ, Recording, amplitudes, lines, sine_run, sines
 from hapticd.rig.result import relative_half
 from hapticd.rig.steps.probe import (
-    Attached,
+    AttachedMass,
     Recordings,
     alike,
     analyse,
@@ -20,7 +20,7 @@ from hapticd.rig.steps.probe import (
     measure,
     offset,
 )
-from hapticd.rig.steps.probe_fits import Judged, added, channel
+from hapticd.rig.steps.probe_fits import ReferenceSpring, fit_added_mass, fit_velocity_channel
 
 PLAIN = {
     "probe_limit_n": 1.0,
@@ -73,7 +73,7 @@ def test_the_perturbation_keeps_its_peak_and_holds_its_lines_alone():
 
 
 def test_gains_offsets_and_skew_of_a_known_motion():
-    result = analyse(made_up(gain=-1.17 * N, velocity_gain=0.9 * N), MASS, PLAIN, Judged())
+    result = analyse(made_up(gain=-1.17 * N, velocity_gain=0.9 * N), MASS, PLAIN, ReferenceSpring())
     values = told(result)
     full = values["probe_torque.full_scale_n"]
     assert full.low <= 1.17 * 2.0 <= full.high
@@ -94,7 +94,7 @@ def test_gains_offsets_and_skew_of_a_known_motion():
 
 def test_a_limit_beyond_the_full_scale_comes_down_to_it():
     """Else the device file would be refused."""
-    result = analyse(made_up(), MASS, PLAIN | {"probe_limit_n": 2.4}, Judged())
+    result = analyse(made_up(), MASS, PLAIN | {"probe_limit_n": 2.4}, ReferenceSpring())
     (limit,) = [one.value for one in result.changes if one.table == "limits"]
     assert 1.98 < limit < 2.0
 
@@ -103,23 +103,23 @@ def test_a_transmission_that_gives_is_not_read_as_mass():
     """A mass of 25 g goes 12 % further than the probe at 30 Hz."""
     level = -2.0 * np.pi * LINES_HZ * 0.2 / 4000.0
     bare, loaded = (motion(kg, 5, n_per_m=7e3) for kg in (0.008, 0.028))
-    of_velocity = channel(lines(bare))
+    of_velocity = fit_velocity_channel(lines(bare))
     assert of_velocity.counts * N == pytest.approx(1.0, abs=5e-4)
-    gain = force_gain(added(bare, loaded, of_velocity, level), MASS, 0.0)
+    gain = force_gain(fit_added_mass(bare, loaded, of_velocity, level), MASS, 0.0)
     assert gain.relative_half < 0.01
     assert abs(gain.per_count / N - 1.0) <= gain.relative_half
 
 
 def test_what_leaves_no_line_to_the_mass_is_refused():
     """Somebody forgot to fix it."""
-    result = analyse(made_up(mass_kg=0.0), MASS, PLAIN, Judged())
+    result = analyse(made_up(mass_kg=0.0), MASS, PLAIN, ReferenceSpring())
     assert not result.settled
     assert not result.changes
     assert any("was it fixed" in one.remedy for one in result.findings if one.verdict == "refused")
 
 
 def test_a_mass_typed_ten_times_wrong_is_refused():
-    result = analyse(made_up(), Attached(0.2), PLAIN, Judged())
+    result = analyse(made_up(), AttachedMass(0.2), PLAIN, ReferenceSpring())
     assert not result.settled
     assert not result.changes
     assert any("in kg" in one.remedy for one in result.findings)
@@ -173,7 +173,7 @@ def test_an_interval_is_that_of_the_device_file():
 def test_a_mass_in_grams_is_refused_before_it_is_fixed():
     asked = []
     with Hand(touch=FRICTION, **FREE) as hand, pytest.raises(AnalysisError, match="is it in grams"):
-        measure(hand.bench, asked.append, Attached(20.0))
+        measure(hand.bench, asked.append, AttachedMass(20.0))
     assert not asked
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from hapticd.core.params import TouchParams
 from hapticd.rig.excitation import LINES_HZ, Recording, sines
 from hapticd.rig.steps.probe import (
-    Attached,
+    AttachedMass,
 )
 
 N = 2.0 / 32767
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}
 FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
-MASS = Attached(0.02)
+MASS = AttachedMass(0.02)
 
 
 def motion(mass_kg, seed, gain=N, velocity_gain=N, delay=0.7, n_per_m=math.inf):

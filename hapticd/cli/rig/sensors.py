@@ -56,12 +56,12 @@ def probe(
 
     Writes the tables `probe_torque` and `probe_velocity` of the device file.
     """
-    from hapticd.rig.steps.probe import Attached, measure
-    from hapticd.rig.steps.probe_fits import Judged
+    from hapticd.rig.steps.probe import AttachedMass, measure
+    from hapticd.rig.steps.probe_fits import ReferenceSpring
     from hapticd.settings.load import load
 
-    attached = Attached(mass, tolerance)
-    judged = Judged(lowest, stiffness)
+    attached = AttachedMass(mass, tolerance)
+    judged = ReferenceSpring(lowest, stiffness)
     found = steps.perform(
         instance,
         load(config),
@@ -85,10 +85,10 @@ def temperature(
 
     Makes no force. Writes the tables `temperature` and `emf_velocity` of the device file.
     """
-    from hapticd.rig.steps.temperature import Stated, measure
+    from hapticd.rig.steps.temperature import KnownTemperatures, measure
     from hapticd.settings.load import load
 
-    stated = Stated(tuple(at), tolerance)
+    stated = KnownTemperatures(tuple(at), tolerance)
     found = steps.perform(
         instance,
         load(config),

@@ -219,7 +219,8 @@ def fit_momentum(rows: Sequence[Row], a_per_count: float) -> Momentum:
     loops = len(np.unique(np.round(np.log2(level[level > 0.0])))) > 1
     found = _fit(impulse, damped, loads, level, weight, loops)
     gain, *coefficients = found.values[: 1 + loads.shape[1]]
-    loop, loop_half = (float(found.values[-1]), float(found.halves[-1])) if loops else (0.0, 0.0)
+    loop = float(found.values[-1]) if loops else 0.0
+    loop_half = float(found.halves[-1]) if loops else 0.0
     took = (impulse - gain * damped) / (1.0 + loop * level)
     mechanics = least_squares(friction, took, weight * (1.0 + loop * level), least=1.0)
     physical, coulomb_n, _ = mechanics.values.tolist()

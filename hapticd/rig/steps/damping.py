@@ -30,7 +30,7 @@ from hapticd.client.client import Client
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
 from hapticd.rig.experiment import (
-    begin,
+    begin_step,
     collect,
     push,
     ready,
@@ -180,7 +180,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     """Push at rising levels of damping. CommandError unless disabled; AnalysisError where signs are
     not verified, the handle does not come to rest, or force ends meanwhile.
     """
-    servo = begin(bench, "damping is measured")
+    servo = begin_step(bench, "damping is measured")
     device = servo["device"]
     top = float(device["active_damping_limit_ns_per_m"])
     if top <= 0.0:
@@ -215,7 +215,8 @@ def _first_pushes(rig: Pushing) -> Stimulus | None:
     allowed, then by time; then some like it and weaker ones. The push that goes WAY_M, or None if
     nothing moves.
     """
-    force_n, seconds = FIRST_SHARE * rig.most_n, SHORT_S
+    force_n = FIRST_SHARE * rig.most_n
+    seconds = SHORT_S
     while abs(way := rig.stimulate(Stimulus(force_n, seconds))) < WAY_M / STRONGER:
         if force_n < rig.most_n:
             force_n = min(rig.most_n, STRONGER * force_n)

@@ -45,7 +45,7 @@ from hapticd.core.environment import Environment
 from hapticd.core.params import ServoParams, from_plain
 from hapticd.guard.delivered import Delivered
 from hapticd.rig.estimate import least_squares
-from hapticd.rig.experiment import begin, collect, rendering, require_force, undamped
+from hapticd.rig.experiment import begin_step, collect, rendering, require_force, undamped
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import Finding, StepResult, Value, checked
 from hapticd.rig.steps.coast_down import REFUSE, WARN
@@ -98,8 +98,7 @@ def means_of(records: Records, n_per_a: float, rate_hz: float) -> Means:
     x = records["position_m"].astype(np.float64)[places]
 
     def mean(name: str) -> Floats:
-        found: Floats = records[name].astype(np.float64)[places] @ SIMPSON
-        return found
+        return np.asarray(records[name].astype(np.float64)[places] @ SIMPSON)
 
     faster_m = (x[:, -1] - x[:, -2]) - (x[:, 1] - x[:, 0])
     return Means(
@@ -157,7 +156,7 @@ def measure_delivery(
     the device's limit by default. CommandError unless disabled; AnalysisError where signs are not
     verified, or force ends meanwhile.
     """
-    servo = begin(bench, WAITS)
+    servo = begin_step(bench, WAITS)
     if missing := _unknown_ampere(servo["device"]):
         return StepResult("audit", (), [missing])
     wanted = 0.5 * servo["device"]["active_damping_limit_ns_per_m"] if level is None else level
@@ -255,7 +254,7 @@ def measure_residual(
     the loop gain at the limit is surely below -0.3. CommandError unless disabled; AnalysisError
     where signs are not verified, or force ends meanwhile.
     """
-    servo = begin(bench, WAITS)
+    servo = begin_step(bench, WAITS)
     device = servo["device"]
     if missing := _no_dac(bench) or _unknown_ampere(device):
         return StepResult("trim", (), [missing])

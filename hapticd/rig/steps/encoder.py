@@ -26,7 +26,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.core.params import MOST_CORRECTION, ScaleParams
 from hapticd.core.units import percent
 from hapticd.rig.estimate import deviation, mean_half
-from hapticd.rig.experiment import begin, collect
+from hapticd.rig.experiment import begin_step, collect
 from hapticd.rig.hand import Action, Ask, Request
 from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, checked, settled
 from hapticd.usb import codec, frames
@@ -58,7 +58,7 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
 
     CommandError unless disabled; AnalysisError for a distance beyond the travel.
     """
-    servo = begin(bench)
+    servo = begin_step(bench)
     device = servo["device"]
     position = device["position"]
     _refuse(distance, servo["environment"]["workspace"])
@@ -118,8 +118,7 @@ def counts_of(records: Records, position: Mapping[str, Any]) -> Floats:
     """Encoder counts (n,) since the origin, by the scale `position` of the hello."""
     scale = ScaleParams(**position)
     slope = scale.to_value(1.0) - scale.to_value(0.0)
-    found: Floats = np.round(records["position_m"] / slope)
-    return found
+    return np.asarray(np.round(records["position_m"] / slope))
 
 
 def passages(records: Records, counts: Floats) -> Floats:
@@ -127,8 +126,7 @@ def passages(records: Records, counts: Floats) -> Floats:
     passed = np.flatnonzero(records["status"] & StatusBit.INDEX)
     heads = (frames.IN_SEALED.unpack(bytes(one)) for one in records["in_frame"][passed])
     behind = np.array([head[codec.HEAD_INDEX_OFFSET] for head in heads])
-    found: Floats = counts[passed] - behind
-    return found
+    return np.asarray(counts[passed] - behind)
 
 
 def analyse(

@@ -27,7 +27,7 @@ from hapticd.core.units import US_PER_S, percent
 from hapticd.model.linearise import GAIN
 from hapticd.model.theorem import required_damping
 from hapticd.rig.excitation import CENTRE, loudest_n, noise
-from hapticd.rig.experiment import PerturbationRun, arrays_of, begin, perturbation_run
+from hapticd.rig.experiment import PerturbationRun, arrays_of, begin_step, perturbation_run
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import Change, Finding, StepResult, Value, checked, relative_half
 from hapticd.rig.steps.force_balance import NAMES, Balance, Test, fit_rigid_mass, fit_two_masses
@@ -73,7 +73,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     """Perturb the handle and write its model. CommandError unless disabled; AnalysisError while
     signs are not verified, where the handle leaves its travel, or where records are lost.
     """
-    servo = begin(bench, "the model is measured")
+    servo = begin_step(bench, "the model is measured")
     facts = facts_of(servo)
     ask(Request("let go", "let go of the handle in the middle of its travel; it will be shaken"))
     loud_n = loudest_n(bench, servo)
@@ -165,12 +165,8 @@ def _moved(found: Balance) -> Finding:
             f"repeat the step; {remedy}",
         )
     if handle.whole_kg > found.most_kg:
-        mass_g, most_g = 1e3 * handle.whole_kg, 1e3 * found.most_kg
-        return Finding(
-            f"moving mass {mass_g:.3g} g: all forces together move {most_g:.3g} g at most",
-            "refused",
-            remedy,
-        )
+        most = f"all forces together move {1e3 * found.most_kg:.3g} g at most"
+        return Finding(f"moving mass {1e3 * handle.whole_kg:.3g} g: {most}", "refused", remedy)
     return Finding(what, "ok")
 
 

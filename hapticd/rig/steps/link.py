@@ -42,7 +42,7 @@ from hapticd.core.units import MS_PER_S, NS_PER_US, US_PER_S
 from hapticd.mailbox.layout import LONGEST_SILENCE_S, Flag
 from hapticd.protocol.answers import Status
 from hapticd.rig.estimate import NORMAL, in_blocks, jackknife
-from hapticd.rig.experiment import begin, collect, servo_rate_hz
+from hapticd.rig.experiment import begin_step, collect, servo_rate_hz
 from hapticd.rig.result import Finding, StepResult, Value, Verdict, checked
 from hapticd.usb.frames import Capability, StatusBit
 
@@ -97,7 +97,7 @@ def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
     """Listen for `seconds`, then try the watchdog; no force is made. CommandError unless
     disabled.
     """
-    servo = begin(bench)
+    servo = begin_step(bench)
     before = bench.status().counters
     span = collect(bench, seconds)
     after = bench.status()
@@ -302,7 +302,8 @@ def _analyse_silences(silences: list[Silence], stated_s: float, period_s: float)
         return StepResult("watchdog", (), [Finding(what, "refused", REMEDY)], arrays=arrays)
     high_s = min(one.seconds for one in silences if one.tripped)
     low_s = max((one.seconds for one in silences if not one.tripped), default=period_s)
-    low_ms, high_ms = MS_PER_S * min(low_s, high_s), MS_PER_S * high_s
+    low_ms = MS_PER_S * min(low_s, high_s)
+    high_ms = MS_PER_S * high_s
     value = Value("watchdog", (low_ms + high_ms) / 2, "ms", low_ms, high_ms)
     findings = [_time(value, MS_PER_S * stated_s, MS_PER_S * period_s), *_trip(silences)]
     return StepResult("watchdog", [value], findings, arrays=arrays)

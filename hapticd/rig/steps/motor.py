@@ -37,7 +37,7 @@ from hapticd.rig.estimate import line, mean_half
 from hapticd.rig.experiment import (
     LOOK_S,
     Push,
-    begin,
+    begin_step,
     collect,
     identity_of,
     pull,
@@ -104,7 +104,7 @@ def force_limits(device: Mapping[str, Any]) -> ForceLimits:
 
 def measure_sign(bench: Client, ask: Ask) -> StepResult:
     """Push to both sides and see which way the handle goes. CommandError unless disabled."""
-    servo = begin(bench)
+    servo = begin_step(bench)
     _require_encoder(servo)
     where = "somewhere in the middle of its travel"
     ask(Request("let go", f"let go of the handle, {where}; it will be pushed gently"))
@@ -225,7 +225,7 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
     """Ask for each mass and fit the line. CommandError unless disabled; AnalysisError where
     signs are not verified, masses are too few or too heavy.
     """
-    servo = begin(bench, "the gain is measured")
+    servo = begin_step(bench, "the gain is measured")
     _refuse(servo, masses)
     weights = masses.weights_n
     stiffness = min(STIFFEST_N_PER_M, float(weights.max()) / SAG_M)

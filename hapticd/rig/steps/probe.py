@@ -38,7 +38,7 @@ from hapticd.rig.excitation import (
     sine_run,
     sines,
 )
-from hapticd.rig.experiment import begin, record
+from hapticd.rig.experiment import begin_step, record
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import (
     POSITION_HALF,
@@ -57,16 +57,16 @@ from hapticd.rig.steps.probe_fits import (
     SIGNAL_S,
     SKEW,
     Added,
-    Judged,
-    added,
-    channel,
+    ReferenceSpring,
+    fit_added_mass,
+    fit_velocity_channel,
     phase,
     phase_findings,
     skew_change,
 )
 from hapticd.usb.codec import I16_HIGHEST
 
-__all__ = ["Attached", "measure"]
+__all__ = ["AttachedMass", "measure"]
 
 REST_S = 12.0  # high-passes of 0.1 Hz forget what was before in some seconds
 QUARTERS = 4
@@ -82,7 +82,7 @@ LATEST_S = 2e-3  # between encoder and probe
 
 
 @dataclass(frozen=True)
-class Attached:
+class AttachedMass:
     """The mass that is fixed to the handle."""
 
     kilograms: float
@@ -113,8 +113,8 @@ class Gain(NamedTuple):
 def measure(
     bench: Client,
     ask: Ask,
-    attached: Attached,
-    judged: Judged | None = None,
+    attached: AttachedMass,
+    judged: ReferenceSpring | None = None,
     with_one_signal: bool = True,
 ) -> StepResult:
     """Record what is at rest, shaken without and with the mass, and under one signal; conclude.
@@ -123,7 +123,7 @@ def measure(
     handle wanders off.
     """
     # without the weak spring the smallest slope takes the handle along while it is shaken
-    device = begin(bench, "the probe is measured")["device"]
+    device = begin_step(bench, "the probe is measured")["device"]
     if not attached.kilograms > 0.0:
         raise AnalysisError(f"mass {attached.kilograms:g} kg: name the one that is fixed, in kg")
     if attached.kilograms * GRAVITY_M_PER_S2 > HEAVIEST * float(device["force_limit_n"]):
@@ -142,11 +142,11 @@ def measure(
             text = f"feed one signal into both probe channels for {SIGNAL_S:g} s from now"
             ask(Request("one signal", text, SIGNAL_S))
             found = found._replace(one=recording(record(bench, SIGNAL_S)))
-    return analyse(found, attached, device, judged or Judged())
+    return analyse(found, attached, device, judged or ReferenceSpring())
 
 
 def analyse(
-    found: Recordings, attached: Attached, device: Mapping[str, Any], judged: Judged
+    found: Recordings, attached: AttachedMass, device: Mapping[str, Any], judged: ReferenceSpring
 ) -> StepResult:
     """What was recorded says, with the scales of the hello's `device`."""
     bare = lines(found.bare)
@@ -158,8 +158,8 @@ def analyse(
         turned = _compared(found.one, judged, values, findings)
     if found.loaded is not None and settled(findings):
         half = relative_half(device["position"], POSITION_HALF)
-        of_velocity = channel(bare)
-        fit = added(found.bare, found.loaded, of_velocity, turned)
+        of_velocity = fit_velocity_channel(bare)
+        fit = fit_added_mass(found.bare, found.loaded, of_velocity, turned)
         velocity_half = hypot(of_velocity.relative_half, half)
         gains = {
             "probe_torque": force_gain(fit, attached, half),
@@ -179,7 +179,7 @@ def analyse(
 
 
 def _compared(
-    one: Recording | None, judged: Judged, values: list[Value], findings: list[Finding]
+    one: Recording | None, judged: ReferenceSpring, values: list[Value], findings: list[Finding]
 ) -> Floats:
     """Phase (l,) of the velocity channel against the torque channel; what is found of both is
     added to `values` and `findings`.
@@ -205,7 +205,9 @@ def _compared(
 
 def channels(bare: Lines) -> list[Finding]:
     """Which channels live, and whether each is where it belongs, from lines without a mass."""
-    torque, velocity, moved_m = rms(bare.torque), rms(bare.velocity), rms(bare.position_m)
+    torque = rms(bare.torque)
+    velocity = rms(bare.velocity)
+    moved_m = rms(bare.position_m)
     seen = (
         f"handle {1e3 * moved_m:.3g} mm rms, torque channel {torque:.4g} counts, velocity"
         f" channel {velocity:.4g} counts"
@@ -258,7 +260,7 @@ def alike(found: Complexes, known: Complexes, latest_s: float) -> float:
     return float(common.max() / power)
 
 
-def force_gain(found: Added, attached: Attached, position_half: float) -> Gain:
+def force_gain(found: Added, attached: AttachedMass, position_half: float) -> Gain:
     """N of a count."""
     relative = hypot(found.half / found.counts, attached.tolerance, position_half)
     return Gain(attached.kilograms / found.counts, relative)
@@ -312,7 +314,8 @@ def offset(name: str, counts: Floats) -> Value:
     """The last quarter of `counts` (n,) at rest; the one before says how far it still drifts."""
     quarter = len(counts) // QUARTERS
     last = counts[-quarter:]
-    mean, spread = float(last.mean()), float(last.std())
+    mean = float(last.mean())
+    spread = float(last.std())
     drift = mean - float(counts[-2 * quarter : -quarter].mean())
     # what does not move by half a count does not tell where in its count it is
     half = hypot(NORMAL * spread / sqrt(quarter), drift, 0.5 if spread < 0.5 else 0.0)

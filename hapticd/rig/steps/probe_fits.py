@@ -58,7 +58,7 @@ from hapticd.rig.estimate import Fit, least_squares
 from hapticd.rig.excitation import LINES_HZ, Lines, Recording, amplitudes, lines
 from hapticd.rig.result import Change, Finding, Value, checked
 
-__all__ = ["Judged"]
+__all__ = ["ReferenceSpring"]
 
 UNEVEN = 2.0  # of a variance: what a fit leaves is rather of its model, and not alike at all lines
 PART_SD = 0.3  # of a share that is anything between 0 and 1
@@ -96,7 +96,7 @@ class Added(NamedTuple):
     left: float  # share of the torque's lines that is not explained
 
 
-def channel(bare: Lines) -> Channel:
+def fit_velocity_channel(bare: Lines) -> Channel:
     """The velocity channel, from lines of the handle without the mass."""
     speed = 1j * OMEGA * bare.position_m
     ratio = bare.velocity / speed
@@ -110,7 +110,9 @@ def channel(bare: Lines) -> Channel:
     return Channel(sign * counts, float(fit.halves[0]) / counts, float(turn), float(corner))
 
 
-def added(bare: Recording, loaded: Recording, of_velocity: Channel, turned: Floats) -> Added:
+def fit_added_mass(
+    bare: Recording, loaded: Recording, of_velocity: Channel, turned: Floats
+) -> Added:
     """Fit both recordings; `turned` (l,) is the phase of the velocity channel against the torque
     channel.
     """
@@ -127,7 +129,8 @@ def added(bare: Recording, loaded: Recording, of_velocity: Channel, turned: Floa
     free = least_squares(known, seen, inflate=UNEVEN)
     fit = least_squares(*_within_mass(known, seen, free), inflate=UNEVEN)
     of = np.zeros(9)
-    of[1], of[5] = -1.0, 1.0
+    of[1] = -1.0
+    of[5] = 1.0
     left = float(np.linalg.norm(fit.residuals) / np.linalg.norm(seen))
     return Added(float(of @ fit.values), fit.half(of), left)
 
@@ -174,7 +177,7 @@ def _without_high_pass(found: Recording, of_velocity: Channel) -> Floats:
 
 
 @dataclass(frozen=True)
-class Judged:
+class ReferenceSpring:
     """What the mismatch is to be thought of: a spring at the lowest frequency that is judged."""
 
     lowest_hz: float = 2.0
@@ -189,18 +192,17 @@ class Phase:
 
     def at(self, f: Floats) -> Floats:
         """phi (n,) at `f` (n,) in Hz."""
-        found: Floats = _columns(f) @ self.fit.values
-        return found
+        return np.asarray(_columns(f) @ self.fit.values)
 
     @property
     def skew(self) -> Value:
         """By how much later the velocity is sampled [us]."""
         # the zero crossing of a line is where it is: what its interpolation adds is in f^3
         to_us = US_PER_S / (2.0 * pi)
-        skew, half = to_us * float(self.fit.values[0]), to_us * float(self.fit.halves[0])
-        return Value.around(SKEW, skew, "us", half)
+        skew = to_us * float(self.fit.values[0])
+        return Value.around(SKEW, skew, "us", to_us * float(self.fit.halves[0]))
 
-    def mismatch(self, judged: Judged) -> Value:
+    def mismatch(self, judged: ReferenceSpring) -> Value:
         """Damping that unequal high-passes feign on the spring of `judged`."""
         low = judged.lowest_hz
         of = np.array([0.0, 0.0, 1.0 / low, low**-3.0])
@@ -242,7 +244,7 @@ def skew_change(skew: Value) -> Change:
     return Change("probe_velocity", "skew_us", skew.rounded)
 
 
-def phase_findings(skew: Value, mismatch: Value, judged: Judged) -> list[Finding]:
+def phase_findings(skew: Value, mismatch: Value, judged: ReferenceSpring) -> list[Finding]:
     """What is to be thought of both."""
     share = skew.value / PERIOD_US
     late = f"the velocity is sampled {skew.value:.3g} us after the force, {share:.2g} of a sample"

@@ -26,7 +26,7 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.units import percent
 from hapticd.rig.estimate import line, mean_half
-from hapticd.rig.experiment import begin, collect, pull, ready, release, require_force
+from hapticd.rig.experiment import begin_step, collect, pull, ready, release, require_force
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import Change, Finding, StepResult, Value, checked
 from hapticd.rig.steps.motor import (
@@ -77,7 +77,7 @@ def measure(bench: Client, ask: Ask, spring: Spring) -> StepResult:
     """Ask for the spring, pull at it and fit the line. CommandError unless disabled; AnalysisError
     where signs are not verified.
     """
-    servo = begin(bench, "the gain is measured")
+    servo = begin_step(bench, "the gain is measured")
     most_n = min(SHARE * limit_n(servo), MOST_M * spring.n_per_m) / OVERSHOOT
     text = f"put the spring of {spring.n_per_m:g} N/m between handle and frame, and let go"
     ask(Request("spring", text, spring.n_per_m))
@@ -141,7 +141,7 @@ def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> St
     """Which count makes no force: a rendered spring holds the free handle, which comes to rest from
     either side. CommandError unless disabled; AnalysisError where signs are not verified.
     """
-    servo = begin(bench, "the offset is measured")
+    servo = begin_step(bench, "the offset is measured")
     ask(Request("let go", "let go of the handle, with nothing hanging from it"))
     drawn_n = DRAWN_SHARE * limit_n(servo)
     with ready(bench):

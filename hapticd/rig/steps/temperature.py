@@ -29,7 +29,7 @@ from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
 from hapticd.rig.estimate import deviation, line
-from hapticd.rig.experiment import begin, collect
+from hapticd.rig.experiment import begin_step, collect
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import (
     FACTOR,
@@ -44,7 +44,7 @@ from hapticd.rig.result import (
 from hapticd.rig.steps.winding import analyse_back_emf, raw_counts
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
-__all__ = ["Stated", "measure"]
+__all__ = ["KnownTemperatures", "measure"]
 
 REST_S = 10.0
 SHAKE_S = 6.0
@@ -58,20 +58,22 @@ MOST_DRIFT_C_PER_MIN = 1.0
 
 
 @dataclass(frozen=True)
-class Stated:
+class KnownTemperatures:
     """What a thermometer at the winding says: of the room, and once more when it is warm."""
 
     celsius: tuple[float, ...]
     tolerance_c: float = 0.5  # half of the 95 % interval of each
 
 
-def measure(bench: Client, ask: Ask, stated: Stated, with_shake: bool = True) -> StepResult:
+def measure(
+    bench: Client, ask: Ask, stated: KnownTemperatures, with_shake: bool = True
+) -> StepResult:
     """Read the sensor at each temperature, then the back-EMF while a hand shakes the handle.
 
     CommandError unless disabled; AnalysisError for a board without the sensor, or temperatures that
     are too close.
     """
-    servo = begin(bench)
+    servo = begin_step(bench)
     _refuse(stated)
     device = servo["device"]
     room_c = stated.celsius[0]
@@ -89,7 +91,7 @@ def measure(bench: Client, ask: Ask, stated: Stated, with_shake: bool = True) ->
     return analyse(np.array(readings), stated, device, shaken)
 
 
-def _refuse(stated: Stated) -> None:
+def _refuse(stated: KnownTemperatures) -> None:
     if len(stated.celsius) not in (1, 2):
         raise AnalysisError(f"{len(stated.celsius)} temperatures: state one, or two")
     apart_c = float(np.ptp(stated.celsius))
@@ -110,7 +112,10 @@ def _read(bench: Client, device: Mapping[str, Any]) -> Floats:
 
 
 def analyse(
-    readings: Floats, stated: Stated, device: Mapping[str, Any], shaken: Records | None = None
+    readings: Floats,
+    stated: KnownTemperatures,
+    device: Mapping[str, Any],
+    shaken: Records | None = None,
 ) -> StepResult:
     """What counts (k, n) of the sensor at k temperatures say, over REST_S each, and the ticks of a
     handle that was `shaken`, with the scales of the hello's `device`.
@@ -170,7 +175,7 @@ def drift_of(counts: Floats, per_count: float) -> Value:
     return Value.around("temperature drift", found.slope, "K/min", found.slope_half)
 
 
-def scale_of(readings: Floats, stated: Stated, scale: Mapping[str, Any]) -> list[Value]:
+def scale_of(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any]) -> list[Value]:
     """Offset, and with two temperatures the scale too, from counts (k, n)."""
     counts = readings.mean(axis=1)
     celsius = np.array(stated.celsius)
@@ -197,7 +202,7 @@ def _offset(offset: float, half: float) -> Value:
 
 
 def _plausible(
-    readings: Floats, stated: Stated, scale: Mapping[str, Any], scales: Sequence[Value]
+    readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any], scales: Sequence[Value]
 ) -> Finding:
     told_c = ScaleParams(**scale).to_value(float(readings[0].mean()))
     away_c = told_c - stated.celsius[0]
@@ -219,7 +224,7 @@ def _plausible(
     )
 
 
-def _sign(readings: Floats, stated: Stated, scale: Mapping[str, Any]) -> int:
+def _sign(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any]) -> int:
     """That of the file, or as the counts rise between two temperatures."""
     if len(stated.celsius) != 2:
         return int(scale["sign"])

@@ -45,7 +45,7 @@ from hapticd.model.loop import derivatives, held
 from hapticd.recording.calibrations import doubts
 from hapticd.rig.estimate import NORMAL, least_squares, separable
 from hapticd.rig.excitation import CENTRE, loudest_n, noise
-from hapticd.rig.experiment import PerturbationRun, arrays_of, begin, perturbation_run
+from hapticd.rig.experiment import PerturbationRun, arrays_of, begin_step, perturbation_run
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import Finding, StepResult, Value, checked, relative_half
 from hapticd.rig.steps import reference_vectors
@@ -116,9 +116,9 @@ class Rendering:
 
 def measure(bench: Client, ask: Ask, known: KnownParts = USUAL) -> StepResult:
     """Shake the handle with and without each part, and compare. CommandError unless disabled;
-    AnalysisError where the signs are not verified, or as `play`.
+    AnalysisError where the signs are not verified, or as of `perturbation_run`.
     """
-    servo = begin(bench, "a display is verified")
+    servo = begin_step(bench, "a display is verified")
     before = counted(bench)
     free = Request("let go", "let go of the handle in the middle of its travel; it will be shaken")
     ask(free)

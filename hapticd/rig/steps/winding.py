@@ -36,7 +36,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K, US_PER_S
 from hapticd.rig.estimate import Fit, in_blocks, jackknife, line
-from hapticd.rig.experiment import begin, collect, pull, ready, require_force, servo_rate_hz
+from hapticd.rig.experiment import begin_step, collect, pull, ready, require_force, servo_rate_hz
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import (
     POSITION_HALF,
@@ -79,7 +79,7 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
     """Ask for a held and for a moved handle. CommandError unless disabled; AnalysisError where
     signs are not verified or the handle slips.
     """
-    servo = begin(bench, "the winding is measured")
+    servo = begin_step(bench, "the winding is measured")
     ask(Request("hold", "hold the handle firmly where it is; it will be pushed gently", 0.0))
     most_n = allowed_n(servo)
     with ready(bench):
@@ -129,8 +129,7 @@ def _means(values: Floats, size: int) -> Floats:
     """Means by the trapezium rule from each edge of a window to the next one."""
     middles = (values[1:] + values[:-1]) / 2.0
     whole = len(middles) // size
-    found: Floats = middles[: whole * size].reshape(whole, size).mean(axis=1)
-    return found
+    return np.asarray(middles[: whole * size].reshape(whole, size).mean(axis=1))
 
 
 def analyse(
@@ -160,8 +159,8 @@ def analyse(
     reference_c = round(celsius, 1) if isfinite(celsius) else ROOM_C
     changes = [*map(change_of, values[:2]), Change("motor", "reference_c", reference_c)]
     if lever_m is not None:
-        torque, half = lever_m * per_ampere.value, lever_m * per_ampere.half
-        values.append(Value.around("torque constant", torque, "N m/A", half))
+        torque = lever_m * per_ampere.value
+        values.append(Value.around("torque constant", torque, "N m/A", lever_m * per_ampere.half))
         changes.append(Change("motor", "lever_m", lever_m))
     return StepResult("motor", values, findings, changes, arrays)
 
@@ -264,8 +263,7 @@ def analyse_back_emf(shaken: Records, device: Mapping[str, Any]) -> StepResult:
 def raw_counts(values: Floats, scale: Mapping[str, Any]) -> Floats:
     """Counts (n,) of what was read as `values` (n,) by the hello's `scale`."""
     known = ScaleParams(**scale)
-    found: Floats = known.sign * values / known.per_count + known.offset_count
-    return found
+    return np.asarray(known.sign * values / known.per_count + known.offset_count)
 
 
 def _late_fit(counts: Floats, speed: Floats, late_ticks: float) -> Fit:
