@@ -152,7 +152,7 @@ def test_intervals_of_a_line_hold_nineteen_times_in_twenty():
     for _ in range(1000):
         found = line(x, 2.0 * x + 0.5 + 0.01 * random.standard_normal(5))
         slopes += abs(found.slope - 2.0) <= found.slope_half
-        intercepts += abs(line.intercept - 0.5) <= line.intercept_half
+        intercepts += abs(found.intercept - 0.5) <= found.intercept_half
     assert 930 <= slopes <= 970
     assert 930 <= intercepts <= 970
 
