@@ -32,7 +32,7 @@ What would break it: a handle that somebody holds (another mass), a first resona
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import hypot, nan, pi, sqrt
+from math import hypot, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -147,19 +147,11 @@ def parts_of(known: KnownParts) -> list[Part]:
         Part("rendered mass", m, "kg", Environment(stiffness, damping, mass + m)),
     ]
     if kg := known.attached_kg:
-        found.append(
-            Part(
-                "attached mass",
-                kg,
-                "kg",
-                BESIDE,
-                Request("attach", f"fix {kg:g} kg firmly to the handle, and let go of it", kg),
-            )
-        )
+        text = f"fix {kg:g} kg firmly to the handle, and let go of it"
+        found.append(Part("attached mass", kg, "kg", BESIDE, Request("attach", text, kg)))
     if spring := known.spring_n_per_m:
-        request = Request(
-            "spring", f"put a spring of {spring:g} N/m between handle and frame, and let go", spring
-        )
+        text = f"put a spring of {spring:g} N/m between handle and frame, and let go"
+        request = Request("spring", text, spring)
         found.append(Part("attached spring", spring, UNIT_N_PER_M, BESIDE, request))
     return found
 
@@ -213,8 +205,7 @@ def expected(part: Part, frequency_hz: Floats, rendering: Rendering) -> Complexe
     """The impedance (F,) that `part` adds [N s/m]."""
     s = 2j * pi * frequency_hz
     if part.request:
-        added = part.size * s if part.unit == "kg" else part.size / s
-        return np.asarray(added)
+        return np.asarray(part.size * s if part.unit == "kg" else part.size / s)
     turn = np.exp(s / rendering.rate_hz)
     velocity, acceleration = derivatives(turn, rendering.rate_hz, rendering.filters)
     stiffness, damping, mass = np.array(part.environment.free) - np.array(BESIDE.free)
@@ -318,10 +309,9 @@ def _value(one: Difference, scale: float, friction: float, own: float) -> Value:
 
 def agreement(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
     """Whether what was seen lies where the calibrations of `device` let it lie."""
-    halves = {name: relative_half(device[name], nan) for name in part.scales}
-    unknown = [name for name, half in halves.items() if np.isnan(half)]
-    known = [UNKNOWN_SHARE if np.isnan(half) else half for half in halves.values()]
-    allowed = hypot(*known, MASS_SHARE if part.request else 0.0)
+    unknown = [name for name in part.scales if device[name]["half_width_95"] is None]
+    halves = [relative_half(device[name], UNKNOWN_SHARE) for name in part.scales]
+    allowed = hypot(*halves, MASS_SHARE if part.request else 0.0)
     off = value.value / part.size - 1.0
     limit = hypot(allowed, value.half / part.size)
     what = (

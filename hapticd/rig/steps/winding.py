@@ -88,11 +88,8 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
         rests = np.array([_rest(bench, force, start_m) for force in forces])
         status = bench.status()
     require_force(status)
-    ask(
-        Request(
-            "shake", f"move the handle to and fro by some mm for {SHAKE_S:g} s from now", SHAKE_S
-        )
-    )
+    text = f"move the handle to and fro by some mm for {SHAKE_S:g} s from now"
+    ask(Request("shake", text, SHAKE_S))
     shaken = collect(bench, SHAKE_S).records
     ask(Request("let go", "let go of the handle"))
     moved = windows(shaken, servo_rate_hz(bench))
