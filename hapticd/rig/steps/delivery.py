@@ -126,7 +126,7 @@ def _unknown_ampere(device: Mapping[str, Any]) -> Finding | None:
     )
 
 
-def moved(
+def record_hand_motion(
     bench: Client, ask: Ask, seconds: float, seen: Callable[[Records], bool] = lambda new: True
 ) -> list[Records]:
     """Pieces of PIECE_S while a hand moves the handle for `seconds` against the spring, until
@@ -162,7 +162,7 @@ def measure_delivery(
     wanted = 0.5 * servo["device"]["active_damping_limit_ns_per_m"] if level is None else level
     with undamped(bench):
         bench.damping(wanted)
-        pieces = moved(bench, ask, seconds)[SETTLED:]
+        pieces = record_hand_motion(bench, ask, seconds)[SETTLED:]
     params = from_plain(ServoParams, servo)
     follows = Delivered(params, lambda: None)
     for piece in pieces:
@@ -272,7 +272,7 @@ def measure_residual(
         return latest.loop + latest.half * latest.top_ns_per_m >= REFUSE
 
     with undamped(bench):
-        pieces = moved(bench, ask, seconds, seen)
+        pieces = record_hand_motion(bench, ask, seconds, seen)
     return StepResult("trim", *_last(found), arrays=raw_of(pieces))
 
 
