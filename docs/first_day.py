@@ -14,7 +14,7 @@ sys.path[:0] = [str(DOCS.parent / "tests")]
 
 from support.blind_rig import BlindRig, first_day  # noqa: E402
 
-from hapticd.rig.motor import fitted  # noqa: E402
+from hapticd.rig.estimate import line  # noqa: E402
 from hapticd.rig.result import StepResult  # noqa: E402
 from hapticd.zwidth.report.style import BLACK, BLUE, ORANGE, WIDTH_IN, axes, styled  # noqa: E402
 
@@ -48,8 +48,8 @@ def hung(axis, result: StepResult) -> None:
     """Commanded force at rest under each weight, from above and from below, and the line."""
     weights = result.arrays["weights_n"]
     readings = result.arrays["readings_n"]
-    line = fitted(weights, readings.mean(axis=1))
-    axis.plot(weights, line.intercept + line.slope * weights, color=BLACK, linewidth=0.8)
+    fit = line(weights, readings.mean(axis=1))
+    axis.plot(weights, fit.intercept + fit.slope * weights, color=BLACK, linewidth=0.8)
     for place, colour in ((0, BLUE), (1, ORANGE)):
         label = ("from positive x", "from negative x")[place]
         axis.plot(weights, readings[:, place], "o", color=colour, label=label)

@@ -29,7 +29,7 @@ from hapticd.recording.provenance import (
     provenance,
     versions,
 )
-from hapticd.rig.records import BoardIdentity
+from hapticd.rig.experiment import BoardIdentity
 from hapticd.rig.result import StepResult
 
 __all__ = ["Subject", "content", "write"]

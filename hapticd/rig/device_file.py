@@ -8,20 +8,24 @@ one step. Until then the old file is untouched, whatever happens.
 
 A table may be one of another, `model.masses`. Tables with `measured_on`, `measured_by`, `serial`,
 `half_width_95` and `source` say there when, by which step, at which board and how well their values
-were measured; in a table of an effect `source` is a tag, and `note` has the words.
+were measured; in a table of an effect `source` is a tag, and `note` has the words. Raw records are
+kept beside it (`keep`): the device file names them, with their SHA-256.
 
 What would break it: two programs that write at once (the last one wins, whole).
 """
 
 import copy
 import datetime
+import hashlib
 import os
 import shutil
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import tomlkit
 from tomlkit.items import InlineTable, Table
 
@@ -32,11 +36,37 @@ from hapticd.settings.load import load_device
 from hapticd.settings.tables import keys_of
 from hapticd.settings.toml import read, shipped
 
-__all__ = ["refuse_shipped", "write"]
+__all__ = ["keep", "refuse_shipped", "write"]
 
 Stated = Written | datetime.date | Mapping[str, float]
 Values = Mapping[tuple[str, str], Stated]  # by table and key
 _EFFECT = "model."  # before the name of each effect
+_DIGITS = 12  # of the hash of a kept file
+
+
+class Kept(NamedTuple):
+    """A file of raw records."""
+
+    path: Path
+    sha256: str  # hex
+
+
+def keep(
+    device_file: Path, step: str, day: datetime.date, arrays: Mapping[str, npt.NDArray[Any]]
+) -> Kept:
+    """Write `arrays` beside `device_file`, as rig/NAME-DATE-STEP.npz; an earlier file of that day
+    stays.
+    """
+    folder = device_file.parent / "rig"
+    folder.mkdir(exist_ok=True)
+    stem = f"{device_file.stem}-{day.isoformat()}-{step}"
+    names = (f"{stem}{f'-{number}' if number > 1 else ''}.npz" for number in range(1, 1000))
+    path = next(folder / name for name in names if not (folder / name).exists())
+    partial = path.with_suffix(".partial")
+    with partial.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+    os.replace(partial, path)
+    return Kept(path, hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGITS])
 
 
 def write(

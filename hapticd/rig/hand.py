@@ -1,17 +1,27 @@
 """What a step asks of a person at the rig: in words, and as an action with its amount.
 
-A terminal shows the words. A scripted hand at a simulated rig does the action; both answer by
-returning from `Ask` once it is done, or, for what goes on while a step measures, once it begins.
+A terminal shows the words. A program (a positioning stage, a scripted hand at a simulated rig) does
+the action; both answer once it is done, or, for what goes on while a step measures, once it begins.
 Positions of a hand are metres to positive x from A, the place that the person chooses first.
 
-What would break it: an action that two steps understand differently (they are all named here).
+A program listens at a Unix socket (`asked_at`). Each request is a connection with one line of JSON,
+{"action", "amount", "text"}; the answer is one line, {"done": true} or {"error": "why not"}.
+
+What would break it: an action that two steps understand differently (they are all named here), or a
+program that answers before it is done.
 """
 
+import json
+import socket
 from collections.abc import Callable
+from pathlib import Path
 from typing import Literal, NamedTuple
 
-__all__ = ["Ask", "Request"]
+from hapticd.core.errors import AnalysisError, DaemonDown
 
+__all__ = ["Ask", "Request", "asked_at"]
+
+PATIENCE_S = 120.0
 Action = Literal[
     "let go",  # of the handle, and take off everything that was attached
     "move",  # slowly by about `amount` m, and hold: from now on, within a few seconds
@@ -36,3 +46,25 @@ class Request(NamedTuple):
 
 
 Ask = Callable[[Request], None]
+
+
+def asked_at(path: Path) -> Ask:
+    """What asks the program at the socket `path`. DaemonDown if nobody listens there, AnalysisError
+    if it cannot do what is asked.
+    """
+
+    def ask(request: Request) -> None:
+        with socket.socket(socket.AF_UNIX) as line:
+            line.settimeout(PATIENCE_S)
+            try:
+                line.connect(str(path))
+                line.sendall(json.dumps(request._asdict()).encode() + b"\n")
+                answer = json.loads(line.makefile("rb").readline())
+            except (OSError, ValueError) as error:
+                raise DaemonDown(
+                    f"no hand answers at {path}: {error}; start its program, or unset HAPTICD_HAND"
+                ) from error
+        if not answer.get("done"):
+            raise AnalysisError(f"the hand cannot {request.action}: {answer.get('error')}")
+
+    return ask

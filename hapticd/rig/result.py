@@ -18,7 +18,7 @@ __all__ = ["StepResult"]
 
 Verdict = Literal["ok", "warning", "refused", "not done"]
 POSITION_HALF = 2e-3  # relative, of the encoder's scale where the file states none
-UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval
+FACTOR = 2.0  # between a scale of the file and its measurement: a data sheet is rarely so wrong
 Scalar = bool | int | float | str
 Written = Scalar | tuple[Scalar, ...]  # what may stand in a device file
 
@@ -32,6 +32,21 @@ class Value:
     unit: str
     low: float
     high: float
+
+    @classmethod
+    def around(cls, name: str, value: float, unit: str, half: float) -> "Value":
+        """A quantity in the middle of its interval, of which `half` is half."""
+        return cls(name, value, unit, value - half, value + half)
+
+    @property
+    def half(self) -> float:
+        """Half of the interval."""
+        return (self.high - self.low) / 2.0
+
+    @property
+    def rounded(self) -> float:
+        """As it is written: with the digits that its interval allows."""
+        return rounded(self.value, self.low, self.high)
 
     def __str__(self) -> str:
         between = f"{self.low:.6g} to {self.high:.6g}"
@@ -61,13 +76,19 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """What the step `step` found. `arrays` are what it was found from."""
+    """What the step `step` found; there are no changes where something was refused. `arrays` are
+    what it was found from.
+    """
 
     step: str
     values: Sequence[Value] = ()
     findings: Sequence[Finding] = ()
     changes: Sequence[Change] = ()
     arrays: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.settled:
+            object.__setattr__(self, "changes", ())
 
     @property
     def settled(self) -> bool:
@@ -90,12 +111,26 @@ def settled(findings: Iterable[Finding]) -> bool:
     return all(one.verdict != "refused" for one in findings)
 
 
+def checked(what: str, good: bool, remedy: str, otherwise: Verdict = "warning") -> Finding:
+    """A finding that is ok where it is `good`, else `otherwise` with its `remedy`."""
+    return Finding(what, "ok") if good else Finding(what, otherwise, remedy)
+
+
+def plausible(name: str, ratio: float, remedy: str) -> Finding:
+    """What is to be thought of a count of the channel `name` that is `ratio` times what the device
+    file says, with its sign; `remedy` where that cannot be meant: a mass in grams, another sensor.
+    """
+    what = f"{name}: a count is {ratio:.4g} of what the device file says"
+    if not 1.0 / FACTOR <= abs(ratio) <= FACTOR:
+        return Finding(what, "refused", remedy)
+    return checked(what, ratio > 0.0, "its sign is the other one; the device file gets it")
+
+
 def change_of(one: Value) -> Change:
     """The value `one`, whose name is TABLE.KEY, into the device file."""
     table, key = one.name.split(".")
-    half = (one.high - one.low) / 2.0
-    known = float(f"{half:.3g}") if np.isfinite(half) else None
-    return Change(table, key, rounded(one.value, one.low, one.high), known)
+    known = float(f"{one.half:.3g}") if np.isfinite(one.half) else None
+    return Change(table, key, one.rounded, known)
 
 
 def relative_half(scale: Mapping[str, Any], otherwise: float) -> float:

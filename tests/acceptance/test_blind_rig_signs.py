@@ -70,14 +70,14 @@ def test_the_path_names_nothing_by_which_it_could_know_the_truth(folder):
 def test_the_whole_path_loads_no_simulator():
     """Steps and verbs in an interpreter of their own."""
     program = (
-        "import pkgutil, sys, importlib, hapticd.rig, hapticd.cli.rig\n"
-        "for package in (hapticd.rig, hapticd.cli.rig):\n"
+        "import pkgutil, sys, importlib, hapticd.rig.steps, hapticd.cli.rig\n"
+        "for package in (hapticd.rig, hapticd.rig.steps, hapticd.cli.rig):\n"
         "    for one in pkgutil.iter_modules(package.__path__, package.__name__ + '.'):\n"
         "        importlib.import_module(one.name)\n"
         "print(*(name for name in sys.modules if name.startswith('hapticd.')))\n"
     )
     told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     loaded = told.stdout.split()
-    assert "hapticd.rig.motor" in loaded, told.stderr
+    assert "hapticd.rig.steps.motor" in loaded, told.stderr
     simulators = ("hapticd.sim", "hapticd.zwidth.engine", "hapticd.run", "hapticd.model.tables")
     assert not [name for name in loaded if name.startswith(simulators)]

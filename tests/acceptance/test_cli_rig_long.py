@@ -78,7 +78,7 @@ def test_whoever_says_no_writes_nothing(config, hand, monkeypatch):
 
 
 def test_link_says_a_verdict_for_each_thing(hand, capsys, monkeypatch):
-    monkeypatch.setattr("hapticd.rig.link.SECONDS", 1.0)
+    monkeypatch.setattr("hapticd.rig.steps.link.SECONDS", 1.0)
     assert main(["rig", "link"]) == 0
     told = capsys.readouterr().out
     assert "ok: missing_in: 0" in told

@@ -11,7 +11,7 @@ from hapticd.settings.load import load
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr("hapticd.rig.link.SECONDS", 1.0)
+    monkeypatch.setattr("hapticd.rig.steps.link.SECONDS", 1.0)
     lay_out(tmp_path)
     (tmp_path / SEED).write_text("77")
     return tmp_path

@@ -5,7 +5,7 @@ import pytest
 from support.rig_balance import FACTS, runs_of
 from support.shaken_handle import Truth
 
-from hapticd.rig.identify import concluded
+from hapticd.rig.steps.identify import analyse
 
 SEEDS = range(8)
 
@@ -23,7 +23,7 @@ def several():
             delay_steps=int(random.integers(8, 60)),
             noise_m_per_s=random.uniform(0.2e-4, 2e-4),
         )
-        found.append((concluded(runs_of(truth, seed), FACTS), truth))
+        found.append((analyse(runs_of(truth, seed), FACTS), truth))
     return found
 
 

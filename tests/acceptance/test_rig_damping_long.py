@@ -27,7 +27,7 @@ from hapticd.model.effects import (
 )
 from hapticd.model.tables import board_fields
 from hapticd.protocol.view import as_records
-from hapticd.rig.damping import measure
+from hapticd.rig.steps.damping import measure
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 

@@ -15,7 +15,7 @@ from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import predict, predicted_impedance
 from hapticd.rig.device_file import write
-from hapticd.rig.identify import measure
+from hapticd.rig.steps.identify import measure
 from hapticd.run.lockstep import scene_params
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings import build

@@ -5,7 +5,7 @@ from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 
 from hapticd.core.params import TouchParams
-from hapticd.rig.motor import (
+from hapticd.rig.steps.motor import (
     measure_gain,
     measure_sign,
 )

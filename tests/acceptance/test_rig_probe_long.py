@@ -9,12 +9,12 @@ from support.rig_hand import Hand
 from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
 from hapticd.core.params import ScaleParams
-from hapticd.rig.added_mass import added, channel
-from hapticd.rig.probe import (
+from hapticd.rig.excitation import LINES_HZ, lines, sine_run
+from hapticd.rig.steps.probe import (
     force_gain,
     measure,
 )
-from hapticd.rig.shaken import LINES_HZ, lines, shaken
+from hapticd.rig.steps.probe_fits import fit_added_mass, fit_velocity_channel
 
 
 def holds(value, truth):
@@ -28,8 +28,8 @@ def test_force_and_velocity_gain_lie_in_their_intervals_nineteen_times_in_twenty
     force = velocity = 0
     for seed in range(0, 80, 2):
         bare = motion(0.008, seed)
-        of_velocity = channel(lines(bare))
-        found = added(bare, motion(0.028, seed + 1), of_velocity, level)
+        of_velocity = fit_velocity_channel(lines(bare))
+        found = fit_added_mass(bare, motion(0.028, seed + 1), of_velocity, level)
         gain = force_gain(found, exact, 0.0)
         force += abs(gain.per_count / N - 1.0) <= gain.relative_half
         velocity += abs(of_velocity.counts * N - 1.0) <= of_velocity.relative_half
@@ -72,7 +72,7 @@ def test_what_shakes_is_kept_by_a_lease():
             return type(hand.bench).call(hand.bench, cmd, **fields)
 
         hand.bench.call = noted
-        shaken(hand.bench)
+        sine_run(hand.bench)
         assert not hand.bench.status().leases
     assert leased
     assert all("measuring" in one for one in leased)

@@ -7,8 +7,8 @@ from support.rig_hand import Hand
 from support.rig_spring import SPRING
 
 from hapticd.core.params import TouchParams
-from hapticd.rig import encoder, motor
-from hapticd.rig.spring import Spring, measure, measure_offset
+from hapticd.rig.steps import encoder, motor
+from hapticd.rig.steps.spring import Spring, measure, measure_offset
 
 FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}

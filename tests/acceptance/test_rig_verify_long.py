@@ -13,7 +13,7 @@ from hapticd.cli.rig import steps
 from hapticd.core.params import to_plain
 from hapticd.recording.certificate import certificate_beside, certificate_of
 from hapticd.rig.certificate import page
-from hapticd.rig.verify import measure
+from hapticd.rig.steps.verify import measure
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 

@@ -4,8 +4,8 @@ import pytest
 from support.blind_rig import BlindRig
 from support.blind_truth import NOMINAL
 
-from hapticd.rig import encoder, motor
-from hapticd.rig.winding import measure
+from hapticd.rig.steps import encoder, motor
+from hapticd.rig.steps.winding import measure
 
 
 @pytest.fixture(scope="module", params=[41, 42])

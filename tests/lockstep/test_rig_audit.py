@@ -24,7 +24,7 @@ from hapticd.model.effects import (
 )
 from hapticd.model.tables import board_fields
 from hapticd.protocol.view import as_records
-from hapticd.rig import audit, trim
+from hapticd.rig.steps.delivery import measure_delivery, measure_residual
 
 N_PER_A = 1.65
 OHM = 1.6
@@ -81,7 +81,7 @@ def holds(value, truth):
 def test_audit_finds_what_a_warm_winding_takes_of_damping_and_force(residual_ohm, verdict):
     alpha = 1.0 / (1.0 + 5.0 * residual_ohm / N_PER_A**2)
     with Moving(FILE, **board(residual_ohm)) as hand:
-        result = audit.measure(hand.bench, hand.ask, 5.0)
+        result = measure_delivery(hand.bench, hand.ask, 5.0)
         assert hand.bench.status().state == "disabled"
         hand.settle()
         assert hand.bench.newest["active_damping_ns_per_m"] == 0.0
@@ -94,14 +94,14 @@ def test_audit_finds_what_a_warm_winding_takes_of_damping_and_force(residual_ohm
 
 def test_audit_says_when_it_does_not_know():
     with Moving(FILE, **board(0.0)) as hand:
-        result = audit.measure(hand.bench, lambda request: None, 5.0)
+        result = measure_delivery(hand.bench, lambda request: None, 5.0)
     assert [one.verdict for one in result.findings] == ["not done", "not done"]
     assert not result.values
 
 
 def test_audit_needs_the_force_of_an_ampere():
     with Moving(FILE | {"motor_n_per_a": 0.0}, **board(0.0)) as hand:
-        result = audit.measure(hand.bench, hand.ask, 5.0)
+        result = measure_delivery(hand.bench, hand.ask, 5.0)
         assert not as_records(hand.bench.run(10))["force_n"].any()
     assert result.findings[0].verdict == "not done"
 
@@ -113,7 +113,7 @@ def test_trim_finds_the_residual_and_judges_its_loop_gain(residual_ohm, verdict)
     told = []
     rho = residual_ohm / N_PER_A**2
     with Moving(FILE, **board(residual_ohm, trim_full_scale_ohm=0.8)) as hand:
-        result = trim.measure(hand.bench, hand.ask, 6.0, told.append)
+        result = measure_residual(hand.bench, hand.ask, 6.0, told.append)
         assert hand.bench.status().state == "disabled"
     found = values_of(result)
     assert holds(found["residual resistance"], residual_ohm)
@@ -132,19 +132,19 @@ def test_trim_finds_the_residual_and_judges_its_loop_gain(residual_ohm, verdict)
 
 def test_trim_takes_the_resistance_dac_of_the_board():
     with Moving(FILE, **board(0.0)) as hand:
-        result = trim.measure(hand.bench, hand.ask)
+        result = measure_residual(hand.bench, hand.ask)
     assert result.findings[0].verdict == "not done"
     assert "resistance DAC" in result.findings[0].what
 
 
-@pytest.mark.parametrize("step", [audit.measure, trim.measure])
+@pytest.mark.parametrize("step", [measure_delivery, measure_residual])
 def test_both_wait_for_the_signs(step):
     unseen = Moving(FILE | {"commissioning": True}, **board(0.0))
     with unseen as hand, pytest.raises(AnalysisError, match="signs"):
         step(hand.bench, hand.ask)
 
 
-@pytest.mark.parametrize("step", [audit.measure, trim.measure])
+@pytest.mark.parametrize("step", [measure_delivery, measure_residual])
 def test_ctrl_c_ends_force_and_damping(step):
     def interrupted(request):
         raise KeyboardInterrupt
@@ -166,7 +166,7 @@ def test_a_handle_that_is_let_go_comes_to_rest():
             return type(hand.bench).messages(hand.bench, topics, look_s)
 
         hand.bench.messages = lets_go
-        audit.measure(hand.bench, hand.ask, 5.0)
+        measure_delivery(hand.bench, hand.ask, 5.0)
         assert abs(hand.position_m) < 2.0 * MOVED_M
         still = as_records(hand.bench.run(100))["position_m"]
         assert still.max() - still.min() <= 2.0 * COUNT_M
@@ -179,5 +179,5 @@ def test_authority_that_is_lost_ends_the_audit():
             hand.axis.press_stop(True)
 
         with pytest.raises(HapticdError):
-            audit.measure(hand.bench, stopped, 5.0)
+            measure_delivery(hand.bench, stopped, 5.0)
         assert not as_records(hand.bench.run(50))["force_n"].any()

@@ -8,26 +8,26 @@ from support.rig_balance import FACTS, runs_of
 from support.shaken_handle import Truth, shaken
 
 from hapticd.core.errors import AnalysisError
-from hapticd.rig import balance, identify
-from hapticd.rig.balance import RIGID, balanced
-from hapticd.rig.balance_terms import Handle, commanded, friction
 from hapticd.rig.excitation import noise
-from hapticd.rig.identify import concluded
-from hapticd.rig.played import Played
-from hapticd.rig.probe_clock import Clock, clocked
+from hapticd.rig.experiment import PerturbationRun
+from hapticd.rig.steps import force_balance as balance
+from hapticd.rig.steps import identify
+from hapticd.rig.steps.force_balance import RIGID, fit_rigid_mass
+from hapticd.rig.steps.force_terms import Clock, Handle, clocked, commanded, friction
+from hapticd.rig.steps.identify import analyse
 from hapticd.signal.verdict import student_quantile
 
 
 def contradicted(truth):
-    found = concluded(runs_of(truth), FACTS)
+    found = analyse(runs_of(truth), FACTS)
     return [one.what for one in found.findings if one.what.startswith("contradicted")]
 
 
 def staircase(force_n, at_us):
-    """Played with commands alone: a tick each millisecond."""
+    """A run with commands alone: a tick each millisecond."""
     ticks = np.arange(force_n.size)
     torque = np.zeros(4 * force_n.size)
-    return Played(
+    return PerturbationRun(
         1000.0 * ticks, 0.0 * ticks, force_n, -1.0 + 0.0 * ticks, at_us, 0.0, torque, torque
     )
 
@@ -77,7 +77,7 @@ def test_friction_turns_where_the_velocity_does():
 
 def test_the_probes_clock_is_found_by_the_motion():
     run = shaken(Truth(), noise(8.0, 0.7, 1), 20.0, 0.3, 0)
-    late = Played(run.board_us + 90.0, *list(vars(run).values())[1:])
+    late = PerturbationRun(run.board_us + 90.0, *list(vars(run).values())[1:])
     found = clocked(late)
     assert found.phase_us == pytest.approx(90.0, abs=0.5)
     assert found.gain == pytest.approx(1.0, abs=2e-3)
@@ -86,12 +86,12 @@ def test_the_probes_clock_is_found_by_the_motion():
 def test_nothing_moves_is_said():
     still = staircase(np.zeros(12_000), np.zeros(12_000))
     with pytest.raises(AnalysisError, match="nothing moved"):
-        balanced([still])
+        fit_rigid_mass([still])
 
 
 def test_smoothing_is_told_from_delay_where_it_is_long():
     truth = Truth(smoothing_s=1.5e-3, delay_steps=16)
-    values = {one.name: one for one in concluded(runs_of(truth), FACTS).values}
+    values = {one.name: one for one in analyse(runs_of(truth), FACTS).values}
     assert values["smoothing"].low <= 1500.0 <= values["smoothing"].high
     assert values["delay"].low <= 250.0 <= values["delay"].high
     assert values["smoothing"].high - values["smoothing"].low < 300.0
@@ -99,7 +99,7 @@ def test_smoothing_is_told_from_delay_where_it_is_long():
 
 def test_short_smoothing_is_not_told_from_delay_and_the_interval_says_so():
     truth = Truth(smoothing_s=1e-4, delay_steps=16)
-    result = concluded(runs_of(truth), FACTS)
+    result = analyse(runs_of(truth), FACTS)
     values = {one.name: one for one in result.values}
     assert values["lag"].low <= 350.0 <= values["lag"].high
     assert values["delay"].low <= 250.0 <= values["delay"].high
@@ -119,7 +119,7 @@ def test_coulomb_friction_that_differs_by_direction_is_a_contradiction():
 
 
 def test_the_pull_of_a_sound_device_is_within_its_interval():
-    found = balanced(runs_of(Truth()))
+    found = fit_rigid_mass(runs_of(Truth()))
     pull = next(one for one in found.tests if one.name == "pull")
     assert abs(pull.size) <= 2.0 * pull.half
     assert found.sd.shape == (RIGID,)
@@ -133,7 +133,7 @@ TWO = Truth(mass_kg=0.0067, slider_kg=0.0022, resonance_hz=730.0, smoothing_s=5.
 def test_two_masses_are_told_however_the_velocity_channel_is_late(late_samples):
     """A channel that interpolates is weak at high frequencies, and feigns some of a resonance."""
     truth = replace(TWO, late_samples=late_samples)
-    values = {one.name: one for one in concluded(runs_of(truth), FACTS).values}
+    values = {one.name: one for one in analyse(runs_of(truth), FACTS).values}
     true = {
         "moving mass": truth.mass_kg,
         "sliding mass": truth.slider_kg,
@@ -149,13 +149,13 @@ def test_two_masses_are_told_however_the_velocity_channel_is_late(late_samples):
 
 def test_a_small_mass_on_a_stiff_transmission_is_told():
     truth = Truth(mass_kg=0.0045, slider_kg=0.00144, resonance_hz=885.0, late_samples=0.07)
-    values = {one.name: one for one in concluded(runs_of(truth), FACTS).values}
+    values = {one.name: one for one in analyse(runs_of(truth), FACTS).values}
     for name, true in (("sliding mass", truth.slider_kg), ("first resonance", 885.0)):
         assert values[name].low <= true <= values[name].high
 
 
 def test_a_late_channel_is_not_taken_for_a_transmission_that_yields():
-    result = concluded(runs_of(Truth(late_samples=0.5)), FACTS)
+    result = analyse(runs_of(Truth(late_samples=0.5)), FACTS)
     assert result.settled
     assert "sliding mass" not in {one.name for one in result.values}
     assert not [one.what for one in result.findings if one.what.startswith("contradicted")]
@@ -164,7 +164,7 @@ def test_a_late_channel_is_not_taken_for_a_transmission_that_yields():
 def test_a_balance_that_has_not_settled_is_refused(monkeypatch):
     monkeypatch.setattr(balance, "FIRST_ROUNDS", 1)
     monkeypatch.setattr(balance, "ROUNDS", 1)
-    result = concluded(runs_of(Truth()), FACTS)
+    result = analyse(runs_of(Truth()), FACTS)
     assert not result.settled
     assert not result.values
     assert not result.changes
@@ -172,10 +172,10 @@ def test_a_balance_that_has_not_settled_is_refused(monkeypatch):
 
 
 def test_a_mass_that_no_force_could_move_is_refused(monkeypatch):
-    found = balanced(runs_of(Truth()))
+    found = fit_rigid_mass(runs_of(Truth()))
     assert found.handle.mass_kg <= found.most_kg <= 3.0 * found.handle.mass_kg
     heavy = replace(found, handle=replace(found.handle, mass_kg=0.36), tests=())
     monkeypatch.setattr(identify, "_solved", lambda _: heavy)
-    result = concluded(runs_of(Truth()), FACTS)
+    result = analyse(runs_of(Truth()), FACTS)
     assert not result.changes
     assert "moving mass 360 g" in result.findings[0].what

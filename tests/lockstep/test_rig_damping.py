@@ -13,10 +13,9 @@ from support.rig_hand import Hand
 from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams
 from hapticd.protocol.view import as_records
-from hapticd.rig.damping import measure
-from hapticd.rig.damping_line import concluded
-from hapticd.rig.glide import Row, balance, row_of
-from hapticd.rig.push import push, ready
+from hapticd.rig.experiment import push, ready
+from hapticd.rig.steps.coast_down import Row, analyse, fit_momentum, row_of
+from hapticd.rig.steps.damping import measure
 
 N_PER_A = 1.65
 FORCE = ScaleParams(COUNT_N)
@@ -173,7 +172,7 @@ def test_intervals_hold_nineteen_times_in_twenty(current):
     truth = np.array([TRUTH["gain"], TRUTH["loop"], TRUTH["physical"], TRUTH["friction"]])
     inside = np.zeros(4)
     for _ in range(300):
-        found = balance(made_up(random, current), 1e-5)
+        found = fit_momentum(made_up(random, current), 1e-5)
         assert found.by_current is bool(current)
         seen = np.array(
             [found.gain, found.loop_per_ns_per_m, found.physical_ns_per_m, found.coulomb_n]
@@ -187,7 +186,7 @@ def test_too_much_compensation_is_warned_about_and_refused():
     """At a loop gain of -0.2 and of -0.317 at the limit."""
     random = np.random.default_rng(6)
     for loop, verdict in ((-0.01, "ok"), (-0.02, "warning"), (-0.0317, "refused")):
-        result = concluded(made_up(random, 1.0, loop=loop), device())
+        result = analyse(made_up(random, 1.0, loop=loop), device())
         assert result.findings[-1].verdict == verdict
         assert bool(result.changes) is (verdict != "refused")
     assert "at most 9.3" in result.findings[-1].remedy
@@ -196,23 +195,23 @@ def test_too_much_compensation_is_warned_about_and_refused():
 def test_a_push_that_met_a_stop_is_refused():
     """The stop took a third of one impulse."""
     rows = made_up(np.random.default_rng(9), 1.0)
-    assert concluded(rows, device()).settled
+    assert analyse(rows, device()).settled
     rows[20] = rows[20]._replace(impulse_ns=1.5 * rows[20].impulse_ns)
-    result = concluded(rows, device())
+    result = analyse(rows, device())
     assert not result.settled
     assert not result.changes
     assert any("a stop or a hand" in one.remedy for one in result.findings)
 
 
 def test_a_gain_of_twice_the_file_is_refused():
-    result = concluded(made_up(np.random.default_rng(7), 1.0, gain=2.3), device())
+    result = analyse(made_up(np.random.default_rng(7), 1.0, gain=2.3), device())
     assert not result.settled
     assert not result.changes
 
 
 def test_the_interval_of_the_force_scale_is_part_of_that_of_damping():
     rows = made_up(np.random.default_rng(8), 1.0)
-    wide = concluded(rows, device(half=0.0125 * COUNT_N)).values[0]
+    wide = analyse(rows, device(half=0.0125 * COUNT_N)).values[0]
     assert (wide.high - wide.low) / 2.0 >= 0.0125 * wide.value
 
 

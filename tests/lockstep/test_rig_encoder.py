@@ -9,7 +9,7 @@ from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
-from hapticd.rig.encoder import Distance, concluded, measure, passages, scale_of
+from hapticd.rig.steps.encoder import Distance, analyse, measure, passages, scale_of
 from hapticd.usb import frames
 
 DISTANCE = Distance(0.01, 10e-6)
@@ -68,24 +68,24 @@ def arrays(**changes):
 
 
 def test_an_encoder_that_is_stuck_is_refused_by_name():
-    result = concluded(arrays(moving=np.zeros(5000)), DISTANCE, COUNT_M)
+    result = analyse(arrays(moving=np.zeros(5000)), DISTANCE, COUNT_M)
     assert not result.settled
     assert not result.changes
     assert any("stuck" in one.remedy for one in result.findings)
 
 
 def test_a_dead_bit_is_named():
-    result = concluded(arrays(moving=arrays()["moving"] // 2 * 2), DISTANCE, COUNT_M)
+    result = analyse(arrays(moving=arrays()["moving"] // 2 * 2), DISTANCE, COUNT_M)
     assert any("bit 0" in one.what for one in result.findings)
 
 
 def test_steps_that_go_the_other_way_are_refused():
-    result = concluded(arrays(steps=np.array([2e4, -2e4, 2e4])), DISTANCE, COUNT_M)
+    result = analyse(arrays(steps=np.array([2e4, -2e4, 2e4])), DISTANCE, COUNT_M)
     assert not result.settled
 
 
 def test_a_distance_typed_ten_times_wrong_is_refused():
-    result = concluded(arrays(steps=np.full(3, 20_000.0)), Distance(0.1), COUNT_M)
+    result = analyse(arrays(steps=np.full(3, 20_000.0)), Distance(0.1), COUNT_M)
     assert not result.settled
     assert not result.changes
 
@@ -105,21 +105,21 @@ def test_an_index_mark_is_found_and_written_where_homing_uses_it():
     marks = np.array([-4000.0, -4001.0])
     moving = -arrays()["moving"]
     given = arrays(marks=marks, moving=moving, steps=np.full(3, -20_000.0))
-    result = concluded(given, DISTANCE, COUNT_M, "index")
+    result = analyse(given, DISTANCE, COUNT_M, "index")
     (mark,) = [one for one in result.values if one.name == "home.position_m"]
     assert mark.low <= 4000.5 * 0.5e-6 <= mark.high
     assert {(one.table, one.key) for one in result.changes} >= {("home", "position_m")}
-    by_stop = concluded(given, DISTANCE, COUNT_M, "stop")
+    by_stop = analyse(given, DISTANCE, COUNT_M, "stop")
     assert not [one for one in by_stop.changes if one.table == "home"]
 
 
 def test_an_index_mark_that_wanders_is_not_written():
     given = arrays(marks=np.array([4000.0, 4100.0]))
-    result = concluded(given, DISTANCE, COUNT_M, "index")
+    result = analyse(given, DISTANCE, COUNT_M, "index")
     assert result.settled
     assert not [one for one in result.changes if one.table == "home"]
     assert any("do not home" in one.remedy for one in result.findings)
-    unseen = concluded(arrays(marks=np.array([])), DISTANCE, COUNT_M, "index")
+    unseen = analyse(arrays(marks=np.array([])), DISTANCE, COUNT_M, "index")
     assert any("not passed" in one.what for one in unseen.findings)
 
 

@@ -7,8 +7,7 @@ from support.models import device_params, servo_params
 from support.rig_identify import bench, nothing
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.rig.identify import facts_of, measure
-from hapticd.rig.model_tables import motor_table
+from hapticd.rig.steps.identify import facts_of, measure, motor_table
 
 
 def test_signs_have_to_be_verified_first():

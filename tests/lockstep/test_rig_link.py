@@ -9,7 +9,7 @@ from support.models import servo_params
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import InjectionParams
-from hapticd.rig.link import drift_of, measure, median_of
+from hapticd.rig.steps.link import drift_of, measure, median_of
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.usb.frames import StatusBit
 

@@ -14,15 +14,15 @@ from hapticd.core.errors import AnalysisError, CommandError, HapticdError
 from hapticd.core.params import ScaleParams, TouchParams
 from hapticd.protocol.view import as_records
 from hapticd.rig.device_file import write
-from hapticd.rig.motor import (
+from hapticd.rig.estimate import line
+from hapticd.rig.experiment import push
+from hapticd.rig.steps.motor import (
     Masses,
-    concluded,
-    fitted,
+    analyse,
+    force_limits,
     measure_gain,
     measure_sign,
-    most_of,
 )
-from hapticd.rig.push import push
 from hapticd.settings.build import device_params as device_params_of
 from hapticd.settings.device import signs_hash
 from hapticd.settings.load import load_device
@@ -117,7 +117,7 @@ SCALE = {"per_count": COUNT_N, "sign": 1, "offset_count": 0.0}
 def test_one_mass_typed_ten_times_wrong_is_refused():
     masses = Masses((0.0, 0.05, 0.1, 0.15))
     truth = 9.80665 * np.array([0.0, 0.05, 0.01, 0.15])
-    result = concluded(masses.weights_n, readings(truth), masses, SCALE)
+    result = analyse(masses.weights_n, readings(truth), masses, SCALE)
     assert not result.settled
     assert not result.changes
     assert "typed wrong" in result.findings[0].remedy
@@ -125,7 +125,7 @@ def test_one_mass_typed_ten_times_wrong_is_refused():
 
 def test_all_masses_typed_ten_times_wrong_are_refused():
     masses = Masses((0.0, 0.5, 1.0))
-    result = concluded(masses.weights_n, readings(masses.weights_n / 10), masses, SCALE)
+    result = analyse(masses.weights_n, readings(masses.weights_n / 10), masses, SCALE)
     assert not result.settled
     assert "kg" in result.findings[1].remedy
 
@@ -139,7 +139,7 @@ def test_a_weaker_motor_leaves_the_device_file_valid(tmp_path, home_n):
     force = {**SCALE, "per_count": device.force.per_count}
     masses = Masses((0.0, 0.05, 0.1))
     told = readings(masses.weights_n, scale=0.7)
-    result = concluded(masses.weights_n, told, masses, force, most_of(asdict(device)))
+    result = analyse(masses.weights_n, told, masses, force, force_limits(asdict(device)))
     written = write(file, result.changes, "rig motor", date(2026, 11, 22))
     assert written.limits.force_n < 0.7 * device.force_limit_n
     assert written.home.force_n == min(home_n, written.limits.force_n)
@@ -150,9 +150,9 @@ def test_intervals_of_a_line_hold_nineteen_times_in_twenty():
     x = np.linspace(0.0, 1.0, 5)
     slopes = intercepts = 0
     for _ in range(1000):
-        line = fitted(x, 2.0 * x + 0.5 + 0.01 * random.standard_normal(5))
-        slopes += abs(line.slope - 2.0) <= line.slope_half
-        intercepts += abs(line.intercept - 0.5) <= line.intercept_half
+        found = line(x, 2.0 * x + 0.5 + 0.01 * random.standard_normal(5))
+        slopes += abs(found.slope - 2.0) <= found.slope_half
+        intercepts += abs(found.intercept - 0.5) <= found.intercept_half
     assert 930 <= slopes <= 970
     assert 930 <= intercepts <= 970
 

@@ -8,20 +8,19 @@ from support.rig_hand import Hand
 from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.rig.added_mass import added, channel
-from hapticd.rig.one_signal import Judged
-from hapticd.rig.probe import (
-    Attached,
-    Taken,
+from hapticd.rig.excitation import LINES_HZ, Recording, amplitudes, lines, sine_run, sines
+from hapticd.rig.result import relative_half
+from hapticd.rig.steps.probe import (
+    AttachedMass,
+    Recordings,
     alike,
+    analyse,
     channels,
-    concluded,
     force_gain,
     measure,
     offset,
 )
-from hapticd.rig.result import relative_half
-from hapticd.rig.shaken import LINES_HZ, Recording, amplitudes, lines, shaken, waveform
+from hapticd.rig.steps.probe_fits import ReferenceSpring, fit_added_mass, fit_velocity_channel
 
 PLAIN = {
     "probe_limit_n": 1.0,
@@ -50,7 +49,7 @@ def both_channels(seed, late=0.2, seconds=15):
 
 
 def made_up(seed=1, gain=N, velocity_gain=N, mass_kg=0.02):
-    return Taken(
+    return Recordings(
         still(seed=seed),
         motion(0.008, seed, gain, velocity_gain),
         motion(0.008 + mass_kg, seed + 1, gain, velocity_gain),
@@ -67,14 +66,14 @@ def test_lines_are_the_amplitudes_of_sines_though_samples_are_missing():
 
 
 def test_the_perturbation_keeps_its_peak_and_holds_its_lines_alone():
-    force = waveform(0.7)
+    force = sines(0.7)
     assert np.abs(force).max() == pytest.approx(0.7)
     power = np.abs(np.fft.rfft(force))
     assert power[10:31].min() > 1e3 * np.delete(power, np.s_[10:31]).max()
 
 
 def test_gains_offsets_and_skew_of_a_known_motion():
-    result = concluded(made_up(gain=-1.17 * N, velocity_gain=0.9 * N), MASS, PLAIN, Judged())
+    result = analyse(made_up(gain=-1.17 * N, velocity_gain=0.9 * N), MASS, PLAIN, ReferenceSpring())
     values = told(result)
     full = values["probe_torque.full_scale_n"]
     assert full.low <= 1.17 * 2.0 <= full.high
@@ -95,7 +94,7 @@ def test_gains_offsets_and_skew_of_a_known_motion():
 
 def test_a_limit_beyond_the_full_scale_comes_down_to_it():
     """Else the device file would be refused."""
-    result = concluded(made_up(), MASS, PLAIN | {"probe_limit_n": 2.4}, Judged())
+    result = analyse(made_up(), MASS, PLAIN | {"probe_limit_n": 2.4}, ReferenceSpring())
     (limit,) = [one.value for one in result.changes if one.table == "limits"]
     assert 1.98 < limit < 2.0
 
@@ -104,23 +103,23 @@ def test_a_transmission_that_gives_is_not_read_as_mass():
     """A mass of 25 g goes 12 % further than the probe at 30 Hz."""
     level = -2.0 * np.pi * LINES_HZ * 0.2 / 4000.0
     bare, loaded = (motion(kg, 5, n_per_m=7e3) for kg in (0.008, 0.028))
-    of_velocity = channel(lines(bare))
+    of_velocity = fit_velocity_channel(lines(bare))
     assert of_velocity.counts * N == pytest.approx(1.0, abs=5e-4)
-    gain = force_gain(added(bare, loaded, of_velocity, level), MASS, 0.0)
+    gain = force_gain(fit_added_mass(bare, loaded, of_velocity, level), MASS, 0.0)
     assert gain.relative_half < 0.01
     assert abs(gain.per_count / N - 1.0) <= gain.relative_half
 
 
 def test_what_leaves_no_line_to_the_mass_is_refused():
     """Somebody forgot to fix it."""
-    result = concluded(made_up(mass_kg=0.0), MASS, PLAIN, Judged())
+    result = analyse(made_up(mass_kg=0.0), MASS, PLAIN, ReferenceSpring())
     assert not result.settled
     assert not result.changes
     assert any("was it fixed" in one.remedy for one in result.findings if one.verdict == "refused")
 
 
 def test_a_mass_typed_ten_times_wrong_is_refused():
-    result = concluded(made_up(), Attached(0.2), PLAIN, Judged())
+    result = analyse(made_up(), AttachedMass(0.2), PLAIN, ReferenceSpring())
     assert not result.settled
     assert not result.changes
     assert any("in kg" in one.remedy for one in result.findings)
@@ -174,7 +173,7 @@ def test_an_interval_is_that_of_the_device_file():
 def test_a_mass_in_grams_is_refused_before_it_is_fixed():
     asked = []
     with Hand(touch=FRICTION, **FREE) as hand, pytest.raises(AnalysisError, match="is it in grams"):
-        measure(hand.bench, asked.append, Attached(20.0))
+        measure(hand.bench, asked.append, AttachedMass(20.0))
     assert not asked
 
 
@@ -218,7 +217,7 @@ def test_authority_that_is_lost_ends_the_step():
 
         hand.bench.call = pressed
         with pytest.raises(AnalysisError, match="force ended meanwhile"):
-            shaken(hand.bench)
+            sine_run(hand.bench)
         assert hand.bench.status().state == "fault"
         assert not hand.bench.newest["perturbing"]
 
@@ -232,7 +231,7 @@ def test_a_handle_that_wanders_off_is_let_go():
 
         hand.bench.call = pulled
         with pytest.raises(AnalysisError, match="beyond"):
-            shaken(hand.bench)
+            sine_run(hand.bench)
         assert hand.bench.status().state == "disabled"
 
 

@@ -5,8 +5,8 @@ import pytest
 from support.rig_hand import Hand
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.rig import back_emf
-from hapticd.rig.temperature import Stated, concluded, drift_of, measure
+from hapticd.rig.steps.temperature import KnownTemperatures, analyse, drift_of, measure
+from hapticd.rig.steps.winding import analyse_back_emf
 
 DEVICE = {
     "temperature": {"per_count": 0.01, "sign": 1, "offset_count": 0.0},
@@ -51,7 +51,7 @@ def refused(result):
 
 
 def test_one_temperature_gives_the_count_that_means_0():
-    result = concluded(counts(21.5, offset=130.0, noise=3.0), Stated((21.5,)), DEVICE)
+    result = analyse(counts(21.5, offset=130.0, noise=3.0), KnownTemperatures((21.5,)), DEVICE)
     assert result.settled
     values = told(result)
     assert values["temperature.offset_count"].value == pytest.approx(130.0, abs=0.2)
@@ -63,7 +63,7 @@ def test_one_temperature_gives_the_count_that_means_0():
 @pytest.mark.parametrize("per_count", [0.008, -0.012])
 def test_two_temperatures_give_the_scale_and_its_sign(per_count):
     found = counts(20.0, 60.0, per_count=per_count, offset=-200.0)
-    values = told(result := concluded(found, Stated((20.0, 60.0)), DEVICE))
+    values = told(result := analyse(found, KnownTemperatures((20.0, 60.0)), DEVICE))
     assert values["temperature.c_per_count"].value == pytest.approx(abs(per_count), rel=2e-4)
     assert values["temperature.offset_count"].value == pytest.approx(-200.0, abs=1.0)
     changes = {one.key: one.value for one in result.changes}
@@ -77,7 +77,7 @@ def test_errors_of_the_thermometer_stay_inside_nineteen_times_in_twenty():
     for _ in range(300):
         truth = np.array([20.0, 50.0])
         read = truth + 0.5 / 1.96 * random.standard_normal(2)
-        values = told(concluded(counts(*truth, offset=40.0), Stated(tuple(read)), DEVICE))
+        values = told(analyse(counts(*truth, offset=40.0), KnownTemperatures(tuple(read)), DEVICE))
         scale += holds(values["temperature.c_per_count"], 0.01)
         offset += holds(values["temperature.offset_count"], 40.0)
     assert 275 <= scale <= 295
@@ -95,7 +95,7 @@ def test_errors_of_the_thermometer_stay_inside_nineteen_times_in_twenty():
     ],
 )
 def test_a_sensor_that_cannot_be_right_is_refused_by_name(found, stated, name):
-    result = concluded(found, Stated(stated), DEVICE)
+    result = analyse(found, KnownTemperatures(stated), DEVICE)
     (finding,) = refused(result)
     assert name in finding.remedy
     assert not result.changes
@@ -107,13 +107,15 @@ def test_a_drift_is_told_in_kelvin_a_minute():
     drift = drift_of(rising, 0.01)
     assert holds(drift, 0.6)  # 10 counts in 10 s
     assert drift.high - drift.low < 0.1
-    warned = concluded(np.array([2000.0 + 5.0 * (rising - 2000.0)]), Stated((20.0,)), DEVICE)
+    warned = analyse(
+        np.array([2000.0 + 5.0 * (rising - 2000.0)]), KnownTemperatures((20.0,)), DEVICE
+    )
     assert any("wait until" in one.remedy for one in warned.findings)
 
 
 @pytest.mark.parametrize("gain", [1.2, -0.8])
 def test_back_emf_is_known_by_the_encoder_though_it_comes_late(gain):
-    result = concluded(counts(20.0), Stated((20.0,)), DEVICE, shaken(gain, offset=-12.0))
+    result = analyse(counts(20.0), KnownTemperatures((20.0,)), DEVICE, shaken(gain, offset=-12.0))
     assert result.settled
     values = told(result)
     full = values["emf_velocity.full_scale_m_per_s"]
@@ -128,7 +130,7 @@ def test_back_emf_lies_in_its_interval_nineteen_times_in_twenty():
     exact = DEVICE | {"position": {"per_count": 1.0, "half_width_95": 0.0}}
     hits = 0
     for seed in range(100):
-        result = back_emf.concluded(shaken(1.1, seed=seed, noise=20.0), exact)
+        result = analyse_back_emf(shaken(1.1, seed=seed, noise=20.0), exact)
         hits += holds(told(result)["emf_velocity.full_scale_m_per_s"], 2.2)
     assert 90 <= hits <= 99
 
@@ -143,7 +145,7 @@ def test_back_emf_lies_in_its_interval_nineteen_times_in_twenty():
     ],
 )
 def test_a_back_emf_that_tells_nothing_is_refused_by_name(ticks, name):
-    result = concluded(counts(20.0), Stated((20.0,)), DEVICE, ticks)
+    result = analyse(counts(20.0), KnownTemperatures((20.0,)), DEVICE, ticks)
     (finding,) = refused(result)
     assert name in finding.remedy
     assert not result.changes
@@ -151,7 +153,7 @@ def test_a_back_emf_that_tells_nothing_is_refused_by_name(ticks, name):
 
 def test_the_sensor_of_the_simulated_board_agrees_with_its_room():
     with Hand() as hand:
-        result = measure(hand.bench, hand.ask, Stated((22.0,)), with_shake=False)
+        result = measure(hand.bench, hand.ask, KnownTemperatures((22.0,)), with_shake=False)
         assert hand.bench.status().state == "disabled"
     assert result.settled
     assert holds(told(result)["temperature.offset_count"], 0.0)
@@ -160,24 +162,26 @@ def test_the_sensor_of_the_simulated_board_agrees_with_its_room():
 def test_a_room_that_cannot_be_is_refused_before_anybody_shakes_the_handle():
     asked = []
     with Hand() as hand:
-        result = measure(hand.bench, lambda one: asked.append(one.action), Stated((295.0,)))
+        result = measure(
+            hand.bench, lambda one: asked.append(one.action), KnownTemperatures((295.0,))
+        )
     assert "degC" in refused(result)[0].what
     assert asked == ["let go"]
 
 
 def test_a_board_without_the_sensor_is_told_so():
     with Hand(lacks=("temperature",)) as hand, pytest.raises(AnalysisError, match="no temperature"):
-        measure(hand.bench, hand.ask, Stated((22.0,)))
+        measure(hand.bench, hand.ask, KnownTemperatures((22.0,)))
 
 
 @pytest.mark.parametrize("celsius", [(), (20.0, 21.0), (20.0, 40.0, 60.0)])
 def test_temperatures_that_tell_no_line_are_refused_before_anything(celsius):
     with Hand() as hand, pytest.raises(AnalysisError, match="temperatures"):
-        measure(hand.bench, hand.ask, Stated(celsius))
+        measure(hand.bench, hand.ask, KnownTemperatures(celsius))
 
 
 def test_a_device_that_is_enabled_is_left_alone():
     with Hand() as hand:
         hand.bench.enable()
         with pytest.raises(CommandError, match="disabled"):
-            measure(hand.bench, hand.ask, Stated((22.0,)))
+            measure(hand.bench, hand.ask, KnownTemperatures((22.0,)))

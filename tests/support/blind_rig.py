@@ -29,9 +29,11 @@ import tomlkit
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import BoardParams
 from hapticd.core.units import COPPER_PER_K
-from hapticd.rig import (
+from hapticd.rig import device_file
+from hapticd.rig.device_file import keep
+from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.rig.steps import (
     damping,
-    device_file,
     encoder,
     identify,
     link,
@@ -41,9 +43,7 @@ from hapticd.rig import (
     verify,
     winding,
 )
-from hapticd.rig.one_signal import Judged
-from hapticd.rig.records import keep
-from hapticd.rig.result import Finding, StepResult, Value
+from hapticd.rig.steps.probe_fits import ReferenceSpring
 from hapticd.run import lockstep
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.build import commissioning, servo_params
@@ -211,7 +211,7 @@ def _known_of_model(truth: Truth) -> dict[str, float]:
 
 def _known_of_probe(truth: Truth) -> dict[str, float]:
     # not the velocity channel's noise: what is left of it is rounded twice on its way through skew
-    judged = Judged()
+    judged = ReferenceSpring()
     corners_hz = (truth.velocity_highpass_hz, truth.torque_highpass_hz)
     of_velocity, of_torque = (atan(one / judged.lowest_hz) for one in corners_hz)
     per_radian = judged.stiffness_n_per_m / (2.0 * pi * judged.lowest_hz)
@@ -261,9 +261,9 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
     "motor gain": lambda rig: motor.measure_gain(rig.bench, rig.ask, motor.Masses(MASSES_KG)),
     "winding": lambda rig: winding.measure(rig.bench, rig.ask),
     "damping": lambda rig: damping.measure(rig.bench, rig.ask),
-    "probe": lambda rig: probe.measure(rig.bench, rig.ask, probe.Attached(FIXED_KG)),
+    "probe": lambda rig: probe.measure(rig.bench, rig.ask, probe.AttachedMass(FIXED_KG)),
     "temperature": lambda rig: temperature.measure(
-        rig.bench, rig.ask, temperature.Stated((NOMINAL["ambient_c"],))
+        rig.bench, rig.ask, temperature.KnownTemperatures((NOMINAL["ambient_c"],))
     ),
     "identify": lambda rig: identify.measure(rig.bench, rig.ask),
     "verify": lambda rig: verify.measure(rig.bench, rig.ask),

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hapticd.rig.excitation import noise
-from hapticd.rig.mechanics import Facts, Motor, Scales
+from hapticd.rig.steps.mechanics import Facts, Motor, Scales
 from support.shaken_handle import shaken
 
 FACTS = Facts(

@@ -1,7 +1,7 @@
 """`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
 
 from hapticd.core.params import TouchParams
-from hapticd.rig.motor import (
+from hapticd.rig.steps.motor import (
     Masses,
 )
 

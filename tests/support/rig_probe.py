@@ -7,15 +7,15 @@ import math
 import numpy as np
 
 from hapticd.core.params import TouchParams
-from hapticd.rig.probe import (
-    Attached,
+from hapticd.rig.excitation import LINES_HZ, Recording, sines
+from hapticd.rig.steps.probe import (
+    AttachedMass,
 )
-from hapticd.rig.shaken import LINES_HZ, Recording, waveform
 
 N = 2.0 / 32767
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5}
 FRICTION = TouchParams(coulomb_n=0.03, static_n=0.03)
-MASS = Attached(0.02)
+MASS = AttachedMass(0.02)
 
 
 def motion(mass_kg, seed, gain=N, velocity_gain=N, delay=0.7, n_per_m=math.inf):
@@ -27,7 +27,7 @@ def motion(mass_kg, seed, gain=N, velocity_gain=N, delay=0.7, n_per_m=math.inf):
     at = np.arange(16_000.0)
     ticks = np.arange(0.0, at[-1], 4.0)
     omega = 2.0 * np.pi * LINES_HZ
-    force = np.fft.rfft(waveform(90.0 * mass_kg))[10:31] / 2000.0
+    force = np.fft.rfft(sines(90.0 * mass_kg))[10:31] / 2000.0
     size = force / (-mass_kg * omega**2 + 0.8j * omega)
 
     def wave(amplitude, samples):

@@ -1,5 +1,5 @@
 """`rig motor --spring` and `--offset` at rigs whose gain and offset are others than the file's."""
 
-from hapticd.rig.spring import Spring
+from hapticd.rig.steps.spring import Spring
 
 SPRING = Spring(300.0, 0.005)

@@ -2,7 +2,7 @@
 
 from hapticd.cli.app import main
 from hapticd.core.params import ScaleParams, TouchParams
-from hapticd.rig.known_parts import KnownParts
+from hapticd.rig.steps.verify import KnownParts
 
 FREE = {"lower_stop_m": -0.5, "upper_stop_m": 0.5, "touch": TouchParams(0.0, 0.0, 0.02, 0.02)}
 EMF = ScaleParams(2.0 / 32767)  # as config/devices/simulated.toml has it

@@ -1,6 +1,6 @@
 """A handle with friction that is shaken, rigid or with a mass on a spring, in steps of 15.6 us: an
-independent reference for what `rig.balance` solves, with nothing of the product in it but the form
-of its record.
+independent reference for what `force_balance` solves, with nothing of the product in it but the
+form of its record.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from math import pi
 import numba
 import numpy as np
 
-from hapticd.rig.played import Played
+from hapticd.rig.experiment import PerturbationRun
 
 PER_SAMPLE = 16
 PER_TICK = 4 * PER_SAMPLE
@@ -92,7 +92,7 @@ def _moved(torque, stiffness, damping, numbers, delay_steps):
     return position, command, way
 
 
-def shaken(truth: Truth, torque_n, stiffness: float, damping: float, seed: int) -> Played:
+def shaken(truth: Truth, torque_n, stiffness: float, damping: float, seed: int) -> PerturbationRun:
     """What is recorded of the handle under `torque_n` (n,) and a spring with a damper."""
     numbers = (
         truth.mass_kg,
@@ -110,7 +110,7 @@ def shaken(truth: Truth, torque_n, stiffness: float, damping: float, seed: int) 
     seen += truth.late_samples * (np.append(0.0, seen[:-1]) - seen)
     seen += truth.noise_m_per_s * random.standard_normal(torque_n.size)
     ticks = np.arange(position.size)
-    return Played(
+    return PerturbationRun(
         1000.0 * ticks,
         position,
         command,

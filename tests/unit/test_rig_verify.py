@@ -13,10 +13,19 @@ from support.rig_verify import EMF, FREE, SHORT, nothing, verified
 from hapticd.cli.rig import steps
 from hapticd.core.environment import FilterParams
 from hapticd.core.errors import AnalysisError
-from hapticd.rig import vectors, verify
-from hapticd.rig.known_parts import KnownParts, parts_of
 from hapticd.rig.result import Value
-from hapticd.rig.verify import Rendering, changed, expected, judged, measure, seen
+from hapticd.rig.steps import reference_vectors as vectors
+from hapticd.rig.steps import verify
+from hapticd.rig.steps.verify import (
+    KnownParts,
+    Rendering,
+    agreement,
+    difference,
+    expected,
+    measure,
+    parts_of,
+    seen,
+)
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.signal.impedance import Impedance
@@ -44,7 +53,7 @@ def test_each_part_is_found_beside_friction_smoothing_and_a_resonance(smoothing_
     changes = []
     for part in ALL:
         theory = expected(part, F_HZ, WAY) * (more**2 if part.request else path * more)
-        changes.append(changed(part, z_of(free), z_of(free + 1.03 * theory + 0.05), WAY))
+        changes.append(difference(part, z_of(free), z_of(free + 1.03 * theory + 0.05), WAY))
     for part, found in zip(ALL, seen(changes), strict=True):
         assert found.value == pytest.approx(1.03 * part.size, rel=1e-6), part.name
         assert found.low < found.value < found.high
@@ -70,13 +79,13 @@ def test_attached_parts_rest_on_the_probe_alone():
         "probe_velocity": {"per_count": 2.0, "half_width_95": 0.02},
     }
     off = Value("attached mass", 0.01015, "kg", 0.01014, 0.01016)
-    assert judged(parts["attached mass"], off, device).verdict == "refused"
+    assert agreement(parts["attached mass"], off, device).verdict == "refused"
     near = dataclasses.replace(off, value=0.0101)
-    found = judged(parts["attached mass"], near, device)
+    found = agreement(parts["attached mass"], near, device)
     assert found.verdict == "ok"
     assert "no interval known" not in found.what
     spring = Value("rendered spring", 60.6, "N/m", 60.5, 60.7)
-    assert "force, position" in judged(parts["rendered spring"], spring, device).what
+    assert "force, position" in agreement(parts["rendered spring"], spring, device).what
 
 
 def test_a_device_whose_signs_nobody_saw_is_not_shaken():

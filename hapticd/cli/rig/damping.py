@@ -12,9 +12,8 @@ from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
 
 with lazily():
-    from hapticd.rig import audit as audit_step
-    from hapticd.rig import damping as damping_step
-    from hapticd.rig import trim as trim_step
+    from hapticd.rig.steps import damping as damping_step
+    from hapticd.rig.steps import delivery
 
 
 def damping(
@@ -44,7 +43,7 @@ def trim(
     """
     steps.run(
         options,
-        lambda client, ask: trim_step.measure(client, ask, seconds, terminal.talk),
+        lambda client, ask: delivery.measure_residual(client, ask, seconds, terminal.talk),
     )
 
 
@@ -62,4 +61,4 @@ def audit(
     """What is commanded against what is delivered, of active damping and force, while a hand moves
     the handle to and fro against a weak spring. Writes nothing into the device file.
     """
-    steps.run(options, lambda client, ask: audit_step.measure(client, ask, level, seconds))
+    steps.run(options, lambda client, ask: delivery.measure_delivery(client, ask, level, seconds))

@@ -4,7 +4,7 @@ from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
 
 with lazily():
-    from hapticd.rig import identify as identify_step
+    from hapticd.rig.steps import identify as identify_step
 
 
 def identify(options: steps.StepOptions) -> None:

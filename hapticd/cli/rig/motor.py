@@ -14,10 +14,10 @@ from hapticd.core.errors import AnalysisError
 with lazily():
     from hapticd.client import client as clients
     from hapticd.rig import hand as hands
-    from hapticd.rig import motor as motor_step
     from hapticd.rig import result as results
-    from hapticd.rig import spring as spring_step
-    from hapticd.rig import winding as winding_step
+    from hapticd.rig.steps import motor as motor_step
+    from hapticd.rig.steps import spring as spring_step
+    from hapticd.rig.steps import winding as winding_step
 
 
 def motor(

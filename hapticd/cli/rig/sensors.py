@@ -11,9 +11,9 @@ from hapticd.cli.lazy import lazily
 from hapticd.cli.rig import steps
 
 with lazily():
-    from hapticd.rig import one_signal
-    from hapticd.rig import probe as probe_step
-    from hapticd.rig import temperature as temperature_step
+    from hapticd.rig.steps import probe as probe_step
+    from hapticd.rig.steps import probe_fits
+    from hapticd.rig.steps import temperature as temperature_step
 
 Lowest = Annotated[
     float,
@@ -52,8 +52,8 @@ def probe(
 
     Writes the tables `probe_torque` and `probe_velocity` of the device file.
     """
-    attached = probe_step.Attached(mass, tolerance)
-    judged = one_signal.Judged(lowest, stiffness)
+    attached = probe_step.AttachedMass(mass, tolerance)
+    judged = probe_fits.ReferenceSpring(lowest, stiffness)
     steps.run(
         options,
         lambda client, ask: probe_step.measure(client, ask, attached, judged, not no_one_signal),
@@ -79,7 +79,7 @@ def temperature(
 
     Makes no force. Writes the tables `temperature` and `emf_velocity` of the device file.
     """
-    stated = temperature_step.Stated(tuple(at), tolerance)
+    stated = temperature_step.KnownTemperatures(tuple(at), tolerance)
     steps.run(
         options,
         lambda client, ask: temperature_step.measure(client, ask, stated, not no_shake),

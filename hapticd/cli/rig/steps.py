@@ -27,11 +27,11 @@ from hapticd.core.params import to_plain
 
 with lazily():
     from hapticd.client import client as clients
-    from hapticd.rig import device_file, machine_hand, records
-    from hapticd.rig import encoder as encoder_step
+    from hapticd.rig import device_file
     from hapticd.rig import hand as hands
-    from hapticd.rig import link as link_step
     from hapticd.rig import result as results
+    from hapticd.rig.steps import encoder as encoder_step
+    from hapticd.rig.steps import link as link_step
     from hapticd.settings import build, load
     from hapticd.settings import device as device_files
 
@@ -89,7 +89,7 @@ def asking(yes: bool) -> "hands.Ask":
     socket, the program there is the hand.
     """
     machine = os.environ.get(HAND)
-    done = machine_hand.asked_at(Path(machine)) if machine else None
+    done = hands.asked_at(Path(machine)) if machine else None
 
     def ask(request: "hands.Request") -> None:
         terminal.talk(f"> {request.text}")
@@ -177,7 +177,7 @@ def _written(
 ) -> "results.StepResult":
     day = datetime.date.today()
     path = settings.device_file
-    kept = records.keep(path, result.step, day, result.arrays)
+    kept = device_file.keep(path, result.step, day, result.arrays)
     if not result.settled or not result.changes:
         return result
     if not yes:

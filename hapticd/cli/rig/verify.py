@@ -12,10 +12,10 @@ from hapticd.core.errors import ConfigError
 
 with lazily():
     from hapticd.client import client as clients
-    from hapticd.rig import certificate, known_parts, records
+    from hapticd.rig import certificate, experiment
     from hapticd.rig import hand as hands
     from hapticd.rig import result as results
-    from hapticd.rig import verify as verify_step
+    from hapticd.rig.steps import verify as verify_step
     from hapticd.settings import load
 
 
@@ -58,13 +58,13 @@ def verify(
     it should be: the certificate then says so.
     """
     settings = load.load(options.config)
-    known = known_parts.KnownParts(stiffness, viscous, mass, attach, spring, seconds)
+    known = verify_step.KnownParts(stiffness, viscous, mass, attach, spring, seconds)
     subjects: list[certificate.Subject] = []
 
     def measure(client: "clients.Client", ask: "hands.Ask") -> "results.StepResult":
         servo = client.hello().servo
         refuse_another_file(servo["device_file_sha256"], settings)
-        board = records.identity_of(client, records.collect(client, LOOK_S).records)
+        board = experiment.identity_of(client, experiment.collect(client, LOOK_S).records)
         rights = client.status().servo.get("realtime", {})
         file = settings.device_file
         subject = certificate.Subject(servo, file, settings.device_file_sha256, board, rights)

@@ -20,7 +20,7 @@ import numpy as np
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import FrameError
 from hapticd.model.theorem import required_damping
-from hapticd.rig.result import Finding
+from hapticd.rig.result import Finding, checked
 from hapticd.settings.toml import shipped
 from hapticd.signal.spectra import spa
 from hapticd.usb import codec, frames
@@ -58,14 +58,14 @@ def compared() -> list[Finding]:
     return [_theory(), _spa(), _wire()]
 
 
-def _finding(what: str, good: bool) -> Finding:
-    return Finding(what, "ok" if good else "refused", "" if good else REINSTALL)
-
-
 def _theory() -> Finding:
     worst = max(_off(*one) for one in CLOSED_FORMS)
-    what = f"theory vectors: {len(CLOSED_FORMS)} closed forms, the worst off by {worst:.1g}"
-    return _finding(what, worst <= SAME_DAMPING)
+    return checked(
+        f"theory vectors: {len(CLOSED_FORMS)} closed forms, the worst off by {worst:.1g}",
+        worst <= SAME_DAMPING,
+        REINSTALL,
+        "refused",
+    )
 
 
 def _off(point: tuple[float, float, float], delay_periods: float, expected: float) -> float:
@@ -86,8 +86,12 @@ def _spa() -> Finding:
         (found.cross, spectrum_of(force, velocity, frequency_hz)),
     )
     worst = max(float(np.max(np.abs(mine - sums)) / np.max(np.abs(sums))) for mine, sums in pairs)
-    what = f"spa vectors: {len(SPA_HZ)} frequencies of three spectra, the worst off by {worst:.1g}"
-    return _finding(what, worst <= SAME_SPECTRUM)
+    return checked(
+        f"spa vectors: {len(SPA_HZ)} frequencies of three spectra, the worst off by {worst:.1g}",
+        worst <= SAME_SPECTRUM,
+        REINSTALL,
+        "refused",
+    )
 
 
 def spectrum_of(late: Floats, early: Floats, frequency_hz: Floats) -> Complexes:
@@ -110,8 +114,12 @@ def _wire() -> Finding:
     vectors = [json.loads(line) for line in text.splitlines()]
     wrong = list(_wrong(vectors))
     told = f"; wrong: {', '.join(wrong)}" if wrong else ""
-    what = f"wire vectors: {len(vectors)} frames, protocol {frames.PROTOCOL_HASH.hex()}{told}"
-    return _finding(what, not wrong)
+    return checked(
+        f"wire vectors: {len(vectors)} frames, protocol {frames.PROTOCOL_HASH.hex()}{told}",
+        not wrong,
+        REINSTALL,
+        "refused",
+    )
 
 
 def _wrong(vectors: list[dict[str, Any]]) -> Iterator[str]:

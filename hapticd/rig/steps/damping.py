@@ -1,7 +1,7 @@
 """How much a count of the damping DAC damps, whether it damps at all, and what the winding leaves.
 
 The handle is pushed and glides until it rests, to either side, at several levels of the damping:
-`rig.glide` makes of each push an equation in which its mass has no part. Strong pushes are short
+`coast_down` makes of each push an equation in which its mass has no part. Strong pushes are short
 and fast, gentle ones (twice the friction) slow, so that damping and friction are told apart, and
 with them what the residual resistance of the winding takes of both.
 
@@ -14,13 +14,12 @@ those without damping do not tell its sign, twice as much is tried, and twice as
 Then the levels rise to the limit, each by a factor of two. What rings at rest, delivers less than
 half of what smaller levels promise, or comes near a loop gain of -1 ends that, and says so.
 
-What all pushes say together, and with which interval, is `rig.damping_line`.
+What all pushes say together, and with which interval, is `coast_down` as well.
 
 What would break it: a hand on the handle (its push is no row, or lies beside the line).
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,14 +29,27 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
-from hapticd.rig.damping_line import FACTOR, LEVELS, REFUSE, concluded
-from hapticd.rig.glide import Balance, Row, balance, row_of
+from hapticd.rig.experiment import (
+    begin_step,
+    collect,
+    push,
+    ready,
+    require_force,
+    servo_rate_hz,
+    undamped,
+)
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_force, require_verified
-from hapticd.rig.motor import allowed_n, await_rest
-from hapticd.rig.push import push, ready
-from hapticd.rig.records import collect, servo_rate_hz
-from hapticd.rig.result import Finding, StepResult, settled
+from hapticd.rig.result import FACTOR, Finding, StepResult, settled
+from hapticd.rig.steps.coast_down import (
+    LEVELS,
+    REFUSE,
+    Momentum,
+    Row,
+    analyse,
+    fit_momentum,
+    row_of,
+)
+from hapticd.rig.steps.motor import allowed_n, await_rest
 
 __all__ = ["measure"]
 
@@ -65,25 +77,33 @@ TRIALS = 4  # pushes at a count whose sign is not known
 QUIET_COUNTS = 6.0  # peak to peak that a level may add at rest
 DELIVERS = 0.5  # of what smaller levels promise: less ends the rise
 NEARLY = -0.8  # loop gain that the next level may come to
+RECORDED = (
+    "slot",
+    "position_m",
+    "force_n",
+    "active_damping_effect_ns_per_m",
+    "current_a",
+    "delay_us",
+)
 
 
-class Aim(NamedTuple):
+class Stimulus(NamedTuple):
     """A push: `force_n` without its sign."""
 
     force_n: float
     seconds: float
 
 
-class Rig:
+class Pushing:
     """The device while it is pushed, and what came of it."""
 
-    def __init__(self, bench: Client) -> None:
-        servo = bench.hello().servo
+    def __init__(self, bench: Client, servo: dict[str, Any]) -> None:
         self.bench = bench
         self.rate_hz = servo_rate_hz(bench)
         self.most_n = allowed_n(servo)
         self.force = ScaleParams(**servo["device"]["force"])
         self.m_per_count = float(servo["device"]["position"]["per_count"])
+        self.a_per_count = float(servo["device"]["current"]["per_count"])
         self.slew = float(servo["safety"]["active_damping_slew_ns_per_m_s"])
         self.rows: list[Row] = []
         self.parts: list[Records] = []
@@ -91,31 +111,44 @@ class Rig:
         self.side = 1.0
         self.home_m: float | None = None
 
-    def pushed(self, aim: Aim, trial: float = 0.0) -> float:
+    def stimulate(self, stimulus: Stimulus, trial: float = 0.0) -> float:
         """Push once, with the level `trial` [N s/m] on for ON_S; the way [m], with its sign."""
-        schedule = self._trial(trial) if trial else (lambda begin: None)
-        side = self.side
-        found = push(self.bench, side * aim.force_n, aim.seconds, self.after_s, schedule)
-        self._check()
+        force_n = self.side * stimulus.force_n
+        schedule = self._trial(trial)
+        found = push(self.bench, force_n, stimulus.seconds, self.after_s, schedule)
+        require_force(self.bench.status())
         self.parts.append(found.records)
         row = row_of(found.records, self.force, self.m_per_count, self.rate_hz)
+        position_m = found.records["position_m"]
         if row is not None:
             self.rows.append(row)
-        elif np.ptp(found.records["position_m"][-round(0.05 * self.rate_hz) :]) > 1e-5:
+        elif np.ptp(position_m[-round(0.05 * self.rate_hz) :]) > 1e-5:
             self.after_s = min(2.0 * self.after_s, MOST_AFTER_S)
-        self._turn(float(found.records["position_m"][-1]))
+        self._turn(float(position_m[-1]))
         return found.moved_m
 
-    def _trial(self, level: float) -> Any:
+    def row(self, stimulus: Stimulus) -> None:
+        """Push until there is a row of it, or the handle hardly moves. AnalysisError after MISSES
+        pushes that did not end at rest.
+        """
+        known = len(self.rows)
+        for _ in range(MISSES):
+            way = self.stimulate(stimulus)
+            if len(self.rows) > known or abs(way) < LEAST_WAY_M:
+                return
+        raise AnalysisError(
+            f"{MISSES} pushes in a row did not begin and end at rest; take your hand off the"
+            " handle, keep the table still, and repeat"
+        )
+
+    def _trial(self, level: float) -> Callable[[int], None]:
         def scheduled(begin: int) -> None:
-            off = begin + round(ON_S * self.rate_hz)
-            on = begin - round((LEAD_S + level / self.slew) * self.rate_hz)
-            self.bench.set(active_damping=level, at_tick=on, until_tick=off)
+            if level:
+                off = begin + round(ON_S * self.rate_hz)
+                on = begin - round((LEAD_S + level / self.slew) * self.rate_hz)
+                self.bench.set(active_damping=level, at_tick=on, until_tick=off)
 
         return scheduled
-
-    def _check(self) -> None:
-        require_force(self.bench.status())
 
     def _turn(self, at_m: float) -> None:
         """The next push goes to the other side, or back when the handle strayed."""
@@ -129,33 +162,26 @@ class Rig:
             )
         self.side = -self.side if abs(strayed) < STRAYED_M else -1.0 if strayed > 0.0 else 1.0
 
+    def noise(self) -> float:
+        """Counts peak to peak at rest."""
+        return float(np.ptp(collect(self.bench, 0.1).records["position_m"])) / self.m_per_count
+
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """The raw record: what was sent and seen of every push, and the rows made of it."""
-        names = (
-            "slot",
-            "position_m",
-            "force_n",
-            "active_damping_effect_ns_per_m",
-            "current_a",
-            "delay_us",
-        )
-        raw = {name: np.concatenate([part[name] for part in self.parts]) for name in names}
-        return raw | {f"row_{name}": np.array(found) for name, found in _columns(self.rows)}
-
-
-def _columns(rows: Sequence[Row]) -> Iterator[tuple[str, list[float]]]:
-    for name in Row._fields:
-        yield name, [getattr(row, name) for row in rows]
+        raw = {name: np.concatenate([part[name] for part in self.parts]) for name in RECORDED}
+        rows = {
+            f"row_{name}": np.array([getattr(row, name) for row in self.rows])
+            for name in Row._fields
+        }
+        return raw | rows
 
 
 def measure(bench: Client, ask: Ask) -> StepResult:
     """Push at rising levels of damping. CommandError unless disabled; AnalysisError where signs are
     not verified, the handle does not come to rest, or force ends meanwhile.
     """
-    require_disabled(bench)
-    servo = bench.hello().servo
+    servo = begin_step(bench, "damping is measured")
     device = servo["device"]
-    require_verified(servo, "damping is measured")
     top = float(device["active_damping_limit_ns_per_m"])
     if top <= 0.0:
         why = "limits.active_damping_ns_per_m is 0: there is no active damping to measure"
@@ -164,154 +190,129 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     with undamped(bench):
         await_rest(bench)
         with ready(bench):
-            rig = Rig(bench)
-            findings = _risen(rig, top, float(device["current"]["per_count"]))
+            rig = Pushing(bench, servo)
+            findings = _all_pushes(rig, top)
     if not settled(findings):
         return StepResult("damping", (), findings, (), rig.arrays())
-    return concluded(rig.rows, device, findings, rig.arrays())
+    return analyse(rig.rows, device, findings, rig.arrays())
 
 
-@contextmanager
-def undamped(bench: Client) -> Iterator[None]:
-    """Active damping off, before and after, however it is left."""
-    bench.damping("off")
-    try:
-        yield
-    finally:
-        bench.damping("off")
-
-
-def _risen(rig: Rig, top: float, a_per_count: float) -> list[Finding]:
-    """All pushes: without damping, at a small count for its polarity, then level by level."""
-    aim = _first_pushes(rig)
-    if aim is None:
+def _all_pushes(rig: Pushing, top: float) -> list[Finding]:
+    """Without damping, at a small count for its polarity, then level by level."""
+    stimulus = _first_pushes(rig)
+    if stimulus is None:
         what = f"{rig.most_n:.3g} N do not move the handle"
         remedy = "no authority: look at emergency stop, amplifier and motor, and let the handle go"
         return [Finding(what, "refused", remedy)]
-    polarity = _polarity(rig, aim, top, a_per_count)
+    polarity = _polarity(rig, stimulus, top)
     if polarity.verdict == "refused":
         return [polarity]
-    return [polarity, *_levels(rig, top, a_per_count)]
+    return [polarity, _levels(rig, top)]
 
 
-def _first_pushes(rig: Rig) -> Aim | None:
-    """Without damping: stronger and stronger until the way is WAY_M, then some like it and weaker
-    ones; the push that goes WAY_M. None if nothing moves.
+def _first_pushes(rig: Pushing) -> Stimulus | None:
+    """Without damping: stronger and stronger until the way is WAY_M, by force as long as that is
+    allowed, then by time; then some like it and weaker ones. The push that goes WAY_M, or None if
+    nothing moves.
     """
-    aim = Aim(FIRST_SHARE * rig.most_n, SHORT_S)
-    while abs(way := rig.pushed(aim)) < WAY_M / STRONGER:
-        if aim.force_n >= rig.most_n and aim.seconds >= 5.0 * SHORT_S:
+    force_n = FIRST_SHARE * rig.most_n
+    seconds = SHORT_S
+    while abs(way := rig.stimulate(Stimulus(force_n, seconds))) < WAY_M / STRONGER:
+        if force_n < rig.most_n:
+            force_n = min(rig.most_n, STRONGER * force_n)
+        elif seconds < 5.0 * SHORT_S:
+            seconds *= STRONGER
+        else:
             break
-        aim = _stronger(aim, rig.most_n)
     if abs(way) < LEAST_WAY_M:
         return None
     for share in (1.0, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5):
-        _row(rig, aim._replace(force_n=share * aim.force_n))
-    return aim
+        rig.row(Stimulus(share * force_n, seconds))
+    return Stimulus(force_n, seconds)
 
 
-def _stronger(aim: Aim, most_n: float) -> Aim:
-    """STRONGER by force as long as that is allowed, then by time."""
-    if aim.force_n < most_n:
-        return Aim(min(most_n, STRONGER * aim.force_n), aim.seconds)
-    return Aim(aim.force_n, STRONGER * aim.seconds)
-
-
-def _row(rig: Rig, aim: Aim) -> Row | None:
-    """Push until there is a row of it; None where the handle hardly moves. AnalysisError after
-    MISSES pushes that did not end at rest.
-    """
-    for _ in range(MISSES):
-        known = len(rig.rows)
-        way = rig.pushed(aim)
-        if len(rig.rows) > known:
-            return rig.rows[-1]
-        if abs(way) < LEAST_WAY_M:
-            return None
-    raise AnalysisError(
-        f"{MISSES} pushes in a row did not begin and end at rest; take your hand off the handle,"
-        " keep the table still, and repeat"
-    )
-
-
-def _polarity(rig: Rig, aim: Aim, top: float, a_per_count: float) -> Finding:
+def _polarity(rig: Pushing, stimulus: Stimulus, top: float) -> Finding:
     """Whether a small count damps."""
     for share in TRIED:
         for _ in range(TRIALS):
-            rig.pushed(aim, share * top)
-            _row(rig, aim)  # without it as well, in turn
+            rig.stimulate(stimulus, share * top)
+            rig.row(stimulus)  # without it as well, in turn
         if not any(row.damped_ns for row in rig.rows):
             break
         # a trial's level is a mean over its push, and of no use for the loop gain
-        found = balance([row._replace(level_ns_per_m=0.0) for row in rig.rows], a_per_count)
+        rows = [row._replace(level_ns_per_m=0.0) for row in rig.rows]
+        found = fit_momentum(rows, rig.a_per_count)
         if found.gain - found.gain_half > 0.0:
             return Finding(f"{share * top:.3g} N s/m make the handle heavier", "ok")
         if found.gain + found.gain_half < 0.0:
-            what = f"damping polarity: {share * top:.3g} N s/m make the handle lighter"
-            remedy = "swap the leads of the back-EMF, or the sign of the multiplier"
-            return Finding(what, "refused", remedy)
-    what = f"no damping is seen up to {TRIED[-1] * top:.3g} N s/m"
-    remedy = "look at the damping DAC, its multiplier and the back-EMF's leads"
-    return Finding(what, "refused", remedy)
+            return Finding(
+                f"damping polarity: {share * top:.3g} N s/m make the handle lighter",
+                "refused",
+                "swap the leads of the back-EMF, or the sign of the multiplier",
+            )
+    return Finding(
+        f"no damping is seen up to {TRIED[-1] * top:.3g} N s/m",
+        "refused",
+        "look at the damping DAC, its multiplier and the back-EMF's leads",
+    )
 
 
-def _levels(rig: Rig, top: float, a_per_count: float) -> list[Finding]:
+def _levels(rig: Pushing, top: float) -> Finding:
     """Rise to `top`, with strong and gentle pushes at each level."""
-    quiet = _noise(rig)
+    quiet = rig.noise()
     for level in (share * top for share in LEVELS):
-        known = balance(rig.rows, a_per_count)
-        if (known.loop_per_ns_per_m + known.loop_half) * level < NEARLY:
-            return [_too_near(known, level)]
+        known = fit_momentum(rig.rows, rig.a_per_count)
+        loop = known.loop_per_ns_per_m
+        if (loop + known.loop_half) * level < NEARLY:
+            what = f"the loop gain would come to {loop * level:.2g} at {level:.3g} N s/m"
+            greatest = f"{REFUSE / loop:.3g} N s/m is the greatest damping allowed"
+            return Finding(what, "warning", f"too much is compensated: {greatest}")
         rig.bench.damping(level)
         collect(rig.bench, level / rig.slew + 0.1)
-        if _noise(rig) > quiet + QUIET_COUNTS:
-            what = f"the handle trembles at rest with {level:.3g} N s/m"
-            remedy = "the analog circuit rings: keep limits.active_damping_ns_per_m below"
-            return [Finding(what, "warning", remedy)]
+        if rig.noise() > quiet + QUIET_COUNTS:
+            return Finding(
+                f"the handle trembles at rest with {level:.3g} N s/m",
+                "warning",
+                "the analog circuit rings: keep limits.active_damping_ns_per_m below",
+            )
         if weak := _pushed_at(rig, known, level):
-            return [weak]
-    return [Finding(f"levels up to {top:.3g} N s/m were seen", "ok")]
+            return weak
+    return Finding(f"levels up to {top:.3g} N s/m were seen", "ok")
 
 
-def _too_near(known: Balance, level: float) -> Finding:
-    loop = known.loop_per_ns_per_m
-    what = f"the loop gain would come to {loop * level:.2g} at {level:.3g} N s/m"
-    remedy = f"too much is compensated: {REFUSE / loop:.3g} N s/m is the greatest damping allowed"
-    return Finding(what, "warning", remedy)
-
-
-def _noise(rig: Rig) -> float:
-    """Counts peak to peak at rest."""
-    return float(np.ptp(collect(rig.bench, 0.1).records["position_m"])) / rig.m_per_count
-
-
-def _pushed_at(rig: Rig, known: Balance, level: float) -> Finding | None:
+def _pushed_at(rig: Pushing, known: Momentum, level: float) -> Finding | None:
     """Strong and gentle pushes to both sides; a finding if they say that it damps too little, and
     then they are no rows.
     """
-    begin = len(rig.rows)
-    for aim in _aims(rig, known, level):
+    before = len(rig.rows)
+    for stimulus in _stimuli(rig, known, level):
         for _ in range(2):
-            _row(rig, aim)
-    rows = rig.rows[begin:]
+            rig.row(stimulus)
+    rows = rig.rows[before:]
     if not rows:
-        what = f"pushes of {rig.most_n:.3g} N hardly move the handle at {level:.3g} N s/m"
-        return Finding(what, "warning", "the line ends below")
+        return Finding(
+            f"pushes of {rig.most_n:.3g} N hardly move the handle at {level:.3g} N s/m",
+            "warning",
+            "the line ends below",
+        )
     share = float(np.median([_delivered(row, known) for row in rows]))
     if share >= DELIVERS * (known.gain - known.gain_half):
         return None
-    del rig.rows[begin:]
-    what = f"{level:.3g} N s/m damp {share:.2g} of what they should"
-    return Finding(what, "warning", "the line ends below: look at the damping circuit's range")
+    del rig.rows[before:]
+    return Finding(
+        f"{level:.3g} N s/m damp {share:.2g} of what they should",
+        "warning",
+        "the line ends below: look at the damping circuit's range",
+    )
 
 
-def _delivered(row: Row, known: Balance) -> float:
+def _delivered(row: Row, known: Momentum) -> float:
     """Gain of the damping by one row and the friction that is known."""
     took = known.physical_ns_per_m * row.way_m + known.coulomb_n * row.seconds
     return (row.impulse_ns - took) / row.damped_ns
 
 
-def _aims(rig: Rig, known: Balance, level: float) -> Iterator[Aim]:
+def _stimuli(rig: Pushing, known: Momentum, level: float) -> Iterator[Stimulus]:
     """A strong and a gentle push: with F - Fc = c v the way is v times their length."""
     friction = max(known.coulomb_n, 2.0 * rig.force.per_count)
     damping = level * max(known.gain, 1.0 / FACTOR) + max(known.physical_ns_per_m, 0.0)
@@ -319,4 +320,4 @@ def _aims(rig: Rig, known: Balance, level: float) -> Iterator[Aim]:
     gentle_n = min(GENTLE * friction, rig.most_n)
     for force_n, way_m in ((strong_n, WAY_M), (gentle_n, GENTLE_WAY_M)):
         speed = max(force_n - friction, 0.1 * force_n) / damping
-        yield Aim(force_n, float(np.clip(way_m / speed, SHORT_S / 2.0, LONGEST_S)))
+        yield Stimulus(force_n, float(np.clip(way_m / speed, SHORT_S / 2.0, LONGEST_S)))

@@ -1,11 +1,11 @@
 """What the probe's two channels mean: gains and signs by encoder and a known mass, offsets, noise.
 
-The perturbation shakes the free handle at 10 to 30 Hz (`rig.shaken`), first as it is, then with a
+The perturbation shakes the free handle at 10 to 30 Hz (`excitation`), first as it is, then with a
 known mass fixed to it.
 
 The encoder gives scale and sign of the velocity channel; what the mass adds to the torque gives
-those of the torque channel (`rig.added_mass`). One signal into both channels shows what is left of
-their phases (`rig.one_signal`).
+those of the torque channel (`probe_fits`). One signal into both channels shows what is left of
+their phases (`probe_fits`).
 
 Dead and swapped channels are found before anything is fitted. What is played is known: the torque
 channel has to follow it, delayed at most, and the velocity channel the encoder's velocity.
@@ -26,13 +26,20 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import percent
-from hapticd.rig import one_signal
-from hapticd.rig.added_mass import Added, added, channel
+from hapticd.rig.estimate import NORMAL
+from hapticd.rig.excitation import (
+    LINES_HZ,
+    PERIOD_S,
+    Lines,
+    Recording,
+    lines,
+    recording,
+    rms,
+    sine_run,
+    sines,
+)
+from hapticd.rig.experiment import begin_step, record
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_verified
-from hapticd.rig.motor import GRAVITY_M_PER_S2
-from hapticd.rig.one_signal import Judged
-from hapticd.rig.plausible import count_of
 from hapticd.rig.result import (
     POSITION_HALF,
     Change,
@@ -40,23 +47,26 @@ from hapticd.rig.result import (
     StepResult,
     Value,
     change_of,
+    checked,
+    plausible,
     relative_half,
     settled,
 )
-from hapticd.rig.shaken import (
-    LINES_HZ,
-    PERIOD_S,
-    Lines,
-    Recording,
-    lines,
-    record,
-    rms,
-    shaken,
-    waveform,
+from hapticd.rig.steps.motor import GRAVITY_M_PER_S2
+from hapticd.rig.steps.probe_fits import (
+    SIGNAL_S,
+    SKEW,
+    Added,
+    ReferenceSpring,
+    fit_added_mass,
+    fit_velocity_channel,
+    phase,
+    phase_findings,
+    skew_change,
 )
 from hapticd.usb.codec import I16_HIGHEST
 
-__all__ = ["Attached", "measure"]
+__all__ = ["AttachedMass", "measure"]
 
 REST_S = 12.0  # high-passes of 0.1 Hz forget what was before in some seconds
 QUARTERS = 4
@@ -72,14 +82,14 @@ LATEST_S = 2e-3  # between encoder and probe
 
 
 @dataclass(frozen=True)
-class Attached:
+class AttachedMass:
     """The mass that is fixed to the handle."""
 
     kilograms: float
     tolerance: float = 1e-3  # relative, half of its 95 % interval
 
 
-class Taken(NamedTuple):
+class Recordings(NamedTuple):
     """What was recorded; None: not asked for."""
 
     rest: Recording
@@ -97,15 +107,14 @@ class Gain(NamedTuple):
     def value(self, name: str, unit: str) -> Value:
         """At the full count."""
         full = I16_HIGHEST * abs(self.per_count)
-        half = full * self.relative_half
-        return Value(name, full, unit, full - half, full + half)
+        return Value.around(name, full, unit, full * self.relative_half)
 
 
 def measure(
     bench: Client,
     ask: Ask,
-    attached: Attached,
-    judged: Judged | None = None,
+    attached: AttachedMass,
+    judged: ReferenceSpring | None = None,
     with_one_signal: bool = True,
 ) -> StepResult:
     """Record what is at rest, shaken without and with the mass, and under one signal; conclude.
@@ -113,111 +122,114 @@ def measure(
     CommandError unless disabled; AnalysisError where signs are not verified, force ends or the
     handle wanders off.
     """
-    require_disabled(bench)
     # without the weak spring the smallest slope takes the handle along while it is shaken
-    require_verified(bench.hello().servo, "the probe is measured")
+    device = begin_step(bench, "the probe is measured")["device"]
     if not attached.kilograms > 0.0:
         raise AnalysisError(f"mass {attached.kilograms:g} kg: name the one that is fixed, in kg")
-    device = bench.hello().servo["device"]
     if attached.kilograms * GRAVITY_M_PER_S2 > HEAVIEST * float(device["force_limit_n"]):
         raise AnalysisError(
             f"{attached.kilograms:g} kg weigh more than {HEAVIEST:g} times the force of the device,"
             f" {device['force_limit_n']:g} N; fix less, or is it in grams?"
         )
     ask(Request("let go", "let go of the handle near x = 0, and let it come to rest"))
-    taken = Taken(record(bench, REST_S), shaken(bench))
-    if settled(channels(lines(taken.bare))):
+    found = Recordings(recording(record(bench, REST_S)), sine_run(bench))
+    if settled(channels(lines(found.bare))):
         text = f"fix {attached.kilograms:g} kg firmly to the handle and let go of it"
         ask(Request("attach", text, attached.kilograms))
-        taken = taken._replace(loaded=shaken(bench))
+        found = found._replace(loaded=sine_run(bench))
         ask(Request("let go", "take the mass off again and let go of the handle"))
         if with_one_signal:
-            text = f"feed one signal into both probe channels for {one_signal.SECONDS:g} s from now"
-            ask(Request("one signal", text, one_signal.SECONDS))
-            taken = taken._replace(one=record(bench, one_signal.SECONDS))
-    return concluded(taken, attached, device, judged or Judged())
+            text = f"feed one signal into both probe channels for {SIGNAL_S:g} s from now"
+            ask(Request("one signal", text, SIGNAL_S))
+            found = found._replace(one=recording(record(bench, SIGNAL_S)))
+    return analyse(found, attached, device, judged or ReferenceSpring())
 
 
-def concluded(
-    taken: Taken, attached: Attached, device: Mapping[str, Any], judged: Judged
+def analyse(
+    found: Recordings, attached: AttachedMass, device: Mapping[str, Any], judged: ReferenceSpring
 ) -> StepResult:
-    """What was `taken` says, with the scales of the hello's `device`."""
-    bare = lines(taken.bare)
+    """What was recorded says, with the scales of the hello's `device`."""
+    bare = lines(found.bare)
     findings = channels(bare)
     values: list[Value] = []
     changes: list[Change] = []
     turned: Floats = np.zeros(len(LINES_HZ))
     if settled(findings):
-        turned = _compared(taken.one, judged, values, findings)
-    if taken.loaded is not None and settled(findings):
+        turned = _compared(found.one, judged, values, findings)
+    if found.loaded is not None and settled(findings):
         half = relative_half(device["position"], POSITION_HALF)
-        of_velocity = channel(bare)
-        found = added(taken.bare, taken.loaded, of_velocity, turned)
-        findings += _weighed(found)
+        of_velocity = fit_velocity_channel(bare)
+        fit = fit_added_mass(found.bare, found.loaded, of_velocity, turned)
+        velocity_half = hypot(of_velocity.relative_half, half)
         gains = {
-            "probe_torque": force_gain(found, attached, half),
-            "probe_velocity": Gain(
-                1.0 / of_velocity.counts, hypot(of_velocity.relative_half, half)
-            ),
+            "probe_torque": force_gain(fit, attached, half),
+            "probe_velocity": Gain(1.0 / of_velocity.counts, velocity_half),
         }
+        findings += _weighed(fit)
         findings += [_believable(name, one, device[name]) for name, one in gains.items()]
-        values += [*_of_gains(gains), *_of_rest(taken.rest, gains)]
-        if settled(findings):
-            changes = [
-                *_changes(gains, values),
-                *_skews(values),
-                *_within_reach(values, device["probe_limit_n"]),
-            ]
-    return StepResult("probe", values, findings, changes, _arrays(taken))
+        scales = _scales(found.rest, gains)
+        changes = [
+            *_signs(gains),
+            *map(change_of, scales),
+            *(skew_change(one) for one in values if one.name == SKEW),
+            *_within_reach(scales[0], device["probe_limit_n"]),
+        ]
+        values += [*scales, *_noises(found.rest, gains)]
+    return StepResult("probe", values, findings, changes, _arrays(found))
 
 
 def _compared(
-    one: Recording | None, judged: Judged, values: list[Value], findings: list[Finding]
+    one: Recording | None, judged: ReferenceSpring, values: list[Value], findings: list[Finding]
 ) -> Floats:
     """Phase (l,) of the velocity channel against the torque channel; what is found of both is
     added to `values` and `findings`.
     """
     if one is None:
-        remedy = "feed one signal into both channels; the force gain may be off by some 0.5 %"
-        findings.append(Finding("skew and high-pass mismatch", "not done", remedy))
+        findings.append(
+            Finding(
+                "skew and high-pass mismatch",
+                "not done",
+                "feed one signal into both channels; the force gain may be off by some 0.5 %",
+            )
+        )
         return np.zeros(len(LINES_HZ))
-    found = one_signal.phase(one.torque, one.velocity)
+    found = phase(one.torque, one.velocity)
     if isinstance(found, Finding):
         findings.append(found)
         return np.zeros(len(LINES_HZ))
-    skew, mismatch = one_signal.values(found, judged)
-    values += [skew, mismatch]
-    findings += one_signal.findings(skew, mismatch, judged)
+    mismatch = found.mismatch(judged)
+    values += [found.skew, mismatch]
+    findings += phase_findings(found.skew, mismatch, judged)
     return found.at(LINES_HZ)
 
 
 def channels(bare: Lines) -> list[Finding]:
     """Which channels live, and whether each is where it belongs, from lines without a mass."""
-    counts = {"torque": rms(bare.torque), "velocity": rms(bare.velocity)}
+    torque = rms(bare.torque)
+    velocity = rms(bare.velocity)
     moved_m = rms(bare.position_m)
     seen = (
-        f"handle {1e3 * moved_m:.3g} mm rms, torque channel {counts['torque']:.4g} counts, velocity"
-        f" channel {counts['velocity']:.4g} counts"
+        f"handle {1e3 * moved_m:.3g} mm rms, torque channel {torque:.4g} counts, velocity"
+        f" channel {velocity:.4g} counts"
     )
-    live = {name: count >= LEAST_COUNTS for name, count in counts.items()}
     moved = moved_m >= MOVED_M
-    if not moved and live["velocity"]:
-        return [Finding(seen, "refused", "stuck encoder: the velocity channel moves without it")]
-    if not live["torque"]:
+    followed = velocity >= LEAST_COUNTS
+    if followed and not moved:
+        remedy = "stuck encoder: the velocity channel moves without it"
+    elif torque < LEAST_COUNTS:
         remedy = "dead probe channel: no torque; look at the probe's amplifier and at this input"
-        return [Finding(seen, "refused", remedy)]
-    if not moved:
+    elif not moved:
         remedy = "the probe does not move the handle: let it free, look at the probe's motor"
-        return [Finding(seen, "refused", remedy)]
-    if not live["velocity"]:
+    elif not followed:
         remedy = "dead probe channel: no velocity; look at its coil, amplifier and this input"
-        return [Finding(seen, "refused", remedy)]
-    return [Finding(seen, "ok"), _in_place(bare)]
+    else:
+        return [Finding(seen, "ok"), _in_place(bare)]
+    return [Finding(seen, "refused", remedy)]
 
 
 def _in_place(bare: Lines) -> Finding:
     speed = 2j * pi * LINES_HZ * bare.position_m
-    played = np.fft.rfft(waveform(1.0))[LINES_HZ.astype(int)]  # a line for each Hz: it lasts 1 s
+    played = np.fft.rfft(sines(1.0))[LINES_HZ.astype(int)]  # a line for each Hz: it lasts 1 s
     right = (alike(bare.torque, played, PERIOD_S), alike(bare.velocity, speed, LATEST_S))
     wrong = (alike(bare.velocity, played, PERIOD_S), alike(bare.torque, speed, LATEST_S))
     what = (
@@ -225,12 +237,17 @@ def _in_place(bare: Lines) -> Finding:
         f" {100 * right[1]:.3g} %"
     )
     if min(wrong) > max(min(right), LEAST_COHERENT):
-        remedy = "probe channels swapped: exchange the two inputs of the board"
-        return Finding(f"{what}; crosswise {100 * min(wrong):.3g} %", "refused", remedy)
-    if min(right) >= LEAST_COHERENT:
-        return Finding(what, "ok")
-    remedy = "let the handle free; look at what fixes the probe to it, and at both channels"
-    return Finding(what, "refused", remedy)
+        return Finding(
+            f"{what}; crosswise {100 * min(wrong):.3g} %",
+            "refused",
+            "probe channels swapped: exchange the two inputs of the board",
+        )
+    return checked(
+        what,
+        min(right) >= LEAST_COHERENT,
+        "let the handle free; look at what fixes the probe to it, and at both channels",
+        "refused",
+    )
 
 
 def alike(found: Complexes, known: Complexes, latest_s: float) -> float:
@@ -243,7 +260,7 @@ def alike(found: Complexes, known: Complexes, latest_s: float) -> float:
     return float(common.max() / power)
 
 
-def force_gain(found: Added, attached: Attached, position_half: float) -> Gain:
+def force_gain(found: Added, attached: AttachedMass, position_half: float) -> Gain:
     """N of a count."""
     relative = hypot(found.half / found.counts, attached.tolerance, position_half)
     return Gain(attached.kilograms / found.counts, relative)
@@ -251,37 +268,45 @@ def force_gain(found: Added, attached: Attached, position_half: float) -> Gain:
 
 def _weighed(found: Added) -> list[Finding]:
     """What is to be thought of the fit of both recordings."""
-    what = f"masses, damping and friction leave {percent(found.left)} of the torque unexplained"
-    remedy = "fix the mass so that nothing rattles, and keep hands and table still"
-    findings = [Finding(what, *(("ok", "") if found.left <= MOST_LEFT else ("warning", remedy)))]
+    findings = [
+        checked(
+            f"masses, damping and friction leave {percent(found.left)} of the torque unexplained",
+            found.left <= MOST_LEFT,
+            "fix the mass so that nothing rattles, and keep hands and table still",
+        )
+    ]
     relative = found.half / abs(found.counts)
     if relative > WORST_HALF:
-        what = f"the mass tells the force to {percent(relative)} alone"
-        findings.append(Finding(what, "refused", "was it fixed? Repeat it, or take a heavier one"))
+        findings.append(
+            Finding(
+                f"the mass tells the force to {percent(relative)} alone",
+                "refused",
+                "was it fixed? Repeat it, or take a heavier one",
+            )
+        )
     return findings
 
 
 def _believable(name: str, gain: Gain, scale: Mapping[str, Any]) -> Finding:
     ratio = gain.per_count / (int(scale["sign"]) * float(scale["per_count"]))
-    remedy = "is the mass in kg, and was it fixed? Else correct the full scale in the file"
-    return count_of(name, ratio, remedy)
+    return plausible(
+        name, ratio, "is the mass in kg, and was it fixed? Else correct the full scale in the file"
+    )
 
 
-def _of_gains(gains: Mapping[str, Gain]) -> list[Value]:
+def _scales(rest: Recording, gains: Mapping[str, Gain]) -> list[Value]:
     return [
         gains["probe_torque"].value("probe_torque.full_scale_n", "N"),
         gains["probe_velocity"].value("probe_velocity.full_scale_m_per_s", "m/s"),
+        offset("probe_torque.offset_count", rest.torque),
+        offset("probe_velocity.offset_count", rest.velocity),
     ]
 
 
-def _of_rest(rest: Recording, gains: Mapping[str, Gain]) -> list[Value]:
-    torque = rest.torque
-    velocity = rest.velocity
+def _noises(rest: Recording, gains: Mapping[str, Gain]) -> list[Value]:
     return [
-        offset("probe_torque.offset_count", torque),
-        offset("probe_velocity.offset_count", velocity),
-        noise("probe_torque noise", torque, gains["probe_torque"], "N rms"),
-        noise("probe_velocity noise", velocity, gains["probe_velocity"], "m/s rms"),
+        noise("probe_torque noise", rest.torque, gains["probe_torque"], "N rms"),
+        noise("probe_velocity noise", rest.velocity, gains["probe_velocity"], "m/s rms"),
     ]
 
 
@@ -289,12 +314,12 @@ def offset(name: str, counts: Floats) -> Value:
     """The last quarter of `counts` (n,) at rest; the one before says how far it still drifts."""
     quarter = len(counts) // QUARTERS
     last = counts[-quarter:]
-    before = float(counts[-2 * quarter : -quarter].mean())
     mean = float(last.mean())
     spread = float(last.std())
+    drift = mean - float(counts[-2 * quarter : -quarter].mean())
     # what does not move by half a count does not tell where in its count it is
-    half = hypot(1.96 * spread / sqrt(quarter), mean - before, 0.5 if spread < 0.5 else 0.0)
-    return Value(name, mean, "counts", mean - half, mean + half)
+    half = hypot(NORMAL * spread / sqrt(quarter), drift, 0.5 if spread < 0.5 else 0.0)
+    return Value.around(name, mean, "counts", half)
 
 
 def noise(name: str, counts: Floats, gain: Gain, unit: str) -> Value:
@@ -305,32 +330,25 @@ def noise(name: str, counts: Floats, gain: Gain, unit: str) -> Value:
     if spread < 0.5:
         return Value(name, spread * per_count, unit, 0.0, 0.5 * per_count)
     value = sqrt(spread**2 - SHEPPARD) * per_count
-    half = value * hypot(1.96 / sqrt(2.0 * len(last)), gain.relative_half)
-    return Value(name, value, unit, value - half, value + half)
+    half = value * hypot(NORMAL / sqrt(2.0 * len(last)), gain.relative_half)
+    return Value.around(name, value, unit, half)
 
 
-def _changes(gains: Mapping[str, Gain], values: list[Value]) -> list[Change]:
-    signs = [Change(name, "sign", 1 if one.per_count > 0.0 else -1) for name, one in gains.items()]
-    written = [one for one in values if one.name.split(".")[0] in gains and "." in one.name]
-    return signs + [change_of(one) for one in written]
+def _signs(gains: Mapping[str, Gain]) -> list[Change]:
+    return [Change(name, "sign", 1 if one.per_count > 0.0 else -1) for name, one in gains.items()]
 
 
-def _skews(values: list[Value]) -> list[Change]:
-    return [one_signal.change(one) for one in values if one.name == one_signal.SKEW]
-
-
-def _within_reach(values: list[Value], limit_n: float) -> list[Change]:
+def _within_reach(full: Value, limit_n: float) -> list[Change]:
     """The converter gives no more than its full scale, whatever the file's limit is."""
-    (full,) = [one for one in values if one.name == "probe_torque.full_scale_n"]
     if full.low >= limit_n:
         return []
     return [Change("limits", "probe_n", floor(full.low * 1e3) / 1e3)]
 
 
-def _arrays(taken: Taken) -> dict[str, npt.NDArray[Any]]:
+def _arrays(found: Recordings) -> dict[str, npt.NDArray[Any]]:
     return {
         f"{name}_{key}": array
-        for name, one in taken._asdict().items()
+        for name, one in found._asdict().items()
         if one is not None
         for key, array in one._asdict().items()
     }

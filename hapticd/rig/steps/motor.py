@@ -21,9 +21,9 @@ line by chance.
 What would break it: a friction that differs from one reading to the next (it shows as residuals).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from math import floor, hypot, inf, sqrt
+from math import floor, hypot, inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,22 +33,22 @@ from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import COMMISSIONING_SHARE, MOST_CORRECTION
 from hapticd.core.units import percent
-from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled, require_force, require_verified
-from hapticd.rig.push import LOOK_S, Pushed, push, ready, wall_of
-from hapticd.rig.records import collect, identity_of
-from hapticd.rig.result import (
-    UPPER_END,
-    Change,
-    Finding,
-    StepResult,
-    Value,
-    change_of,
-    rounded,
-    settled,
+from hapticd.rig.estimate import line, mean_half
+from hapticd.rig.experiment import (
+    LOOK_S,
+    Push,
+    begin_step,
+    collect,
+    identity_of,
+    pull,
+    push,
+    ready,
+    release,
+    require_force,
 )
+from hapticd.rig.hand import Ask, Request
+from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, checked, settled
 from hapticd.settings.device import signs_hash
-from hapticd.signal.verdict import student_quantile
 from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = ["Masses", "measure_gain", "measure_sign"]
@@ -87,56 +87,59 @@ class Masses:
         return GRAVITY_M_PER_S2 * self.ratio * np.array(self.kilograms)
 
 
-class Most(NamedTuple):
+class ForceLimits(NamedTuple):
     """Forces that the device file allows, in N of its own scale."""
 
     limit_n: float  # limits.force_n
     home_n: float  # home.force_n
 
 
-UNBOUNDED = Most(inf, inf)
+UNBOUNDED = ForceLimits(inf, inf)
 
 
-def most_of(device: dict[str, Any]) -> Most:
+def force_limits(device: Mapping[str, Any]) -> ForceLimits:
     """What the `device` of a hello allows."""
-    return Most(float(device["force_limit_n"]), float(device["home"]["force_n"]))
+    return ForceLimits(float(device["force_limit_n"]), float(device["home"]["force_n"]))
 
 
 def measure_sign(bench: Client, ask: Ask) -> StepResult:
     """Push to both sides and see which way the handle goes. CommandError unless disabled."""
-    require_disabled(bench)
-    servo = bench.hello().servo
+    servo = begin_step(bench)
     _require_encoder(servo)
     where = "somewhere in the middle of its travel"
     ask(Request("let go", f"let go of the handle, {where}; it will be pushed gently"))
     pushes = [moving_push(bench, side * allowed_n(servo)) for side in (1.0, -1.0)]
-    findings = [_pushed(one) for one in pushes]
     agree = {bool(one.moved_m * one.force_n > 0.0) for one in pushes}
-    changes: list[Change] = []
+    findings = [_pushed(one) for one in pushes]
     if settled(findings):
         findings.append(_sign(agree))
-    if settled(findings):
-        right = agree == {True}
-        device = servo["device"]
-        serial = str(device["serial"])
-        sign = int(device["force"]["sign"]) * (1 if right else -1)
-        board = identity_of(bench, pushes[-1].records)
-        seen = signs_hash(serial, board.firmware, sign, int(device["position"]["sign"]))
-        changes = [
-            Change("force", "sign", sign),
-            Change("commissioning", "signs_verified", True),
-            Change("commissioning", "serial", serial),
-            Change("commissioning", "firmware", board.firmware),
-            Change("commissioning", "signs", seen),
-        ]
-        if board.life is not None:
-            changes.append(Change("commissioning", "life", board.life))
+    changes = _verified(bench, servo["device"], pushes[-1], agree == {True})
     arrays = {
         f"{name}_{number}": np.asarray(one.records[name])
         for number, one in enumerate(pushes)
         for name in ("tick", "position_m", "force_n", "fault")
     }
     return StepResult("motor", (), findings, changes, arrays)
+
+
+def _verified(bench: Client, device: Mapping[str, Any], last: Push, right: bool) -> list[Change]:
+    """The sign of the force, which the file has `right` or the other way, and what was seen of it:
+    by which board, and in which of its lives.
+    """
+    sign = int(device["force"]["sign"]) * (1 if right else -1)
+    serial = str(device["serial"])
+    board = identity_of(bench, last.records)
+    seen = signs_hash(serial, board.firmware, sign, int(device["position"]["sign"]))
+    changes = [
+        Change("force", "sign", sign),
+        Change("commissioning", "signs_verified", True),
+        Change("commissioning", "serial", serial),
+        Change("commissioning", "firmware", board.firmware),
+        Change("commissioning", "signs", seen),
+    ]
+    if board.life is not None:
+        changes.append(Change("commissioning", "life", board.life))
+    return changes
 
 
 def _require_encoder(servo: Mapping[str, Any]) -> None:
@@ -162,7 +165,7 @@ def allowed_n(servo: dict[str, Any]) -> float:
     return min(own_n, float(servo["safety"]["force_limit_n"]))
 
 
-def moving_push(bench: Client, most_n: float) -> Pushed:
+def moving_push(bench: Client, most_n: float) -> Push:
     """The first push towards `most_n` that moves the handle, or the one with `most_n`.
     AnalysisError where the handle does not stand still.
     """
@@ -176,15 +179,10 @@ def moving_push(bench: Client, most_n: float) -> Pushed:
         if bench.status().state == "fault" and not abs(found.moved_m) >= MOVED_M:
             raise AnalysisError(f"the push ended: {bench.status().cause}; repeat the step")
         if abs(found.moved_m) >= MOVED_M or share >= 1.0:
-            _leave_fault(bench)
+            if bench.status().state == "fault":
+                bench.reset()  # a push that the servo ended was seen; the next one may come
             return found
         share = min(1.0, STRONGER * share)
-
-
-def _leave_fault(bench: Client) -> None:
-    """A push that the servo ended has been seen; the next one may come."""
-    if bench.status().state == "fault":
-        bench.reset()
 
 
 def await_rest(bench: Client) -> None:
@@ -198,57 +196,65 @@ def await_rest(bench: Client) -> None:
     )
 
 
-def _pushed(one: Pushed) -> Finding:
-    what = f"{one.force_n:+.3g} N moved the handle by {1e3 * one.moved_m:+.3g} mm"
-    if abs(one.moved_m) >= MOVED_M:
-        return Finding(what, "ok")
-    remedy = "no authority: look at emergency stop, amplifier and motor, and let the handle free"
-    return Finding(what, "refused", remedy)
+def _pushed(one: Push) -> Finding:
+    return checked(
+        f"{one.force_n:+.3g} N moved the handle by {1e3 * one.moved_m:+.3g} mm",
+        abs(one.moved_m) >= MOVED_M,
+        "no authority: look at emergency stop, amplifier and motor, and let the handle free",
+        "refused",
+    )
 
 
 def _sign(agree: set[bool]) -> Finding:
     if agree == {True}:
         return Finding("it goes with the force both ways: the sign is right", "ok")
     if agree == {False}:
-        what = "it goes against the force both ways: the other sign is right"
-        return Finding(what, "warning", "the device file gets it; start the daemon again")
-    remedy = "something else moves it: let go of it, lay the axis level, and repeat"
-    return Finding("it goes the same way whatever the force is", "refused", remedy)
+        return Finding(
+            "it goes against the force both ways: the other sign is right",
+            "warning",
+            "the device file gets it; start the daemon again",
+        )
+    return Finding(
+        "it goes the same way whatever the force is",
+        "refused",
+        "something else moves it: let go of it, lay the axis level, and repeat",
+    )
 
 
 def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
     """Ask for each mass and fit the line. CommandError unless disabled; AnalysisError where
     signs are not verified, masses are too few or too heavy.
     """
-    require_disabled(bench)
-    servo = bench.hello().servo
+    servo = begin_step(bench, "the gain is measured")
     _refuse(servo, masses)
     weights = masses.weights_n
     stiffness = min(STIFFEST_N_PER_M, float(weights.max()) / SAG_M)
+    drawn_n = DRAWN_SHARE * limit_n(servo)
     readings = []
     with ready(bench):
         bench.set(K=stiffness, ramp_s=1.0)
         for mass_kg in masses.kilograms:
             ask(Request("hang", f"hang {mass_kg:g} kg and let go of the handle", mass_kg))
-            drawn_n = DRAWN_SHARE * limit_n(servo)
-            readings.append([settled_n(bench, side * drawn_n) for side in (1.0, -1.0)])
+            readings.append(rests_n(bench, drawn_n))
         status = bench.status()
     ask(Request("let go", "take the masses off and let go of the handle"))
     require_force(status)
     device = servo["device"]
-    return concluded(weights, np.array(readings), masses, device["force"], most_of(device))
+    limits = force_limits(device)
+    return analyse(weights, np.array(readings), masses, device["force"], limits)
 
 
-def settled_n(bench: Client, drawn_n: float) -> float:
-    """Mean commanded force [N] at rest, after `drawn_n` drew the handle aside and faded. It draws
-    from where the handle is: equally far to both sides, also under a load.
+def rests_n(bench: Client, drawn_n: float) -> list[float]:
+    """Mean commanded forces [N] at rest, after `drawn_n` drew the handle to either side and faded.
+    It draws from where the handle is: equally far to both sides, also under a load.
     """
-    at_m = float(collect(bench, LOOK_S).records["position_m"].mean())
-    bench.set(wall=wall_of(drawn_n, at_m), ramp_s=DRAW_S)
-    collect(bench, DRAW_S + SETTLE_S)
-    bench.set(wall={"stiffness_n_per_m": 0.0}, ramp_s=DRAW_S)
-    collect(bench, DRAW_S + SETTLE_S)
-    return float(collect(bench, READ_S).records["force_n"].mean())
+    found = []
+    for force_n in (drawn_n, -drawn_n):
+        at_m = float(collect(bench, LOOK_S).records["position_m"].mean())
+        pull(bench, force_n, at_m, DRAW_S, SETTLE_S)
+        release(bench, DRAW_S, SETTLE_S)
+        found.append(float(collect(bench, READ_S).records["force_n"].mean()))
+    return found
 
 
 def limit_n(servo: dict[str, Any]) -> float:
@@ -258,7 +264,6 @@ def limit_n(servo: dict[str, Any]) -> float:
 
 
 def _refuse(servo: dict[str, Any], masses: Masses) -> None:
-    require_verified(servo, "the gain is measured")
     if len(set(masses.kilograms)) < 3 or min(masses.kilograms) < 0.0:
         raise AnalysisError(
             "a line with residuals takes three masses at least; name 0 and two more"
@@ -272,119 +277,78 @@ def _refuse(servo: dict[str, Any], masses: Masses) -> None:
         )
 
 
-def concluded(
+def analyse(
     weights_n: Floats,
     readings_n: Floats,
     masses: Masses,
-    force: dict[str, Any],
-    most: Most = UNBOUNDED,
+    force: Mapping[str, Any],
+    limits: ForceLimits = UNBOUNDED,
 ) -> StepResult:
     """What commanded forces (n, 2) under `weights_n` (n,) say, with the file's scale `force` and
-    what it allows at `most`.
+    what it allows.
     """
     means = readings_n.mean(axis=1)
-    line = fitted(weights_n, means)
-    scale = -masses.pulls_to / line.slope
-    friction = float(np.abs(np.diff(readings_n, axis=1)).mean()) / 2.0
-    unequal = REPEATS * friction
-    slope_half = hypot(line.slope_half, unequal / float(np.ptp(weights_n)))
-    relative = hypot(slope_half / abs(line.slope), masses.tolerance)
-    full_n = I16_HIGHEST * float(force["per_count"])
-    gain = Value(
-        "force.full_scale_n",
-        scale * full_n,
-        "N",
-        full_n * scale * (1 - relative),
-        full_n * scale * (1 + relative),
-    )
-    per_n = int(force["sign"]) / float(force["per_count"])
-    middle = float(force["offset_count"]) + per_n * line.intercept
-    half = abs(per_n) * hypot(line.intercept_half, unequal)
-    offset = Value("force.offset_count", middle, "counts", middle - half, middle + half)
-    findings = [_linear(line, means), believable(scale)]
-    left = _left_at_rest(abs(scale) * readings_n)
+    found = line(weights_n, means)
+    scale = -masses.pulls_to / found.slope
+    unequal = REPEATS * friction_of(readings_n)
+    slope_half = hypot(found.slope_half, unequal / float(np.ptp(weights_n)))
+    gain = full_scale(scale, force, hypot(slope_half / abs(found.slope), masses.tolerance))
+    offset = offset_of(found.intercept, hypot(found.intercept_half, unequal), force)
+    # half the difference between rest from above and from below: no more than the friction, and
+    # less where a load came to rest beyond its place
+    halves = abs(scale) * np.abs(np.diff(readings_n, axis=1))[:, 0] / 2.0
+    left = Value.around("friction left at rest", float(halves.mean()), "N", mean_half(halves))
+    what = f"the worst reading lies {percent(found.worst / float(np.ptp(means)))} of the span"
+    remedy = "is one mass typed wrong, does the lever slip, or the handle stick? Repeat the step"
+    straight = found.worst <= MOST_RESIDUAL * float(np.ptp(means))
+    findings = [
+        checked(f"{what} beside the line", straight, remedy, "refused"),
+        believable(scale),
+    ]
     changes = [
-        *full_scale_changes(gain, full_n, most),
-        Change("force", "offset_count", rounded(offset.value, offset.low, offset.high)),
+        *full_scale_changes(gain, scale, limits),
+        Change("force", "offset_count", offset.rounded),
     ]
     arrays = {"weights_n": weights_n, "readings_n": readings_n}
-    return StepResult(
-        "motor", (gain, offset, left), findings, changes if settled(findings) else (), arrays
-    )
+    return StepResult("motor", (gain, offset, left), findings, changes, arrays)
 
 
-def _left_at_rest(readings_n: Floats) -> Value:
-    """Half the difference between rest from above and from below (n, 2): no more than the friction,
-    and less where a load came to rest beyond its place.
+def friction_of(readings_n: Floats) -> float:
+    """Half the mean difference of commanded forces (n, 2) at rest from above and from below."""
+    return float(np.abs(np.diff(readings_n, axis=1)).mean()) / 2.0
+
+
+def full_scale(scale: float, force: Mapping[str, Any], relative: float) -> Value:
+    """The full scale of the force, whose newtons in the file's scale `force` are `scale` N."""
+    full_n = scale * I16_HIGHEST * float(force["per_count"])
+    return Value.around("force.full_scale_n", full_n, "N", relative * abs(full_n))
+
+
+def offset_of(force_n: float, half_n: float, force: Mapping[str, Any]) -> Value:
+    """The count of no force, for which `force_n` is commanded by the file's scale `force`."""
+    per_n = int(force["sign"]) / float(force["per_count"])
+    count = float(force["offset_count"]) + per_n * force_n
+    return Value.around("force.offset_count", count, "counts", abs(per_n) * half_n)
+
+
+def full_scale_changes(gain: Value, scale: float, limits: ForceLimits) -> list[Change]:
+    """What the full scale `gain`, of `scale` times that of the file, writes into a file that allows
+    `limits`. The board clamps counts: with a motor that is weaker than its file says, the most that
+    it makes is less, too, and no stop can be sought with more than that.
     """
-    halves = np.abs(np.diff(readings_n, axis=1))[:, 0] / 2.0
-    middle = float(halves.mean())
-    quantile = student_quantile(UPPER_END, len(halves) - 1)
-    half = quantile * float(halves.std(ddof=1)) / sqrt(len(halves))
-    return Value("friction left at rest", middle, "N", middle - half, middle + half)
-
-
-def full_scale_changes(gain: Value, full_n: float, most: Most) -> list[Change]:
-    """What the full scale `gain` in place of `full_n` [N] writes into a file that allows `most`."""
-    found = change_of(gain)
-    return [found, *_within_reach(gain.low / full_n, most)]
-
-
-def _within_reach(scale: float, most: Most) -> list[Change]:
-    """The board clamps counts: with a motor that is weaker than its file says, the most that it
-    makes is less, too, and no stop can be sought with more than that.
-    """
-    if scale >= 1.0 or most.limit_n == inf:
-        return []
-    reach_n = floor(scale * most.limit_n * 1e3) / 1e3
-    changes = [Change("limits", "force_n", reach_n)]
-    if most.home_n > reach_n:
+    changes = [change_of(gain)]
+    least = scale * gain.low / gain.value
+    if least >= 1.0 or limits.limit_n == inf:
+        return changes
+    reach_n = floor(least * limits.limit_n * 1e3) / 1e3
+    changes.append(Change("limits", "force_n", reach_n))
+    if limits.home_n > reach_n:
         changes.append(Change("home", "force_n", reach_n))
     return changes
 
 
-@dataclass(frozen=True)
-class Line:
-    """A line of least squares and the halves of its 95 % intervals."""
-
-    slope: float
-    slope_half: float
-    intercept: float
-    intercept_half: float
-    worst: float  # residual
-
-
-def fitted(x: Floats, y: Floats) -> Line:
-    """The line through (n,) points, n at least 3."""
-    away = x - x.mean()
-    power = float(away @ away)
-    slope = float(away @ y) / power
-    residuals = y - y.mean() - slope * away
-    freedom = len(x) - 2
-    deviation = sqrt(float(residuals @ residuals) / freedom)
-    quantile = student_quantile(UPPER_END, freedom)
-    return Line(
-        slope,
-        quantile * deviation / sqrt(power),
-        float(y.mean() - slope * x.mean()),
-        quantile * deviation * sqrt(1.0 / len(x) + float(x.mean()) ** 2 / power),
-        float(np.abs(residuals).max()),
-    )
-
-
-def _linear(line: Line, means: Sequence[float] | Floats) -> Finding:
-    share = line.worst / float(np.ptp(means))
-    what = f"the worst reading lies {percent(share)} of the span beside the line"
-    if share <= MOST_RESIDUAL:
-        return Finding(what, "ok")
-    remedy = "is one mass typed wrong, does the lever slip, or the handle stick? Repeat the step"
-    return Finding(what, "refused", remedy)
-
-
 def believable(scale: float) -> Finding:
     """Whether a commanded newton may be `scale` newtons, by what the device file says."""
-    what = f"a commanded newton is {scale:.4g} N"
-    if 1.0 / MOST_CORRECTION <= scale <= MOST_CORRECTION:
-        return Finding(what, "ok")
     remedy = "are the masses in kg, the radii and the side right? Else correct force.full_scale_n"
-    return Finding(what, "refused", remedy)
+    likely = 1.0 / MOST_CORRECTION <= scale <= MOST_CORRECTION
+    return checked(f"a commanded newton is {scale:.4g} N", likely, remedy, "refused")

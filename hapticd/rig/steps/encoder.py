@@ -14,7 +14,8 @@ repetitions then differ, which is refused).
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import hypot, sqrt
+from math import hypot
+from typing import Any
 
 import numpy as np
 
@@ -22,13 +23,12 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
-from hapticd.core.params import MOST_CORRECTION
+from hapticd.core.params import MOST_CORRECTION, ScaleParams
 from hapticd.core.units import percent
+from hapticd.rig.estimate import deviation, mean_half
+from hapticd.rig.experiment import begin_step, collect
 from hapticd.rig.hand import Action, Ask, Request
-from hapticd.rig.link import require_disabled
-from hapticd.rig.records import collect, counts_of
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
-from hapticd.signal.verdict import student_quantile
+from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, checked, settled
 from hapticd.usb import codec, frames
 from hapticd.usb.frames import Capability, StatusBit
 
@@ -58,8 +58,7 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
 
     CommandError unless disabled; AnalysisError for a distance beyond the travel.
     """
-    require_disabled(bench)
-    servo = bench.hello().servo
+    servo = begin_step(bench)
     device = servo["device"]
     position = device["position"]
     _refuse(distance, servo["environment"]["workspace"])
@@ -92,7 +91,7 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
     arrays = {"rest": rest, "moving": moving, "steps": np.array(steps)}
     if Capability.INDEX & int(bench.status().servo.get("capabilities", 0)):
         arrays["marks"] = np.array(marks) - float(np.median(here))
-    found = concluded(arrays, distance, float(position["per_count"]), str(device["home"]["method"]))
+    found = analyse(arrays, distance, float(position["per_count"]), str(device["home"]["method"]))
     return _doubting(found, int(position["sign"]))
 
 
@@ -115,39 +114,40 @@ def _doubting(found: StepResult, sign: int) -> StepResult:
     return found
 
 
+def counts_of(records: Records, position: Mapping[str, Any]) -> Floats:
+    """Encoder counts (n,) since the origin, by the scale `position` of the hello."""
+    scale = ScaleParams(**position)
+    slope = scale.to_value(1.0) - scale.to_value(0.0)
+    return np.asarray(np.round(records["position_m"] / slope))
+
+
 def passages(records: Records, counts: Floats) -> Floats:
     """Counts (k,) of the index mark, as the frames of `records` (n,) with `counts` tell it."""
     passed = np.flatnonzero(records["status"] & StatusBit.INDEX)
     heads = (frames.IN_SEALED.unpack(bytes(one)) for one in records["in_frame"][passed])
     behind = np.array([head[codec.HEAD_INDEX_OFFSET] for head in heads])
-    found: Floats = counts[passed] - behind
-    return found
+    return np.asarray(counts[passed] - behind)
 
 
-def concluded(
+def analyse(
     arrays: dict[str, Floats], distance: Distance, m_per_count: float, home: str = "none"
 ) -> StepResult:
     """What counts at rest (n,), during the motion (m,), of the steps from A to B (k,) and of the
     index mark from x = 0 on (`marks`, where there is one) say, with the `m_per_count` and the
     method to `home` of the device file.
     """
-    rest = arrays["rest"]
     moving = arrays["moving"]
     steps = arrays["steps"]
     went = float(np.median(moving[-len(moving) // 10 :]) - moving[0])
-    findings = [*_at_rest(rest), *_moving(moving, went), *_steps(steps, went)]
-    values = [_noise(rest)]
-    changes: list[Change] = []
-    if settled(findings):
-        scale = scale_of(steps, distance)
-        values.append(scale)
-        findings.append(_believable(scale, m_per_count, distance))
-    if settled(findings):
-        changes = [
-            Change("position", "sign", 1 if went > 0.0 else -1),
-            change_of(scale),
-        ]
-    if changes and "marks" in arrays:
+    values = [deviation("noise at rest", arrays["rest"], "counts rms")]
+    findings = [_at_rest(arrays["rest"]), _moving(moving, went), _steps(steps, went)]
+    if not settled(findings):
+        return StepResult("encoder", values, findings, (), arrays)
+    scale = scale_of(steps, distance)
+    values.append(scale)
+    findings.append(_believable(scale, m_per_count, distance))
+    changes = [Change("position", "sign", 1 if went > 0.0 else -1), change_of(scale)]
+    if settled(findings) and "marks" in arrays:
         place = np.sign(went) * scale.value * arrays["marks"]
         findings.append(_index(place, scale.value))
         if findings[-1].verdict == "ok":
@@ -162,77 +162,82 @@ def scale_of(steps: Floats, distance: Distance) -> Value:
     """m per count, from the counts (k,) of k times the same distance, k at least 2."""
     sizes = np.abs(steps)
     mean = float(sizes.mean())
-    by_hand = student_quantile(UPPER_END, len(sizes) - 1) * float(sizes.std(ddof=1))
-    relative = hypot(by_hand / sqrt(len(sizes)) / mean, distance.tolerance_m / distance.metres)
+    relative = hypot(mean_half(sizes) / mean, distance.tolerance_m / distance.metres)
     value = distance.metres / mean
-    half = relative * value
-    return Value("position.m_per_count", value, "m", value - half, value + half)
+    return Value.around("position.m_per_count", value, "m", relative * value)
 
 
 def _index(place_m: Floats, m_per_count: float) -> Finding:
     """Whether the passages of the index mark, at `place_m` (k,), agree."""
     if not len(place_m):
-        remedy = "move the handle further, or use another way to home"
-        return Finding("the index mark was not passed", "warning", remedy)
+        return Finding(
+            "the index mark was not passed",
+            "warning",
+            "move the handle further, or use another way to home",
+        )
     apart = float(np.ptp(place_m)) / m_per_count
-    what = f"{len(place_m)} passages of the index mark, {apart:.2g} counts apart"
-    if apart <= QUIET_COUNTS:
-        return Finding(what, "ok")
-    return Finding(
-        what, "warning", "counts are lost, or there are several marks: do not home by it"
+    return checked(
+        f"{len(place_m)} passages of the index mark, {apart:.2g} counts apart",
+        apart <= QUIET_COUNTS,
+        "counts are lost, or there are several marks: do not home by it",
     )
 
 
 def _mark(place_m: Floats, m_per_count: float) -> Value:
-    value = float(np.median(place_m))
     half = max(float(np.ptp(place_m)), m_per_count) / 2.0
-    return Value("home.position_m", value, "m", value - half, value + half)
+    return Value.around("home.position_m", float(np.median(place_m)), "m", half)
 
 
-def _noise(rest: Floats) -> Value:
-    deviation = float(rest.std())
-    half = 1.96 * deviation / sqrt(2.0 * len(rest))
-    return Value("noise at rest", deviation, "counts rms", deviation - half, deviation + half)
-
-
-def _at_rest(rest: Floats) -> list[Finding]:
+def _at_rest(rest: Floats) -> Finding:
     wide = float(np.ptp(rest))
-    if wide <= QUIET_COUNTS:
-        return [Finding(f"{wide:g} counts peak to peak at rest", "ok")]
-    remedy = "let go of it and keep the table still; else look at shield and supply of the encoder"
-    return [Finding(f"{wide:g} counts peak to peak at rest", "warning", remedy)]
+    return checked(
+        f"{wide:g} counts peak to peak at rest",
+        wide <= QUIET_COUNTS,
+        "let go of it and keep the table still; else look at shield and supply of the encoder",
+    )
 
 
-def _moving(moving: Floats, went: float) -> list[Finding]:
+def _moving(moving: Floats, went: float) -> Finding:
     if not abs(went) >= LEAST_COUNTS:
-        what = f"the handle was moved, and the encoder went {went:g} counts"
-        remedy = "encoder stuck: look at its cable and supply, and whether the handle was moved"
-        return [Finding(what, "refused", remedy)]
+        return Finding(
+            f"the handle was moved, and the encoder went {went:g} counts",
+            "refused",
+            "encoder stuck: look at its cable and supply, and whether the handle was moved",
+        )
     low = moving.astype(np.int64)
     dead = [bit for bit in range(LOW_BITS) if len(np.unique(low >> bit & 1)) == 1]
     if not dead:
-        return [Finding(f"the lowest {LOW_BITS} bits all change", "ok")]
-    what = f"bit {dead[0]} of the count never changes: {1 << dead[0]} counts are dead"
-    return [Finding(what, "warning", "look at the interpolator and the width of the counter")]
+        return Finding(f"the lowest {LOW_BITS} bits all change", "ok")
+    return Finding(
+        f"bit {dead[0]} of the count never changes: {1 << dead[0]} counts are dead",
+        "warning",
+        "look at the interpolator and the width of the counter",
+    )
 
 
-def _steps(steps: Floats, went: float) -> list[Finding]:
+def _steps(steps: Floats, went: float) -> Finding:
     same = bool((np.sign(steps) == np.sign(went)).all()) and went != 0.0
-    if not same or not (np.abs(steps) >= LEAST_COUNTS).all():
-        words = ", ".join(f"{step:g}" for step in steps)
-        remedy = "B lies to positive x of A, as the motion before: repeat the step"
-        return [Finding(f"from A to B {words} counts", "refused", remedy)]
-    return [Finding("A to B goes the way of the motion before", "ok")]
+    if same and (np.abs(steps) >= LEAST_COUNTS).all():
+        return Finding("A to B goes the way of the motion before", "ok")
+    words = ", ".join(f"{step:g}" for step in steps)
+    return Finding(
+        f"from A to B {words} counts",
+        "refused",
+        "B lies to positive x of A, as the motion before: repeat the step",
+    )
 
 
 def _believable(scale: Value, m_per_count: float, distance: Distance) -> Finding:
     ratio = scale.value / m_per_count
     if not 1.0 / MOST_CORRECTION <= ratio <= MOST_CORRECTION:
-        what = f"{scale.value:.4g} m per count is {ratio:.3g} times what the device file says"
-        remedy = f"is the distance {distance.metres:g} m right, in metres? Else correct the file"
-        return Finding(what, "refused", remedy)
-    half = (scale.high - scale.low) / 2.0 / scale.value
-    if half > MOST_SCATTER:
-        remedy = "rest the handle against something firm at A and B"
-        return Finding(f"the scale is known to {percent(half)}", "warning", remedy)
-    return Finding(f"the scale is known to {percent(half)}", "ok")
+        return Finding(
+            f"{scale.value:.4g} m per count is {ratio:.3g} times what the device file says",
+            "refused",
+            f"is the distance {distance.metres:g} m right, in metres? Else correct the file",
+        )
+    half = scale.half / scale.value
+    return checked(
+        f"the scale is known to {percent(half)}",
+        half <= MOST_SCATTER,
+        "rest the handle against something firm at A and B",
+    )

@@ -5,18 +5,18 @@ delay D as a held staircase through a smoothing of time constant s. So at every 
 
     m v' + b v + Fc phi + f0 = t + g F,     F = smoothed staircase of f,  g = gain of the motor
 
-and m, b, Fc, g are linear in it (`balance_terms` has each term). All terms pass the same window,
-and the equation is solved by lines of LOW_HZ to HIGH_HZ (`jackknife`). Coulomb and viscous friction
-differ because v grows with the amplitude and phi does not (their describing functions), so two
-amplitudes are played.
+and m, b, Fc, g are linear in it (`force_terms` has each term). All terms pass the same window,
+and the equation is solved by lines of LOW_HZ to HIGH_HZ (`estimate.jackknife`). Coulomb and viscous
+friction differ because v grows with the amplitude and phi does not (their describing functions), so
+two amplitudes are played.
 
 Delay and smoothing. To the second order in w the path of a command is 1 - jw L - w^2 (L^2 + q) / 2
 with the lag L = D + s and the spread q = s^2. L is known at once. q is told by curvature alone, as
 if a mass K q / 2 were missing, so a mass that is not known to MASS_SHARE leaves q in doubt by
 2 m MASS_SHARE / K, and D with it: D = L - sqrt(q). What the board's clock says of D is its least.
 
-Clocks. `probe_clock` puts both streams into one time. The velocity may come later than the torque
-(a skew), and the torque channel may have a high-pass: two more unknowns of the balance.
+Clocks. `force_terms.clocked` puts both streams into one time. The velocity may come later than the
+torque (a skew), and the torque channel may have a high-pass: two more unknowns of the balance.
 
 Two masses. A transmission that yields shows as a mass that grows with the frequency. A velocity
 channel that is late by interpolation droops, one with a plain delay does not, and a droop feigns
@@ -35,6 +35,7 @@ What would break it: motion above HIGH_HZ that is no small part of it.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -42,10 +43,21 @@ import numpy as np
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.rig.balance_terms import BLOCK, EDGE, Handle, Terms, commanded, hung, shifted, terms
-from hapticd.rig.jackknife import Solution, lines, solved
-from hapticd.rig.played import Played
-from hapticd.rig.probe_clock import H_S, Clock, clocked
+from hapticd.rig.estimate import Fit, jackknife, lines, quantile
+from hapticd.rig.experiment import PerturbationRun
+from hapticd.rig.steps.force_terms import (
+    BLOCK,
+    EDGE,
+    H_S,
+    Clock,
+    Handle,
+    Terms,
+    base_excited_response,
+    clocked,
+    commanded,
+    shifted,
+    terms,
+)
 from hapticd.signal.verdict import student_quantile
 
 LEAST_BLOCKS = 8
@@ -76,6 +88,7 @@ NAMES = (
 )
 COMMON = 8  # of them: the last three are those of a resonance, instead of which
 RIGID = 9  # one rigid mass has bend_kg
+ABSENT = ("linear", "direction", "delay")  # assumptions as terms of the equation
 DROOP = 0.5  # of that of a channel that interpolates; it lies anywhere between 0 and 1
 
 
@@ -97,20 +110,28 @@ class Test:
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """The solution. `sd` and `correlation` in the order of NAMES."""
+    """The solution. `fit` has the deviations of what NAMES has: the first RIGID, or of all with a
+    resonance.
+    """
 
     handle: Handle
     settled: bool  # whether a further round would change nothing
     most_kg: float  # as much as all forces together could move as it moved
-    sd: Floats  # (RIGID,), or of all with a resonance
-    correlation: Floats  # square
+    fit: Fit
     blocks: int
     residual: float  # rms of what is left, of the torque
-    pull_n: float  # that acts all the time, or friction that is greater one way
-    pull_sd_n: float
     speed_m_per_s: float  # rms
     tests: tuple[Test, ...]
     clocks: tuple[Clock, ...]
+
+    @property
+    def sd(self) -> Floats:
+        """Standard deviations, in the order of NAMES."""
+        return self.fit.sd
+
+    def half(self, name: str) -> float:
+        """Half of the 95 % interval of the quantity `name`, by the blocks."""
+        return float(self.fit.halves[NAMES.index(name)])
 
 
 class _Rows(NamedTuple):
@@ -118,14 +139,14 @@ class _Rows(NamedTuple):
 
     columns: Floats  # (blocks, rows, RIGID or all), by NAMES
     target: Floats  # (blocks, rows)
-    extra: dict[str, Floats]  # of each test, (blocks, rows)
+    extra: Floats  # (blocks, rows, tests) terms that should be absent, by ABSENT
     run: Floats  # (blocks,) to which run a block belongs
     pull_n: Floats  # (blocks,)
 
 
-def parted(runs: Sequence[Played], rigid: Balance) -> Balance:
-    """The balance of two masses, from that of one `rigid` mass on: lag and smoothing are known by
-    then. How much the velocity channel droops is not, and what it changes is in the deviations.
+def fit_two_masses(runs: Sequence[PerturbationRun], rigid: Balance) -> Balance:
+    """Two coupled masses, from the fit of one `rigid` mass on: lag and smoothing are known by then.
+    How much the velocity channel droops is not, and what it changes is in the deviations.
     """
     further = max(float(np.mean([clock.yield_s2 for clock in rigid.clocks])), 1e-8)
     half_kg = 0.5 * rigid.handle.mass_kg
@@ -137,51 +158,61 @@ def parted(runs: Sequence[Played], rigid: Balance) -> Balance:
         slider_ratio=RATIO,
         droop=DROOP,
     )
-    two = balanced(runs, begin)
-    pure = balanced(runs, replace(two.handle, droop=0.0))
+    two = _fit(runs, rigid.clocks, begin)
+    pure = _fit(runs, rigid.clocks, replace(two.handle, droop=0.0))
     away = [getattr(two.handle, name) - getattr(pure.handle, name) for name in NAMES]
-    covariance = two.correlation * np.outer(two.sd, two.sd) + np.outer(away, away) / 4.0
-    sd = np.sqrt(np.diag(covariance))
+    covariance = two.fit.covariance + np.outer(away, away) / 4.0
     settled = two.settled and pure.settled
-    return replace(two, settled=settled, sd=sd, correlation=covariance / np.outer(sd, sd))
+    return replace(two, settled=settled, fit=two.fit._replace(covariance=covariance))
 
 
-def balanced(runs: Sequence[Played], begin: Handle | None = None) -> Balance:
-    """Solve the balance of all `runs` together, of one rigid mass or of what `begin` has.
-    AnalysisError where they are too short or nothing moves.
+def fit_rigid_mass(runs: Sequence[PerturbationRun]) -> Balance:
+    """Solve the balance of all `runs` together, of one rigid mass. AnalysisError where they are too
+    short or nothing moves.
     """
     if sum(run.torque_n.size // BLOCK for run in runs) < LEAST_BLOCKS:
         raise AnalysisError(f"less than {LEAST_BLOCKS} s of motion; play longer waveforms")
     clocks = tuple(clocked(run) for run in runs)
-    handle = begin or _begin(runs, clocks)
-    weight: Floats | None = None
+    return _fit(runs, clocks, _begin(runs, clocks))
+
+
+def _fit(runs: Sequence[PerturbationRun], clocks: tuple[Clock, ...], handle: Handle) -> Balance:
+    """The balance from `handle` on: as many masses as that has."""
+    weight = np.ones(1)
     for _ in range(ROUNDS):
         rows = _rows(runs, clocks, handle)
-        fit = solved(*_weighted(rows, weight))
+        fit = jackknife(rows.columns * weight[..., None], rows.target * weight)
         weight = _weights(rows, fit.values)
         handle, stride = _moved(handle, fit.values)
         if stride < SETTLED_US:
             break
-    settled = stride < SETTLED_US and bool(fit.values[0] > 0.0)
-    return _concluded(runs, clocks, handle, settled, rows, fit, weight)
+    left = rows.target - rows.columns @ fit.values
+    return Balance(
+        handle,
+        stride < SETTLED_US and bool(fit.values[0] > 0.0),
+        _most_kg(rows, fit.values),
+        fit,
+        len(rows.run),
+        float(np.sqrt((left**2).sum() / (rows.target**2).sum())),
+        float(np.concatenate([run.velocity_m_per_s for run in runs]).std()),
+        _tests(rows, fit, weight),
+        clocks,
+    )
 
 
-def _begin(runs: Sequence[Played], clocks: Sequence[Clock]) -> Handle:
+def _begin(runs: Sequence[PerturbationRun], clocks: Sequence[Clock]) -> Handle:
     """The best of some guesses of the smoothing, each after a few rounds."""
-    known = np.concatenate([run.delay_us[run.delay_us >= 0.0] for run in runs])
+    known = np.concatenate([run.delays_us for run in runs])
     delay_us = float(np.median(known)) if known.size else 0.25 * runs[0].period_us
-    best: tuple[float, Handle] | None = None
+    tried: list[tuple[float, Handle]] = []
     for smooth_us in SPREADS_US:
         handle = Handle(1e-2, 0.0, 0.0, 1.0, delay_us + smooth_us, smooth_us**2, 0.0)
         for _ in range(FIRST_ROUNDS):
             rows = _rows(runs, clocks, handle)
-            fit = solved(rows.columns, rows.target)
+            fit = jackknife(rows.columns, rows.target)
             handle, _ = _moved(handle, fit.values)
-        size = float(((rows.target - rows.columns @ fit.values) ** 2).sum())
-        if best is None or size < best[0]:
-            best = (size, handle)
-    assert best is not None
-    return best[1]
+        tried.append((float((fit.residuals**2).sum()), handle))
+    return min(tried, key=itemgetter(0))[1]
 
 
 def _moved(handle: Handle, values: Floats) -> tuple[Handle, float]:
@@ -212,61 +243,47 @@ def _moved(handle: Handle, values: Floats) -> tuple[Handle, float]:
     return moved, max(abs(stride), abs(skew))
 
 
-def _rows(runs: Sequence[Played], clocks: Sequence[Clock], handle: Handle) -> _Rows:
+def _rows(runs: Sequence[PerturbationRun], clocks: Sequence[Clock], handle: Handle) -> _Rows:
     parts = [
         _of_run(run, clock, handle, number)
         for number, (run, clock) in enumerate(zip(runs, clocks, strict=True))
     ]
-    return _Rows(
-        np.concatenate([part.columns for part in parts]),
-        np.concatenate([part.target for part in parts]),
-        {name: np.concatenate([part.extra[name] for part in parts]) for name in parts[0].extra},
-        np.concatenate([part.run for part in parts]),
-        np.concatenate([part.pull_n for part in parts]),
-    )
+    return _Rows(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _of_run(run: Played, clock: Clock, handle: Handle, number: int) -> _Rows:
+def _of_run(run: PerturbationRun, clock: Clock, handle: Handle, number: int) -> _Rows:
     own = terms(run, clock, handle)
     slopes = _slopes(run, clock, handle, own)
     columns = [own.acceleration, own.velocity, own.friction, -own.command, *slopes]
-    if handle.slider_rad_s > 0.0:
-        columns += _of_slider(own, handle)
-        high_hz = COUPLED_HZ
-    else:
-        columns.append(_bent(own))
-        high_hz = HIGH_HZ
+    coupled = handle.slider_rad_s > 0.0
+    columns += _of_slider(own, handle) if coupled else [_bent(own)]
     speed = float(own.velocity.std()) or 1.0
+    lag = slopes[0]
     extra = {
         "linear": own.velocity * np.abs(own.velocity) / speed,
         "direction": np.abs(own.velocity),
-        "delay": slopes.lag * np.linspace(-1.0, 1.0, slopes.lag.size),
+        "delay": lag * np.linspace(-1.0, 1.0, lag.size),
     }
-    count = (slopes.lag.size - 2 * EDGE) // BLOCK
+    high_hz = COUPLED_HZ if coupled else HIGH_HZ
+    count = (lag.size - 2 * EDGE) // BLOCK
     return _Rows(
         np.dstack([_lines(one, high_hz) for one in columns]),
         _lines(own.torque, high_hz),
-        {name: _lines(one, high_hz) for name, one in extra.items()},
+        np.dstack([_lines(extra[name], high_hz) for name in ABSENT]),
         np.full(count, float(number)),
         own.pull_blocks_n[:count],
     )
 
 
-class _Slopes(NamedTuple):
-    """Columns (n,), in the order of NAMES: derivatives by what is not linear in the equation."""
-
-    lag: Floats
-    spread: Floats
-    skew: Floats
-    high_pass: Floats
-
-
-def _slopes(run: Played, clock: Clock, handle: Handle, own: Terms) -> _Slopes:
+def _slopes(
+    run: PerturbationRun, clock: Clock, handle: Handle, own: Terms
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Derivatives (n,) by what is not linear in the equation: lag, spread, skew and high-pass."""
     later = commanded(run, clock, handle.lag_us + 1.0, handle.spread_us2)
     sooner = commanded(run, clock, handle.lag_us - 1.0, handle.spread_us2)
     wider = commanded(run, clock, handle.lag_us, handle.spread_us2 + SMALL_US2)
     slope = shifted(run.torque_n, -handle.skew_us, slopes=1)
-    return _Slopes(
+    return (
         -handle.gain * 0.5 * (later - sooner),
         -handle.gain * (wider - own.command) / SMALL_US2,
         0.5 * (slope[1:] + slope[:-1]),
@@ -281,24 +298,18 @@ def _bent(own: Terms) -> Floats:
     return bent
 
 
-def _of_slider(own: Terms, handle: Handle) -> tuple[Floats, Floats, Floats]:
+def _of_slider(own: Terms, handle: Handle) -> list[Floats]:
     """Columns of the mass on a spring, of its frequency and of its damping."""
     rate = handle.slider_rad_s
     ratio = handle.slider_ratio
-    faster = hung(own.acceleration, 1.001 * rate, ratio) - own.slider
-    damped = hung(own.acceleration, rate, ratio + 1e-3) - own.slider
+    faster = base_excited_response(own.acceleration, 1.001 * rate, ratio) - own.slider
+    damped = base_excited_response(own.acceleration, rate, ratio + 1e-3) - own.slider
     mass = handle.slider_kg
-    return own.slider, mass * faster / (1e-3 * rate), mass * damped / 1e-3
+    return [own.slider, mass * faster / (1e-3 * rate), mass * damped / 1e-3]
 
 
 def _lines(values: Floats, high_hz: float) -> Floats:
     return lines(values[EDGE:-EDGE], BLOCK, PROBE_RATE_HZ, (LOW_HZ, high_hz))
-
-
-def _weighted(rows: _Rows, weight: Floats | None) -> tuple[Floats, Floats]:
-    if weight is None:
-        return rows.columns, rows.target
-    return rows.columns * weight[..., None], rows.target * weight
 
 
 def _weights(rows: _Rows, values: Floats) -> Floats:
@@ -316,37 +327,6 @@ def _weights(rows: _Rows, values: Floats) -> Floats:
     return found
 
 
-def _concluded(
-    runs: Sequence[Played],
-    clocks: tuple[Clock, ...],
-    handle: Handle,
-    settled: bool,
-    rows: _Rows,
-    fit: Solution,
-    weight: Floats | None,
-) -> Balance:
-    left = rows.target - rows.columns @ fit.values
-    covariance = fit.covariance
-    sd = np.sqrt(np.diag(covariance))
-    blocks = len(rows.run)
-    pulls = rows.pull_n
-    speeds = np.concatenate([run.velocity_m_per_s for run in runs])
-    return Balance(
-        handle,
-        settled,
-        _most_kg(rows, fit.values),
-        sd,
-        covariance / np.outer(sd, sd),
-        blocks,
-        float(np.sqrt((left**2).sum() / (rows.target**2).sum())),
-        float(pulls.mean()),
-        float(pulls.std(ddof=1) / np.sqrt(blocks)),
-        float(speeds.std()),
-        _tests(rows, fit, weight),
-        clocks,
-    )
-
-
 def _most_kg(rows: _Rows, values: Floats) -> float:
     """What moves as it did cannot be more than all forces together move (triangle inequality)."""
     sizes = np.sqrt((rows.columns[..., :4] ** 2).sum(axis=(0, 1)))
@@ -354,22 +334,19 @@ def _most_kg(rows: _Rows, values: Floats) -> float:
     return float((torque + np.abs(values[1:4]) @ sizes[1:]) / sizes[0])
 
 
-def _tests(rows: _Rows, fit: Solution, weight: Floats | None) -> tuple[Test, ...]:
+def _tests(rows: _Rows, fit: Fit, weight: Floats) -> tuple[Test, ...]:
     """Each assumption by itself, beside what is fitted."""
-    columns, target = _weighted(rows, weight)
     found = {}
-    if columns.shape[-1] == RIGID:
+    if rows.columns.shape[-1] == RIGID:
         found["rigid"] = (float(fit.values[-1]), float(fit.sd[-1]))
-    for name, one in rows.extra.items():
-        term = one if weight is None else one * weight
-        beside = solved(np.concatenate((columns, term[..., None]), axis=2), target)
+    for number, name in enumerate(ABSENT):
+        columns = np.dstack((rows.columns, rows.extra[..., number]))
+        beside = jackknife(columns * weight[..., None], rows.target * weight)
         found[name] = (float(beside.values[-1]), float(beside.sd[-1]))
     pull_sd_n = float(rows.pull_n.std(ddof=1)) / sqrt(len(rows.pull_n))
     found["pull"] = (float(rows.pull_n.mean()), pull_sd_n)
-    freedom = len(target) - 1
-    critical = student_quantile(1.0 - 0.5 * SIGNIFICANCE / len(found), freedom)
-    usual = student_quantile(0.975, freedom)
+    critical = student_quantile(1.0 - 0.5 * SIGNIFICANCE / len(found), fit.freedom)
     return tuple(
-        Test(name, size, usual * sd, size / sd if sd else 0.0, critical)
+        Test(name, size, quantile(fit.freedom) * sd, size / sd if sd else 0.0, critical)
         for name, (size, sd) in found.items()
     )

@@ -1,8 +1,8 @@
 """What the balance of forces says of the device, with intervals that count what it cannot know.
 
 Newtons are the mean of two scales, the probe's and the motor's, each weighed by its interval;
-motion is the encoder's. To the intervals of the blocks (`jackknife`) come those of the scales, and
-what the balance itself may be wrong by.
+motion is the encoder's. To the intervals of the blocks (`estimate.jackknife`) come those of the
+scales, and what the balance itself may be wrong by.
 
 The lag of a command is delay and smoothing together and is known at once. How it is parted is told
 by the curvature of the command's path, by the board's clock (the delay is at least what that says),
@@ -21,10 +21,9 @@ import numpy as np
 
 from hapticd.core.environment import FilterParams
 from hapticd.core.units import US_PER_S
-from hapticd.rig.balance import NAMES, Balance
-from hapticd.rig.played import Played
-from hapticd.rig.result import UPPER_END, Value
-from hapticd.signal.verdict import student_quantile
+from hapticd.rig.experiment import PerturbationRun
+from hapticd.rig.result import Value
+from hapticd.rig.steps.force_balance import NAMES, Balance
 
 MASS_SHARE = 1e-3  # what the balance itself may be wrong by
 FRICTION_SHARE = 5e-3
@@ -74,7 +73,7 @@ class Mechanics(NamedTuple):
     coulomb: Value  # N
 
 
-class Path(NamedTuple):
+class CommandPath(NamedTuple):
     """The way of a command: each in us, with its 95 % interval."""
 
     lag: Value
@@ -83,16 +82,11 @@ class Path(NamedTuple):
     parted: bool  # whether there is a smoothing that is written
 
 
-def half_of(found: Balance, name: str) -> float:
-    """Half of the 95 % interval of a quantity of the balance, by its blocks."""
-    return student_quantile(UPPER_END, found.blocks - 1) * float(found.sd[NAMES.index(name)])
-
-
 def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
     """Mass and friction, in newtons of both scales and metres of the encoder."""
     handle = found.handle
     scale, scale_half = _newton(found, facts)
-    motion = _motion(found)
+    motion = float(np.mean([clock.gain for clock in found.clocks]))  # encoder by velocity channel
     motion_half = known_half(facts.scales.encoder)
 
     # what one of the two frictions has too much the other one lacks
@@ -101,12 +95,13 @@ def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
 
     def value(name: str, unit: str, fitted: float, own: float, moves: bool) -> Value:
         size = fitted * scale / (motion if moves else 1.0)
-        wide = hypot(own * scale, size * scale_half, size * motion_half if moves else 0.0)
-        return Value(name, size, unit, size - wide, size + wide)
+        half = hypot(own * scale, size * scale_half, size * motion_half if moves else 0.0)
+        return Value.around(name, size, unit, half)
 
-    mass_half = hypot(_total_half(found), MASS_SHARE * handle.whole_kg)
-    viscous_half = hypot(half_of(found, "viscous_ns_per_m"), shared)
-    coulomb_half = hypot(half_of(found, "coulomb_n"), shared_n)
+    total_half = _together(found, {"mass_kg": 1.0, "slider_kg": float(handle.slider_kg > 0.0)})
+    mass_half = hypot(total_half, MASS_SHARE * handle.whole_kg)
+    viscous_half = hypot(found.half("viscous_ns_per_m"), shared)
+    coulomb_half = hypot(found.half("coulomb_n"), shared_n)
     return Mechanics(
         value("moving mass", "kg", handle.whole_kg, mass_half, True),
         value("viscous friction", "N s/m", handle.viscous_ns_per_m, viscous_half, True),
@@ -114,18 +109,10 @@ def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
     )
 
 
-def _total_half(found: Balance) -> float:
-    """Half of the 95 % interval of all that moves, by its blocks."""
-    return _together(found, {"mass_kg": 1.0, "slider_kg": 1.0 if found.handle.slider_kg else 0.0})
-
-
 def _together(found: Balance, slopes: Mapping[str, float]) -> float:
     """Half of the 95 % interval of what changes by `slopes` with quantities of the balance."""
-    used = [(NAMES.index(name), slope) for name, slope in slopes.items() if slope]
-    places = [place for place, _ in used]
-    steps = np.array([slope for _, slope in used]) * found.sd[places]
-    variance = float(steps @ found.correlation[np.ix_(places, places)] @ steps)
-    return student_quantile(UPPER_END, found.blocks - 1) * sqrt(max(0.0, variance))
+    of = np.array([slopes.get(name, 0.0) for name in NAMES[: len(found.fit.values)]])
+    return found.fit.half(of)
 
 
 def resonance_of(found: Balance, mass: Value) -> list[Value]:
@@ -135,7 +122,7 @@ def resonance_of(found: Balance, mass: Value) -> list[Value]:
         return []
     scale = mass.value / handle.whole_kg
     slider = scale * handle.slider_kg
-    wide = hypot(SPLIT_SHARE * slider, scale * half_of(found, "slider_kg"))
+    slider_half = hypot(SPLIT_SHARE * slider, scale * found.half("slider_kg"))
     own_hz = handle.slider_rad_s / (2.0 * pi)
     hz = own_hz * sqrt(handle.whole_kg / handle.mass_kg)
     relative = {  # derivatives of its logarithm
@@ -145,8 +132,8 @@ def resonance_of(found: Balance, mass: Value) -> list[Value]:
     }
     hz_half = hz * hypot(0.5 * SPLIT_SHARE, _together(found, relative))
     return [
-        Value("sliding mass", slider, "kg", slider - wide, slider + wide),
-        Value("first resonance", hz, "Hz", hz - hz_half, hz + hz_half),
+        Value.around("sliding mass", slider, "kg", slider_half),
+        Value.around("first resonance", hz, "Hz", hz_half),
     ]
 
 
@@ -172,19 +159,20 @@ def _newton(found: Balance, facts: Facts) -> tuple[float, float]:
     return float(found.handle.gain ** -((probe / both) ** 2)), probe * motor / both
 
 
-def _motion(found: Balance) -> float:
-    """Encoder's motion by that of the velocity channel."""
-    return float(np.mean([clock.gain for clock in found.clocks]))
-
-
-def path_of(found: Balance, runs: Sequence[Played], facts: Facts) -> Path:
+def path_of(found: Balance, runs: Sequence[PerturbationRun], facts: Facts) -> CommandPath:
     """Delay and smoothing, as far as the lag can be parted."""
     handle = found.handle
+    lag_place = NAMES.index("lag_us")
+    spread_place = NAMES.index("spread_us2")
     stiffness = _stiffness(runs[-1])
     doubt = 2.0 * MASS_SHARE * (handle.mass_kg + handle.slider_kg) / stiffness * US_PER_S**2
-    lag_half = hypot(half_of(found, "lag_us"), LAG_US, _lag_by_spread(found) * doubt)
-    spread_half = hypot(half_of(found, "spread_us2"), doubt)
-    least_us = _told_us(runs)
+    covariance = found.fit.covariance
+    # how much the lag changes with a spread that is wrong [1/us]
+    lag_by_spread = covariance[lag_place, spread_place] / covariance[spread_place, spread_place]
+    lag_half = hypot(found.half("lag_us"), LAG_US, lag_by_spread * doubt)
+    spread_half = hypot(found.half("spread_us2"), doubt)
+    known = np.concatenate([run.delays_us for run in runs])
+    least_us = float(np.median(known)) if known.size else 0.0  # by the board's clock
     most_us = max(0.0, handle.lag_us + lag_half - least_us)
     spread = max(0.0, handle.spread_us2)
     low, middle, high = (
@@ -193,9 +181,9 @@ def path_of(found: Balance, runs: Sequence[Played], facts: Facts) -> Path:
     parted = low > 0.0 and middle > LEAST_SMOOTHING * facts.period_us
     if not parted:
         low = middle = 0.0
-    lag = Value("lag", handle.lag_us, "us", handle.lag_us - lag_half, handle.lag_us + lag_half)
+    lag = Value.around("lag", handle.lag_us, "us", lag_half)
     least_us = max(least_us - TOLD_US, lag.low - high)
-    return Path(
+    return CommandPath(
         lag,
         Value("delay", handle.lag_us - middle, "us", min(least_us, lag.value), lag.high - low),
         Value("smoothing", middle, "us", low, high),
@@ -203,32 +191,19 @@ def path_of(found: Balance, runs: Sequence[Played], facts: Facts) -> Path:
     )
 
 
-def _lag_by_spread(found: Balance) -> float:
-    """How much the lag changes with a spread that is wrong [1/us]."""
-    lag = NAMES.index("lag_us")
-    spread = NAMES.index("spread_us2")
-    return float(found.correlation[lag, spread] * found.sd[lag] / found.sd[spread])
-
-
-def _stiffness(run: Played) -> float:
+def _stiffness(run: PerturbationRun) -> float:
     """What was rendered, by the slope of the command over the position [N/m], at least 1."""
     x = run.position_m - run.position_m.mean()
     return max(1.0, -float(x @ run.force_n) / float(x @ x))
 
 
-def _told_us(runs: Sequence[Played]) -> float:
-    """The delay by the board's clock; 0 where it says nothing."""
-    known = np.concatenate([run.delay_us[run.delay_us >= 0.0] for run in runs])
-    return float(np.median(known)) if known.size else 0.0
-
-
 def channels(found: Balance) -> tuple[Value, ...]:
     gain = found.handle.gain
-    gain_half = hypot(half_of(found, "gain"), MASS_SHARE)
+    gain_half = hypot(found.half("gain"), MASS_SHARE)
     skew = -found.handle.skew_us  # of the velocity's sampling, as `rig probe` has it
     doubt_us = YIELDING_SKEW_US if found.handle.slider_kg else LAG_US
-    skew_half = hypot(half_of(found, "skew_us"), doubt_us, SKEW_SHARE * skew)
+    skew_half = hypot(found.half("skew_us"), doubt_us, SKEW_SHARE * skew)
     return (
-        Value("motor by probe", gain, "N/N", gain - gain_half, gain + gain_half),
-        Value("probe skew", skew, "us", skew - skew_half, skew + skew_half),
+        Value.around("motor by probe", gain, "N/N", gain_half),
+        Value.around("probe skew", skew, "us", skew_half),
     )

@@ -10,13 +10,13 @@ then the count that means 0 degC follows from it, with the scale that the file h
 and both have the thermometer's tolerance. Drift is a line over the seconds at rest, with blocks for
 its interval, as noise of a sensor is rarely white.
 
-The back-EMF is measured in the same step, while a hand shakes the handle (`rig.back_emf`).
+The back-EMF is measured in the same step, while a hand shakes the handle (`winding`).
 
 What would break it: a winding that is still warm from what was done before (the drift shows it), or
 a thermometer that is not where the sensor is.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
 from typing import Any
@@ -28,16 +28,23 @@ from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
-from hapticd.rig import back_emf
+from hapticd.rig.estimate import deviation, line
+from hapticd.rig.experiment import begin_step, collect
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.link import require_disabled
-from hapticd.rig.plausible import FACTOR
-from hapticd.rig.records import collect, raw_counts
-from hapticd.rig.result import UPPER_END, Change, Finding, StepResult, Value, change_of, settled
-from hapticd.signal.verdict import student_quantile
+from hapticd.rig.result import (
+    FACTOR,
+    Change,
+    Finding,
+    StepResult,
+    Value,
+    change_of,
+    checked,
+    settled,
+)
+from hapticd.rig.steps.winding import analyse_back_emf, raw_counts
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
-__all__ = ["Stated", "measure"]
+__all__ = ["KnownTemperatures", "measure"]
 
 REST_S = 10.0
 SHAKE_S = 6.0
@@ -51,43 +58,40 @@ MOST_DRIFT_C_PER_MIN = 1.0
 
 
 @dataclass(frozen=True)
-class Stated:
+class KnownTemperatures:
     """What a thermometer at the winding says: of the room, and once more when it is warm."""
 
     celsius: tuple[float, ...]
     tolerance_c: float = 0.5  # half of the 95 % interval of each
 
 
-def measure(bench: Client, ask: Ask, stated: Stated, with_shake: bool = True) -> StepResult:
+def measure(
+    bench: Client, ask: Ask, stated: KnownTemperatures, with_shake: bool = True
+) -> StepResult:
     """Read the sensor at each temperature, then the back-EMF while a hand shakes the handle.
 
     CommandError unless disabled; AnalysisError for a board without the sensor, or temperatures that
     are too close.
     """
-    require_disabled(bench)
+    servo = begin_step(bench)
     _refuse(stated)
-    device = bench.hello().servo["device"]
-    text = f"let go; the winding has to be as warm as the room, {_named(stated, 0)}"
-    ask(Request("let go", text))
+    device = servo["device"]
+    room_c = stated.celsius[0]
+    ask(Request("let go", f"let go; the winding has to be as warm as the room, {room_c:g} degC"))
     readings = [_read(bench, device)]
-    for place in range(1, len(stated.celsius)):
-        text = f"warm the winding to {_named(stated, place)} and hold it there"
-        ask(Request("warm", text, stated.celsius[place]))
+    for warm_c in stated.celsius[1:]:
+        ask(Request("warm", f"warm the winding to {warm_c:g} degC and hold it there", warm_c))
         readings.append(_read(bench, device))
-    at_rest = concluded(np.array(readings), stated, device)
+    at_rest = analyse(np.array(readings), stated, device)
     if not with_shake or not at_rest.settled:  # what is refused is not worth a shaken handle
         return at_rest
     text = f"from now on, for {SHAKE_S:g} s: shake the handle to and fro by some mm"
     ask(Request("shake", text, SHAKE_S))
     shaken = collect(bench, SHAKE_S).records
-    return concluded(np.array(readings), stated, device, shaken)
+    return analyse(np.array(readings), stated, device, shaken)
 
 
-def _named(stated: Stated, place: int) -> str:
-    return f"{stated.celsius[place]:g} degC"
-
-
-def _refuse(stated: Stated) -> None:
+def _refuse(stated: KnownTemperatures) -> None:
     if len(stated.celsius) not in (1, 2):
         raise AnalysisError(f"{len(stated.celsius)} temperatures: state one, or two")
     apart_c = float(np.ptp(stated.celsius))
@@ -107,8 +111,11 @@ def _read(bench: Client, device: Mapping[str, Any]) -> Floats:
     return raw_counts(winding_c, device["temperature"])
 
 
-def concluded(
-    readings: Floats, stated: Stated, device: Mapping[str, Any], shaken: Records | None = None
+def analyse(
+    readings: Floats,
+    stated: KnownTemperatures,
+    device: Mapping[str, Any],
+    shaken: Records | None = None,
 ) -> StepResult:
     """What counts (k, n) of the sensor at k temperatures say, over REST_S each, and the ticks of a
     handle that was `shaken`, with the scales of the hello's `device`.
@@ -117,45 +124,46 @@ def concluded(
     per_count = float(scale["per_count"])
     drift = drift_of(readings[-1], per_count)
     findings = [_living(readings), _steady(drift)]
-    values = [_noise(readings[-1], per_count), drift]
+    values = [deviation("temperature noise", per_count * readings[-1], "K rms"), drift]
     changes: list[Change] = []
     if settled(findings):
-        values += scale_of(readings, stated, scale)
-        findings.append(_plausible(readings, stated, scale, values))
-    if settled(findings):
-        changes = _changes(values, readings, stated, scale)
+        scales = scale_of(readings, stated, scale)
+        values += scales
+        findings.append(_plausible(readings, stated, scale, scales))
+        changes = [
+            Change("temperature", "sign", _sign(readings, stated, scale)),
+            *map(change_of, scales),
+        ]
     arrays: dict[str, Any] = {"readings": readings, "stated_c": np.array(stated.celsius)}
     if shaken is not None:
-        other = back_emf.concluded(shaken, device)
+        other = analyse_back_emf(shaken, device)
         values += other.values
         findings += other.findings
         changes += other.changes
         arrays |= other.arrays
-    return StepResult("temperature", values, findings, changes if settled(findings) else (), arrays)
+    return StepResult("temperature", values, findings, changes, arrays)
 
 
 def _living(readings: Floats) -> Finding:
     means = readings.mean(axis=1)
     what = f"the sensor says {', '.join(f'{mean:.1f}' for mean in means)} counts"
     if means.min() <= I16_LOWEST + 1 or means.max() >= I16_HIGHEST - 1:
-        remedy = "the end of its converter: the sensor is open or shorted; look at its wires"
-        return Finding(what, "refused", remedy)
-    if len(means) == 2 and abs(means[1] - means[0]) < LEAST_COUNTS:
-        return Finding(what, "refused", "stuck sensor: it does not follow the temperature")
-    return Finding(what, "ok")
+        return Finding(
+            what,
+            "refused",
+            "the end of its converter: the sensor is open or shorted; look at its wires",
+        )
+    follows = len(means) != 2 or abs(means[1] - means[0]) >= LEAST_COUNTS
+    return checked(what, follows, "stuck sensor: it does not follow the temperature", "refused")
 
 
 def _steady(drift: Value) -> Finding:
-    what = f"it drifts by {drift.value:.2g} K/min"
-    if max(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_C_PER_MIN:
-        return Finding(what, "ok")
-    return Finding(what, "warning", "wait until the winding is as warm as what is around it")
-
-
-def _noise(counts: Floats, per_count: float) -> Value:
-    deviation = float(counts.std()) * per_count
-    half = 1.96 * deviation / sqrt(2.0 * len(counts))
-    return Value("temperature noise", deviation, "K rms", deviation - half, deviation + half)
+    steady = max(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_C_PER_MIN
+    return checked(
+        f"it drifts by {drift.value:.2g} K/min",
+        steady,
+        "wait until the winding is as warm as what is around it",
+    )
 
 
 def drift_of(counts: Floats, per_count: float) -> Value:
@@ -163,16 +171,11 @@ def drift_of(counts: Floats, per_count: float) -> Value:
     away = counts - counts[0]  # so that a sensor that does not move has no rounding of its mean
     means = away[: len(counts) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
     at_min = (np.arange(BLOCKS) + 0.5 - BLOCKS / 2) * REST_S / BLOCKS / 60.0
-    power = float(at_min @ at_min)
-    slope = float(at_min @ means) / power
-    left = means - means.mean() - slope * at_min
-    freedom = BLOCKS - 2
-    half = student_quantile(UPPER_END, freedom) * sqrt(float(left @ left) / freedom / power)
-    low, value, high = ((slope + side * half) * per_count for side in (-1.0, 0.0, 1.0))
-    return Value("temperature drift", value, "K/min", low, high)
+    found = line(at_min, per_count * means)
+    return Value.around("temperature drift", found.slope, "K/min", found.slope_half)
 
 
-def scale_of(readings: Floats, stated: Stated, scale: Mapping[str, Any]) -> list[Value]:
+def scale_of(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any]) -> list[Value]:
     """Offset, and with two temperatures the scale too, from counts (k, n)."""
     counts = readings.mean(axis=1)
     celsius = np.array(stated.celsius)
@@ -181,49 +184,49 @@ def scale_of(readings: Floats, stated: Stated, scale: Mapping[str, Any]) -> list
         offset = float(counts[0] - celsius[0] / per_count)
         unsure_c = hypot(stated.tolerance_c, SCALE_HALF * celsius[0])
         return [_offset(offset, unsure_c / abs(per_count))]
-    per_count = float((celsius[1] - celsius[0]) / (counts[1] - counts[0]))
-    relative = sqrt(2.0) * stated.tolerance_c / abs(float(celsius[1] - celsius[0]))
+    apart_c = float(celsius[1] - celsius[0])
+    per_count = float(apart_c / (counts[1] - counts[0]))
     size = abs(per_count)
-    half = size * relative
+    half = size * sqrt(2.0) * stated.tolerance_c / abs(apart_c)
     offset = float(counts[0] - celsius[0] / per_count)
     # 0 degC lies beyond both: their errors reach there by the lever
-    reach = hypot(*celsius) / abs(float(celsius[1] - celsius[0]))
+    reach = hypot(*celsius) / abs(apart_c)
     return [
-        Value("temperature.c_per_count", size, "K", size - half, size + half),
+        Value.around("temperature.c_per_count", size, "K", half),
         _offset(offset, stated.tolerance_c * reach / size),
     ]
 
 
 def _offset(offset: float, half: float) -> Value:
-    return Value("temperature.offset_count", offset, "counts", offset - half, offset + half)
+    return Value.around("temperature.offset_count", offset, "counts", half)
 
 
 def _plausible(
-    readings: Floats, stated: Stated, scale: Mapping[str, Any], values: list[Value]
+    readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any], scales: Sequence[Value]
 ) -> Finding:
     told_c = ScaleParams(**scale).to_value(float(readings[0].mean()))
     away_c = told_c - stated.celsius[0]
     what = f"by the device file it is {told_c:.1f} degC where {stated.celsius[0]:g} degC are stated"
-    slopes = [one.value for one in values if one.name == "temperature.c_per_count"]
+    slopes = [one.value for one in scales if one.name == "temperature.c_per_count"]
     ratio = slopes[0] / float(scale["per_count"]) if slopes else 1.0
     if not 1.0 / FACTOR <= ratio <= FACTOR:
-        what = f"a count is {ratio:.3g} of what the device file says"
-        remedy = "are both temperatures in degC, and was the sensor as warm? Else correct the file"
-        return Finding(what, "refused", remedy)
+        return Finding(
+            f"a count is {ratio:.3g} of what the device file says",
+            "refused",
+            "are both temperatures in degC, and was the sensor as warm? Else correct the file",
+        )
     if abs(away_c) > FAR_OFF_C and not slopes:
-        remedy = "look at the kind of sensor and its scale, or state two temperatures"
-        return Finding(what, "refused", remedy)
-    if abs(away_c) > MOST_OFF_C:
-        return Finding(what, "warning", "the device file gets the count that means 0 degC")
-    return Finding(what, "ok")
+        return Finding(
+            what, "refused", "look at the kind of sensor and its scale, or state two temperatures"
+        )
+    return checked(
+        what, abs(away_c) <= MOST_OFF_C, "the device file gets the count that means 0 degC"
+    )
 
 
-def _changes(
-    values: list[Value], readings: Floats, stated: Stated, scale: Mapping[str, Any]
-) -> list[Change]:
-    sign = int(scale["sign"])
-    if len(stated.celsius) == 2:
-        rises = np.diff(readings.mean(axis=1))[0] * np.diff(stated.celsius)[0] > 0.0
-        sign = 1 if rises else -1
-    written = [change_of(one) for one in values if one.name.startswith("temperature.")]
-    return [Change("temperature", "sign", sign), *written]
+def _sign(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any]) -> int:
+    """That of the file, or as the counts rise between two temperatures."""
+    if len(stated.celsius) != 2:
+        return int(scale["sign"])
+    rises = np.diff(readings.mean(axis=1))[0] * np.diff(stated.celsius)[0] > 0.0
+    return 1 if rises else -1

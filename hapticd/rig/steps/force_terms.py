@@ -1,4 +1,5 @@
-"""The forces on a perturbed handle, each as the mean that the balance of forces takes.
+"""The forces on a perturbed handle, each as the mean that the balance of forces takes, and how the
+probe's samples stand in the board's time.
 
 Means over intervals of the velocity give v' exactly, as a mean under the triangle of two intervals;
 the probe's torque is held, and the smoothed staircase of commands has a double integral in closed
@@ -6,7 +7,14 @@ form. phi is the mean of what friction does: the sign of the velocity, and where
 overcome Fc, as much as they are (within an interval the velocity runs straight, so the moment of a
 reversal is known).
 
-What would break it: a velocity so noisy that phi is chance (more than some 2 % of the motion).
+The encoder is latched at times that the board tells. The intervals of the probe end at multiples of
+250 us of the same clock, to within a constant (`Clock`). The encoder's way and the integral of the
+velocity agree for the right constant alone, to some 0.1 us. The same equation gives the gain
+between both, the corner of a high-pass in the velocity channel, and by how much the encoder goes
+further at high frequencies (a transmission that yields).
+
+What would break it: a velocity so noisy that phi is chance (more than some 2 % of the motion), or a
+handle that hardly moves within CLOCK_HZ, so that nothing tells the constant.
 """
 
 from dataclasses import dataclass
@@ -16,11 +24,25 @@ import numpy as np
 
 from hapticd.core.arrays import Floats
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
-from hapticd.rig.played import SAMPLE_US, Played
-from hapticd.rig.probe_clock import H_S, Clock, passed
+from hapticd.rig.estimate import jackknife, lines
+from hapticd.rig.experiment import SAMPLE_US, PerturbationRun
 
+H_S = 1.0 / PROBE_RATE_HZ
 BLOCK = PROBE_RATE_HZ  # samples: lines 1 Hz apart
 EDGE = 20  # samples left out at both ends
+CLOCK_HZ = (5.0, 40.0)
+CLOCK_BLOCK_S = 1.0
+CLOCK_ROUNDS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """How the probe's samples stand in the board's time."""
+
+    phase_us: float  # board's time at which the interval of index 0 began
+    gain: float  # encoder's way by the integral of the velocity
+    high_pass_rad_s: float  # corner of the velocity channel
+    yield_s2: float  # by which the encoder goes further, by the square of the frequency [rad/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +81,7 @@ class Terms(NamedTuple):
     pull_blocks_n: Floats  # (blocks,)
 
 
-def commanded(run: Played, clock: Clock, lag_us: float, spread_us2: float) -> Floats:
+def commanded(run: PerturbationRun, clock: Clock, lag_us: float, spread_us2: float) -> Floats:
     """F (N - 1,): the staircase of commands behind its delay and smoothing."""
     if spread_us2 < 0.0:  # continued evenly, so that noise about 0 has no edge to lean on
         straight = commanded(run, clock, lag_us, 0.0)
@@ -77,9 +99,9 @@ def _integral(edge_s: Floats, value: Floats, smooth_s: float, at_s: Floats) -> F
     length = np.diff(edge_s, append=2.0 * edge_s[-1] - edge_s[-2])
     tail = np.exp(-length / smooth_s) if smooth_s > 0.0 else np.zeros(length.size)
     away = _away(value, tail)
-    passed = smooth_s * (1.0 - tail)
-    once = np.concatenate(([0.0], np.cumsum(value * length + away * passed)))[:-1]
-    step = once * length + 0.5 * value * length**2 + away * smooth_s * (length - passed)
+    faded = smooth_s * (1.0 - tail)
+    once = np.concatenate(([0.0], np.cumsum(value * length + away * faded)))[:-1]
+    step = once * length + 0.5 * value * length**2 + away * smooth_s * (length - faded)
     twice = np.concatenate(([0.0], np.cumsum(step)))[:-1]
     k = np.clip(np.searchsorted(edge_s, at_s, side="right") - 1, 0, value.size - 1)
     since = np.maximum(at_s - edge_s[k], 0.0)
@@ -98,7 +120,7 @@ def _away(value: Floats, tail: Floats) -> Floats:
     found = []
     for share, target in zip(tail.tolist(), value.tolist(), strict=True):
         found.append(force - target)
-        force = target + (force - target) * share
+        force = target + found[-1] * share
     return np.array(found)
 
 
@@ -139,16 +161,16 @@ def friction(push_n: Floats, velocity: Floats, handle: Handle) -> Floats:
     return np.asarray(phi)
 
 
-def terms(run: Played, clock: Clock, handle: Handle) -> Terms:
+def terms(run: PerturbationRun, clock: Clock, handle: Handle) -> Terms:
     """The terms of the balance, as far as `handle` is needed for them."""
     drift = (run.position_m[-1] - run.position_m[0]) / (run.board_us[-1] - run.board_us[0])
-    velocity = passed(run.velocity_m_per_s, clock.high_pass_rad_s)
+    velocity = undo_high_pass(run.velocity_m_per_s, clock.high_pass_rad_s)
     velocity = velocity - velocity.mean() + drift * US_PER_S / clock.gain
-    torque = shifted(passed(run.torque_n, handle.high_pass_rad_s), -handle.skew_us)
-    torque = drooped(torque, handle)
+    torque = undo_high_pass(run.torque_n, handle.high_pass_rad_s)
+    torque = drooped(shifted(torque, -handle.skew_us), handle)
     command = commanded(run, clock, handle.lag_us, handle.spread_us2)
     acceleration = np.diff(velocity) / H_S
-    slider = hung(acceleration, handle.slider_rad_s, handle.slider_ratio)
+    slider = base_excited_response(acceleration, handle.slider_rad_s, handle.slider_ratio)
     push = torque + _widened(handle.gain * command - handle.slider_kg * slider)
     phi = np.zeros(velocity.size)
     pull = 0.0
@@ -167,9 +189,9 @@ def _widened(means: Floats) -> Floats:
     return np.concatenate((means[:1], 0.5 * (means[1:] + means[:-1]), means[-1:]))
 
 
-def hung(acceleration: Floats, rate_rad_s: float, ratio: float) -> Floats:
-    """Acceleration (n,) of a mass that hangs by a spring and a damper on what moves with
-    `acceleration` (n,); zeros for a rate of 0.
+def base_excited_response(acceleration: Floats, rate_rad_s: float, ratio: float) -> Floats:
+    """Acceleration (n,) of a mass on a spring and a damper whose base moves with `acceleration`
+    (n,); zeros for a rate of 0.
     """
     if rate_rad_s <= 0.0:
         return np.zeros(acceleration.size)
@@ -177,3 +199,52 @@ def hung(acceleration: Floats, rate_rad_s: float, ratio: float) -> Floats:
     tied = 2.0 * ratio * rate_rad_s * s + rate_rad_s**2
     found = np.fft.irfft(np.fft.rfft(acceleration) * tied / (s**2 + tied), acceleration.size)
     return np.asarray(found)
+
+
+# --- clock ----------------------------------------------------------------------------------------
+def clocked(run: PerturbationRun) -> Clock:
+    """Where the probe's intervals lie in the board's time."""
+    late_us = run.board_us - SAMPLE_US * (run.last_index + 1.0)
+    # an interval that had come was over, the next one was not
+    phase_us = 0.5 * (float(late_us.max()) - SAMPLE_US + float(late_us.min()))
+    found = Clock(phase_us, 1.0, 0.0, 0.0)
+    for _ in range(CLOCK_ROUNDS):
+        found = _phase(run, found.phase_us, found.high_pass_rad_s)
+    return found
+
+
+def undo_high_pass(values: Floats, corner_rad_s: float) -> Floats:
+    """`values` (n,) without their mean, as they were before a high-pass of that corner."""
+    own = values - values.mean()
+    return np.asarray(own + corner_rad_s * (np.cumsum(own) - 0.5 * own) * H_S)
+
+
+def _phase(run: PerturbationRun, phase_us: float, corner_rad_s: float) -> Clock:
+    """The clock again, from a guess of its phase and of the channel's high-pass."""
+    v = undo_high_pass(run.velocity_m_per_s, corner_rad_s)
+    at = (run.board_us - phase_us) / SAMPLE_US - run.first_index
+    inside = (at >= 1.0) & (at < v.size - 2.0)
+    seen = _way_m(v, at[inside])
+    speed = np.interp(at[inside] - 0.5, np.arange(v.size), v)
+    rate_hz = US_PER_S / run.period_us
+    lost = np.cumsum(seen - seen.mean()) / rate_hz
+    bent = np.zeros(seen.size)
+    bent[1:-1] = -np.diff(seen, 2) * rate_hz**2
+    columns = (seen, speed, lost, bent, run.position_m[inside])
+    block = round(CLOCK_BLOCK_S * rate_hz)
+    parts = [lines(one[1:-1], block, rate_hz, CLOCK_HZ) for one in columns]
+    fit = jackknife(np.dstack(parts[:-1]), parts[-1])
+    gain, shift, corner, further = fit.values.tolist()
+    phase_us -= US_PER_S * shift / gain
+    return Clock(phase_us, gain, corner_rad_s + corner / gain, further / gain)
+
+
+def _way_m(v: Floats, at: Floats) -> Floats:
+    """The integral (k,) of the interval means `v` (n,) at the times `at` (k,) in intervals, by the
+    parabola that each interval has with its neighbours.
+    """
+    way_m = np.concatenate(([0.0], np.cumsum(v))) * H_S
+    whole = np.floor(at).astype(np.int64)
+    part = at - whole
+    bend = 0.25 * part * (1.0 - part) * (v[whole + 1] - v[whole - 1]) * H_S
+    return np.asarray(way_m[whole] + part * v[whole] * H_S - bend)

@@ -1,0 +1,173 @@
+"""Weighted least squares, and the 95 % intervals of what is estimated.
+
+Independent rows are fitted by `least_squares`: the residuals give the variance, and Student's t the
+interval. `separable` fits a few more unknowns in which the columns are not linear (Gauss-Newton).
+
+A record is cut into blocks instead, each of which is left out once (`jackknife`, Tukey 1958). That
+gives deviations and correlations without presuming that residuals are white or of one size. An
+equation that holds at every sample holds for the Fourier lines of each block as well (`lines`).
+
+What would break it: residuals that go together over more than a block (intervals too narrow).
+"""
+
+from collections.abc import Callable
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.rig.result import Value
+from hapticd.signal.verdict import student_quantile
+
+UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval
+NORMAL = 1.96  # deviations to that end, of a normal distribution
+NEXT_TO_NOTHING = 1e-12  # of the largest singular value
+
+
+class Fit(NamedTuple):
+    """Coefficients (p,), by their covariance (p, p) and its degrees of freedom."""
+
+    values: Floats
+    covariance: Floats
+    freedom: float
+    residuals: Floats  # weighted
+
+    @property
+    def sd(self) -> Floats:
+        """Standard deviations (p,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def halves(self) -> Floats:
+        """Halves (p,) of the 95 % intervals."""
+        return quantile(self.freedom) * self.sd
+
+    def half(self, of: Floats) -> float:
+        """Half of the 95 % interval of the sum of `of` (p,) times the coefficients."""
+        return quantile(self.freedom) * sqrt(max(0.0, float(of @ self.covariance @ of)))
+
+
+class Line(NamedTuple):
+    """A straight line and the halves of its 95 % intervals."""
+
+    slope: float
+    slope_half: float
+    intercept: float
+    intercept_half: float
+    worst: float  # residual
+
+
+def quantile(freedom: float) -> float:
+    """Deviations to the upper end of a 95 % interval with so many degrees of freedom."""
+    return student_quantile(UPPER_END, freedom)
+
+
+def least_squares(
+    columns: Floats,
+    target: Floats,
+    weight: Floats | None = None,
+    least: float = 0.0,
+    inflate: float = 1.0,
+) -> Fit:
+    """`columns` (n, p) on `target` (n,), each row times `weight` (n,), one over its deviation. The
+    variance is that of the residuals times `inflate`, and `least` at least.
+    """
+    weight = np.ones(len(target)) if weight is None else weight
+    rows = columns * weight[:, None]
+    norm = np.linalg.norm(rows, axis=0)
+    size = np.where(norm > 0.0, norm, 1.0)
+    rows = rows / size
+    values = np.linalg.lstsq(rows, target * weight, rcond=NEXT_TO_NOTHING)[0]
+    residuals = target * weight - rows @ values
+    freedom = max(len(target) - columns.shape[1], 1)
+    variance = max(least, inflate * float(residuals @ residuals) / freedom)
+    covariance = variance * np.linalg.pinv(rows.T @ rows) / np.outer(size, size)
+    return Fit(values / size, covariance, freedom, residuals)
+
+
+def separable(
+    columns_of: Callable[[Floats], Floats],
+    target: Floats,
+    begin: Floats,
+    step: float,
+    rounds: int,
+    weight: Floats | None = None,
+) -> Fit:
+    """`columns_of(x)` (n, p) on `target` (n,), with the unknowns x (q,) from `begin` on, whose
+    derivatives are taken over `step`. The coefficients of the columns come before x.
+    """
+    at = begin
+    for _ in range(rounds):
+        columns = columns_of(at)
+        linear = least_squares(columns, target, weight).values
+        steps = step * np.eye(len(at))
+        slopes = [
+            (columns_of(at + one) - columns_of(at - one)) @ linear / (2.0 * step) for one in steps
+        ]
+        left = target - columns @ linear
+        fit = least_squares(np.column_stack([columns, *slopes]), left, weight, least=1.0)
+        at = at + fit.values[len(linear) :]
+    return fit._replace(values=np.append(linear, at))
+
+
+def line(x: Floats, y: Floats) -> Line:
+    """The line y(x) through (n,) points, n at least 3."""
+    fit = least_squares(np.column_stack([x, np.ones_like(x)]), y)
+    slope, intercept = fit.values.tolist()
+    slope_half, intercept_half = fit.halves.tolist()
+    worst = float(np.abs(fit.residuals).max())
+    return Line(slope, slope_half, intercept, intercept_half, worst)
+
+
+def mean_half(values: Floats) -> float:
+    """Half of the 95 % interval of the mean of independent `values` (n,), n at least 2."""
+    return quantile(len(values) - 1) * float(values.std(ddof=1)) / sqrt(len(values))
+
+
+def deviation(name: str, values: Floats, unit: str) -> Value:
+    """Standard deviation of independent `values` (n,), as the value `name`."""
+    found = float(values.std())
+    return Value.around(name, found, unit, NORMAL * found / sqrt(2.0 * len(values)))
+
+
+def jackknife(columns: Floats, target: Floats) -> Fit:
+    """`target` (blocks, rows) by `columns` (blocks, rows, p). AnalysisError where these are no
+    motion at all.
+    """
+    scale = np.sqrt((columns**2).sum(axis=(0, 1)))
+    if not (scale > 0.0).all():
+        raise AnalysisError(
+            "nothing moved: is the perturbation connected, and stronger than friction?"
+        )
+    even = columns / scale
+    normal = np.einsum("bri,brj->bij", even, even)
+    right = np.einsum("bri,br->bi", even, target)
+    whole = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
+    left = np.linalg.solve(normal.sum(axis=0) - normal, (right.sum(axis=0) - right)[..., None])
+    away = left[..., 0] - left[..., 0].mean(axis=0)
+    blocks = len(target)
+    covariance = (blocks - 1) / blocks * (away.T @ away) / np.outer(scale, scale)
+    return Fit(whole / scale, covariance, blocks - 1, target - even @ whole)
+
+
+def in_blocks(values: Floats, blocks: int) -> Floats:
+    """`values` (n, ..) as (blocks, rows, ..); a row of zeros ends a block that is a row shorter."""
+    count = len(values)
+    block = np.arange(count) * blocks // count
+    row = np.arange(count) - np.searchsorted(block, block)
+    found = np.zeros((blocks, row.max() + 1, *values.shape[1:]))
+    found[block, row] = values
+    return found
+
+
+def lines(values: Floats, block: int, rate_hz: float, band_hz: tuple[float, float]) -> Floats:
+    """Real and imaginary parts (blocks, 2 l) of `values` (n,) at l lines of each block."""
+    count = values.size // block
+    parts = values[: count * block].reshape(count, block)
+    window = np.hanning(block)
+    f = np.fft.rfftfreq(block, 1.0 / rate_hz)
+    found = np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window, axis=1)
+    kept = found[:, (f >= band_hz[0]) & (f <= band_hz[1])]
+    return np.concatenate((kept.real, kept.imag), axis=1)

@@ -1,0 +1,336 @@
+"""What is delivered, and what compensation leaves of the winding, while a hand moves the handle.
+
+With a weak spring the commanded force follows the position and the velocity is a quarter of a cycle
+ahead of it, so what is proportional to one is told from what is proportional to the other. Nothing
+pushes by itself: a handle that is let go comes to rest. The signals are means over WINDOW periods,
+by Simpson's rule; that of the velocity is exact, as the encoder's difference (`signal.delivered`).
+At the few hertz of a hand, delays and lags of a millisecond turn a force by a hundredth. Both steps
+need the force of an ampere, which `rig motor --winding` measures.
+
+`measure_delivery` compares what is commanded with what is delivered. Damping is that of
+`guard.delivered`, which `hapticd status` shows all the time: what the motor does at equal force by
+the velocity of the encoder, over the last four seconds. Force is the slope of what the motor makes
+by its current on what is commanded, at equal velocity.
+
+`measure_residual` shows the residual of the resistance compensation, live. The circuit makes of the
+back-EMF the velocity v + rho F_a: what it does not subtract of the winding's voltage drop looks
+like a velocity, rho of it per newton of the motor. Without active damping nothing depends on it, so
+
+    v^ = e (v + rho F_a - tau v')        v by the encoder, F_a by the current
+
+gives e by the velocity and rho by the force, over the last SEEN pieces of a second; of the lag tau
+no more is known than that it is LAG_S +- LAG_S. The interval holds the fit's and ALLOWED, for the
+lag of the amplifier.
+
+rho times a level of damping b is the loop gain there. Above 0 the winding is hotter than its
+compensation: force and damping are weaker by 1 / (1 + rho b), and nothing oscillates. Below 0 too
+much is compensated, and at -1 the circuit latches up. So -0.15 is warned about and -0.3 refused,
+and the greatest damping that keeps -0.3 is named.
+
+What would break it: a hand that does not move (there is nothing to see then), scales of current and
+position that are wrong, a board whose spring is not passive with that of SPRING.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from math import hypot, inf
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.client.blocks import Records
+from hapticd.client.client import Client
+from hapticd.core.arrays import Floats
+from hapticd.core.environment import Environment
+from hapticd.core.params import ServoParams, from_plain
+from hapticd.guard.delivered import Delivered
+from hapticd.rig.estimate import least_squares
+from hapticd.rig.experiment import begin_step, collect, rendering, require_force, undamped
+from hapticd.rig.hand import Ask, Request
+from hapticd.rig.result import Finding, StepResult, Value, checked
+from hapticd.rig.steps.coast_down import REFUSE, WARN
+from hapticd.signal.delivered import CALIBRATION, LAG_S, SIMPSON, WINDOW, Estimate
+from hapticd.usb.frames import Capability
+
+__all__ = ["measure_delivery", "measure_residual"]
+
+SPRING = Environment(100.0, 0.5)
+RAMP_S = 1.0
+PIECE_S = 1.0
+LEAST_N = 0.02  # rms, of a force: less says nothing
+WAITS = "a hand moves against a spring"  # before that, it looks like a wrong sign
+RAW = (
+    "tick",
+    "position_m",
+    "force_n",
+    "current_a",
+    "emf_velocity_m_per_s",
+    "active_damping_ns_per_m",
+    "active_damping_effect_ns_per_m",
+    "resistance_count",
+    "winding_c",
+)
+AUDIT_S = 6.0
+LOW = 0.8  # of what is commanded
+HIGH = 1.2
+SETTLED = 1  # pieces until hand and damping have settled
+TRIM_S = 20.0
+SEEN = 4  # pieces that an estimate rests on
+ALLOWED = 1e-3  # m/s per N, of what else lags
+LEAST_M_PER_S = 0.005  # of the handle, rms
+
+NO_DAC = "the board has no resistance DAC: what is compensated is set on the board itself"
+
+
+class Means(NamedTuple):
+    """Means over windows of a piece, (n,) each."""
+
+    force_n: Floats  # commanded
+    motor_n: Floats  # by the current
+    seen_m_per_s: Floats  # velocity by the back-EMF
+    velocity_m_per_s: Floats  # by the encoder
+    faster_m_per_s2: Floats  # acceleration, by the encoder
+
+
+def means_of(records: Records, n_per_a: float, rate_hz: float) -> Means:
+    """The means of consecutive `records`, with the force of an ampere."""
+    places = np.arange(0, len(records) - WINDOW, WINDOW)[:, None] + np.arange(WINDOW + 1)
+    x = records["position_m"].astype(np.float64)[places]
+
+    def mean(name: str) -> Floats:
+        return np.asarray(records[name].astype(np.float64)[places] @ SIMPSON)
+
+    faster_m = (x[:, -1] - x[:, -2]) - (x[:, 1] - x[:, 0])
+    return Means(
+        mean("force_n"),
+        n_per_a * mean("current_a"),
+        mean("emf_velocity_m_per_s"),
+        (x[:, -1] - x[:, 0]) * rate_hz / WINDOW,
+        faster_m * rate_hz**2 / (WINDOW - 1),
+    )
+
+
+def joined(pieces: Sequence[Means]) -> Means:
+    """All windows of `pieces`."""
+    return Means(*map(np.concatenate, zip(*pieces, strict=True)))
+
+
+def _unknown_ampere(device: Mapping[str, Any]) -> Finding | None:
+    """That nobody measured the force of an ampere; None if `device` of a hello has it."""
+    if device["motor_n_per_a"]:
+        return None
+    return Finding(
+        "the device file does not say the force of an ampere",
+        "not done",
+        "`hapticd rig motor --winding` measures it where the board reports its current",
+    )
+
+
+def record_hand_motion(
+    bench: Client, ask: Ask, seconds: float, seen: Callable[[Records], bool] = lambda new: True
+) -> list[Records]:
+    """Pieces of PIECE_S while a hand moves the handle for `seconds` against the spring, until
+    `seen`, which gets each, says False. AnalysisError if force ends meanwhile.
+    """
+    pieces: list[Records] = []
+    with rendering(bench, SPRING, RAMP_S):
+        words = f"move the handle to and fro by some mm, some times a second, for {seconds:g} s"
+        ask(Request("shake", f"from now on: {words}", seconds))
+        for _ in range(round(seconds / PIECE_S)):
+            pieces.append(collect(bench, PIECE_S).records)
+            require_force(bench.status())
+            if not seen(pieces[-1]):
+                break
+    return pieces
+
+
+def raw_of(pieces: Sequence[Records]) -> dict[str, npt.NDArray[Any]]:
+    """The raw record."""
+    return {name: np.concatenate([one[name] for one in pieces]) for name in RAW}
+
+
+def measure_delivery(
+    bench: Client, ask: Ask, level: float | None = None, seconds: float = AUDIT_S
+) -> StepResult:
+    """Ask a hand to move the handle for `seconds` with the active damping `level` [N s/m], half of
+    the device's limit by default. CommandError unless disabled; AnalysisError where signs are not
+    verified, or force ends meanwhile.
+    """
+    servo = begin_step(bench, WAITS)
+    if missing := _unknown_ampere(servo["device"]):
+        return StepResult("audit", (), [missing])
+    wanted = 0.5 * servo["device"]["active_damping_limit_ns_per_m"] if level is None else level
+    with undamped(bench):
+        bench.damping(wanted)
+        pieces = record_hand_motion(bench, ask, seconds)[SETTLED:]
+    params = from_plain(ServoParams, servo)
+    follows = Delivered(params, lambda: None)
+    for piece in pieces:
+        follows.take(piece)
+    rate_hz = params.realtime.rate_hz
+    means = joined([means_of(one, params.device.motor_n_per_a, rate_hz) for one in pieces])
+    found = (_damping(follows.estimate), _force(means, params))
+    values = [value for value, _ in found if value]
+    findings = [finding for _, finding in found]
+    return StepResult("audit", values, findings, arrays=raw_of(pieces))
+
+
+def _damping(found: Estimate) -> tuple[Value | None, Finding]:
+    """Delivered of commanded damping."""
+    if found.estimate_ns_per_m is None or found.low is None or found.high is None:
+        what = f"active damping of {found.commanded:.3g} N s/m: {found.basis}"
+        return None, Finding(what, "not done", "move the handle more, and repeat")
+    value = Value("delivered damping", found.estimate_ns_per_m, "N s/m", found.low, found.high)
+    said = f"active damping: {found.estimate_ns_per_m:.3g} of {found.commanded:.3g} N s/m"
+    return value, _delivered(f"{said}, by {found.basis}", value, found.commanded)
+
+
+def _force(means: Means, servo: ServoParams) -> tuple[Value | None, Finding]:
+    """Slope of the motor's force on the commanded one."""
+    if float(means.force_n.std()) < LEAST_N:
+        what = "force: next to none was commanded"
+        return None, Finding(what, "not done", "move the handle more, and repeat")
+    ones = np.ones_like(means.force_n)
+    columns = np.column_stack([means.force_n, means.velocity_m_per_s, ones])
+    counted_n = servo.device.motor_n_per_a * servo.device.current.per_count
+    found = least_squares(columns, means.motor_n, ones / counted_n, least=1.0)
+    share = float(found.values[0])
+    half = hypot(float(found.halves[0]), CALIBRATION * share)
+    value = Value.around("delivered force", share, "of what is commanded", half)
+    return value, _delivered(f"force: {share:.3g} of what is commanded, by the current", value)
+
+
+def _delivered(what: str, value: Value, commanded: float = 1.0) -> Finding:
+    """A finding for the interval of what is delivered over what is `commanded`."""
+    if value.high / commanded < LOW:
+        return Finding(
+            what, "warning", "too little: look at amplifier, supply and resistance compensation"
+        )
+    return checked(
+        what,
+        value.low / commanded <= HIGH,
+        "too much: look at the scales of current and force, and at the compensation",
+    )
+
+
+class Residual(NamedTuple):
+    """What is left, at one moment of the view."""
+
+    rho: float  # m/s per N
+    half: float  # of its 95 % interval
+    n_per_a: float
+    top_ns_per_m: float  # the limit of the active damping
+    dac_count: int  # of the resistance compensation
+    winding_c: float
+
+    @property
+    def loop(self) -> float:
+        """Loop gain at the limit."""
+        return self.rho * self.top_ns_per_m
+
+    @property
+    def greatest_ns_per_m(self) -> float:
+        """The greatest damping that keeps the loop gain above REFUSE."""
+        return REFUSE / self.rho if self.rho < 0.0 else inf
+
+    def __str__(self) -> str:
+        greatest = self.greatest_ns_per_m
+        stable = "any damping is stable" if greatest == inf else f"allowed to {greatest:.3g} N s/m"
+        return (
+            f"residual back-EMF {1e3 * self.rho:+.3g} +- {1e3 * self.half:.2g} mm/s per N,"
+            f" {self.rho * self.n_per_a**2:+.3g} ohm; loop gain {self.loop:+.2g} at"
+            f" {self.top_ns_per_m:.3g} N s/m, {stable}; count {self.dac_count},"
+            f" winding {self.winding_c:.1f} degC"
+        )
+
+
+def measure_residual(
+    bench: Client,
+    ask: Ask,
+    seconds: float = TRIM_S,
+    told: Callable[[str], None] = lambda line: None,
+) -> StepResult:
+    """Watch for `seconds` while a hand moves the handle; `told` gets a line a second. It ends when
+    the loop gain at the limit is surely below -0.3. CommandError unless disabled; AnalysisError
+    where signs are not verified, or force ends meanwhile.
+    """
+    servo = begin_step(bench, WAITS)
+    device = servo["device"]
+    if missing := _no_dac(bench) or _unknown_ampere(device):
+        return StepResult("trim", (), [missing])
+    rate_hz = float(servo["realtime"]["rate_hz"])
+    means: list[Means] = []
+    found: list[Residual] = []
+
+    def seen(new: Records) -> bool:
+        means.append(means_of(new, float(device["motor_n_per_a"]), rate_hz))
+        latest = residual(means[-SEEN:], device, new)
+        told("the handle hardly moves" if latest is None else str(latest))
+        if latest is None:
+            return True
+        found.append(latest)
+        return latest.loop + latest.half * latest.top_ns_per_m >= REFUSE
+
+    with undamped(bench):
+        pieces = record_hand_motion(bench, ask, seconds, seen)
+    return StepResult("trim", *_last(found), arrays=raw_of(pieces))
+
+
+def _no_dac(bench: Client) -> Finding | None:
+    """That the board cannot be looked at so; None if it can."""
+    capabilities = int(bench.status().servo.get("board", {}).get("capabilities", 0))
+    if capabilities & Capability.RESISTANCE:
+        return None
+    remedy = "`hapticd rig damping` measures the residual resistance without it"
+    return Finding(NO_DAC, "not done", remedy)
+
+
+def residual(pieces: Sequence[Means], device: dict[str, Any], new: Records) -> Residual | None:
+    """What the last `pieces` say; None where force or velocity is next to nothing."""
+    means = joined(pieces)
+    if means.motor_n.std() < LEAST_N or means.velocity_m_per_s.std() < LEAST_M_PER_S:
+        return None
+    # coefficients of force, velocity, 1 and acceleration; what is known of the last is a row
+    ones = np.ones_like(means.motor_n)
+    columns = [means.motor_n, means.velocity_m_per_s, ones, means.faster_m_per_s2]
+    rows = np.vstack([np.column_stack(columns), [0.0, 0.0, 0.0, 1.0]])
+    target = np.append(means.seen_m_per_s, -LAG_S)
+    weight = np.append(ones / float(device["emf_velocity"]["per_count"]), 1.0 / LAG_S)
+    fit = least_squares(rows, target, weight, least=1.0)
+    per_force, share = fit.values[:2].tolist()
+    if not abs(share) > 0.1:
+        return None
+    return Residual(
+        per_force / share,
+        hypot(float(fit.halves[0]) / share, ALLOWED),
+        float(device["motor_n_per_a"]),
+        float(device["active_damping_limit_ns_per_m"]),
+        int(new["resistance_count"][-1]),
+        float(new["winding_c"][-1]),
+    )
+
+
+def _last(found: Sequence[Residual]) -> tuple[list[Value], list[Finding]]:
+    """The last estimate, and what to think of it."""
+    if not found:
+        what = "residual back-EMF: the handle hardly moved"
+        return [], [Finding(what, "not done", "move the handle to and fro, and repeat")]
+    last = found[-1]
+    ohm = last.n_per_a**2
+    values = [
+        Value.around("residual back-EMF", last.rho, "m/s per N", last.half),
+        Value.around("residual resistance", ohm * last.rho, "ohm", ohm * last.half),
+    ]
+    return values, [_margin(last)]
+
+
+def _margin(last: Residual) -> Finding:
+    what = f"loop gain {last.loop:+.2g} at {last.top_ns_per_m:.3g} N s/m"
+    if last.loop >= WARN:
+        return Finding(what, "ok")
+    return Finding(
+        what,
+        "refused" if last.loop < REFUSE else "warning",
+        f"too much is compensated: the greatest allowed damping is {last.greatest_ns_per_m:.3g}"
+        " N s/m; lower resistance.base_ohm, or limits.active_damping_ns_per_m to that",
+    )

@@ -1,0 +1,322 @@
+"""What moves, what resists, and how late force comes: the device's own [model], measured.
+
+The handle is let go. A weak spring and damper keep it in the middle while the probe shakes it with
+noise, softly and then hard (`balance` tells Coulomb from viscous friction by that). Then a stiffer
+spring is rendered, as stiff as friction keeps passive by far (Colgate and Schenkel's theorem with
+the lag found so far), and shaken hard again: its force shows delay and smoothing.
+
+What that says, with intervals, is in `mechanics`; each assumption that the residuals contradict is
+told in words where it matters as well as being certain: a long record makes small terms certain, so
+a term counts only where it is significant and greater than what MATTERS has for it. The written
+model is what `zwidth predict`, the guard and `search` calculate with. Friction is the rotor's, for
+it was felt there; the mass is in two parts where the transmission was seen to yield; a smoothing
+stands for itself where it was told from delay.
+
+What would break it: a hand on the handle (its mass and damper are then the device's).
+"""
+
+from collections.abc import Mapping, Sequence
+from math import hypot, isnan, nan, pi
+from typing import Any
+
+import numpy as np
+
+from hapticd.client.client import Client
+from hapticd.core.environment import Environment, FilterParams
+from hapticd.core.units import US_PER_S, percent
+from hapticd.model.linearise import GAIN
+from hapticd.model.theorem import required_damping
+from hapticd.rig.excitation import CENTRE, loudest_n, noise
+from hapticd.rig.experiment import PerturbationRun, arrays_of, begin_step, perturbation_run
+from hapticd.rig.hand import Ask, Request
+from hapticd.rig.result import Change, Finding, StepResult, Value, checked, relative_half
+from hapticd.rig.steps.force_balance import NAMES, Balance, Test, fit_rigid_mass, fit_two_masses
+from hapticd.rig.steps.mechanics import (
+    UNKNOWN_SHARE,
+    CommandPath,
+    Facts,
+    Mechanics,
+    Motor,
+    Scales,
+    channels,
+    friction_n,
+    known_half,
+    mechanics_of,
+    path_of,
+    resonance_of,
+)
+from hapticd.rig.steps.motor import limit_n
+
+__all__ = ["measure"]
+
+QUIET_S = 6.0
+LOUD_S = 7.0
+RENDERED_S = 8.0
+QUIET_SHARE = 0.45  # of the loud part
+STIFFNESSES = (1600.0, 800.0, 400.0, 200.0, 100.0, 50.0)  # N/m
+DAMPINGS = (0.4, 0.2, 0.1, 0.0)  # N s/m
+SPARE = 1.5
+CERTAIN = 20.0  # deviations of a resonance that is told
+SHOWS = 0.015  # of the mass, that it grows by up to HIGH_HZ: a late channel feigns 1.3 % at most
+WORST_RESIDUAL = 0.2  # of the torque
+ALIKE = 0.03  # share by which one mass and two may differ
+MATTERS = {  # from which size on a contradicted assumption matters
+    "rigid": 0.03,  # of the mass, at HIGH_HZ
+    "linear": 0.1,  # of the friction
+    "direction": 0.1,  # of the friction
+    "pull": 0.1,  # of the friction
+    "delay": 0.05,  # of a period
+}
+
+
+def measure(bench: Client, ask: Ask) -> StepResult:
+    """Perturb the handle and write its model. CommandError unless disabled; AnalysisError while
+    signs are not verified, where the handle leaves its travel, or where records are lost.
+    """
+    servo = begin_step(bench, "the model is measured")
+    facts = facts_of(servo)
+    ask(Request("let go", "let go of the handle in the middle of its travel; it will be shaken"))
+    loud_n = loudest_n(bench, servo)
+    parts = (noise(QUIET_S, QUIET_SHARE * loud_n, 1), noise(LOUD_S, loud_n, 2))
+    free = perturbation_run(bench, np.concatenate(parts), CENTRE)
+    rendered = stiffest(_solved([free]), facts, limit_n(servo))
+    return analyse((free, perturbation_run(bench, noise(RENDERED_S, loud_n, 3), rendered)), facts)
+
+
+def facts_of(servo: Mapping[str, Any]) -> Facts:
+    """What the hello's `servo` says of the device."""
+    device = servo["device"]
+    names = ("force", "probe_torque", "position")
+    scales = Scales(*(relative_half(device[name], nan) for name in names))
+    motor = Motor(
+        float(device["motor_n_per_a"]),
+        float(device["winding_ohm"]),
+        float(device["winding_reference_c"]),
+        float(device["motor_lever_m"]),
+    )
+    return Facts(US_PER_S / float(servo["realtime"]["rate_hz"]), scales, filters_of(servo), motor)
+
+
+def filters_of(servo: Mapping[str, Any]) -> tuple[FilterParams, FilterParams]:
+    """Those of velocity and acceleration in the law of the hello's `servo`."""
+    law = servo["environment"]
+    return FilterParams(**law["velocity_filter"]), FilterParams(**law["acceleration_filter"])
+
+
+def stiffest(found: Balance, facts: Facts, most_n: float) -> Environment:
+    """The stiffest spring of STIFFNESSES, with the most damping, of which viscous friction and half
+    of what Coulomb friction is worth keep SPARE times as much passive, and whose force for 1 mm is
+    at most half of `most_n`; CENTRE where there is none.
+    """
+    handle = found.handle
+    delay = max(0.0, handle.lag_us) / facts.period_us
+    spare = handle.viscous_ns_per_m + 0.5 * GAIN * handle.coulomb_n / found.speed_m_per_s
+    for stiffness in STIFFNESSES:
+        for damping in DAMPINGS:
+            asked = SPARE * np.array([[stiffness, damping, 0.0], [stiffness, 0.0, 0.0]])
+            needed, _ = required_damping(asked, US_PER_S / facts.period_us, delay, facts.filters)
+            if needed.max() <= spare and 1e-3 * stiffness <= 0.5 * most_n:
+                return Environment(stiffness, damping)
+    return CENTRE
+
+
+def analyse(runs: Sequence[PerturbationRun], facts: Facts) -> StepResult:
+    """What the `runs` say, the last of which has the stiffest spring."""
+    found = _solved(runs)
+    arrays = arrays_of(runs)
+    findings = [_moved(found)]
+    if findings[0].verdict == "refused":
+        return StepResult("identify", (), findings, (), arrays)
+    mechanics = mechanics_of(found, facts)
+    path = path_of(found, runs, facts)
+    findings += [*scales_agree(found, facts), parting(path, found), *assumptions(found, facts)]
+    resonance = resonance_of(found, mechanics.mass)
+    values = (*mechanics, *resonance, path.lag, path.delay, path.smoothing, *channels(found))
+    changes = changes_of(found, mechanics, path, facts)
+    return StepResult("identify", values, findings, changes, arrays)
+
+
+def _solved(runs: Sequence[PerturbationRun]) -> Balance:
+    """The balance of one rigid mass, or of two where that is contradicted, and two are told that
+    together are as heavy.
+    """
+    rigid = fit_rigid_mass(runs)
+    test = next(one for one in rigid.tests if one.name == "rigid")
+    if not test.significant or test.size < SHOWS * rigid.handle.mass_kg:
+        return rigid
+    two = fit_two_masses(runs, rigid)
+    sd = float(two.sd[NAMES.index("slider_rad_s")])
+    told = two.settled and two.handle.slider_rad_s > CERTAIN * sd
+    share = two.handle.slider_kg / two.handle.mass_kg
+    heavier = two.handle.whole_kg / rigid.handle.whole_kg - 1.0
+    return two if told and share > MATTERS["rigid"] and abs(heavier) < ALIKE else rigid
+
+
+def _moved(found: Balance) -> Finding:
+    handle = found.handle
+    what = f"forces balance to {percent(found.residual)} of the torque, over {found.blocks} s"
+    remedy = "is the handle free, and are both probe channels and their signs right? `rig probe`"
+    if handle.coulomb_n < 0.0 or not handle.mass_kg > 0.0 or found.residual > WORST_RESIDUAL:
+        return Finding(what, "refused", remedy)
+    if not found.settled:
+        return Finding(
+            f"the balance has not settled: its lag of {handle.lag_us:.4g} us still moves",
+            "refused",
+            f"repeat the step; {remedy}",
+        )
+    if handle.whole_kg > found.most_kg:
+        most = f"all forces together move {1e3 * found.most_kg:.3g} g at most"
+        return Finding(f"moving mass {1e3 * handle.whole_kg:.3g} g: {most}", "refused", remedy)
+    return Finding(what, "ok")
+
+
+def scales_agree(found: Balance, facts: Facts) -> list[Finding]:
+    """Whether the scales of the device file agree with each other."""
+    scales = facts.scales
+    findings = []
+    unknown = [name for name, half in vars(scales).items() if isnan(half)]
+    if unknown:
+        findings.append(
+            Finding(
+                f"no interval of {', '.join(unknown)}: {100 * UNKNOWN_SHARE:g} % is taken",
+                "warning",
+                "`hapticd rig` measures them first",
+            )
+        )
+    off = found.handle.gain - 1.0
+    allowed = hypot(known_half(scales.motor), known_half(scales.probe), found.half("gain"))
+    return [
+        *findings,
+        checked(
+            f"a newton of the motor is {found.handle.gain:.4g} N of the probe",
+            abs(off) <= 1.5 * allowed,
+            "repeat `rig motor` with masses, and `rig probe`: one of the two scales is wrong",
+        ),
+    ]
+
+
+def parting(path: CommandPath, found: Balance) -> Finding:
+    """How the lag is parted into delay and smoothing."""
+    lag = NAMES.index("lag_us")
+    spread = NAMES.index("spread_us2")
+    together = float(found.fit.covariance[lag, spread] / (found.sd[lag] * found.sd[spread]))
+    what = (
+        f"lag of a command {path.lag.value:.4g} us; lag and smoothing go together by {together:.2f}"
+    )
+    if path.parted:
+        return Finding(f"{what}; it is smoothed by {path.smoothing.value:.4g} us", "ok")
+    return Finding(f"{what}; no smoothing is told from delay, the lag is written as delay", "ok")
+
+
+def assumptions(found: Balance, facts: Facts) -> list[Finding]:
+    """Each assumption, and whether the residuals contradict it where it matters."""
+    per_n = 1.0 / max(friction_n(found), 1e-9)
+    speed = found.speed_m_per_s
+    per_unit = {
+        "rigid": 1.0 / found.handle.mass_kg,
+        "linear": speed * per_n,
+        "direction": speed * per_n,
+        "pull": per_n,
+        "delay": 1.0 / facts.period_us,
+    }
+    asked = [test for test in found.tests if not (test.name == "rigid" and found.handle.slider_kg)]
+    return [
+        *_yielding(found),
+        *(_assumed(test, per_unit[test.name] * test.size) for test in asked),
+    ]
+
+
+def _yielding(found: Balance) -> list[Finding]:
+    """That there are two masses, where there are."""
+    handle = found.handle
+    if not handle.slider_kg:
+        return []
+    own_hz = handle.slider_rad_s / (2.0 * pi)
+    what = (
+        f"contradicted: one rigid mass: {1e3 * handle.slider_kg:.3g} g of it yield, by themselves"
+        f" at {own_hz:.4g} Hz with {handle.slider_ratio:.2g} of critical damping"
+    )
+    return [Finding(what, "ok", "the model has two masses and [model.coupling]")]
+
+
+_WORDS = {
+    "rigid": ("one rigid mass", "the mass changes by {:.2g} % up to 200 Hz",
+              "something yields between probe and encoder: clamp the probe, or see the resonance"),
+    "linear": ("friction is Coulomb's and viscous", "{:.2g} % of it grows with the square of speed",
+               "the model holds at the speeds of the trial alone"),
+    "direction": ("friction is the same in both directions", "it differs by {:.2g} % of friction",
+                  "look at bearing and cable; the model has the mean of both"),
+    "pull": ("nothing pulls all the time", "{:.2g} % of friction pulls, or resists one way alone",
+             "lay the axis level, look at the cable, repeat `rig motor` for the offset"),
+    "delay": ("the delay is constant", "it drifts by {:.2g} % of a period",
+              "quiet the host (`hapticd doctor`) and repeat; the model has the mean"),
+}  # fmt: skip
+
+
+def _assumed(test: Test, share: float) -> Finding:
+    what, words, remedy = _WORDS[test.name]
+    said = (
+        f"{what}: {words.format(100.0 * abs(share))} (t {test.t:.1f}, {test.critical:.1f} at 1 %)"
+    )
+    if test.significant and abs(share) > MATTERS[test.name]:
+        return Finding(f"contradicted: {said}", "warning", remedy)
+    return Finding(said, "ok")
+
+
+def changes_of(
+    found: Balance, mechanics: Mechanics, path: CommandPath, facts: Facts
+) -> list[Change]:
+    """What is written, table by table."""
+    tables: dict[str, dict[str, float | str]] = {
+        **_masses(found, mechanics.mass),
+        "motor": motor_table(facts.motor),
+        "viscous": {"rotor_ns_per_m": max(0.0, mechanics.viscous.rounded)},
+        "coulomb": {"rotor_n": max(0.0, mechanics.coulomb.rounded)},
+        "delay": {"periods": round(path.delay.value / facts.period_us, 5)},
+    }
+    if path.parted:
+        corner_hz = US_PER_S / (2.0 * pi * path.smoothing.value)
+        tables["smoothing"] = {"corner_hz": float(f"{corner_hz:.6g}")}
+    converters = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
+    names = tuple(name for name in tables if name not in ("masses", "motor"))
+    changes = [Change("model", "effects", (*names, *converters))]
+    for table, numbers in tables.items():
+        changes += [Change(f"model.{table}", key, value) for key, value in numbers.items()]
+    return changes
+
+
+def _masses(found: Balance, mass: Value) -> dict[str, dict[str, float | str]]:
+    """Tables of what moves, with the transmission where it yields."""
+    handle = found.handle
+    if not handle.slider_kg:
+        return {"masses": {"rotor_kg": mass.rounded, "slider_kg": 0.0}}
+    slider = mass.value * handle.slider_kg / (handle.mass_kg + handle.slider_kg)
+    rate = handle.slider_rad_s
+    damping = 2.0 * handle.slider_ratio * rate * slider
+    return {
+        "masses": {"rotor_kg": _digits(mass.value - slider), "slider_kg": _digits(slider)},
+        "coupling": {
+            "stiffness_n_per_m": _digits(slider * rate**2),
+            "damping_ns_per_m": _digits(damping),
+        },
+    }
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.5g}")
+
+
+def motor_table(motor: Motor) -> dict[str, float | str]:
+    """Torque per ampere [N m/A] and its lever [m]. Where nobody measured them, numbers that say so:
+    the table has to stand, and nothing of it is predicted with.
+    """
+    found: dict[str, float | str] = {
+        "torque_constant_nm_per_a": _digits(motor.n_per_a * motor.lever_m) or 1.0,
+        "lever_m": motor.lever_m,
+        "resistance_ohm": motor.ohm or 1.0,
+        "reference_c": motor.reference_c,
+    }
+    if not motor.n_per_a:
+        note = "not measured: `hapticd rig motor` with a current; no prediction depends on it"
+        found |= {"source": "inferred", "note": note}
+    return found

@@ -1,0 +1,364 @@
+"""Does the display render what it is asked for? Springs, dampers and masses that are known, seen
+from the probe.
+
+Each is rendered, or attached by a hand, beside one environment that stays the same, and Z is
+measured under short noise with it and without it. Their difference is the known part alone:
+
+    rendered    H(f) (K + B D1(z) + M D2(z)) / jw     hold, delay and filters of the law; the delay
+                                                       is the one that the board told meanwhile
+    attached    j w m,  k / jw                         whatever the servo does
+
+and friction, which is less where the handle moves faster, adds a constant (its equivalent for
+Gaussian motion, Booton 1954). What nobody told of the way of a command, a smoothing of time
+constant q, and what the encoder sees more of the handle's motion towards a resonance, 1 / (1 - p
+f^2), are the same for all that is rendered. So by lines of LOW_HZ to HIGH_HZ
+
+    dZ = s dZ_known / ((1 + jw q) (1 - p f^2)) + c
+
+is solved for the real numbers s and c of each part, and q and p of all, each line weighed by its
+uncertainty ("h_force": the force is what is known). What is attached is seen through the resonance
+twice, below ATTACHED_HZ; how much it changes that is not known, so three times what it does counts
+as doubt. s = 1 says that the parts agree. What it may differ by are the intervals that the
+calibrations state: of force, position and both probe channels for what is rendered, of the probe
+alone for what is attached; with the record's own interval, and a quarter of c for what of friction
+is no constant.
+
+Beside it the `reference_vectors`, timing meanwhile, and the age of every calibration are
+findings. `certificate` makes the document of them. What is not verified here is said there.
+
+What would break it: a handle that somebody holds (another mass), a first resonance below HIGH_HZ.
+"""
+
+import datetime
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import hypot, pi, sqrt
+from typing import Any
+
+import numpy as np
+
+from hapticd.client.client import Client
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.environment import Environment, FilterParams
+from hapticd.core.units import PROBE_RATE_HZ, US_PER_S, percent
+from hapticd.model.loop import derivatives, held_force_model
+from hapticd.recording.calibrations import doubts
+from hapticd.rig.estimate import NORMAL, least_squares, separable
+from hapticd.rig.excitation import CENTRE, loudest_n, noise
+from hapticd.rig.experiment import PerturbationRun, arrays_of, begin_step, perturbation_run
+from hapticd.rig.hand import Ask, Request
+from hapticd.rig.result import Finding, StepResult, Value, checked, relative_half
+from hapticd.rig.steps import reference_vectors
+from hapticd.rig.steps.identify import filters_of
+from hapticd.rig.steps.link import MOST_SPREAD, RARE
+from hapticd.rig.steps.mechanics import UNKNOWN_SHARE
+from hapticd.signal.impedance import Impedance, impedance
+from hapticd.signal.spectra import DEFAULT_LAG, spa
+
+__all__ = ["KnownParts", "measure"]
+
+BESIDE = CENTRE  # what is rendered beside
+UNIT_N_PER_M = "N/m"
+RENDERED = ("force", "position")  # tables of the device file
+PROBED = ("probe_torque", "probe_velocity")
+LOW_HZ = 8.0
+HIGH_HZ = 120.0
+ATTACHED_HZ = 25.0
+LAG = 2 * DEFAULT_LAG  # samples: what the window averages is little beside a spring's slope
+ROUNDS = 12  # of the way of commands
+STEP = 1e-4  # by which it is differentiated, in ms and 1e-5 / Hz^2
+EVERY = 3  # lines of the window between independent values
+FRICTION_SHARE = 0.25  # of the change of friction that is no constant
+MASS_SHARE = 1e-3  # half of the interval of an attached mass, and of a spring
+FLEXIBLE = 3.0  # times what the resonance does, as a doubt of what is attached
+
+
+@dataclass(frozen=True)
+class KnownParts:
+    """What is rendered beside the environment BESIDE, and what is attached by hand (0: nothing)."""
+
+    stiffness_n_per_m: float = 60.0
+    damping_ns_per_m: float = 1.0
+    mass_kg: float = 0.004
+    attached_kg: float = 0.0
+    spring_n_per_m: float = 0.0
+    seconds: float = 20.0  # of each run
+
+
+USUAL = KnownParts()
+
+
+@dataclass(frozen=True)
+class Part:
+    """One known part, in `unit`, and how it comes to the handle."""
+
+    name: str
+    size: float
+    unit: str
+    environment: Environment  # that is rendered meanwhile
+    request: Request | None = None  # what a person does; None: it is rendered
+
+    @property
+    def scales(self) -> tuple[str, ...]:
+        """The calibrations on which it rests."""
+        return PROBED if self.request else RENDERED + PROBED
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """How commands become forces."""
+
+    rate_hz: float
+    delay_us: float
+    smoothing_hz: float  # 0: none is known
+    filters: tuple[FilterParams, FilterParams]
+
+
+def measure(bench: Client, ask: Ask, known: KnownParts = USUAL) -> StepResult:
+    """Shake the handle with and without each part, and compare. CommandError unless disabled;
+    AnalysisError where the signs are not verified, or as of `perturbation_run`.
+    """
+    servo = begin_step(bench, "a display is verified")
+    before = counted(bench)
+    free = Request("let go", "let go of the handle in the middle of its travel; it will be shaken")
+    ask(free)
+    loud_n = loudest_n(bench, servo)
+    waveforms = (noise(known.seconds, loud_n, seed) for seed in range(1, 10))
+    runs = {"": perturbation_run(bench, next(waveforms), BESIDE)}
+    for part in parts_of(known):
+        if part.request:
+            ask(part.request)
+        runs[part.name] = perturbation_run(bench, next(waveforms), part.environment)
+        if part.request:
+            ask(free)
+    counts = {name: count - before.get(name, 0) for name, count in counted(bench).items()}
+    return analyse(runs, counts, servo, known, datetime.date.today())
+
+
+def parts_of(known: KnownParts) -> list[Part]:
+    """The parts that are asked for, in their order."""
+    stiffness, damping, mass = BESIDE.free
+    k = known.stiffness_n_per_m
+    b = known.damping_ns_per_m
+    m = known.mass_kg
+    found = [
+        Part("rendered spring", k, UNIT_N_PER_M, Environment(stiffness + k, damping, mass)),
+        Part("rendered damper", b, "N s/m", Environment(stiffness, damping + b, mass)),
+        Part("rendered mass", m, "kg", Environment(stiffness, damping, mass + m)),
+    ]
+    if kg := known.attached_kg:
+        text = f"fix {kg:g} kg firmly to the handle, and let go of it"
+        found.append(Part("attached mass", kg, "kg", BESIDE, Request("attach", text, kg)))
+    if spring := known.spring_n_per_m:
+        text = f"put a spring of {spring:g} N/m between handle and frame, and let go"
+        request = Request("spring", text, spring)
+        found.append(Part("attached spring", spring, UNIT_N_PER_M, BESIDE, request))
+    return found
+
+
+def counted(bench: Client) -> dict[str, int]:
+    """Late ticks and lost slots of the servo of `bench` so far, as far as it tells."""
+    counters = bench.status().counters
+    return {name: int(counters[name]) for name in ("late_events", "lost_slots") if name in counters}
+
+
+def analyse(
+    runs: Mapping[str, PerturbationRun],
+    counts: Mapping[str, int],
+    servo: Mapping[str, Any],
+    known: KnownParts,
+    day: datetime.date,
+) -> StepResult:
+    """What the runs say, by name of the part, "" for none, on the device of a hello's `servo`;
+    `counts` of late ticks and lost slots are those meanwhile.
+    """
+    delays = np.concatenate([one.delays_us for one in runs.values()])
+    rendering = Rendering(
+        float(servo["realtime"]["rate_hz"]),
+        float(np.median(delays)) if delays.size else 0.0,
+        float(servo["device"]["force_smoothing_hz"]),
+        filters_of(servo),
+    )
+    z = {name: measured(one) for name, one in runs.items()}
+    parts = parts_of(known)
+    values = seen([difference(one, z[""], z[one.name], rendering) for one in parts])
+    ticks = sum(one.board_us.size for one in runs.values())
+    findings = [
+        *(agreement(*one, servo["device"]) for one in zip(parts, values, strict=True)),
+        *reference_vectors.compared(),
+        _late(counts, ticks),
+        _delay(delays, rendering),
+        *_calibrations(servo, day),
+    ]
+    return StepResult("verify", values, findings, arrays=arrays_of(runs.values()))
+
+
+def measured(run: PerturbationRun) -> Impedance:
+    """Z of a run at independent lines of the band."""
+    spectra = spa(run.torque_n, run.velocity_m_per_s, PROBE_RATE_HZ, LAG)
+    f = spectra.frequency_hz
+    inside = np.flatnonzero((f >= LOW_HZ) & (f <= HIGH_HZ))
+    return impedance(spectra.part(inside[::EVERY]), "h_force")
+
+
+def expected(part: Part, frequency_hz: Floats, rendering: Rendering) -> Complexes:
+    """The impedance (F,) that `part` adds [N s/m]."""
+    s = 2j * pi * frequency_hz
+    if part.request:
+        return np.asarray(part.size * s if part.unit == "kg" else part.size / s)
+    turn = np.exp(s / rendering.rate_hz)
+    velocity, acceleration = derivatives(turn, rendering.rate_hz, rendering.filters)
+    stiffness, damping, mass = np.array(part.environment.free) - np.array(BESIDE.free)
+    path = held_force_model(
+        frequency_hz, rendering.rate_hz, rendering.delay_us * rendering.rate_hz / US_PER_S
+    )
+    if rendering.smoothing_hz:
+        path = path / (1.0 + 1j * frequency_hz / rendering.smoothing_hz)
+    return np.asarray((stiffness + damping * velocity + mass * acceleration) * path / s)
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """What a part changes of Z at its lines."""
+
+    part: Part
+    frequency_hz: Floats  # (F,)
+    theory: Complexes  # (F,) that it should be, N s/m
+    found: Complexes  # (F,) that it is, N s/m
+    sd: Floats  # (F,) of each of its two parts
+
+    @property
+    def target(self) -> Floats:
+        """What was found (2 F,), real and imaginary parts."""
+        return _real(self.found)
+
+    @property
+    def weight(self) -> Floats:
+        """One over the deviation of each (2 F,)."""
+        return np.tile(1.0 / self.sd, 2)
+
+    def columns(self, path: Complexes) -> Floats:
+        """Those of scale and friction (2 F, 2), by `path` (F,)."""
+        return _real(np.stack((self.theory * path, np.ones_like(self.theory)), axis=1))
+
+
+def _real(values: Complexes) -> Floats:
+    return np.concatenate((values.real, values.imag))
+
+
+def difference(
+    part: Part, without: Impedance, with_it: Impedance, rendering: Rendering
+) -> Difference:
+    """What `part` changes of the impedance at the probe."""
+    f = without.frequency_hz
+    inside = f <= (ATTACHED_HZ if part.request else HIGH_HZ)
+    found = (with_it.impedance_ns_per_m - without.impedance_ns_per_m)[inside]
+    sd = np.hypot(with_it.sd_ns_per_m, without.sd_ns_per_m)[inside] / sqrt(2.0)
+    return Difference(part, f[inside], expected(part, f[inside], rendering), found, sd)
+
+
+def command_path_response(frequency_hz: Floats, params: Floats) -> Complexes:
+    """Frequency response (F,) of the command path; `params` = [smoothing time constant, ms;
+    encoder resonance term, 1e-5/Hz^2].
+    """
+    smoothing_ms, encoder = params.tolist()
+    smoothing = 1.0 + 2e-3j * pi * frequency_hz * smoothing_ms
+    return np.asarray(1.0 / smoothing / (1.0 - 1e-5 * encoder * frequency_hz**2))
+
+
+def seen(differences: Sequence[Difference]) -> list[Value]:
+    """How large each part is by the probe, with its 95 % interval by the records; of those that are
+    rendered at least two.
+    """
+    rendered = [one for one in differences if not one.part.request]
+
+    def columns_of(params: Floats) -> Floats:
+        paths = [command_path_response(one.frequency_hz, params) for one in rendered]
+        blocks = [one.columns(path) for one, path in zip(rendered, paths, strict=True)]
+        matrix = np.zeros((sum(map(len, blocks)), 2 * len(blocks)))
+        row = 0
+        for number, block in enumerate(blocks):
+            matrix[row : row + len(block), 2 * number : 2 * number + 2] = block
+            row += len(block)
+        return matrix
+
+    target = np.concatenate([one.target for one in rendered])
+    weight = np.concatenate([one.weight for one in rendered])
+    fit = separable(columns_of, target, np.zeros(2), STEP, ROUNDS, weight)
+    scales = fit.values[:-2:2].tolist()
+    frictions = fit.values[1:-2:2].tolist()
+    halves = (NORMAL * fit.sd[:-2:2]).tolist()
+    values = list(map(_value, rendered, scales, frictions, halves))
+    encoder = float(fit.values[-1])
+    return values + [_attached(one, encoder) for one in differences if one.part.request]
+
+
+def _attached(one: Difference, encoder: float) -> Value:
+    """A part that a hand attached, where the encoder sees `encoder` [1e-5 / Hz^2] more."""
+    more = command_path_response(one.frequency_hz, np.array([0.0, encoder]))
+    fit = least_squares(one.columns(more**2), one.target, one.weight, least=1.0)
+    doubt = FLEXIBLE * float(np.mean(np.abs(more - 1.0)))
+    scale, friction = fit.values.tolist()
+    return _value(one, scale, friction, hypot(NORMAL * float(fit.sd[0]), doubt))
+
+
+def _value(one: Difference, scale: float, friction: float, own: float) -> Value:
+    """The size of a part by its scale, known to `own` by the records, beside some friction."""
+    of_friction = FRICTION_SHARE * abs(friction) / sqrt(float(np.mean(np.abs(one.theory) ** 2)))
+    size = one.part.size
+    return Value.around(one.part.name, scale * size, one.part.unit, hypot(own, of_friction) * size)
+
+
+def agreement(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
+    """Whether what was seen lies where the calibrations of `device` let it lie."""
+    unknown = [name for name in part.scales if device[name]["half_width_95"] is None]
+    halves = [relative_half(device[name], UNKNOWN_SHARE) for name in part.scales]
+    allowed = hypot(*halves, MASS_SHARE if part.request else 0.0)
+    off = value.value / part.size - 1.0
+    limit = hypot(allowed, value.half / part.size)
+    what = (
+        f"{part.name}: {part.size:g} {part.unit} is {value.value:.4g} at the probe, off by"
+        f" {100 * off:+.2g} %; calibrations and record leave {percent(limit)}"
+    )
+    if unknown:
+        share = f"{100 * UNKNOWN_SHARE:g} %"
+        what += f" ({', '.join(unknown)}: no interval known, {share} taken)"
+    steps = "`hapticd rig probe`" if part.request else "`hapticd rig motor`, `hapticd rig probe`"
+    return checked(
+        what,
+        abs(off) <= limit,
+        f"let go of the handle and repeat; if it stays so, {steps} and `hapticd rig identify`",
+        "refused",
+    )
+
+
+def _late(counts: Mapping[str, int], ticks: int) -> Finding:
+    """Late ticks and lost slots, of so many."""
+    if not counts:
+        return Finding("timing: late ticks and lost slots", "not done", "this daemon tells none")
+    told = " and ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
+    rare = sum(counts.values()) <= RARE * ticks
+    return checked(f"timing: {told} in {ticks} ticks", rare, "quiet the host: `hapticd doctor`")
+
+
+def _delay(delays_us: Floats, rendering: Rendering) -> Finding:
+    """How long forces came after their samples, and how much that varied."""
+    if not delays_us.size:
+        return Finding("timing: from sample to force", "not done", "the board tells no ages")
+    quantiles = np.quantile(delays_us, (0.005, 0.5, 0.995))
+    low, middle, high = quantiles * rendering.rate_hz / US_PER_S
+    return checked(
+        f"timing: sample to force {middle:.3g} periods, 99 % within {high - low:.3g}",
+        high - low <= MOST_SPREAD,
+        "repeat `hapticd rig link`, and quiet the host",
+    )
+
+
+def _calibrations(servo: Mapping[str, Any], day: datetime.date) -> Iterator[Finding]:
+    """Calibrations that cannot be relied on."""
+    found = doubts(servo, day, probed=True)
+    for one in found:
+        yield Finding(f"calibration {one}", "refused", one.remedy)
+    if not found:
+        asked = "a simulated device needs none" if servo["simulated"] else "of this board, in date"
+        yield Finding(f"calibrations: {asked}", "ok")

@@ -1,0 +1,293 @@
+"""What an ampere makes, what the winding resists, and what a motion induces.
+
+At rest under force (the handle is held by hand, forces of LEVELS go to either side) the motor's
+voltage is R i and its force K i: two lines over the forces that were commanded, with offsets of the
+sensors in their intercepts. Moved by hand without force, a winding that carries no current shows
+K v: over windows of WINDOW_S the mean of the voltage and the way by the encoder belong together
+exactly, so no velocity is computed from noise. In SI both K are one number [N/A = V s/m]; where
+they differ, the scales of current, voltage, force and position contradict each other.
+
+The same motion gives scale and sign of the channel `emf_velocity` (`analyse_back_emf`). The device
+is disabled, so no current flows and the channel says velocity alone, whatever the resistance
+compensation believes. Its counts are fitted by the encoder's velocity, by that one's change and a
+constant; the change tells by how many ticks the channel is late, and the fit is made again with a
+velocity that is as late, by blocks.
+
+Commanded newtons have the interval of `rig motor`, metres that of `rig encoder`; both are taken
+from the sources in the device file.
+
+What would break it: a hand that lets the handle slip while it is held (the windows say so), or
+shakes it so slowly that an AC-coupled amplifier shows, and a winding that warms up by more than the
+interval allows (the resistance is that at the mean temperature of the rests, which is written
+beside it).
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from math import hypot, isfinite
+from typing import Any
+
+import numpy as np
+
+from hapticd.client.blocks import Records
+from hapticd.client.client import Client
+from hapticd.core.arrays import Floats
+from hapticd.core.errors import AnalysisError
+from hapticd.core.params import ScaleParams
+from hapticd.core.units import COPPER_PER_K, US_PER_S
+from hapticd.rig.estimate import Fit, in_blocks, jackknife, line
+from hapticd.rig.experiment import begin_step, collect, pull, ready, require_force, servo_rate_hz
+from hapticd.rig.hand import Ask, Request
+from hapticd.rig.result import (
+    POSITION_HALF,
+    Change,
+    Finding,
+    StepResult,
+    Value,
+    change_of,
+    checked,
+    plausible,
+    relative_half,
+    settled,
+)
+from hapticd.rig.steps.motor import allowed_n
+from hapticd.usb.codec import I16_HIGHEST
+
+__all__ = ["measure"]
+
+LEVELS = (0.25, 0.5, 0.75, 1.0)  # of a tenth of the force, to either side
+RAMP_S = 0.3
+SETTLE_S = 0.5
+READ_S = 0.5
+SHAKE_S = 5.0
+WINDOW_S = 0.02
+SLIPPED_M = 1e-3  # of a handle that is held
+LEAST_M_PER_S = 5e-3  # rms of a motion that says something
+UNKNOWN = 0.01  # half of the interval of a scale whose source does not state it
+DEAD_COUNTS = 20.0  # span of a channel that says nothing
+AGREE = 0.05
+RESTING = ("force_n", "current_a", "voltage_v", "winding_c")
+ROOM_C = 20.0  # of a winding whose temperature nobody measures
+BLOCKS = 10
+LEAST_COUNTS = 5.0  # rms of a channel that is not dead
+LEAST_COHERENT = 0.9
+SMOOTHED_TICKS = 9
+RECORDED = ("board_us", "position_m", "emf_velocity_m_per_s")
+
+
+def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult:
+    """Ask for a held and for a moved handle. CommandError unless disabled; AnalysisError where
+    signs are not verified or the handle slips.
+    """
+    servo = begin_step(bench, "the winding is measured")
+    ask(Request("hold", "hold the handle firmly where it is; it will be pushed gently", 0.0))
+    most_n = allowed_n(servo)
+    with ready(bench):
+        start_m = float(collect(bench, READ_S).records["position_m"].mean())
+        forces = [side * level * most_n for side in (1.0, -1.0) for level in LEVELS]
+        rests = np.array([_rest(bench, force, start_m) for force in forces])
+        status = bench.status()
+    require_force(status)
+    text = f"move the handle to and fro by some mm for {SHAKE_S:g} s from now"
+    ask(Request("shake", text, SHAKE_S))
+    shaken = collect(bench, SHAKE_S).records
+    ask(Request("let go", "let go of the handle"))
+    moved = windows(shaken, servo_rate_hz(bench))
+    found = analyse(rests, moved, servo["device"], lever_m)
+    return _with_circuit(found, analyse_back_emf(shaken, servo["device"]))
+
+
+def _rest(bench: Client, force_n: float, start_m: float) -> list[float]:
+    """Means of commanded force [N], current [A], voltage [V] and the winding's temperature [degC],
+    nan where the board does not measure it.
+    """
+    pull(bench, force_n, start_m, RAMP_S, SETTLE_S)
+    found = collect(bench, READ_S).records
+    slipped_m = float(np.ptp(found["position_m"]))
+    if slipped_m > SLIPPED_M:
+        raise AnalysisError(
+            f"the held handle moved by {1e3 * slipped_m:.2g} mm; hold it more firmly, and repeat"
+        )
+    return [float(found[name].astype(np.float64).mean()) for name in RESTING]
+
+
+def windows(records: Records, rate_hz: float) -> Floats:
+    """Means over consecutive windows (n, 2): velocity by the encoder [m/s] and voltage [V]."""
+    size = max(2, round(WINDOW_S * rate_hz))
+    edges = np.arange(0, len(records), size)
+    position = records["position_m"].astype(np.float64)
+    speed = np.diff(position[edges]) * rate_hz / size
+    voltage = _means(records["voltage_v"].astype(np.float64), size)
+    length = min(len(speed), len(voltage))
+    return np.column_stack([speed[:length], voltage[:length]])
+
+
+def _means(values: Floats, size: int) -> Floats:
+    """Means by the trapezium rule from each edge of a window to the next one."""
+    middles = (values[1:] + values[:-1]) / 2.0
+    whole = len(middles) // size
+    return np.asarray(middles[: whole * size].reshape(whole, size).mean(axis=1))
+
+
+def analyse(
+    rests: Floats,
+    moved: Floats,
+    device: Mapping[str, Any],
+    lever_m: float | None = None,
+) -> StepResult:
+    """What `rests` (n, 4), force, current, voltage and temperature, and `moved` (m, 2), as
+    `windows` gives it, say with the scales of `device`.
+    """
+    arrays = {"rests": rests, "moved": moved}
+    findings = list(_alive(rests, moved, device))
+    if not settled(findings):
+        return StepResult("motor", (), findings, (), arrays)
+    newton = relative_half(device["force"], UNKNOWN)
+    metre = relative_half(device["position"], UNKNOWN)
+    force_n, current_a, voltage_v, winding_c = rests.T
+    speed_m_per_s, induced_v = moved.T
+    celsius = float(winding_c.mean())
+    warmed = COPPER_PER_K * float(np.ptp(winding_c)) / 2.0 if isfinite(celsius) else UNKNOWN
+    per_ampere = _slope("motor.force_n_per_a", "N/A", current_a, force_n, newton)
+    ohm = _slope("motor.winding_ohm", "ohm", current_a, voltage_v, warmed)
+    induced = _slope("back-EMF", "V s/m", speed_m_per_s, induced_v, metre)
+    findings += [_signs(per_ampere, ohm, induced), _agreement(per_ampere, induced)]
+    values = [per_ampere, ohm, induced]
+    reference_c = round(celsius, 1) if isfinite(celsius) else ROOM_C
+    changes = [*map(change_of, values[:2]), Change("motor", "reference_c", reference_c)]
+    if lever_m is not None:
+        torque = lever_m * per_ampere.value
+        values.append(Value.around("torque constant", torque, "N m/A", lever_m * per_ampere.half))
+        changes.append(Change("motor", "lever_m", lever_m))
+    return StepResult("motor", values, findings, changes, arrays)
+
+
+def _slope(name: str, unit: str, x: Floats, y: Floats, relative: float) -> Value:
+    """Slope of the line y(x), with an interval that `relative` widens."""
+    found = line(x, y)
+    return Value.around(name, found.slope, unit, hypot(found.slope_half, relative * found.slope))
+
+
+def _with_circuit(found: StepResult, circuit: StepResult) -> StepResult:
+    """`found` with scale and sign of the circuit's velocity, where that moves with the handle."""
+    if not (found.settled and circuit.settled):
+        left = [replace(one, verdict="warning") for one in circuit.findings if one.remedy]
+        return replace(found, findings=[*found.findings, *left])
+    return replace(
+        found,
+        values=[*found.values, *circuit.values],
+        findings=[*found.findings, *circuit.findings],
+        changes=[*found.changes, *circuit.changes],
+    )
+
+
+def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> Iterator[Finding]:
+    """What of the channels says nothing, and a handle that was not moved."""
+    for name, values in zip(("current", "voltage"), rests.T[1:], strict=False):
+        span = float(np.ptp(values)) / float(device[name]["per_count"])
+        if span < DEAD_COUNTS:
+            yield Finding(
+                f"under force the {name} changes by {span:.2g} counts",
+                "refused",
+                f"the board does not report the motor's {name}, or its sensor is dead",
+            )
+    speed = float(moved[:, 0].std())
+    if speed < LEAST_M_PER_S:
+        yield Finding(
+            f"the handle was moved with {1e3 * speed:.2g} mm/s rms",
+            "refused",
+            "move it faster, by some mm to and fro",
+        )
+
+
+def _signs(per_ampere: Value, ohm: Value, induced: Value) -> Finding:
+    names = {"current": per_ampere, "voltage over current": ohm, "voltage over speed": induced}
+    wrong = [name for name, value in names.items() if value.value <= 0.0]
+    if not wrong:
+        return Finding("current and voltage have the signs of the force", "ok")
+    return Finding(
+        f"the wrong way: {', '.join(wrong)}",
+        "refused",
+        "correct the sign of `current` or `voltage` in the device file",
+    )
+
+
+def _agreement(per_ampere: Value, induced: Value) -> Finding:
+    ratio = induced.value / per_ampere.value
+    return checked(
+        f"back-EMF is {ratio:.3g} of the force per ampere; in SI they are one number",
+        abs(ratio - 1.0) <= AGREE,
+        "the scales of current, voltage, force or position are wrong: see their data sheets",
+    )
+
+
+def analyse_back_emf(shaken: Records, device: Mapping[str, Any]) -> StepResult:
+    """What the ticks of a handle that was `shaken` say, with the scales of the hello's `device`."""
+    scale = device["emf_velocity"]
+    counts = raw_counts(shaken["emf_velocity_m_per_s"].astype(np.float64), scale)
+    at_s = shaken["board_us"].astype(np.float64) / US_PER_S
+    speed = np.gradient(shaken["position_m"].astype(np.float64), at_s)
+    arrays = {name: np.asarray(shaken[name]) for name in RECORDED}
+    kernel = np.full(SMOOTHED_TICKS, 1.0 / SMOOTHED_TICKS)
+    y, v = (np.convolve(one, kernel, "valid") for one in (counts, speed))
+    first = np.linalg.lstsq(_columns(v), y)[0]
+    finding = _followed(counts, speed, float(first[0]))
+    if finding.verdict == "refused":
+        return StepResult("back-EMF", (), [finding], (), arrays)
+    fit = _late_fit(y, v, -first[1] / first[0])
+    per_speed, _, at_rest = fit.values.tolist()
+    per_speed_half, _, at_rest_half = fit.halves.tolist()
+    full = I16_HIGHEST / per_speed
+    relative = hypot(per_speed_half / per_speed, relative_half(device["position"], POSITION_HALF))
+    # rounding hides where in its count a channel without noise is
+    offset_half = hypot(at_rest_half, 0.5)
+    name = "emf_velocity.full_scale_m_per_s"
+    values = [
+        Value.around(name, abs(full), "m/s", relative * abs(full)),
+        Value.around("emf_velocity.offset_count", at_rest, "counts", offset_half),
+    ]
+    ratio = full / (I16_HIGHEST * int(scale["sign"]) * float(scale["per_count"]))
+    findings = [
+        finding,
+        plausible(
+            "emf_velocity", ratio, "correct full_scale_m_per_s in the device file, and repeat"
+        ),
+    ]
+    sign = Change("emf_velocity", "sign", 1 if full > 0.0 else -1)
+    return StepResult("back-EMF", values, findings, [sign, *map(change_of, values)], arrays)
+
+
+def raw_counts(values: Floats, scale: Mapping[str, Any]) -> Floats:
+    """Counts (n,) of what was read as `values` (n,) by the hello's `scale`."""
+    known = ScaleParams(**scale)
+    return np.asarray(known.sign * values / known.per_count + known.offset_count)
+
+
+def _late_fit(counts: Floats, speed: Floats, late_ticks: float) -> Fit:
+    """Counts per m/s, per m/s a tick, and at rest, from `counts` and `speed` (n,) so late."""
+    tick = np.arange(len(speed), dtype=np.float64)
+    columns = _columns(np.interp(tick - late_ticks, tick, speed))
+    return jackknife(in_blocks(columns, BLOCKS), in_blocks(counts, BLOCKS))
+
+
+def _columns(v: Floats) -> Floats:
+    return np.stack([v, np.gradient(v), np.ones_like(v)], axis=1)
+
+
+def _followed(counts: Floats, speed: Floats, per_speed: float) -> Finding:
+    fast = float(speed.std())
+    share = float(np.corrcoef(counts, speed)[0, 1] ** 2) if counts.std() > 0.0 else 0.0
+    what = (
+        f"back-EMF: {1e3 * fast:.3g} mm/s rms at the encoder, {abs(per_speed) * fast:.3g} counts"
+        f" follow it, {100 * share:.3g} % of the channel"
+    )
+    if fast < LEAST_M_PER_S:
+        return Finding(what, "refused", "the handle was not shaken: by some mm, and repeat")
+    if counts.std() < LEAST_COUNTS:
+        return Finding(what, "refused", "dead back-EMF channel: look at its amplifier and input")
+    return checked(
+        what,
+        share >= LEAST_COHERENT,
+        "it is no velocity: look at what is connected, and at the resistance compensation",
+        "refused",
+    )
