@@ -401,7 +401,8 @@ class AsyncLease:
             self._renewing.cancel()
             await asyncio.gather(self._renewing, return_exceptions=True)
         try:
-            reply = await self._client.call("lease", what=self._what, action="release")
+            action = "release" if kind is None else "fail"
+            reply = await self._client.call("lease", what=self._what, action=action)
         except Exception:
             if kind is None:
                 raise

@@ -14,6 +14,8 @@ thread keeps it. It is for the environment and the damping, never for what moves
 itself.
 
 Limitations: without `keep_alive`, `time.sleep` for longer than `ttl_s` loses the lease.
+
+An exception that ends the context, Ctrl-C among them, does at once what `at_end` says.
 """
 
 import threading
@@ -76,8 +78,11 @@ class ClientLease:
         while not self._left.wait(self._ttl_s / RENEWALS):
             try:
                 self.renew()
+            except CommandError as error:
+                if error.code == "leased":
+                    return
             except HapticdError:
-                return
+                continue  # no answer in time; the next renewal may have one
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._left.set()
@@ -86,7 +91,7 @@ class ClientLease:
         if self._released:
             return
         try:
-            lost = self.release()
+            lost = self.release(failed=kind is not None)
         except Exception:
             if kind is None:
                 raise
@@ -114,9 +119,11 @@ class ClientLease:
             time.sleep(min(left_s, self._ttl_s / RENEWALS))
             self.renew()
 
-    def release(self) -> str:
-        """Give it up; how it was lost before, "" if it was not. CommandError: nobody knows it."""
-        reply = self._call("lease", what=self._what, action="release")
+    def release(self, failed: bool = False) -> str:
+        """Give it up; how it was lost before, "" if it was not. `failed`: and do what `at_end`
+        says. CommandError: there is no such lease.
+        """
+        reply = self._call("lease", what=self._what, action="fail" if failed else "release")
         ended = answer_of(LeaseReleased, reply["result"])
         self._released = True
         return "" if ended.released else ended.text

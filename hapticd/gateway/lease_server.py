@@ -30,6 +30,7 @@ from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.protocol.leases import (
     DAMPING,
     ENVIRONMENT,
+    FAILED,
     GONE,
     MEASURING,
     PARTS,
@@ -85,10 +86,11 @@ class LeaseServer:
         elif request.action == "renew":
             self.leases.renew(what, actor)
         else:
-            ended = self.leases.release(what, actor)
-            if ended.how == RELEASED:
+            how = FAILED if request.action == "fail" else RELEASED
+            ended = self.leases.release(what, actor, how)
+            if ended.how == how:
                 self._end(ended)
-            return {"what": what, "released": ended.how == RELEASED, "text": ended.text}
+            return {"what": what, "released": ended.how == how, "text": ended.text}
         return {"what": what, **self.leases.shown()[what]}
 
     def tend(self, now_ns: int) -> None:
@@ -141,7 +143,7 @@ class LeaseServer:
             self._cancel(lease.what, GATEWAY_ACTOR)
         if PERTURBATION in PARTS[lease.what]:
             self._do(Command.PERTURB_STOP, {})
-        if ended.how in (SILENT, GONE):
+        if ended.how in (SILENT, GONE, FAILED):
             self._go(lease)
         configured = float(self._view.params.safety.limit_cycle_faults)
         self._tell(

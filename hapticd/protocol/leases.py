@@ -32,6 +32,7 @@ from hapticd.core.units import NS_PER_S, round_half_up
 __all__ = [
     "DAMPING",
     "ENVIRONMENT",
+    "FAILED",
     "GONE",
     "MEASURING",
     "PARTS",
@@ -60,6 +61,7 @@ RELEASED = "released"
 TAKEN_OVER = "taken over"
 SILENT = "silent"
 GONE = "gone"
+FAILED = "failed"
 
 
 class Lease(NamedTuple):
@@ -82,7 +84,7 @@ class Ended(NamedTuple):
     """A lease that is no more, and why."""
 
     lease: Lease
-    how: str  # RELEASED | TAKEN_OVER | SILENT | GONE
+    how: str  # RELEASED | TAKEN_OVER | SILENT | GONE | FAILED
     by: str = ""  # who took it over
 
     @property
@@ -94,6 +96,7 @@ class Ended(NamedTuple):
             TAKEN_OVER: f"was taken over by {self.by}",
             SILENT: f"ended: its holder was silent for {ttl_s:g} s",
             GONE: "ended with the connection of its holder",
+            FAILED: "ended: its holder failed",
         }
         return f"the lease of {self.lease.what} by {self.lease.holder} {words[self.how]}"
 
@@ -162,14 +165,15 @@ class Leases:
             )
         self.heard(actor)
 
-    def release(self, what: str, actor: int) -> Ended:
-        """End the lease of `what`, or own up to its loss; how it ended, then or before.
+    def release(self, what: str, actor: int, how: str = RELEASED) -> Ended:
+        """End the lease of `what`, or own up to its loss; how it ended, then or before. `how` is
+        FAILED where the holder gives up because of an error of its own.
 
         CommandError: another holds it, or nobody does; nothing changed.
         """
         lease = self._held.get(what)
         if lease is not None and lease.actor == actor:
-            return self._end(lease, RELEASED)
+            return self._end(lease, how)
         found = [self._lost[actor, part] for part in PARTS[what] if (actor, part) in self._lost]
         if found:
             self._acknowledge(actor, what)
@@ -224,7 +228,7 @@ class Leases:
     def _end(self, lease: Lease, how: str, by: str = "") -> Ended:
         del self._held[lease.what]
         ended = Ended(lease, how, by)
-        if how != RELEASED:
+        if how not in (RELEASED, FAILED):
             for part in PARTS[lease.what]:
                 self._lost[lease.actor, part] = ended
         while len(self._lost) > MOST_LOST:

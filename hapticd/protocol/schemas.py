@@ -293,10 +293,12 @@ class LeaseRequest(CommandMessage):
 
     cmd: Literal["lease"]
     what: Leased = Field(description="measuring: all three, with neither guard nor energy faults")
-    action: Literal["take", "renew", "release"] = "take"
+    action: Literal["take", "renew", "release", "fail"] = Field(
+        "take", description="fail: release it, and do what `at_end` says: its holder has an error"
+    )
     ttl_s: Ttl = _absent("take: it ends when nothing is asked for so long; left out: as configured")
     at_end: AtEnd = _absent(
-        "take: when this client dies or falls silent, zero: the environment goes to 0 if it is"
+        "take: when this client dies, fails or falls silent, zero: the environment goes to 0 if it is"
         " leased; disable: force off; left out: as configured"
     )
     take_over: bool = Field(False, description="take: also from another, whose lease ends")

@@ -88,7 +88,7 @@ class LockStepClient(Client):
 
     def _leased(self, request: LeaseRequest) -> dict[str, Any]:
         """A lease of the only client there is: what the servo is told of it, and for how long."""
-        held = request.action != "release"
+        held = request.action not in ("release", "fail")
         holder = float(ALONE if held else 0)
         faults = not held and self._servo.safety.limit_cycle_faults
         values = {Value.LEASE_CONTROL: holder, Value.LEASE_ACTIVE_DAMPING: holder}
