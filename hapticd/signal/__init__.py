@@ -1,10 +1,11 @@
 """Arrays in, results out: what is computed from records of force and velocity.
 
-A record goes through `spectra` to `impedance` and `verdict`. All are pure functions with frozen
+A record goes through `spectra` to `assess`, which gives its verdict. All are pure functions with frozen
 results, in numpy alone; where numba is installed (extra [fast]) inner loops are compiled. Impedance
 is the force applied to the device over its velocity, N s/m, at the probe unless something else is
 said. For scripts:
 
+    assess       `assess`: from spectra to verdict, findings and finer resolution
     spectra      `spa`, `SpectralStream`, `corrected`: Blackman-Tukey spectra of a record
     periodic     `periodic`: spectra of whole periods of a multisine
     impedance    `impedance`: Z with its uncertainty

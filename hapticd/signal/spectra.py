@@ -223,6 +223,14 @@ class Spectra:
         """What the values were taken over, in words."""
         return f"window of {self.lag} samples"
 
+    @property
+    def covers(self) -> str:
+        """What the intervals cover, in words."""
+        return (
+            "the random error of a record of this length; not what the window smooths, which is"
+            " named where it shows"
+        )
+
     @once
     def coherence(self) -> Floats:
         """Coherence g2 (F,), between 0 and 1; 0 where a channel has no power. Not to be written to:

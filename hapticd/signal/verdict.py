@@ -47,7 +47,7 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.core.arrays import Complexes, Flags, Floats
+from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import percent
 from hapticd.signal.channels import channel_findings
@@ -60,7 +60,7 @@ from hapticd.signal.impedance import (
     relative_sd,
     spread_of,
 )
-from hapticd.signal.resolved import Resolved, unresolved
+from hapticd.signal.resolved import Resolved
 from hapticd.signal.spectra import Spectra, lines_beside
 
 __all__ = [
@@ -72,7 +72,6 @@ __all__ = [
     "Judged",
     "Verdict",
     "judge",
-    "lines_to_resolve",
     "needed",
     "sidak",
     "student_quantile",
@@ -384,21 +383,6 @@ def judge(
         findings=findings,
         reads_high=reads_high(margin_ns_per_m.frequency_hz, trial.rate_hz),
     )
-
-
-def lines_to_resolve(
-    trial: Spectra, verdict: Verdict, estimator: Estimator = "spa", linear: bool = False
-) -> Flags:
-    """Which lines (F,) of the window's spectra `trial` must be resolved by their record before
-    `verdict` stands. `linear`: the device is so.
-
-    It stands where all is passive at the window's resolution: then there are none. A line of which
-    the perturbation explains nothing there may be a resonance that rings for many windows.
-    """
-    swells = any(one.code == "swells" for one in verdict.findings)
-    if verdict.answer == "passive" and not swells:
-        return np.zeros(trial.frequency_hz.size, np.bool_)
-    return unresolved(trial, verdict.band_hz, estimator, linear or swells)
 
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:

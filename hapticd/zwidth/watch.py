@@ -46,7 +46,7 @@ come with the host's load.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf, nan
 from typing import Any
 
@@ -54,10 +54,10 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.core.units import percent
+from hapticd.signal.assess import Criteria, LoopModel, MeasuredTrial, assess
 from hapticd.signal.findings import ESCAPE_RATIO, Finding, outgrows_walk
-from hapticd.signal.impedance import Estimator
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, SpectralStream
-from hapticd.signal.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
+from hapticd.signal.verdict import LEAST_FREEDOM, needed
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.store import LOSSES_BY, TrialRecord
 
@@ -188,9 +188,8 @@ def summed(parts: list[Mapping[str, Any]]) -> dict[str, int]:
 class Watch:
     """What a trial is watched for. Limits are those of the channels; inf where there are none."""
 
-    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
-    confidence: float = 0.95
-    estimator: Estimator = "spa"
+    criteria: Criteria = field(default_factory=Criteria)
+    model: LoopModel = field(default_factory=LoopModel)
     force_limit_n: float = inf
     velocity_limit_m_per_s: float = inf
     winding_limit_c: float = inf
@@ -199,7 +198,6 @@ class Watch:
     speed_limit_m_per_s: float = inf  # of the device: faster is no motion of it
     until_decided: bool = False
     random: bool = True  # the perturbation is noise
-    linear: bool = False  # the device is known to have no friction
 
 
 class Sentinel:
@@ -332,18 +330,9 @@ class Sentinel:
 
     def _decide(self) -> None:
         watch = self._watch
-        spectra = self._stream.spectra()
-        found = judge(
-            spectra,
-            None,
-            watch.band_hz,
-            watch.confidence,
-            watch.estimator,
-            channels=False,
-        )
-        self.seconds_needed = found.seconds_needed
-        doubtful = lines_to_resolve(spectra, found, watch.estimator, watch.linear).any()
-        final = found.answer != "undecided" and not doubtful
+        found = assess(MeasuredTrial(self._stream.spectra()), watch.criteria, watch.model)
+        self.seconds_needed = found.verdict.seconds_needed
+        final = found.verdict.answer != "undecided" and not found.needed.any()
         if watch.until_decided and final:
             self.ended = TrialEnd(
                 EndReason.DECIDED, f"the verdict stands after {self.seconds:.0f} s"

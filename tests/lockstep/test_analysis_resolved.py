@@ -185,7 +185,7 @@ def test_trials_that_need_their_record_get_the_record_of_their_spectra(monkeypat
         pairs.append((spa(force, velocity), spectra))
         return spectra
 
-    monkeypatch.setattr("hapticd.zwidth.outcomes.resolved", kept)
+    monkeypatch.setattr("hapticd.signal.assess.resolved", kept)
     points = np.array([[0.0, 0.0, 0.0], [1950.0, 0.0, 0.0]])
     run_trials(Conditions(device, 90.0, NOISE, dtype="f64"), 0.0, points)
     assert 0 < len(pairs) < len(points)

@@ -16,6 +16,7 @@ from hapticd.model.scene import Excitation
 from hapticd.run.lockstep import scene_params
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
+from hapticd.signal.assess import Criteria
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.ending import EndReason, TrialEnd
@@ -65,7 +66,7 @@ def test_file_trial_finds_mass_and_damping(tmp_path):
     force, velocity = mass_record()
     path = tmp_path / "trial.npz"
     np.savez(path, force_n=force, velocity_m_per_s=velocity, rate_hz=RATE_HZ)
-    plan = plan_trial(TrialParams(Trial(seconds=30.0), behind_mass_kg=0.003))
+    plan = plan_trial(TrialParams(Trial(seconds=30.0), criteria=Criteria(behind_mass_kg=0.003)))
     found = run_trial(plan, file_source(read_file(path)))
     assert found.verdict.answer == "passive"
     assert not found.recorded.simulated

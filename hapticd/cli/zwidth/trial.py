@@ -291,6 +291,7 @@ def _scene_name(asked: TrialOptions) -> str:
 def _params(
     asked: TrialOptions, file: FileOptions, scene: "Scene | None", recorded: "TrialRecord | None"
 ) -> "TrialParams":
+    from hapticd.signal.assess import Criteria
     from hapticd.zwidth.sources import Trial, given
     from hapticd.zwidth.trial import MultisineLayout, TrialParams
     from hapticd.zwidth.watch import Watch
@@ -308,18 +309,17 @@ def _params(
         watch=Watch(until_decided=asked.until_decided, winding_limit_c=asked.hottest),
         mark=asked.mark,
     )
-    return TrialParams(
-        trial,
-        scene if asked.source != "live" else None,  # the daemon's device is asked for its own
+    criteria = Criteria(
         asked.band,
         asked.confidence,
         _estimator(asked, layout),
         asked.behind,
-        lag=asked.lag,
-        multisine=layout,
-        skew_s=file.skew or 0.0,
-        high_pass_hz=file.high_pass,
+        file.skew or 0.0,
+        file.high_pass,
     )
+    # a daemon is asked for its own device
+    known = scene if asked.source != "live" else None
+    return TrialParams(trial, known, criteria, asked.lag, layout)
 
 
 def _excitation(
@@ -372,7 +372,8 @@ def _live(
     found = open_rig(instance, stack)
     skew_s = found.skew_s if file.skew is None else file.skew
     announce(found, plan.params.trial, scene, skew_s)
-    known = plan_trial(replace(plan.params, scene=found.model, skew_s=skew_s))
+    criteria = replace(plan.params.criteria, skew_s=skew_s)
+    known = plan_trial(replace(plan.params, scene=found.model, criteria=criteria))
     return replace(known, spectral_radius=None), daemon_source(
         found.client, found.origin, asked.uncalibrated
     )
