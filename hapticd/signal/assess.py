@@ -82,7 +82,6 @@ class Assessment:
     trial: MeasuredTrial
     criteria: Criteria
     model: LoopModel
-    record: Record | None
     spectra: Spectra
     verdict: Verdict
 
@@ -137,36 +136,28 @@ class Assessment:
             self.model.servo_rate_hz,
             transform_n,
         )
-        record = self.record and replace(self.record, findings=(*self.record.findings, *low))
-        return _judged(self.trial, self.criteria, self.model, record, finer)
+        record = self.trial.record
+        record = record and replace(record, findings=(*record.findings, *low))
+        trial = replace(self.trial, record=record)
+        return _judged(trial, self.criteria, self.model, finer)
 
 
-def assess(
-    trial: MeasuredTrial, criteria: Criteria | None = None, model: LoopModel | None = None
-) -> Assessment:
+def assess(trial: MeasuredTrial, criteria: Criteria, model: LoopModel) -> Assessment:
     """Assess a trial by its spectra, and by its samples where it has them. AnalysisError as `judge`
     and `examine`.
     """
-    criteria = criteria or Criteria()
-    model = model or LoopModel()
     if trial.samples is None:
-        return _judged(trial, criteria, model, trial.record, trial.spectra)
+        return _judged(trial, criteria, model, trial.spectra)
     record = _examined(trial, criteria, *trial.samples)
-    first = _judged(trial, criteria, model, record, trial.spectra)
+    first = _judged(replace(trial, record=record), criteria, model, trial.spectra)
     return first.with_samples(*trial.samples)
 
 
-def _judged(
-    trial: MeasuredTrial,
-    criteria: Criteria,
-    model: LoopModel,
-    record: Record | None,
-    raw: Spectra,
-) -> Assessment:
-    spectra = _corrected(raw, criteria)
+def _judged(trial: MeasuredTrial, criteria: Criteria, model: LoopModel, raw: Spectra) -> Assessment:
+    spectra = corrected(raw, criteria.skew_s, criteria.high_pass_hz)
     verdict = judge(
         spectra,
-        record,
+        trial.record,
         criteria.band_hz,
         criteria.confidence,
         criteria.estimator,
@@ -175,14 +166,14 @@ def _judged(
         not trial.simulated,
         criteria.below_window,
     )
-    return Assessment(trial, criteria, model, record, spectra, verdict)
+    return Assessment(trial, criteria, model, spectra, verdict)
 
 
 def _examined(
     trial: MeasuredTrial, criteria: Criteria, force_n: Floats, velocity_m_per_s: Floats
 ) -> Record:
     """What the samples say, with the findings of the source and those of the spectra."""
-    spectra = _corrected(trial.spectra, criteria)
+    spectra = corrected(trial.spectra, criteria.skew_s, criteria.high_pass_hz)
     record = examine(force_n, velocity_m_per_s, spectra.rate_hz)
     if isinstance(spectra, PeriodicSpectra):
         spectral = periodic_findings(spectra, criteria.band_hz)
@@ -191,9 +182,3 @@ def _examined(
     if not trial.simulated:
         spectral += unit_findings(spectra, float(force_n.std()), record.velocity_sd_m_per_s)
     return replace(record, findings=(*record.findings, *trial.findings, *spectral))
-
-
-def _corrected(raw: Spectra, criteria: Criteria) -> Spectra:
-    if criteria.skew_s or criteria.high_pass_hz:
-        return corrected(raw, criteria.skew_s, criteria.high_pass_hz)
-    return raw

@@ -3,7 +3,7 @@ its numbers depend on.
 
 Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected:
 whether the predicted loop is stable, and its impedance, where the device is known by a model. A
-trial of an environment that is predicted to be unstable is run all the same (the sentinel ends it);
+trial of an environment that is predicted to be unstable is run all the same (the monitor ends it);
 the verdict then says not passive, with the spectral radius.
 
 A trial by multisines plays several realisations of a force that repeats, each settled for one
@@ -358,7 +358,7 @@ def _windowed(params: TrialParams, recorded: TrialRecord) -> Spectra:
 
 
 def _findings(recorded: TrialRecord, trial: Trial) -> tuple[Finding, ...]:
-    """What the samples cannot say: the command at its end, an escape that the sentinel saw, what
+    """What the samples cannot say: the command at its end, an escape that the monitor saw, what
     was lost, and that K < 0 pushes the device away for ever: at a low enough frequency it is
     active, however long the record.
     """

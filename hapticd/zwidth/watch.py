@@ -1,6 +1,6 @@
-"""Watching a trial: the sentinel that ends it before its time, and what was lost on its way.
+"""Watching a trial: the monitor that ends it before its time, and what was lost on its way.
 
-The sentinel watches a trial while it runs and ends it for
+The monitor watches a trial while it runs and ends it for
 
     escape        the velocity of a second is four times that of the calm ones, it grew faster
                   than noise makes a ring grow (the rules of `signal.findings`), and the force
@@ -39,7 +39,7 @@ A lost slot is another matter: the servo left out a tick, the command before sto
 was rendered was not what was asked. No analysis puts that right. A record that lost more than a
 hundredth of either decides nothing.
 
-A file whose column of times shows that rows are missing (`times`) is treated alike.
+A file whose column of times shows that rows are missing (`timestamps`) is treated alike.
 
 What would break the filling: gaps that come with the motion (a board that loses what is fast); they
 come with the host's load.
@@ -90,7 +90,7 @@ CENTRING_N_PER_M = (
 )
 
 
-class Filler:
+class GapFiller:
     """Puts blocks of numbered samples into even time; one for each stream."""
 
     def __init__(self) -> None:
@@ -121,7 +121,7 @@ def in_even_time(recorded: TrialRecord, place: Integers) -> TrialRecord:
     """`recorded`, its samples those at `place` (n,), with what is missing between them filled
     in and counted.
     """
-    (force, velocity), came = Filler().filled(
+    (force, velocity), came = GapFiller().filled(
         place, np.stack((recorded.force_n, recorded.velocity_m_per_s))
     )
     lost = {"lost_samples": int((~came).sum()), "samples": came.size}
@@ -200,7 +200,7 @@ class Watch:
     random: bool = True  # the perturbation is noise
 
 
-class Sentinel:
+class TrialMonitor:
     """Fed with a record as it arrives; `ended` says why the trial should end, None as long as it
     should not.
     """

@@ -30,7 +30,7 @@ from hapticd.core.errors import (
 from hapticd.model.effects import Masses, ProbeMass, Viscous
 from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.engine.batch import at_most, workers
-from hapticd.zwidth.executors import executor, threads
+from hapticd.zwidth.executors import executor, pool_of
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, TrialBatch, run_trials
 from hapticd.zwidth.store import TrialStore, to_json
@@ -213,7 +213,7 @@ def test_all_errors_are_in_one_tree() -> None:
 def test_tasks_of_a_pool_keep_to_one_core() -> None:
     whole = workers()
     assert whole == len(os.sched_getaffinity(0))
-    with threads() as pool:
+    with pool_of(None) as pool:
         assert [pool.submit(workers).result() for _ in range(4)] == [1, 1, 1, 1]
     assert executors.alone(workers) == 1
     with at_most(10_000):
@@ -282,7 +282,7 @@ def test_given_up_campaign_cancels_what_has_not_begun() -> None:
     waiting = list[Future[int]]()
 
     def campaign() -> None:
-        with threads() as pool:
+        with pool_of(None) as pool:
             for _ in range(workers()):
                 pool.submit(release.wait)
             waiting.extend(pool.submit(int) for _ in range(5))
