@@ -61,6 +61,7 @@ from hapticd.zwidth.store import (
     Progress,
     Steps,
     TrialRecord,
+    csv_text,
     fingerprint,
     record_path,
     silent,
@@ -89,13 +90,6 @@ SPARE_S = 0.01  # periods need not be whole ticks
 TRIES = 8  # of a realisation
 SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
 KIND = "trial"
-COLUMNS = (
-    "frequency_hz",
-    "real_ns_per_m",
-    "imaginary_ns_per_m",
-    "random_error_sd_ns_per_m",
-    "coherence",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -514,11 +508,12 @@ def impedance_csv(measured: Impedance) -> str:
     """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex value's
     random error (what calibrations leave open is not in it), coherence.
     """
-    z = measured.impedance_ns_per_m
-    columns = np.column_stack(
-        (measured.frequency_hz, z.real, z.imag, measured.sd_ns_per_m, measured.coherence)
+    return csv_text(
+        {
+            "frequency_hz": measured.frequency_hz,
+            "real_ns_per_m": measured.impedance_ns_per_m.real,
+            "imaginary_ns_per_m": measured.impedance_ns_per_m.imag,
+            "random_error_sd_ns_per_m": measured.sd_ns_per_m,
+            "coherence": measured.coherence,
+        }
     )
-    rows = (
-        ",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row) for row in columns
-    )
-    return "\n".join((",".join(COLUMNS), *rows, ""))
