@@ -28,6 +28,7 @@ from hapticd.core.errors import (
     SequenceError,
 )
 from hapticd.model.effects import Masses, ProbeMass, Viscous
+from hapticd.signal import assess
 from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.engine.batch import at_most, workers
 from hapticd.zwidth.executors import executor, pool_of
@@ -240,10 +241,8 @@ def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.Monkey
 def test_outcomes_do_not_depend_on_the_size_of_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
     """More than a group of them are judged again by their records, flown together or not."""
     again: list[object] = []
-    resolved = outcomes.resolved
-    monkeypatch.setattr(
-        outcomes, "resolved", lambda *given: again.append(given) or resolved(*given)
-    )
+    resolved = assess.resolved
+    monkeypatch.setattr(assess, "resolved", lambda *given: again.append(given) or resolved(*given))
     bare = (Masses(rotor_kg=0.005), MOTOR, ProbeMass(mass_kg=0.003), Viscous(rotor_ns_per_m=0.3))
     given = Conditions(scene(bare, seconds=20.0), 20.0)
     points = np.zeros((TOGETHER + 6, 3))
