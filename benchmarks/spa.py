@@ -13,7 +13,7 @@ from benchmarks import targets
 from benchmarks.figures import Figure, compared, refused
 from benchmarks.spa_c import SpaReference
 from benchmarks.worker import BenchError
-from hapticd.signal.kernels import kernels
+from hapticd.signal import kernels as plain
 from hapticd.signal.spectra import Spectra, spa
 
 TARGETS = targets.of("spa")
@@ -36,7 +36,7 @@ def measure() -> Iterator[Figure]:
     times = _least(runs)
     note = (
         ""
-        if kernels().compiled
+        if plain.kernels() is not plain
         else "numba is missing: the plain kernels ran; `make lab` installs it"
     )
     if missing["scipy"]:

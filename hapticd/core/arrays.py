@@ -21,6 +21,7 @@ __all__ = [
     "Values",
     "aligned",
     "alternating",
+    "bisect",
     "lazy_property",
 ]
 
@@ -52,6 +53,18 @@ class lazy_property(Generic[T]):
         found = self._compute(owner)
         owner.__dict__[self._name] = found
         return found
+
+
+def bisect(holds: Callable[[Any], Any], low: Any, high: Any, times: int) -> tuple[Any, Any]:
+    """Halve intervals about the edge between `low`, where `holds` is true, and `high`, where it is
+    not, so many `times`: numbers, or arrays (n,) of which `holds` takes a value in each interval.
+    """
+    for _ in range(times):
+        half = 0.5 * (low + high)
+        inside = holds(half)
+        low = np.where(inside, half, low)
+        high = np.where(inside, high, half)
+    return low, high
 
 
 def alternating(count: int) -> Floats:

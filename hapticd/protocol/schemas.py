@@ -298,7 +298,7 @@ class LeaseRequest(CommandMessage):
     )
     ttl_s: Ttl = _absent("take: it ends when nothing is asked for so long; left out: as configured")
     at_end: AtEnd = _absent(
-        "take: when this client dies, fails or falls silent, zero: the environment goes to 0 if it is"
+        "take: when this client dies, fails or is silent, zero: the environment goes to 0 if it is"
         " leased; disable: force off; left out: as configured"
     )
     take_over: bool = Field(False, description="take: also from another, whose lease ends")

@@ -1,10 +1,11 @@
 """Arrays in, results out: what is computed from records of force and velocity.
 
-A record goes through `spectra` to `impedance` and `verdict`. All are pure functions with frozen
-results, in numpy alone; where numba is installed (extra [fast]) inner loops are compiled. Impedance
-is the force applied to the device over its velocity, N s/m, at the probe unless something else is
-said. For scripts:
+A record goes through `spectra` to `assess`, which gives its verdict. All are pure functions with
+frozen results, in numpy alone; where numba is installed (extra [fast]) inner loops are compiled.
+Impedance is the force applied to the device over its velocity, N s/m, at the probe unless something
+else is said. For scripts:
 
+    assess       `assess`: from spectra to verdict, findings and finer resolution
     spectra      `spa`, `SpectralStream`, `corrected`: Blackman-Tukey spectra of a record
     periodic     `periodic`: spectra of whole periods of a multisine
     impedance    `impedance`: Z with its uncertainty
@@ -15,7 +16,7 @@ said. For scripts:
     ledger       `book`: the work that each cause does on the device
     delivered    `estimate`: the active damping that a board really delivers
     passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M
-    envelope     `envelope`: the Z-width envelope and its owners
+    envelope     `of_one`, `merged`: the Z-width envelope and its owners
     compare      `widths_db`, `check_alike`, `normalised`: displays side by side
     search       `Search`, `next_trials`: the directed search; `prior`: what a model knows before it
 

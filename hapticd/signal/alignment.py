@@ -89,23 +89,6 @@ class Track:
     after: int  # own sample after the last
 
 
-@dataclass(frozen=True, eq=False)
-class _Pieces:
-    """What was found of each quarter of a second: nan where it was not."""
-
-    lag: Floats  # (n,) rows minus own samples, at the piece's middle
-
-    @property
-    def number(self) -> Integers:
-        """Those that were found."""
-        return np.flatnonzero(np.isfinite(self.lag))
-
-    @property
-    def middle(self) -> Floats:
-        """Own sample in the middle of each, (n,)."""
-        return np.asarray(PIECE * np.arange(self.lag.size) + 0.5 * (PIECE - 1), np.float64)
-
-
 def find_marks(force: npt.ArrayLike) -> tuple[Mark, ...]:
     """Marks in a signal (n,) of any unit at 4 kHz, in their order; none if there is none."""
     coefficient = coefficients(mark_signs(), np.asarray(force, np.float64))
@@ -136,9 +119,10 @@ def align(own_n: npt.ArrayLike, mark_at: int, force: npt.ArrayLike) -> Track:
         )
     mark = _mark_of(own, mark_at, other)
     other = np.copysign(1.0, mark.coefficient) * other
-    pieces = _pieces(own, other, mark.row - mark_at)
-    clock, steps = _clock(pieces)
-    return _tracked(own, other, pieces, (mark, clock), steps)
+    lag = _lags(own, other, mark.row - mark_at)
+    found = np.flatnonzero(np.isfinite(lag))
+    clock, steps = _clock(lag, found)
+    return _tracked(own, other, found, (mark, clock), steps)
 
 
 # --- where the record is --------------------------------------------------------------------------
@@ -176,9 +160,10 @@ def _follows(own: Floats, other: Floats, mark: Mark, mark_at: int) -> float:
     return float(np.max(found))
 
 
-def _pieces(own: Floats, other: Floats, start: int) -> _Pieces:
-    """Each whole piece of the own record in `other`, looked for from the row of the last on;
-    `start`: the row of the own sample 0 by the mark.
+def _lags(own: Floats, other: Floats, start: int) -> Floats:
+    """Row in `other` minus own sample (n,) of each whole piece of the own record, nan where it was
+    not found; looked for from the row of the last on. `start`: the row of the own sample 0 by the
+    mark.
     """
     lag = np.full(own.size // PIECE, np.nan)
     expected = start  # rows minus own samples
@@ -191,7 +176,7 @@ def _pieces(own: Floats, other: Floats, start: int) -> _Pieces:
         expected = row - number * PIECE
         lowest = row
         lag[number] = expected + fraction(piece, other[row : row + PIECE])
-    return _Pieces(lag)
+    return lag
 
 
 def _found(piece: Floats, other: Floats, lowest: int, highest: int) -> int | None:
@@ -206,19 +191,18 @@ def _found(piece: Floats, other: Floats, lowest: int, highest: int) -> int | Non
 # --- how its clock runs ---------------------------------------------------------------------------
 
 
-def _clock(pieces: _Pieces) -> tuple[Clock, Integers]:
-    """The clock, and k (n,) of the pieces that were found, from 0."""
-    known = pieces.number
-    share = known.size / pieces.lag.size
+def _clock(lags: Floats, known: Integers) -> tuple[Clock, Integers]:
+    """The clock, and k (n,) of the pieces that were found, those `known` (n,), from 0."""
+    share = known.size / lags.size
     if known.size < FEWEST or share < MOSTLY:
         raise AnalysisError(
-            f"{known.size} of {pieces.lag.size} pieces of the record were found in the file,"
+            f"{known.size} of {lags.size} pieces of the record were found in the file,"
             f" {100.0 * MOSTLY:g} % are needed: it ends too early, lost too much, or is too noisy;"
             " record the trial again"
         )
-    middle = pieces.middle[known]
-    lag = pieces.lag[known]
-    rate = _rate(pieces.lag)
+    middle = np.asarray(PIECE * known + 0.5 * (PIECE - 1), np.float64)
+    lag = lags[known]
+    rate = _rate(lags)
     phase = float(np.angle(np.exp(2j * np.pi * (lag - rate * middle)).sum())) / (2.0 * np.pi)
     steps = _settled(np.rint(lag - rate * middle - phase).astype(np.int64))
     steps -= steps[0]
@@ -278,10 +262,9 @@ def _line(middle: Floats, lag: Floats) -> Clock:
 
 
 def _tracked(
-    own: Floats, other: Floats, pieces: _Pieces, known: tuple[Mark, Clock], steps: Integers
+    own: Floats, other: Floats, number: Integers, known: tuple[Mark, Clock], steps: Integers
 ) -> Track:
     mark, clock = known
-    number = pieces.number
     keep = np.ones(other.size, dtype=bool)
     shift = np.zeros(other.size, dtype=np.int64)
     gaps = []

@@ -14,7 +14,6 @@ What would break it: trials on other frequencies, or at another port or with ano
 refused).
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -22,22 +21,11 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats, Integers
 from hapticd.core.errors import AnalysisError
-from hapticd.signal.impedance import Impedance
 from hapticd.signal.verdict import Verdict
 
 __all__ = ["Edge", "Envelope", "accepted", "admittance", "merged", "of_one", "of_predicted"]
 
 Accept = Literal["judged", "within_90_deg"]
-
-
-@dataclass(frozen=True, slots=True)
-class EnvelopeTrial:
-    """One measured environment with its verdict, which may widen an envelope."""
-
-    name: str  # that an owner of the envelope is called by
-    environment: tuple[float, float, float]  # K N/m, B N s/m, M kg
-    impedance: Impedance
-    verdict: Verdict
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,23 +63,6 @@ class Envelope:
         return [self.trials[index] for index in edge.owner]
 
 
-def envelope(trials: Iterable[EnvelopeTrial], accept: Accept = "judged") -> Envelope:
-    """Envelope of those of `trials` that are passive: by their verdict, or by the paper's rule of
-    +-90 degrees.
-
-    AnalysisError if none is passive, or if their frequencies, ports or estimators differ.
-    """
-    found: Envelope | None = None
-    for trial in trials:
-        if accepted(trial.verdict, accept):
-            found = of_trial(trial) if found is None else widened(found, trial)
-    if found is None:
-        raise AnalysisError(
-            "no passive trial: there is no envelope to draw; begin with K = B = M = 0"
-        )
-    return found
-
-
 def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
     """Whether a trial passes: as judged, or by the paper's rule. That rule accepts
     neither one that is unstable nor one that lost an edge of its band.
@@ -99,14 +70,6 @@ def accepted(verdict: Verdict, accept: Accept = "judged") -> bool:
     if accept == "judged":
         return verdict.answer == "passive"
     return verdict.within_90_deg and verdict.whole_band and verdict.stability != "unstable"
-
-
-def of_trial(trial: EnvelopeTrial) -> Envelope:
-    """The envelope of one trial: upper and lower edges are the same line."""
-    z = trial.impedance
-    return of_one(
-        trial.name, z.frequency_hz, z.impedance_ns_per_m, z.relative_sd, z.port, z.estimator
-    )
 
 
 def of_one(
@@ -136,13 +99,6 @@ def of_predicted(frequency_hz: Floats, z: Complexes) -> Envelope:
         edge(angle, angle.argmax(0)), edge(angle, angle.argmin(0)),
         tuple(str(place) for place in range(len(z))), "probe", "spa",
     )  # fmt: skip
-
-
-def widened(found: Envelope, trial: EnvelopeTrial) -> Envelope:
-    """Return `found` widened by `trial`, which is taken to be passive. AnalysisError if
-    frequencies, port or estimator differ.
-    """
-    return merged(found, of_trial(trial))
 
 
 def merged(found: Envelope, new: Envelope) -> Envelope:

@@ -21,10 +21,10 @@ What would break it: columns that are the same to rounding, as where all of a mo
 `RIDGE` then leaves numbers, of which the variance says that nothing is known.
 """
 
-from collections.abc import Callable
+import sys
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -128,31 +128,14 @@ def _power(values: Complexes) -> Floats:
     return np.asarray((values.real**2 + values.imag**2).sum(axis=1))
 
 
-@dataclass(frozen=True)
-class Kernels:
-    """One set of the loops, in numpy or compiled."""
-
-    fitted_line: Callable[[Floats], tuple[float, float]]
-    take_line_out: Callable[[Floats, float, float, Floats], Any]
-    accumulate: Callable[[Complexes, Complexes, Complexes], Any]
-    local_fits: Callable[[Transforms, Integers, Fit], Any]
-    compiled: bool
-
-
 @cache
-def kernels() -> Kernels:
-    """The compiled loops, or those in numpy where numba is not installed."""
+def kernels() -> ModuleType:
+    """The module of the compiled loops, or this one where numba is not installed."""
     try:
         from hapticd.signal import compiled
     except ImportError:
-        return PLAIN
-    return Kernels(
-        compiled.fitted_line,
-        compiled.take_line_out,
-        compiled.accumulate,
-        compiled.local_fits,
-        compiled=True,
-    )
+        return sys.modules[__name__]
+    return compiled
 
 
 def fitted_line(signal: Floats) -> tuple[float, float]:
@@ -194,6 +177,3 @@ def accumulate(velocity: Complexes, force: Complexes, sums: Complexes) -> None:
     later_y = force[:-1] + sign * force[1:]
     for row, (first, second) in enumerate(((u, later_u), (y, later_y), (u, later_y), (y, later_u))):
         sums[row] += np.einsum("ij,ij->j", first, second)
-
-
-PLAIN = Kernels(fitted_line, take_line_out, accumulate, local_fits, compiled=False)

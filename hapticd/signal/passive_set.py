@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.core.arrays import Flags, Floats
+from hapticd.core.arrays import Flags, Floats, bisect
 from hapticd.core.errors import AnalysisError
 
 __all__ = [
@@ -31,7 +31,6 @@ __all__ = [
     "ascending",
     "axis_limit",
     "grid",
-    "halved",
     "open_ends",
     "passive_set",
     "set_limits",
@@ -192,22 +191,8 @@ def boundary(holds: Callable[[Floats], Flags], middle: Floats) -> tuple[Floats, 
     high = _EDGE * to_end
     ends = holds(middle + rays * high[:, None])
     low = np.where(ends, high, low)
-    low, high = halved(lambda share: holds(middle + rays * share[:, None]), low, high, _HALVINGS)
+    low, high = bisect(lambda share: holds(middle + rays * share[:, None]), low, high, _HALVINGS)
     return middle + rays * (0.5 * (low + high))[:, None], ends
-
-
-def halved(
-    holds: Callable[[Floats], Flags], low: Floats, high: Floats, times: int
-) -> tuple[Floats, Floats]:
-    """Halve intervals (n,) about the edge between `low`, where `holds` is true, and `high`,
-    where it is not, so many `times`; `holds` takes a value in each interval.
-    """
-    for _ in range(times):
-        half = 0.5 * (low + high)
-        inside = holds(half)
-        low = np.where(inside, half, low)
-        high = np.where(inside, high, half)
-    return low, high
 
 
 def directions() -> Floats:

@@ -127,7 +127,7 @@ def periodic(
     force, velocity = (np.asarray(signal, np.float64) for signal in (force_n, velocity_m_per_s))
     _check_periods(force, velocity)
     f, v = (_harmonics(signal) for signal in (force, velocity))
-    if (share := _changing(f)) > CHANGING:
+    if (share := changing(force)) > CHANGING:
         raise AnalysisError(
             f"the force does not repeat from period to period ({percent(share)} of it changes):"
             " samples were lost, or it is no multisine of that period; record it again"
@@ -227,10 +227,7 @@ def changing(force_n: Floats) -> float:
     """What does not repeat in a force (realisations, periods, samples), over what does, both as
     rms; inf for no force at all.
     """
-    return _changing(_harmonics(force_n))
-
-
-def _changing(force: Complexes) -> float:
+    force = _harmonics(force_n)
     mean = force.mean(axis=1, keepdims=True)
     changes = float(_power(force - mean).sum())
     stays = float(_power(mean).sum()) * force.shape[1]

@@ -223,6 +223,14 @@ class Spectra:
         """What the values were taken over, in words."""
         return f"window of {self.lag} samples"
 
+    @property
+    def covers(self) -> str:
+        """What the intervals cover, in words."""
+        return (
+            "the random error of a record of this length; not what the window smooths, which is"
+            " named where it shows"
+        )
+
     @lazy_property
     def coherence(self) -> Floats:
         """Coherence g2 (F,), between 0 and 1; 0 where a channel has no power. Not to be written to:
@@ -261,9 +269,11 @@ def corrected(trial: Spectra, skew_s: float = 0.0, high_pass_hz: float = 0.0) ->
 
     `skew_s`: the velocity is that of `skew_s` later than the force of the same sample.
     `high_pass_hz`: corner of a first-order high-pass in the velocity channel; the value at 0 Hz
-    stays as it is. That force is held and velocity averaged is no fault: a model is compared as it
-    would be recorded (`loop`).
+    stays as it is; `trial` itself where both are 0. That force is held and velocity averaged is no
+    fault: a model is compared as it would be recorded (`loop`).
     """
+    if not (skew_s or high_pass_hz):
+        return trial
     return _corrected(trial, ChannelFaults(skew_s, high_pass_hz))
 
 

@@ -47,7 +47,7 @@ from typing import Literal
 
 import numpy as np
 
-from hapticd.core.arrays import Complexes, Flags, Floats
+from hapticd.core.arrays import Complexes, Floats, bisect
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import percent
 from hapticd.signal.channels import channel_findings
@@ -60,7 +60,7 @@ from hapticd.signal.impedance import (
     relative_sd,
     spread_of,
 )
-from hapticd.signal.resolved import Resolved, unresolved
+from hapticd.signal.resolved import Resolved
 from hapticd.signal.spectra import Spectra, lines_beside
 
 __all__ = [
@@ -72,7 +72,6 @@ __all__ = [
     "Judged",
     "Verdict",
     "judge",
-    "lines_to_resolve",
     "needed",
     "sidak",
     "student_quantile",
@@ -143,11 +142,8 @@ def _few(probability: float, degrees_of_freedom: float) -> float:
             f"{degrees_of_freedom:g} degrees of freedom: below {MANY:g} a whole number is needed;"
             " average more"
         )
-    low = atan(-1e9)
-    high = atan(1e9)
-    for _ in range(100):  # to the last bit
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _student(middle, nu) < probability else (low, middle)
+    # to the last bit
+    low, high = bisect(lambda angle: _student(angle, nu) < probability, atan(-1e9), atan(1e9), 100)
     return sqrt(nu) * tan(0.5 * (low + high))
 
 
@@ -369,7 +365,8 @@ def judge(
         n_frequencies=f.size,
         margin_ns_per_m=margin_ns_per_m,
         margin_deg=_least(spare_deg, _angle_deg(known.across, np.abs(impedance_ns_per_m)), f),
-        within_90_deg=_turns_less(inside),
+        # the sign of Re Z is that of the cross-power
+        within_90_deg=bool((inside.cross.real > 0.0).all()),
         stability=stability,
         amplitude=Amplitude(float(2.0 * inside.force.mean() / trial.rate_hz), _velocity_sd(trial)),
         port=z.port,
@@ -384,21 +381,6 @@ def judge(
         findings=findings,
         reads_high=reads_high(margin_ns_per_m.frequency_hz, trial.rate_hz),
     )
-
-
-def lines_to_resolve(
-    trial: Spectra, verdict: Verdict, estimator: Estimator = "spa", linear: bool = False
-) -> Flags:
-    """Which lines (F,) of the window's spectra `trial` must be resolved by their record before
-    `verdict` stands. `linear`: the device is so.
-
-    It stands where all is passive at the window's resolution: then there are none. A line of which
-    the perturbation explains nothing there may be a resonance that rings for many windows.
-    """
-    swells = any(one.code == "swells" for one in verdict.findings)
-    if verdict.answer == "passive" and not swells:
-        return np.zeros(trial.frequency_hz.size, np.bool_)
-    return unresolved(trial, verdict.band_hz, estimator, linear or swells)
 
 
 def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
@@ -452,13 +434,6 @@ def _lost_edges(
         "record longer, or hold the display with a small stiffness"
     )
     return (Finding(LOST_EDGE, message),)
-
-
-def _turns_less(inside: Spectra) -> bool:
-    """Whether all phases are within +-90 degrees, the paper's plain rule: the sign of Re Z is
-    that of the cross-power.
-    """
-    return bool((inside.cross.real > 0.0).all())
 
 
 def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) -> Spectra:

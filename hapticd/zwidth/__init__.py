@@ -16,12 +16,11 @@ Importing the package imports nothing else; a script imports the modules that it
     walls       plan_walls, run_walls              impacts on virtual walls (the paper's Fig. 2)
     simulated, live, lockstep, sources             sources of a trial's record
     recorded    read_file                          the record in a file of any program
-    counters    counted, unwrapped                 lost rows of another system, by its counter
     portable    portable, compare                  NAME.zwidth files, and displays beside each other
     interchange                                    Z(f) for the tools of control engineering
 
-The rest serves these: `watch` and `ending` (a trial before its time), `aligned`, `own` and `times`
-(records of files), `scenes` (what procedures ask of a scene), `stepped_sine` (a second opinion on
-an impedance), `store` (what is kept), `executors` (where many trials run). Below them is `engine`,
-which simulates, above them `report`, which draws.
+The rest serves these: `watch` and `ending` (a trial before its time), `aligned`,
+`hapticd_files` and `timestamps` (records of files), `scenes` (what procedures ask of a scene),
+`stepped_sine` (a second opinion on an impedance), `store` (what is kept), `executors` (where many
+trials run). Below them is `engine`, which simulates, above them `report`, which draws.
 """

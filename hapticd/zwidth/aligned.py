@@ -28,7 +28,7 @@ from hapticd.signal.gaps import Gap
 from hapticd.signal.matching import fitting, interpolated
 from hapticd.zwidth.recorded import ForeignSamples, read_file, read_foreign
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord
-from hapticd.zwidth.watch import Filler, in_even_time
+from hapticd.zwidth.watch import GapFiller, in_even_time
 
 __all__ = ["read_aligned"]
 
@@ -99,7 +99,7 @@ def read_aligned(
             f"{path}: a rate of {foreign.rate_hz:.9g} Hz; files at {PROBE_RATE_HZ} Hz +-"
             f" {1e6 * FASTEST:g} ppm are aligned: record at that rate"
         )
-    even, came = Filler().filled(foreign.place, np.stack((foreign.force, foreign.velocity)))
+    even, came = GapFiller().filled(foreign.place, np.stack((foreign.force, foreign.velocity)))
     try:
         track = align(own.force_n, int(mark_at), even[0])
     except AnalysisError as error:
@@ -150,9 +150,8 @@ def _beside(
     (force, velocity), known = _on_own_samples(track, *even)
     part = slice(track.first, track.after)
     known = fitting(own.force_n[part], force, known)
-    likeness = _likeness(
-        path, np.stack((force, velocity))[:, known], _own_channels(own)[:, part][:, known]
-    )
+    channels = np.stack((own.force_n, own.velocity_m_per_s))[:, part]
+    likeness = _likeness(path, np.stack((force, velocity))[:, known], channels[:, known])
     signs = [np.copysign(1.0, one.coefficient) for one in likeness]
     place = np.flatnonzero(known)
     alignment = _alignment(own, foreign, track, int(place[0]), likeness)
@@ -167,13 +166,9 @@ def _beside(
     return in_even_time(recorded, place)
 
 
-def _own_channels(own: TrialRecord) -> Floats:
-    return np.stack((own.force_n, own.velocity_m_per_s))
-
-
 def _on_own_samples(track: Track, channels: Floats, came: Flags) -> tuple[Floats, Flags]:
     """Channels (2, n) of the file at the own samples of `track`, and which of them it has."""
-    even, _ = Filler().filled(track.place, channels[:, track.rows])
+    even, _ = GapFiller().filled(track.place, channels[:, track.rows])
     measured = np.zeros(even.shape[1], dtype=bool)
     measured[track.place - track.place[0]] = came[track.rows]
     own_samples = np.arange(track.first, track.after)

@@ -43,7 +43,7 @@ class TrialEnd:
 
     @property
     def ran_away(self) -> bool:
-        """Whether the motion grew by itself, as the sentinel or the servo saw."""
+        """Whether the motion grew by itself, as the monitor or the servo saw."""
         return self.reason is EndReason.ESCAPE or self.fault in RUNAWAY_FAULTS
 
 

@@ -84,7 +84,7 @@ def alone(task: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         return task(*args, **kwargs)
 
 
-class Alone(Executor):
+class SingleThreaded(Executor):
     """Another executor whose tasks each keep to one core."""
 
     def __init__(self, inner: Executor) -> None:
@@ -96,18 +96,21 @@ class Alone(Executor):
 
 
 @contextmanager
-def threads() -> Iterator[Executor]:
-    """A thread here for each core, for tasks that let go of the interpreter lock."""
-    pool = ThreadPoolExecutor(workers())
+def one_core_a_task(pool: Executor) -> Iterator[Executor]:
+    """`pool`, each task of it on one core; closed afterwards, without what has not begun."""
     try:
-        yield Alone(pool)
+        yield SingleThreaded(pool)
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def pool_of(executor: Executor | None) -> AbstractContextManager[Executor]:
-    """`executor`, which stays open, or `threads` that are closed afterwards."""
-    return threads() if executor is None else nullcontext(executor)
+    """`executor`, which stays open, or a thread here for each core: the kernels release the
+    interpreter lock.
+    """
+    if executor is not None:
+        return nullcontext(executor)
+    return one_core_a_task(ThreadPoolExecutor(workers()))
 
 
 @contextmanager
@@ -116,14 +119,13 @@ def _processes(count: int) -> Iterator[Executor]:
         count, mp_context=get_context("spawn"), initializer=_leave_interrupts
     )
     try:
-        yield Alone(pool)
+        with one_core_a_task(pool) as tasks:
+            yield tasks
     except BrokenExecutor as error:
         raise HapticdError(
             f"a worker process died, killed or out of memory ({error}); begun again, a map goes on"
             " from what it has kept"
         ) from error
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _leave_interrupts() -> None:
@@ -146,7 +148,7 @@ def _cluster(address: str) -> Iterator[Executor]:
     with client:
         _look_at_workers(client, address)
         try:
-            yield Alone(client.get_executor(pure=False))
+            yield SingleThreaded(client.get_executor(pure=False))
         except (distributed.KilledWorker, CancelledError) as error:
             raise HapticdError(
                 f"the Dask cluster at {address} lost its scheduler or too many workers"

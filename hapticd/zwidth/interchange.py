@@ -25,15 +25,12 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
 from hapticd.signal.impedance import relative_sd, spread_of
 from hapticd.signal.verdict import sidak, student_quantile
+from hapticd.zwidth.store import csv_text
 from hapticd.zwidth.trial import TrialResult
 
 __all__ = ["Format", "frequency_response", "write_response"]
 
 Format = Literal["npz", "mat", "csv"]
-HEADER = (
-    "frequency_hz", "real_ns_per_m", "imaginary_ns_per_m", "real_low_ns_per_m",
-    "real_high_ns_per_m", "sd_ns_per_m", "coherence",
-)  # fmt: skip
 
 
 def frequency_response(result: TrialResult) -> dict[str, Any]:
@@ -74,7 +71,7 @@ def write_response(result: TrialResult, path: Path, form: Format) -> Path:
         elif form == "mat":
             _write_mat(path, found)
         else:
-            path.write_text(_text(found))
+            path.write_text(csv_text(_columns(found)))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; name a file that you may write") from error
     return path
@@ -86,13 +83,12 @@ def _write_mat(path: Path, found: dict[str, Any]) -> None:
     need("scipy.io", "a .mat file").savemat(path, {**found, **response}, oned_as="column")
 
 
-def _text(found: dict[str, Any]) -> str:
-    parts = {
+def _columns(found: dict[str, Any]) -> dict[str, Floats]:
+    """As text has them: one number a column."""
+    return {
+        "frequency_hz": found["frequency_hz"],
         "real_ns_per_m": found["response"].real,
         "imaginary_ns_per_m": found["response"].imag,
+        **{name: found[name] for name in ("real_low_ns_per_m", "real_high_ns_per_m")},
+        **{name: found[name] for name in ("sd_ns_per_m", "coherence")},
     }
-    rows = np.column_stack([{**found, **parts}[name] for name in HEADER])
-    lines = (
-        ",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row) for row in rows
-    )
-    return "\n".join((",".join(HEADER), *lines, ""))

@@ -42,7 +42,7 @@ from hapticd.signal.alignment import find_marks
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.store import MARK_SAMPLE, Progress, TrialRecord, silent
-from hapticd.zwidth.watch import Filler, Sentinel
+from hapticd.zwidth.watch import GapFiller, TrialMonitor
 
 __all__ = ["allowed_waveform", "daemon_source"]
 
@@ -186,8 +186,8 @@ class LiveRecording:
             trial.watch, command_limit_n=self._limit_n, travel_m=(ends["lower_m"], ends["upper_m"]),
             speed_limit_m_per_s=servo["device"]["speed_limit_m_per_s"],
         )  # fmt: skip
-        self._sentinel = Sentinel(watch, PROBE_RATE_HZ)
-        self._filler = Filler()
+        self._monitor = TrialMonitor(watch, PROBE_RATE_HZ)
+        self._gaps = GapFiller()
         # (2, n) force and velocity, and which came
         self._parts: list[tuple[Floats, Flags]] = []
         self._taken = 0  # samples
@@ -195,7 +195,7 @@ class LiveRecording:
         self._positions_m: tuple[float, float] = (
             nan,
             nan,
-        )  # least and most since the sentinel looked
+        )  # least and most since the monitor looked
         self._began: Any = None  # the first tick that was perturbed
         self._newest: Any = None  # tick
 
@@ -225,7 +225,7 @@ class LiveRecording:
         return nan if self._newest is None else float(self._newest["winding_c"])
 
     def recorded(self, origin: str, tell: Progress) -> TrialRecord:
-        """Receive to the end, or to where the sentinel or the servo ends it. DaemonDown if no
+        """Receive to the end, or to where the monitor or the servo ends it. DaemonDown if no
         samples arrive for 2 s.
         """
         settle = round(SETTLE_S * PROBE_RATE_HZ)
@@ -235,7 +235,7 @@ class LiveRecording:
             self._take(block)
             self._renew()
             tell(
-                self._sentinel.outlook,
+                self._monitor.outlook,
                 round(self._taken / PROBE_RATE_HZ),
                 round(wanted / PROBE_RATE_HZ),
             )
@@ -243,7 +243,7 @@ class LiveRecording:
                 ended = self._slow_start(settle)
             if not ended and self._taken > settle:
                 force, velocity = self._parts[-1][0]
-                ended = self._sentinel.see(
+                ended = self._monitor.see(
                     force, velocity, self._winding_c, self._command_n, self._positions_m
                 )
             self._positions_m = (nan, nan)  # what was before it settled is no matter
@@ -344,7 +344,7 @@ class LiveRecording:
         self._newest = ticks[-1]
 
     def _take(self, block: Block) -> None:
-        self._parts.append(self._filler.filled(block.records["index"], signals(block)))
+        self._parts.append(self._gaps.filled(block.records["index"], signals(block)))
         self._taken += self._parts[-1][1].size
 
 

@@ -18,11 +18,9 @@ much it is); then `everywhere`. And a hole in the set that is smaller than a cel
 finds it where coarse neighbours agree.
 """
 
-from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from math import prod
-from typing import Any
 
 import numpy as np
 
@@ -210,43 +208,55 @@ def run_map(
     return MapResult(plan, tuple(levels), len(store.known) - before)
 
 
-class NoTrials(Executor):
-    """An executor that runs no trial."""
-
-    def submit(self, task: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """No outcome."""
-        found: Future[list[Outcome]] = Future()
-        found.set_result([])
-        return found
-
-
 def kept_map(plan: MapPlan, store: TrialStore) -> MapResult:
     """The map of a run that has ended, of its kept trials alone: nothing is simulated.
 
     Where the store has trials by other keys only, those of another version, they are matched by
     level and environment.
     """
-    conditions = plan.params.conditions
-    own = TrialStore(None)
-    every = TrialStore(None)
-    lines = [restored(line) for line in store.known.values() if "environment" in line]
-    for level in plan.levels:
-        mine = {
+    every = [restored(line) for line in store.known.values() if "environment" in line]
+    matched = [
+        {
             one.environment: one
-            for one in lines
+            for one in every
             if one.active_damping_ns_per_m == level.active_damping_ns_per_m
         }
-        batches = [
-            TrialBatch(given, level.active_damping_ns_per_m, tuple(mine))
-            for given in (replace(conditions, substeps=1), conditions)
-        ]
-        for point, one in mine.items():
-            asked = batches[-1].keys[point]
-            every.known[asked] = vars(one)
-            for key in (batch.keys[point] for batch in batches if batch.keys[point] in store.known):
-                own.known[asked] = store.known[key]
-    levels = tuple(replace(level, near=np.ones_like(level.near)) for level in plan.levels)
-    return run_map(replace(plan, levels=levels), own if own.known else every, executor=NoTrials())
+        for level in plan.levels
+    ]
+    own = [
+        _of_its_own(plan.params.conditions, level.active_damping_ns_per_m, tuple(known), store)
+        for level, known in zip(plan.levels, matched, strict=True)
+    ]
+    levels = zip(plan.levels, own if any(own) else matched, strict=True)
+    return MapResult(plan, tuple(_of_kept(plan.params, *each) for each in levels), 0)
+
+
+def _of_its_own(
+    conditions: Conditions, level: float, points: tuple[Point, ...], store: TrialStore
+) -> dict[Point, Outcome]:
+    """Outcomes at `points` that were made under these conditions, the finer ones first."""
+    batches = [
+        TrialBatch(given, level, points) for given in (replace(conditions, substeps=1), conditions)
+    ]
+    return {
+        point: restored(store.known[key])
+        for batch in batches
+        for point, key in batch.keys.items()
+        if key in store.known
+    }
+
+
+def _of_kept(params: MapParams, level: LevelPlan, known: dict[Point, Outcome]) -> LevelMap:
+    """The map of a level from outcomes that are there already."""
+    search = _mapped(params, replace(level, near=np.ones_like(level.near)))
+    batches = next(search)
+    while True:
+        asked = [point for batch in batches for point in batch.points if point in known]
+        try:
+            batches = search.send([known[point] for point in asked])
+        except StopIteration as end:
+            found: LevelMap = end.value
+            return found
 
 
 def _predicted(params: MapParams, level: float, points: Floats) -> Prediction:

@@ -36,25 +36,16 @@ from typing import Any, TypeVar
 import numpy as np
 
 from hapticd import __version__
-from hapticd.core.arrays import Complexes, Flags, Floats, Values
+from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.model.predict import coulomb
 from hapticd.model.scene import Excitation, Scene
+from hapticd.signal.assess import Assessment, Criteria, LoopModel, MeasuredTrial, assess
 from hapticd.signal.envelope import Envelope, accepted, merged, of_one
-from hapticd.signal.findings import Energy, Finding, Record, escape_findings
+from hapticd.signal.findings import Energy, Record, escape_findings
 from hapticd.signal.impedance import impedance
-from hapticd.signal.low_lines import hinted, low_line
-from hapticd.signal.resolved import resolved
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra
-from hapticd.signal.verdict import (
-    DEFAULT_BAND_HZ,
-    NEAR_HZ,
-    NOTHING_JUDGED,
-    Judged,
-    Verdict,
-    judge,
-    lines_to_resolve,
-)
+from hapticd.signal.verdict import DEFAULT_BAND_HZ, NEAR_HZ, NOTHING_JUDGED, Judged
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.engine.shape import LANES
 from hapticd.zwidth.executors import pool_of
@@ -101,6 +92,11 @@ class Conditions:
     def display(self) -> Display:
         """The device, prepared, with what is predicted of it under these conditions."""
         return display(self.scene, self.excitation)
+
+    @property
+    def criteria(self) -> Criteria:
+        """How its trials are judged."""
+        return Criteria(self.band_hz, self.confidence, below_window=self.below_window)
 
     def perturbed(self, amplitude: float = 1.0, more_seed: int = 0) -> "Conditions":
         """With the force multiplied by `amplitude`, and other noise."""
@@ -163,13 +159,13 @@ def run_trials(
     ConfigError as `simulate`, AnalysisError as `judge`.
     """
     found = _simulated(conditions, active_damping_ns_per_m, points, "spectra")
-    whole = np.flatnonzero(~found.diverged).tolist()
-    pairs = {
-        trial: _with_verdict(conditions, found, trial, found.spectra(trial)) for trial in whole
-    }
     linear = not coulomb(conditions.display.model).any()
-    needed = {trial: lines_to_resolve(*pair, linear=linear) for trial, pair in pairs.items()}
-    unsure = [trial for trial in whole if needed[trial].any() or hinted(pairs[trial][0])]
+    model = LoopModel(linear=linear, servo_rate_hz=conditions.scene.rate_hz)
+    assessed = {
+        trial: assess(_measured(found, trial), conditions.criteria, model)
+        for trial in np.flatnonzero(~found.diverged).tolist()
+    }
+    unsure = [trial for trial, one in assessed.items() if one.needs_record]
     for first in range(0, len(unsure), TOGETHER):
         some = unsure[first : first + TOGETHER]
         again = np.asarray(found.params[some], np.float64)
@@ -177,14 +173,10 @@ def run_trials(
         shared = _shared_transform(records)
         for place, trial in enumerate(some):
             record = records.record(place)
-            raw = pairs[trial][0]
-            low = low_line(*record, raw)
-            finer = _finer(conditions, record, raw, needed[trial], shared)
-            if low or finer is not raw:
-                pairs[trial] = _with_verdict(conditions, found, trial, finer, low)
+            assessed[trial] = assessed[trial].with_samples(*record, shared)
     limit_n = conditions.display.force_limit_n
     return [
-        _outcome(conditions, active_damping_ns_per_m, limit_n, found, trial, pairs.get(trial))
+        _outcome(conditions, active_damping_ns_per_m, limit_n, found, trial, assessed.get(trial))
         for trial in range(len(points))
     ]
 
@@ -216,49 +208,18 @@ def _shared_transform(records: BatchResult) -> Complexes | None:
     return None if force is None or force.ndim > 1 else np.fft.rfft(np.asarray(force, np.float64))
 
 
-def _finer(
-    conditions: Conditions,
-    record: tuple[Values, Values],
-    spectra: Spectra,
-    needed: Flags,
-    shared: Complexes | None,
-) -> Spectra:
-    """`spectra` with the lines `needed` (F,) resolved by their record."""
-    rate_hz = conditions.scene.rate_hz
-    return resolved(*record, spectra, needed, conditions.band_hz, rate_hz, shared)
-
-
-def _with_verdict(
-    conditions: Conditions,
-    found: BatchResult,
-    trial: int,
-    spectra: Spectra,
-    more: tuple[Finding, ...] = (),
-) -> tuple[Spectra, Verdict]:
-    recorded = _recorded(found, trial, spectra)
-    recorded = replace(recorded, findings=(*recorded.findings, *more))
-    return spectra, judge(
-        spectra,
-        recorded,
-        conditions.band_hz,
-        conditions.confidence,
-        channels=False,
-        below_window=conditions.below_window,
-    )
-
-
 def _outcome(
     conditions: Conditions,
     damping: float,
     limit_n: float,
     found: BatchResult,
     trial: int,
-    pair: tuple[Spectra, Verdict] | None,
+    assessed: Assessment | None,
 ) -> Outcome:
     k, b, m = (float(value) for value in found.params[trial])
     most = float(found.max_force_n[trial])
     sd = float(found.sigma_v_m_per_s[trial])
-    if pair is None:
+    if assessed is None:
         nothing = np.empty(0)
         unknown = (nan,) * 5
         return Outcome(
@@ -273,11 +234,11 @@ def _outcome(
             nothing,
             band_hz=conditions.band_hz,
         )
-    spectra, verdict = pair
+    verdict = assessed.verdict
     limited = found.limited is not None and found.limited[trial] > SATURATED_SHARE
     # a K < 0 is active below every band
     doubtful = most >= SATURATED * limit_n or limited or k < 0.0
-    z = _kept_impedance(spectra, conditions.band_hz)
+    z = _kept_impedance(assessed.spectra, conditions.band_hz)
     return Outcome(
         environment=(k, b, m),
         active_damping_ns_per_m=damping,
@@ -318,15 +279,17 @@ def _rows(spectra: Spectra) -> Floats:
     return np.column_stack((z.impedance_ns_per_m.real, z.impedance_ns_per_m.imag, z.relative_sd))
 
 
-def _recorded(found: BatchResult, trial: int, spectra: Spectra) -> Record:
+def _measured(found: BatchResult, trial: int) -> MeasuredTrial:
+    """The spectra of a trial, with what its sums say of its samples."""
     assert found.section_rms_m_per_s is not None
     rms = found.section_rms_m_per_s[trial]
     pairs = np.sqrt(np.mean(rms[: rms.size // 2 * 2].reshape(-1, 2) ** 2, axis=1))
     flowed = Energy(float(found.min_energy_j[trial]), nan, float(found.work_j[trial]))
     findings = escape_findings(pairs, 2 * DEFAULT_LAG / found.rate_hz)
-    return Record(
-        spectra.n_samples / spectra.rate_hz, flowed, float(found.sigma_v_m_per_s[trial]), findings
-    )
+    spectra = found.spectra(trial)
+    seconds = spectra.n_samples / spectra.rate_hz
+    record = Record(seconds, flowed, float(found.sigma_v_m_per_s[trial]), findings)
+    return MeasuredTrial(spectra, record=record)
 
 
 def restored(line: Mapping[str, Any]) -> Outcome:

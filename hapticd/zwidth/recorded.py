@@ -5,9 +5,9 @@ Files: .csv with a header line of names, then a row a line, separated by comma, 
 that of which the header line has most. With semicolon or tab a comma is a decimal one; empty lines
 and lines that begin with # hold no sample. .npz and .mat with named arrays; .h5 with named
 datasets. Force in N and velocity in m/s at the port, sampled together; the rate from `rate_hz`,
-from a column of seconds (`times`), or as the user states it where the file does not say. If the two
-differ, the record is refused: every limit is proportional to the rate or its square. Rows that a
-column of seconds, or the counter that the user names, shows to be missing are filled in and
+from a column of seconds (`timestamps`), or as the user states it where the file does not say. If
+the two differ, the record is refused: every limit is proportional to the rate or its square. Rows
+that a column of seconds, or the counter that the user names, shows to be missing are filled in and
 counted, as those that a live trial loses are (`watch`). No column counts as a counter by its name.
 
 What would break it: channels that were not sampled together, or in other units that are not far
@@ -34,9 +34,8 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
-from hapticd.zwidth.counters import counted, unwrapped
 from hapticd.zwidth.ending import end_of_plain
-from hapticd.zwidth.own import of_recording, of_remark
+from hapticd.zwidth.hapticd_files import of_recording, of_remark
 from hapticd.zwidth.store import (
     LOSSES_BY,
     MARK_SAMPLE,
@@ -50,7 +49,7 @@ from hapticd.zwidth.store import (
     read_summary,
     record_path,
 )
-from hapticd.zwidth.times import SLOWEST_HZ, Sampling, sampling
+from hapticd.zwidth.timestamps import SLOWEST_HZ, Sampling, counted, sampling, unwrapped
 from hapticd.zwidth.watch import COUNTS, in_even_time
 
 __all__ = ["read_file"]
@@ -93,7 +92,7 @@ def read_file(
 ) -> TrialRecord:
     """The record in `path`, or in the run folder `path`; `force`, `velocity`: names of its columns
     where they are not the usual ones; `counter`: the column that numbers its samples. What this
-    package wrote itself (`own`) needs none of them.
+    package wrote itself (`hapticd_files`) needs none of them.
 
     `rate_hz`: where the file does not say, else the same. ConfigError for a file that is not there,
     of an unknown kind, or with something else than numbers; AnalysisError for one without force,
@@ -199,6 +198,7 @@ class ForeignSamples(NamedTuple):
     place: Integers  # (n,) of each row on its clock, from 0, as its counter or its times say
     first: int  # number of the first row by its counter; 0 without one
     rate_hz: float  # as it says itself
+    losses_by: LossesBy
     columns: Mapping[str, Floats]  # every column of numbers, by its name in lower case
 
 
@@ -211,16 +211,30 @@ def read_foreign(
     regular(path, SAMPLES_BYTES)
     if path.suffix not in READERS:
         raise ConfigError(f"{path}: files are read from {', '.join(READERS)}; convert it to .csv")
-    known = _numbers(_columns(path))
-    y, u = _channels(path, known, (force, velocity))
+    return _samples(path, _columns(path), (force, velocity), rate_hz, counter, PROBE_RATE_HZ)
+
+
+def _samples(
+    path: Path,
+    columns: dict[str, Any],
+    stated: tuple[str, str],
+    rate_hz: float | None,
+    counter: str,
+    usual_hz: float | None = None,
+) -> ForeignSamples:
+    """What any other program recorded; `usual_hz`: the rate where nothing says it."""
+    known = _numbers(columns)
+    y, u = _channels(path, known, stated)
     if rate_hz is None and not any(name in known for name in (*RATES, *TIMES)):
-        rate_hz = float(PROBE_RATE_HZ)
+        rate_hz = usual_hz
     found = _sampling(path, known, rate_hz, y.size)
     place = np.arange(y.size) if found.place is None else found.place
     first = 0
+    losses: LossesBy = "times" if found.shows_losses else "nothing"
     if counter:
         place, first = _counted(path, counter, known, y.size)
-    return ForeignSamples(y, u, place, first, found.rate_hz, known)
+        losses = "counter"
+    return ForeignSamples(y, u, place, first, found.rate_hz, losses, known)
 
 
 def _counted(path: Path, name: str, known: dict[str, Floats], count: int) -> tuple[Integers, int]:
@@ -287,18 +301,13 @@ def _foreign(
     counter: str,
 ) -> TrialRecord:
     """The record of any other program."""
-    known = _numbers(columns)
-    y, u = _channels(path, known, stated)
-    found = _sampling(path, known, rate_hz, y.size)
-    place = found.place
-    losses: LossesBy = "times" if found.shows_losses else "nothing"
-    if counter:
-        place, _ = _counted(path, counter, known, y.size)
-        losses = "counter"
+    found = _samples(path, columns, stated, rate_hz, counter)
+    more = {LOSSES_BY: found.losses_by}
     recorded = TrialRecord(
-        y, u, found.rate_hz, path.name, simulated=False, more={LOSSES_BY: losses}
+        found.force, found.velocity, found.rate_hz, path.name, simulated=False, more=more
     )
-    return recorded if place is None else in_even_time(recorded, place)
+    shows_gaps = counter or found.place[-1] >= found.place.size
+    return in_even_time(recorded, found.place) if shows_gaps else recorded
 
 
 def _channel(path: Path, known: dict[str, Floats], stated: str, usual: tuple[str, ...]) -> Floats:

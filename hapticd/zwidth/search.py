@@ -32,10 +32,10 @@ from functools import partial
 
 import numpy as np
 
-from hapticd.core.arrays import Flags, Floats
+from hapticd.core.arrays import Flags, Floats, bisect
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.signal.passive_set import PassiveSet, grid, halved, open_ends, passive_set
+from hapticd.signal.passive_set import PassiveSet, grid, open_ends, passive_set
 from hapticd.signal.prior import ModelPrior
 from hapticd.signal.search import (
     Search,
@@ -344,7 +344,7 @@ def _highest(holds: Callable[[Floats], Flags], box: Box, damping: Floats, mass_k
         k.size, damping.size
     )
     top = k.size - 1 - np.argmax(held[::-1], axis=0)
-    edge, _ = halved(
+    edge, _ = bisect(
         lambda half: holds(np.column_stack((half, damping, np.full_like(half, mass_kg)))),
         k[top],
         k[np.minimum(top + 1, k.size - 1)],

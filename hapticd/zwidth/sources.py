@@ -1,7 +1,7 @@
 """Where a trial's record comes from: the batch engine (`simulated`), a file, or a daemon (`live`).
 All give a `TrialRecord`.
 
-A record that is there already is shown to the sentinel second by second, as a daemon would show it,
+A record that is there already is shown to the monitor second by second, as a daemon would show it,
 and cut where it would have ended the trial.
 
 What a trial renders, of what was typed, the scene and the record, is one rule for all of them. Of
@@ -26,7 +26,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.model.scene import Excitation, Scene
 from hapticd.zwidth import scenes
 from hapticd.zwidth.store import Progress, TrialRecord
-from hapticd.zwidth.watch import Sentinel, Watch
+from hapticd.zwidth.watch import TrialMonitor, Watch
 
 __all__ = ["Source", "Trial", "file_source", "given"]
 
@@ -66,10 +66,10 @@ def file_source(recorded: TrialRecord) -> Source:
 def watched(
     whole: TrialRecord, watch: Watch, winding_c: float = nan, command_n: Floats | None = None
 ) -> TrialRecord:
-    """`whole` up to where the sentinel would have ended it. `command_n` (ticks,): sizes of the
+    """`whole` up to where the monitor would have ended it. `command_n` (ticks,): sizes of the
     commands beside it.
     """
-    sentinel = Sentinel(watch, whole.rate_hz)
+    monitor = TrialMonitor(watch, whole.rate_hz)
     second = round(whole.rate_hz)
     total = whole.force_n.size
     for start in range(0, total, second):
@@ -79,23 +79,23 @@ def watched(
             if command_n is None
             else command_n[start * len(command_n) // total : part.stop * len(command_n) // total]
         )
-        if sentinel.see(
+        if monitor.see(
             whole.force_n[part],
             whole.velocity_m_per_s[part],
             winding_c,
             float(ticks.max(initial=0.0)),
         ):
             break
-    if not sentinel.ended:
+    if not monitor.ended:
         return whole
     kept = max(
-        round(LEAST_KEPT_S * whole.rate_hz), round(sentinel.seconds * whole.rate_hz)
+        round(LEAST_KEPT_S * whole.rate_hz), round(monitor.seconds * whole.rate_hz)
     )  # what is there may as well be judged
     return replace(
         whole,
         force_n=whole.force_n[:kept],
         velocity_m_per_s=whole.velocity_m_per_s[:kept],
-        ended=sentinel.ended,
+        ended=monitor.ended,
     )
 
 

@@ -42,6 +42,7 @@ __all__ = [
     "Steps",
     "TrialRecord",
     "TrialStore",
+    "csv_text",
     "fingerprint",
     "read_summary",
     "silent",
@@ -207,6 +208,15 @@ def write_run(
             f"{folder}: {error.strerror}; name a folder that you may write to with --out"
         ) from error
     return folder
+
+
+def csv_text(columns: Mapping[str, Floats]) -> str:
+    """Columns (n,) of numbers by their names as text; empty where a number is not finite."""
+    rows = (
+        ",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row)
+        for row in np.column_stack([*columns.values()])
+    )
+    return "\n".join((",".join(columns), *rows, ""))
 
 
 def read_summary(folder: Path) -> dict[str, Any]:

@@ -3,7 +3,7 @@ its numbers depend on.
 
 Params -> plan_trial -> Plan -> run_trial -> Result. The plan says beforehand what is expected:
 whether the predicted loop is stable, and its impedance, where the device is known by a model. A
-trial of an environment that is predicted to be unstable is run all the same (the sentinel ends it);
+trial of an environment that is predicted to be unstable is run all the same (the monitor ends it);
 the verdict then says not passive, with the spectral radius.
 
 A trial by multisines plays several realisations of a force that repeats, each settled for one
@@ -31,7 +31,7 @@ impedance.csv    a line for each frequency that the estimate has, with the units
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf, isfinite, isnan, sqrt
 from pathlib import Path
 from typing import Any
@@ -44,14 +44,12 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import coulomb, predicted_impedance
 from hapticd.model.scene import Excitation, Scene
-from hapticd.signal.channels import unit_findings
-from hapticd.signal.findings import Finding, Record, examine, leakage_findings
-from hapticd.signal.impedance import Estimator, Impedance, impedance
-from hapticd.signal.low_lines import low_line
-from hapticd.signal.periodic import CHANGING, PeriodicSpectra, changing, periodic, periodic_findings
-from hapticd.signal.resolved import resolved
-from hapticd.signal.spectra import DEFAULT_LAG, Spectra, corrected, spa
-from hapticd.signal.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, Verdict, judge, lines_to_resolve
+from hapticd.signal.assess import Criteria, LoopModel, MeasuredTrial, assess
+from hapticd.signal.findings import Finding
+from hapticd.signal.impedance import Impedance
+from hapticd.signal.periodic import CHANGING, PeriodicSpectra, changing, periodic
+from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
+from hapticd.signal.verdict import LEAST_FREEDOM, Verdict
 from hapticd.zwidth.ending import EndReason, TrialEnd, end_of_plain
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import Display, display
@@ -63,6 +61,7 @@ from hapticd.zwidth.store import (
     Progress,
     Steps,
     TrialRecord,
+    csv_text,
     fingerprint,
     record_path,
     silent,
@@ -90,18 +89,7 @@ PERIOD = 2 * DEFAULT_LAG  # samples
 SPARE_S = 0.01  # periods need not be whole ticks
 TRIES = 8  # of a realisation
 SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
-NOISE_COVERS = (
-    "the random error of a record of this length; not what the window smooths, which is named where"
-    " it shows"
-)
 KIND = "trial"
-COLUMNS = (
-    "frequency_hz",
-    "real_ns_per_m",
-    "imaginary_ns_per_m",
-    "random_error_sd_ns_per_m",
-    "coherence",
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,23 +207,15 @@ class TrialParams:
     """What is asked, and how it is judged. `scene` names the device where a model of it is known,
     else None.
 
-    `behind_mass_kg`: judge the device behind that mass of the probe. `channels`: look for skew and
-    high-pass as well. `multisine`: the excitation of `trial` is a multisine of that layout,
-    in place of noise and a window of `lag` samples. `skew_s`, `high_pass_hz`: known faults of the
-    velocity channel that are taken out (`spectra.corrected`).
+    `multisine`: the excitation of `trial` is a multisine of that layout, in place of noise and a
+    window of `lag` samples.
     """
 
     trial: Trial
     scene: Scene | None = None
-    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
-    confidence: float = 0.95
-    estimator: Estimator = "spa"
-    behind_mass_kg: float = 0.0
-    channels: bool = True
+    criteria: Criteria = field(default_factory=Criteria)
     lag: int = DEFAULT_LAG
     multisine: MultisineLayout | None = None
-    skew_s: float = 0.0
-    high_pass_hz: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,11 +227,6 @@ class TrialPlan:
     params: TrialParams
     display: Display | None
     spectral_radius: float | None
-
-    @property
-    def linear(self) -> bool:
-        """Whether the device is known to have no friction."""
-        return self.spectral_radius is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,11 +255,7 @@ def plan_trial(params: TrialParams) -> TrialPlan:
     shown = display(scene, trial.excitation) if scene else None
     radius = _radius(shown, trial) if shown else None
     watch = replace(
-        trial.watch,
-        band_hz=params.band_hz,
-        confidence=params.confidence,
-        estimator=params.estimator,
-        linear=radius is not None,
+        trial.watch, criteria=params.criteria, model=LoopModel(linear=radius is not None)
     )
     return TrialPlan(replace(params, trial=replace(trial, watch=watch)), shown, radius)
 
@@ -309,9 +280,9 @@ def _possible(params: TrialParams) -> None:
             strict=True,
         ),
         ("active damping", trial.active_damping_ns_per_m, "N s/m"),
-        ("mass behind the port", params.behind_mass_kg, "kg"),
-        ("skew", params.skew_s, "s"),
-        ("high-pass corner", params.high_pass_hz, "Hz"),
+        ("mass behind the port", params.criteria.behind_mass_kg, "kg"),
+        ("skew", params.criteria.skew_s, "s"),
+        ("high-pass corner", params.criteria.high_pass_hz, "Hz"),
     )
     for name, value, unit in numbers:
         if not isfinite(value):
@@ -353,51 +324,19 @@ def run_trial(plan: TrialPlan, source: Source, tell: Progress = silent) -> Trial
 def judged(plan: TrialPlan, recorded: TrialRecord) -> TrialResult:
     """The verdict on a record. AnalysisError for one too short for it."""
     params = plan.params
-    raw = (
-        multisine_spectra(recorded, params.multisine)
-        if params.multisine
-        else _windowed(params, recorded)
+    layout = params.multisine
+    measured = MeasuredTrial(
+        multisine_spectra(recorded, layout) if layout else _windowed(params, recorded),
+        (recorded.force_n, recorded.velocity_m_per_s),
+        findings=_findings(recorded, params.trial),
+        simulated=recorded.simulated,
     )
-    spectra = _corrected(params, raw)
-    record = examine(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz)
-    spectral = (
-        periodic_findings(spectra, params.band_hz)
-        if isinstance(spectra, PeriodicSpectra)
-        else leakage_findings(spectra, params.band_hz, params.estimator)
-    )
-    found = (*record.findings, *_findings(recorded, params.trial), *spectral)
-    if not recorded.simulated:
-        found += unit_findings(spectra, float(np.std(recorded.force_n)), record.velocity_sd_m_per_s)
-    record = replace(record, findings=found)
-    verdict = _verdict(plan, recorded, spectra, record)
-    needed = lines_to_resolve(raw, verdict, params.estimator, plan.linear)
-    force = recorded.force_n
-    velocity = recorded.velocity_m_per_s
-    low = low_line(force, velocity, raw)
-    if needed.any() or low:
-        record = replace(record, findings=(*found, *low))
-        servo_rate_hz = params.scene.rate_hz if params.scene else None
-        finer = resolved(force, velocity, raw, needed, params.band_hz, servo_rate_hz)
-        spectra = _corrected(params, finer)
-        verdict = _verdict(plan, recorded, spectra, record)
-    z = impedance(spectra, params.estimator)
-    z = z.without_mass(params.behind_mass_kg) if params.behind_mass_kg else z
-    covers = spectra.covers if isinstance(spectra, PeriodicSpectra) else NOISE_COVERS
-    return TrialResult(plan, recorded, z, _predicted(plan, z), verdict, spectra, covers)
-
-
-def _verdict(plan: TrialPlan, recorded: TrialRecord, spectra: Spectra, record: Record) -> Verdict:
-    params = plan.params
-    return judge(
-        spectra,
-        record,
-        params.band_hz,
-        params.confidence,
-        params.estimator,
-        plan.spectral_radius,
-        params.behind_mass_kg,
-        params.channels and not recorded.simulated,
-    )
+    radius = plan.spectral_radius
+    servo_rate_hz = params.scene.rate_hz if params.scene else None
+    found = assess(measured, params.criteria, LoopModel(radius, radius is not None, servo_rate_hz))
+    z = found.impedance
+    covers = found.spectra.covers
+    return TrialResult(plan, recorded, z, _predicted(plan, z), found.verdict, found.spectra, covers)
 
 
 def _windowed(params: TrialParams, recorded: TrialRecord) -> Spectra:
@@ -412,16 +351,8 @@ def _windowed(params: TrialParams, recorded: TrialRecord) -> Spectra:
     return spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz, params.lag)
 
 
-def _corrected(params: TrialParams, raw: Spectra) -> Spectra:
-    return (
-        corrected(raw, params.skew_s, params.high_pass_hz)
-        if params.skew_s or params.high_pass_hz
-        else raw
-    )
-
-
 def _findings(recorded: TrialRecord, trial: Trial) -> tuple[Finding, ...]:
-    """What the samples cannot say: the command at its end, an escape that the sentinel saw, what
+    """What the samples cannot say: the command at its end, an escape that the monitor saw, what
     was lost, and that K < 0 pushes the device away for ever: at a low enough frequency it is
     active, however long the record.
     """
@@ -465,7 +396,7 @@ def _predicted(plan: TrialPlan, z: Impedance) -> Complexes | None:
     found = np.full(at.size, np.nan + 0j)
     asked = trial.active_damping_ns_per_m, shown.filters, shown.perturbation
     found[at] = predicted_impedance(shown.model, trial.environment, z.frequency_hz[at], *asked)
-    return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.behind_mass_kg)
+    return np.asarray(found - 2j * np.pi * z.frequency_hz * plan.params.criteria.behind_mass_kg)
 
 
 def summary(result: TrialResult, sines: ReferenceSines | None = None) -> dict[str, Any]:
@@ -494,9 +425,9 @@ def summary(result: TrialResult, sines: ReferenceSines | None = None) -> dict[st
         "max_command_n": recorded.max_command_n,
         "command_limit_n": recorded.command_limit_n,
         "port": result.measured.port,
-        "probe_mass_taken_out_kg": params.behind_mass_kg,
-        "skew_taken_out_s": params.skew_s,
-        "high_pass_taken_out_hz": params.high_pass_hz,
+        "probe_mass_taken_out_kg": params.criteria.behind_mass_kg,
+        "skew_taken_out_s": params.criteria.skew_s,
+        "high_pass_taken_out_hz": params.criteria.high_pass_hz,
         "rate_hz": recorded.rate_hz,
         "seconds": recorded.seconds,
         "seed": params.trial.excitation.seed,
@@ -561,29 +492,28 @@ def _kept_params(kept: Mapping[str, Any], scene: Scene | None) -> TrialParams:
         Excitation(**kept["perturbation"]),
     )
     layout = kept["multisine"]
-    return TrialParams(
-        trial,
-        scene,
+    criteria = Criteria(
         (low_hz, high_hz),
         kept["verdict"]["confidence"],
         kept["estimator"],
         kept["probe_mass_taken_out_kg"],
-        lag=kept["lag"],
-        multisine=MultisineLayout(layout["realisations"], layout["periods"]) if layout else None,
-        skew_s=kept["skew_taken_out_s"],
-        high_pass_hz=kept["high_pass_taken_out_hz"],
+        kept["skew_taken_out_s"],
+        kept["high_pass_taken_out_hz"],
     )
+    multisine = MultisineLayout(layout["realisations"], layout["periods"]) if layout else None
+    return TrialParams(trial, scene, criteria, kept["lag"], multisine)
 
 
 def impedance_csv(measured: Impedance) -> str:
     """Z(f) as text: frequency, real and imaginary part, standard deviation of the complex value's
     random error (what calibrations leave open is not in it), coherence.
     """
-    z = measured.impedance_ns_per_m
-    columns = np.column_stack(
-        (measured.frequency_hz, z.real, z.imag, measured.sd_ns_per_m, measured.coherence)
+    return csv_text(
+        {
+            "frequency_hz": measured.frequency_hz,
+            "real_ns_per_m": measured.impedance_ns_per_m.real,
+            "imaginary_ns_per_m": measured.impedance_ns_per_m.imag,
+            "random_error_sd_ns_per_m": measured.sd_ns_per_m,
+            "coherence": measured.coherence,
+        }
     )
-    rows = (
-        ",".join(f"{value:.9g}" if np.isfinite(value) else "" for value in row) for row in columns
-    )
-    return "\n".join((",".join(COLUMNS), *rows, ""))

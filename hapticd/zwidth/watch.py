@@ -1,6 +1,6 @@
-"""Watching a trial: the sentinel that ends it before its time, and what was lost on its way.
+"""Watching a trial: the monitor that ends it before its time, and what was lost on its way.
 
-The sentinel watches a trial while it runs and ends it for
+The monitor watches a trial while it runs and ends it for
 
     escape        the velocity of a second is four times that of the calm ones, it grew faster
                   than noise makes a ring grow (the rules of `signal.findings`), and the force
@@ -39,14 +39,14 @@ A lost slot is another matter: the servo left out a tick, the command before sto
 was rendered was not what was asked. No analysis puts that right. A record that lost more than a
 hundredth of either decides nothing.
 
-A file whose column of times shows that rows are missing (`times`) is treated alike.
+A file whose column of times shows that rows are missing (`timestamps`) is treated alike.
 
 What would break the filling: gaps that come with the motion (a board that loses what is fast); they
 come with the host's load.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf, nan
 from typing import Any
 
@@ -54,10 +54,10 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.core.units import percent
+from hapticd.signal.assess import Criteria, LoopModel, MeasuredTrial, assess
 from hapticd.signal.findings import ESCAPE_RATIO, Finding, outgrows_walk
-from hapticd.signal.impedance import Estimator
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, SpectralStream
-from hapticd.signal.verdict import DEFAULT_BAND_HZ, LEAST_FREEDOM, judge, lines_to_resolve, needed
+from hapticd.signal.verdict import LEAST_FREEDOM, needed
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.store import LOSSES_BY, TrialRecord
 
@@ -90,7 +90,7 @@ CENTRING_N_PER_M = (
 )
 
 
-class Filler:
+class GapFiller:
     """Puts blocks of numbered samples into even time; one for each stream."""
 
     def __init__(self) -> None:
@@ -121,7 +121,7 @@ def in_even_time(recorded: TrialRecord, place: Integers) -> TrialRecord:
     """`recorded`, its samples those at `place` (n,), with what is missing between them filled
     in and counted.
     """
-    (force, velocity), came = Filler().filled(
+    (force, velocity), came = GapFiller().filled(
         place, np.stack((recorded.force_n, recorded.velocity_m_per_s))
     )
     lost = {"lost_samples": int((~came).sum()), "samples": came.size}
@@ -188,9 +188,8 @@ def summed(parts: list[Mapping[str, Any]]) -> dict[str, int]:
 class Watch:
     """What a trial is watched for. Limits are those of the channels; inf where there are none."""
 
-    band_hz: tuple[float, float] = DEFAULT_BAND_HZ
-    confidence: float = 0.95
-    estimator: Estimator = "spa"
+    criteria: Criteria = field(default_factory=Criteria)
+    model: LoopModel = field(default_factory=LoopModel)
     force_limit_n: float = inf
     velocity_limit_m_per_s: float = inf
     winding_limit_c: float = inf
@@ -199,10 +198,9 @@ class Watch:
     speed_limit_m_per_s: float = inf  # of the device: faster is no motion of it
     until_decided: bool = False
     random: bool = True  # the perturbation is noise
-    linear: bool = False  # the device is known to have no friction
 
 
-class Sentinel:
+class TrialMonitor:
     """Fed with a record as it arrives; `ended` says why the trial should end, None as long as it
     should not.
     """
@@ -332,18 +330,9 @@ class Sentinel:
 
     def _decide(self) -> None:
         watch = self._watch
-        spectra = self._stream.spectra()
-        found = judge(
-            spectra,
-            None,
-            watch.band_hz,
-            watch.confidence,
-            watch.estimator,
-            channels=False,
-        )
-        self.seconds_needed = found.seconds_needed
-        doubtful = lines_to_resolve(spectra, found, watch.estimator, watch.linear).any()
-        final = found.answer != "undecided" and not doubtful
+        found = assess(MeasuredTrial(self._stream.spectra()), watch.criteria, watch.model)
+        self.seconds_needed = found.verdict.seconds_needed
+        final = found.verdict.answer != "undecided" and not found.needed.any()
         if watch.until_decided and final:
             self.ended = TrialEnd(
                 EndReason.DECIDED, f"the verdict stands after {self.seconds:.0f} s"

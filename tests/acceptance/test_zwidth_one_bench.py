@@ -15,9 +15,10 @@ from hapticd.zwidth.store import fingerprint
 
 PACKAGE = Path(hapticd.__file__).parent
 ONLY = {  # what may be called from where: {called: {module: functions}}
-    "judge": {
-        "zwidth.outcomes": {"_with_verdict"},  # trials of batches
-        "zwidth.trial": {"_verdict"},  # records
+    "judge": {"signal.assess": {"_judged"}},
+    "assess": {
+        "zwidth.outcomes": {"run_trials"},  # trials of batches
+        "zwidth.trial": {"judged"},  # records
         "zwidth.watch": {"_decide"},  # whether a record that grows is decided already
     },
     "axis_limit": {"zwidth.limits": {"predicted_limit"}},
@@ -33,6 +34,7 @@ ONLY = {  # what may be called from where: {called: {module: functions}}
 }
 HOME = {
     "judge": "signal.verdict",
+    "assess": "signal.assess",
     "axis_limit": "signal.passive_set",
     "bracket": "zwidth.limits",
     "search_limit": "zwidth.limits",

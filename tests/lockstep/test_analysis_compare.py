@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from support.analysis_devices import display, rigid
+from support.envelopes import EnvelopeTrial, envelope, of_trial
 from support.spectral_trials import exact_trial, mass_damper
 
 from hapticd.core.errors import AnalysisError
@@ -23,7 +24,7 @@ from hapticd.signal.compare import (
     widths_db,
     zero_mass_bandwidth_hz,
 )
-from hapticd.signal.envelope import EnvelopeTrial, admittance, envelope, of_trial
+from hapticd.signal.envelope import admittance
 from hapticd.signal.impedance import impedance
 from hapticd.signal.passive_set import grid, passive_set, set_limits, volume
 from hapticd.signal.verdict import judge
@@ -31,9 +32,7 @@ from hapticd.signal.verdict import judge
 
 def trial(name, z, coherence=0.99, estimator="h_force"):
     spectra = exact_trial(z, coherence)
-    return EnvelopeTrial(
-        name, (0.0, 0.0, 0.0), impedance(spectra, estimator), judge(spectra, channels=False)
-    )
+    return EnvelopeTrial(name, impedance(spectra, estimator), judge(spectra, channels=False))
 
 
 SOFT = trial("soft", mass_damper(0.008, 1.0))
@@ -117,7 +116,7 @@ def measured(scale):
             noise=z.real,
             noise_sd=z.real,
         )
-        edges.append(EnvelopeTrial(str(point), point, exact, SOFT.verdict))
+        edges.append(EnvelopeTrial(str(point), exact, SOFT.verdict))
     axes = tuple(
         scale * axis
         for axis in (np.linspace(0, 300, 13), np.linspace(-1, 5, 13), np.linspace(-0.01, 0.01, 9))

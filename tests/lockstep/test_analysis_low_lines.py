@@ -86,7 +86,7 @@ def test_a_batch_looks_at_its_records_where_they_hint(monkeypatch):
         looked.append(force.size)
         return (cycle,) if hinted(spectra) else ()
 
-    monkeypatch.setattr("hapticd.zwidth.outcomes.low_line", kept)
+    monkeypatch.setattr("hapticd.signal.assess.low_line", kept)
     points = np.array([[50.0, 0.0, 0.0], [400.0, 0.0, 0.0]])
     given = Conditions(display(0.3, mass_kg=0.023), 90.0, NOISE)
     slow, fast = run_trials(given, 0.0, points)

@@ -32,7 +32,7 @@ from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import TrialRecord
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial
-from hapticd.zwidth.watch import Sentinel, Watch
+from hapticd.zwidth.watch import TrialMonitor, Watch
 
 
 def recorded_of(
@@ -161,7 +161,7 @@ def test_images_of_the_force_explain_what_the_sampled_law_answers():
 def test_a_trial_is_not_ended_by_a_verdict_that_its_record_would_change():
     """Of this passive display the window says "not passive" after 20 s."""
     force, velocity = recorded_of(display(0.3), 450.0, 1)
-    sentinel = Sentinel(Watch(until_decided=True), 4000.0)
+    sentinel = TrialMonitor(Watch(until_decided=True), 4000.0)
     assert sentinel.see(force, velocity) is None
 
 
@@ -185,7 +185,7 @@ def test_trials_that_need_their_record_get_the_record_of_their_spectra(monkeypat
         pairs.append((spa(force, velocity), spectra))
         return spectra
 
-    monkeypatch.setattr("hapticd.zwidth.outcomes.resolved", kept)
+    monkeypatch.setattr("hapticd.signal.assess.resolved", kept)
     points = np.array([[0.0, 0.0, 0.0], [1950.0, 0.0, 0.0]])
     run_trials(Conditions(device, 90.0, NOISE, dtype="f64"), 0.0, points)
     assert 0 < len(pairs) < len(points)

@@ -5,6 +5,7 @@ import pytest
 
 from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
+from hapticd.signal.assess import Criteria
 from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.report.trial import trial_figure
 from hapticd.zwidth.simulated import engine_source
@@ -93,7 +94,11 @@ def test_multisine_is_drawn_where_it_was_excited_and_by_its_few_realisations():
     scene = load_scene("fig7")
     trial = Trial((50.0, 2.0, 0.0), excitation=multisine_like(Excitation("noise"), 500.0))
     found = run_trial(
-        plan_trial(TrialParams(trial, scene, estimator="h_force", multisine=MultisineLayout(3, 1))),
+        plan_trial(
+            TrialParams(
+                trial, scene, Criteria(estimator="h_force"), multisine=MultisineLayout(3, 1)
+            )
+        ),
         engine_source(scene),
     )
     figure = trial_figure(found)

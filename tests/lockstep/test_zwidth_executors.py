@@ -28,9 +28,10 @@ from hapticd.core.errors import (
     SequenceError,
 )
 from hapticd.model.effects import Masses, ProbeMass, Viscous
+from hapticd.signal import assess
 from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.engine.batch import at_most, workers
-from hapticd.zwidth.executors import executor, threads
+from hapticd.zwidth.executors import executor, pool_of
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, TrialBatch, run_trials
 from hapticd.zwidth.store import TrialStore, to_json
@@ -213,7 +214,7 @@ def test_all_errors_are_in_one_tree() -> None:
 def test_tasks_of_a_pool_keep_to_one_core() -> None:
     whole = workers()
     assert whole == len(os.sched_getaffinity(0))
-    with threads() as pool:
+    with pool_of(None) as pool:
         assert [pool.submit(workers).result() for _ in range(4)] == [1, 1, 1, 1]
     assert executors.alone(workers) == 1
     with at_most(10_000):
@@ -240,10 +241,8 @@ def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.Monkey
 def test_outcomes_do_not_depend_on_the_size_of_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
     """More than a group of them are judged again by their records, flown together or not."""
     again: list[object] = []
-    resolved = outcomes.resolved
-    monkeypatch.setattr(
-        outcomes, "resolved", lambda *given: again.append(given) or resolved(*given)
-    )
+    resolved = assess.resolved
+    monkeypatch.setattr(assess, "resolved", lambda *given: again.append(given) or resolved(*given))
     bare = (Masses(rotor_kg=0.005), MOTOR, ProbeMass(mass_kg=0.003), Viscous(rotor_ns_per_m=0.3))
     given = Conditions(scene(bare, seconds=20.0), 20.0)
     points = np.zeros((TOGETHER + 6, 3))
@@ -282,7 +281,7 @@ def test_given_up_campaign_cancels_what_has_not_begun() -> None:
     waiting = list[Future[int]]()
 
     def campaign() -> None:
-        with threads() as pool:
+        with pool_of(None) as pool:
             for _ in range(workers()):
                 pool.submit(release.wait)
             waiting.extend(pool.submit(int) for _ in range(5))

@@ -35,7 +35,7 @@ from hapticd.zwidth.trial import (
     run_trial,
     summary,
 )
-from hapticd.zwidth.watch import Filler, Sentinel, Watch, loss_findings, summed
+from hapticd.zwidth.watch import GapFiller, TrialMonitor, Watch, loss_findings, summed
 
 SECONDS = 20.0
 TRIAL = Trial((100.0, 1.0, 0.0), seconds=SECONDS)
@@ -163,7 +163,7 @@ def test_losses_of_realisations_add_up(rigid):
 
 
 def test_short_gap_is_bridged_and_a_long_one_is_silent():
-    filler = Filler()
+    filler = GapFiller()
     ramp = np.arange(1.0, 300.0)
     first, came = filler.filled(np.array([7, 8, 9]), np.stack((ramp[7:10], -ramp[7:10])))
     assert came.all()
@@ -194,7 +194,7 @@ def test_bridge_spoils_the_impedance_less_than_closing_up():
     force, velocity = record(mass_damper(0.008, 1.0, 500.0), 1, 120_000)
     came = np.repeat(np.random.default_rng(2).random(20_000) >= 0.01, 6)
     came[0] = True
-    filled, _ = Filler().filled(np.flatnonzero(came), np.stack((force, velocity))[:, came])
+    filled, _ = GapFiller().filled(np.flatnonzero(came), np.stack((force, velocity))[:, came])
     size, bridged, closed = (
         np.abs(impedance(spa(*signals)).impedance_ns_per_m[2])
         for signals in ((force, velocity), filled, (force[came], velocity[came]))
@@ -284,7 +284,7 @@ def test_a_trial_that_was_too_short_says_whether_it_ran_away(ended, remedy):
     ("between_mm", "ended"), [((-19.9, 20.0), ""), ((-20.1, 3.0), "-20.1"), ((0.0, 21.0), "21")]
 )
 def test_sentinel_knows_the_ends_of_travel(between_mm, ended):
-    sentinel = Sentinel(Watch(travel_m=(-0.02, 0.02)), 4000.0)
+    sentinel = TrialMonitor(Watch(travel_m=(-0.02, 0.02)), 4000.0)
     found = sentinel.see(
         np.ones(10), np.ones(10), between_m=(1e-3 * between_mm[0], 1e-3 * between_mm[1])
     )
@@ -296,7 +296,7 @@ def test_sentinel_knows_the_ends_of_travel(between_mm, ended):
 
 
 def test_outlook_of_a_recording_is_no_0():
-    sentinel = Sentinel(Watch(), 4000.0)
+    sentinel = TrialMonitor(Watch(), 4000.0)
     assert sentinel.outlook == "recording"
     force = np.random.default_rng(1).normal(0.0, 0.2, 40_000)
     sentinel.see(force, force / 3.0)

@@ -13,6 +13,7 @@ from hapticd.model.scene import Excitation
 from hapticd.run.lockstep import scene_params
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
+from hapticd.signal.assess import Criteria
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.simulated import engine_source
@@ -39,7 +40,7 @@ def rigid(tmp_path):
 def shaken(layout, point=(100.0, 1.0, 0.002), scene=None, **more):
     """The plan of a trial by multisines."""
     trial = Trial(point, excitation=multisine_like(Excitation("noise"), 500.0), **more)
-    return plan_trial(TrialParams(trial, scene, estimator="h_force", multisine=layout))
+    return plan_trial(TrialParams(trial, scene, Criteria(estimator="h_force"), multisine=layout))
 
 
 def test_multisine_trial_lands_on_its_prediction(rigid):

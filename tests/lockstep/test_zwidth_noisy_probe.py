@@ -11,8 +11,8 @@ from support.measured_scenes import scene
 from support.zwidth_noisy_probe import GIVEN, NOISE, NOISY, PARTS, POINTS, SECONDS
 
 from hapticd.core.arrays import Floats, Values
+from hapticd.signal import assess
 from hapticd.signal.spectra import spa
-from hapticd.zwidth import outcomes
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.map import MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import run_trials
@@ -78,13 +78,13 @@ def test_a_verdict_is_made_again_by_the_record_of_its_own_spectra(
 ) -> None:
     """Bit by bit: it is the trial that was judged before, and that which is made alone."""
     again = {}
-    resolved = outcomes.resolved
+    resolved = assess.resolved
 
     def kept(force, velocity, spectra, *rest):  # type: ignore[no-untyped-def]
         again[float(np.abs(spectra.cross).sum())] = (force, velocity, spectra)
         return resolved(force, velocity, spectra, *rest)
 
-    monkeypatch.setattr(outcomes, "resolved", kept)
+    monkeypatch.setattr(assess, "resolved", kept)
     run_trials(GIVEN, 0.0, POINTS)
     alone = [recorded(point[None]).record(0)[1].tobytes() for point in POINTS]
     assert len(again) > 1

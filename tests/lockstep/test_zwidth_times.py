@@ -11,7 +11,7 @@ from hapticd.settings.scene import load_scene
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial, file_source
-from hapticd.zwidth.times import sampling
+from hapticd.zwidth.timestamps import sampling
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial
 from hapticd.zwidth.watch import loss_findings
 

@@ -16,6 +16,7 @@ from hapticd.model.scene import Excitation
 from hapticd.run.lockstep import scene_params
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
+from hapticd.signal.assess import Criteria
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.ending import EndReason, TrialEnd
@@ -34,7 +35,7 @@ from hapticd.zwidth.store import (
     to_json,
 )
 from hapticd.zwidth.trial import TrialParams, judged, plan_trial, run_trial, write
-from hapticd.zwidth.watch import Sentinel, Watch
+from hapticd.zwidth.watch import TrialMonitor, Watch
 
 RATE_HZ = 4000.0
 
@@ -65,7 +66,7 @@ def test_file_trial_finds_mass_and_damping(tmp_path):
     force, velocity = mass_record()
     path = tmp_path / "trial.npz"
     np.savez(path, force_n=force, velocity_m_per_s=velocity, rate_hz=RATE_HZ)
-    plan = plan_trial(TrialParams(Trial(seconds=30.0), behind_mass_kg=0.003))
+    plan = plan_trial(TrialParams(Trial(seconds=30.0), criteria=Criteria(behind_mass_kg=0.003)))
     found = run_trial(plan, file_source(read_file(path)))
     assert found.verdict.answer == "passive"
     assert not found.recorded.simulated
@@ -279,7 +280,7 @@ def test_trial_that_ends_in_a_fault_says_which(rigid):
 def test_sentinel_ends_an_escape_in_its_second():
     force, velocity = mass_record(20.0)
     velocity[round(12.5 * RATE_HZ) :] *= 10.0
-    sentinel = Sentinel(Watch(), RATE_HZ)
+    sentinel = TrialMonitor(Watch(), RATE_HZ)
     for start in range(0, force.size, 777):
         if sentinel.see(force[start : start + 777], velocity[start : start + 777]):
             break
@@ -317,11 +318,11 @@ def test_sentinel_ends_saturation_and_heat():
     force, velocity = mass_record(6.0)
     limit = float(np.quantile(np.abs(velocity), 0.95))
     clipped = np.clip(velocity, -limit, limit)
-    ended = Sentinel(Watch(velocity_limit_m_per_s=limit), RATE_HZ).see(force, clipped)
+    ended = TrialMonitor(Watch(velocity_limit_m_per_s=limit), RATE_HZ).see(force, clipped)
     assert str(ended).startswith("saturation: velocity at its end of")
-    ended = Sentinel(Watch(winding_limit_c=80.0), RATE_HZ).see(force, velocity, winding_c=85.0)
+    ended = TrialMonitor(Watch(winding_limit_c=80.0), RATE_HZ).see(force, velocity, winding_c=85.0)
     assert str(ended) == "heat: the winding is at 85 degC, limit 80; let it cool"
-    assert Sentinel(Watch(), RATE_HZ).see(force, velocity, winding_c=85.0) is None
+    assert TrialMonitor(Watch(), RATE_HZ).see(force, velocity, winding_c=85.0) is None
 
 
 def test_sentinel_ends_a_command_at_its_limit_but_calls_a_runaway_by_its_name():
@@ -335,7 +336,7 @@ def test_sentinel_ends_a_command_at_its_limit_but_calls_a_runaway_by_its_name():
         (velocity, "saturation: the command reached its limit of 8 N"),
         (wild, "escape: velocity of"),
     ):
-        sentinel = Sentinel(calm, RATE_HZ)
+        sentinel = TrialMonitor(calm, RATE_HZ)
         for start in range(0, force.size, second):
             part = slice(start, start + second)
             if sentinel.see(
@@ -349,10 +350,10 @@ def test_sentinel_ends_a_command_at_its_limit_but_calls_a_runaway_by_its_name():
 
 def test_sentinel_says_what_the_confidence_costs_and_ends_when_decided():
     force, velocity = mass_record(30.0)
-    sentinel = Sentinel(Watch(), RATE_HZ)
+    sentinel = TrialMonitor(Watch(), RATE_HZ)
     assert sentinel.see(force, velocity) is None
     assert 0.0 < sentinel.seconds_needed < 30.0
-    hurried = Sentinel(Watch(until_decided=True), RATE_HZ)
+    hurried = TrialMonitor(Watch(until_decided=True), RATE_HZ)
     assert hurried.see(force, velocity).reason is EndReason.DECIDED
     assert hurried.seconds < 30.0
 
@@ -525,7 +526,7 @@ def test_device_faster_than_its_own_limit_has_escaped():
     force, velocity = mass_record(3.0)
     speed = float(np.std(velocity))
     for limit, escaped in ((0.8 * speed, True), (1.5 * speed, False)):
-        ended = Sentinel(Watch(speed_limit_m_per_s=limit), RATE_HZ).see(force, velocity)
+        ended = TrialMonitor(Watch(speed_limit_m_per_s=limit), RATE_HZ).see(force, velocity)
         assert bool(ended and ended.reason is EndReason.ESCAPE) == escaped
 
 

@@ -5,10 +5,11 @@ import re
 
 import numpy as np
 import pytest
+from support.envelopes import EnvelopeTrial, envelope, of_trial
 from support.spectral_trials import exact_trial, mass_damper
 
 from hapticd.core.errors import AnalysisError
-from hapticd.signal.envelope import EnvelopeTrial, accepted, admittance, envelope, of_trial, widened
+from hapticd.signal.envelope import accepted, admittance, merged
 from hapticd.signal.findings import Finding
 from hapticd.signal.impedance import impedance
 from hapticd.signal.verdict import LOST_EDGE, judge
@@ -16,9 +17,7 @@ from hapticd.signal.verdict import LOST_EDGE, judge
 
 def trial(name, z, coherence=0.99, estimator="h_force"):
     spectra = exact_trial(z, coherence)
-    return EnvelopeTrial(
-        name, (0.0, 0.0, 0.0), impedance(spectra, estimator), judge(spectra, channels=False)
-    )
+    return EnvelopeTrial(name, impedance(spectra, estimator), judge(spectra, channels=False))
 
 
 SOFT = trial("soft", mass_damper(0.008, 1.0))
@@ -61,7 +60,7 @@ def test_order_of_trials_changes_names_alone():
 
 
 def test_envelope_may_grow_trial_by_trial():
-    grown = widened(of_trial(SOFT), FIRM)
+    grown = merged(of_trial(SOFT), of_trial(FIRM))
     assert grown.upper.value == pytest.approx(envelope([SOFT, FIRM]).upper.value)
     assert of_trial(SOFT).width_db() == pytest.approx(0.0)
 
@@ -95,12 +94,8 @@ def test_plain_rule_accepts_no_trial_that_lost_an_edge_of_its_band():
 def test_values_that_are_not_known_own_nothing():
     holed = FIRM.impedance.impedance_ns_per_m.copy()
     holed[5] = np.nan
-    found = widened(
-        of_trial(SOFT),
-        dataclasses.replace(
-            FIRM, impedance=dataclasses.replace(FIRM.impedance, impedance_ns_per_m=holed)
-        ),
-    )
+    unknown = dataclasses.replace(FIRM.impedance, impedance_ns_per_m=holed)
+    found = merged(of_trial(SOFT), of_trial(FIRM._replace(impedance=unknown)))
     assert found.upper.owner[5] == 0
     assert found.upper.owner[6] == 1
 
@@ -108,13 +103,12 @@ def test_values_that_are_not_known_own_nothing():
 @pytest.mark.parametrize(
     ("trials", "message"),
     [
-        ([ACTIVE], "no passive trial: there is no envelope to draw; begin with K = B = M = 0"),
         (
             [SOFT, trial("other", mass_damper(), estimator="spa")],
             "at the probe by 'spa' beside others at the probe by 'h_force'",
         ),
         (
-            [SOFT, dataclasses.replace(FIRM, impedance=FIRM.impedance.without_mass(0.003))],
+            [SOFT, FIRM._replace(impedance=FIRM.impedance.without_mass(0.003))],
             "a trial at the device by",
         ),
     ],
@@ -127,6 +121,6 @@ def test_unlike_trials_are_refused(trials, message):
 def test_unlike_frequencies_are_refused():
     shifted = dataclasses.replace(FIRM.impedance, frequency_hz=FIRM.impedance.frequency_hz + 0.1)
     with pytest.raises(AnalysisError, match="unlike frequencies: estimate all with one window"):
-        widened(of_trial(SOFT), dataclasses.replace(FIRM, impedance=shifted))
+        merged(of_trial(SOFT), of_trial(FIRM._replace(impedance=shifted)))
     with pytest.raises(AnalysisError, match="an admittance envelope cannot be widened"):
-        widened(admittance(of_trial(SOFT)), FIRM)
+        merged(admittance(of_trial(SOFT)), of_trial(FIRM))

@@ -24,7 +24,7 @@ def columns_about(place: int, whole: Transforms):
 @pytest.mark.parametrize("place", PLACES)
 def test_fit_is_that_of_least_squares(place, compiled):
     whole = record(0.1)
-    kernels = kernel_module.kernels() if compiled else kernel_module.PLAIN
+    kernels = kernel_module.kernels() if compiled else kernel_module
     found = fitted(kernels.local_fits, whole, np.array([place]))
     columns, force = columns_about(place, whole)
     solution, *_ = np.linalg.lstsq(columns, force, rcond=None)
@@ -39,7 +39,7 @@ def test_fit_is_that_of_least_squares(place, compiled):
 
 @pytest.mark.parametrize("compiled", [False, True])
 def test_channel_without_power_says_nothing(compiled):
-    kernels = kernel_module.kernels() if compiled else kernel_module.PLAIN
+    kernels = kernel_module.kernels() if compiled else kernel_module
     whole = record(0.0)
     still = Transforms(whole.force, np.zeros_like(whole.velocity), SAMPLES, HALF, ALL)
     found = fitted(kernels.local_fits, still)

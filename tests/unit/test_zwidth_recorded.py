@@ -8,8 +8,8 @@ import pytest
 from scipy.io import savemat
 
 from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
-from hapticd.zwidth.counters import unwrapped
 from hapticd.zwidth.recorded import read_file, read_foreign
+from hapticd.zwidth.timestamps import unwrapped
 from hapticd.zwidth.watch import loss_findings
 
 FORCE, VELOCITY = np.random.default_rng(1).normal(size=(2, 400))

@@ -27,8 +27,8 @@ with lazily():
 
     from hapticd.model import scene as model_scene
     from hapticd.run import lockstep, lockstep_client
-    from hapticd.signal import impedance
-    from hapticd.signal import verdict as outlook
+    from hapticd.signal import assess, impedance
+    from hapticd.signal import verdict as verdicts
     from hapticd.zwidth import (
         aligned,
         ending,
@@ -313,18 +313,17 @@ def _params(
         watch=watch.Watch(until_decided=asked.until_decided, winding_limit_c=asked.hottest),
         mark=asked.mark,
     )
-    return trials.TrialParams(
-        trial,
-        scene if asked.source != "live" else None,  # the daemon's device is asked for its own
+    criteria = assess.Criteria(
         asked.band,
         asked.confidence,
         _estimator(asked, layout),
         asked.behind,
-        lag=asked.lag,
-        multisine=layout,
-        skew_s=file.skew or 0.0,
-        high_pass_hz=file.high_pass,
+        file.skew or 0.0,
+        file.high_pass,
     )
+    # a daemon is asked for its own device
+    known = scene if asked.source != "live" else None
+    return trials.TrialParams(trial, known, criteria, asked.lag, layout)
 
 
 def _excitation(
@@ -373,7 +372,8 @@ def _live(
     found = open_rig(instance, stack)
     skew_s = found.skew_s if file.skew is None else file.skew
     announce(found, plan.params.trial, scene, skew_s)
-    known = trials.plan_trial(replace(plan.params, scene=found.model, skew_s=skew_s))
+    criteria = replace(plan.params.criteria, skew_s=skew_s)
+    known = trials.plan_trial(replace(plan.params, scene=found.model, criteria=criteria))
     return replace(known, spectral_radius=None), live.daemon_source(
         found.client, found.origin, asked.uncalibrated
     )
@@ -452,14 +452,14 @@ def needed(result: "trials.TrialResult") -> str:
         found = " and ".join(voiding)
         return f"no record, however long, can be judged with {found} in it: fix that first"
     if layout is None:
-        return outlook.needed(verdict.seconds_needed, verdict.seconds)
+        return verdicts.needed(verdict.seconds_needed, verdict.seconds)
     more = verdict.seconds_needed / verdict.seconds
-    if not more <= outlook.FORESEEABLE:
+    if not more <= verdicts.FORESEEABLE:
         many = f"many more than {layout.realisations} realisations would be needed"
         return f"{many}; use noise (--excitation noise)"
     distorted = any(finding.code == "distortion" for finding in verdict.findings)
     remedy = "; where friction distorts, noise decides sooner" if distorted else ""
-    count = outlook.two_digits(ceil(layout.realisations * more))
+    count = verdicts.two_digits(ceil(layout.realisations * more))
     return f"some {count} realisations would decide{remedy}"
 
 

@@ -314,16 +314,14 @@ def _job(
         ticks=round(length_s * model.rate_hz),
         seed=number,
         keep=keep,
-        renders=some or keep == "ticks" or _solid(rendered),
+        # there may be something to touch beside K, B and M
+        renders=bool(
+            some or keep == "ticks" or rendered.wall.side or rendered.workspace.stiffness_n_per_m
+        ),
         start_position_m=position_m,
         start_velocity_m_per_s=velocity_m_per_s,
         **rest,
     )
-
-
-def _solid(environment: Environment) -> bool:
-    """Whether there is something to touch beside K, B and M."""
-    return bool(environment.wall.side or environment.workspace.stiffness_n_per_m)
 
 
 def _steps(damping: float | Sequence[tuple[float, float]]) -> tuple[DampingStep, ...]:

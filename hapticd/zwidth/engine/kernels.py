@@ -29,9 +29,10 @@ def kernel(shape: Shape) -> ModuleType:
     """The module of `shape`: `run`, `plant`, `tally`, ROWS. ConfigError without numba or a
     folder to write to.
     """
-    need_numba()
+    need("numba", "the batch engine")
     text = kernel_source(shape)
-    name = f"k_{_digest(text)}"
+    digest = hashlib.sha256(text.encode() + _called()).hexdigest()
+    name = f"k_{digest[:16]}"
     folder = cache_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -55,20 +56,11 @@ def cache_folder() -> Path:
     return Path(base) / "hapticd" / f"kernels-{__version__}"
 
 
-def need_numba() -> None:
-    """MissingLibrary: the batch engine cannot compile its kernels."""
-    need("numba", "the batch engine")
-
-
 @cache
 def _called() -> bytes:
     """What a kernel is compiled from beside its text."""
     paths = (Path(law.__file__), Path(__file__).with_name("compiled.py"))
     return b"".join(path.read_bytes() for path in paths)
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode() + _called()).hexdigest()[:16]
 
 
 def _write(path: Path, text: str) -> None:

@@ -53,16 +53,8 @@ class Term:
     one: bool
 
 
-class ContactStates(NamedTuple):
-    """A contact with dry friction: its states, and which states its force reaches."""
-
-    velocity: int
-    position: int
-    column: tuple[bool, ...]
-
-
-class RotorStates(NamedTuple):
-    """The rotor's states, and which states a force on it reaches."""
+class PushedBody(NamedTuple):
+    """A body that a force acts on: its states, and which states the force reaches."""
 
     position: int
     velocity: int
@@ -97,11 +89,11 @@ class Shape:
     command: tuple[bool, ...]  # the held command moves this state
     torque: tuple[bool, ...]  # the perturbation moves this state
     drift: tuple[bool, ...]  # a constant is added at every sub-step
-    contacts: tuple[ContactStates, ...]
+    contacts: tuple[PushedBody, ...]  # with dry friction
     origin: int  # position state of the rotor
     distances: tuple[int, ...]  # position states that count from the rotor's, see the module
     rotor_laws: tuple[str, ...]  # forces on the rotor that are not linear
-    rotor: RotorStates | None  # where there are such forces
+    rotor: PushedBody | None  # where there are such forces
     stops: StopStates | None  # of the workspace
     sample_step: int  # sub-step at whose start, or in which, the encoder is read
     sample_inside: bool  # the encoder is read inside that sub-step
@@ -349,7 +341,7 @@ def shape_of(
         torque=_column(inputs, place.torque),
         drift=_column(inputs, place.estimate if model.estimate_offset_m_per_s else None),
         contacts=tuple(
-            ContactStates(c.velocity, c.position, _column(inputs, c.column)) for c in model.contacts
+            PushedBody(c.position, c.velocity, _column(inputs, c.column)) for c in model.contacts
         ),
         origin=[state.name for state in model.states].index(REFERENCE),
         distances=distances(model, keeps),
@@ -396,7 +388,7 @@ def _samples(rate_hz: float) -> int:
 def _with_rare_effects(shape: Shape, model: Model, inputs: Mask) -> Shape:
     place = model.inputs
     for force in model.rotor_forces:
-        rotor = RotorStates(force.position, force.velocity, _column(inputs, place.rotor_force))
+        rotor = PushedBody(force.position, force.velocity, _column(inputs, place.rotor_force))
         shape = replace(shape, rotor_laws=(*shape.rotor_laws, force.law), rotor=rotor)
     if (limits := model.drive) is not None:
         column = _column(inputs, place.amplifier)

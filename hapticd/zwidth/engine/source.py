@@ -54,7 +54,7 @@ on the compiler) or that excludes NaN (a lane that diverges would not be found).
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
 from math import tau
-from textwrap import indent
+from textwrap import dedent, indent
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -160,6 +160,11 @@ def _inputs(shape: Shape) -> Iterable[str]:
         yield from (f"e{j} = N[s * {count} + {j}]" for j in range(count))
 
 
+def _block(text: str) -> list[str]:
+    """The lines of a text."""
+    return dedent(text).strip().splitlines()
+
+
 def _lines(lines: Iterable[str], depth: int) -> str:
     return indent("\n".join(lines), " " * depth)
 
@@ -223,8 +228,10 @@ def total(name: str, terms: list[str]) -> Iterator[str]:
 
 def clamped(name: str, value: str, limit: str) -> Iterator[str]:
     """`name` = `value` held inside +-`limit`, as minimum and maximum."""
-    yield f"{name} = {value} if {value} < {limit} else {limit}"
-    yield f"{name} = {name} if {name} > -{limit} else -{limit}"
+    yield from _block(f"""
+        {name} = {value} if {value} < {limit} else {limit}
+        {name} = {name} if {name} > -{limit} else -{limit}
+    """)
 
 
 # --- forces on the rotor --------------------------------------------------------------------------
@@ -247,14 +254,16 @@ def _turns(amplitude_n: float, pitch_m: float, phase_rad: float) -> tuple[float,
 
 def _sine(force: str, position: str, velocity: str, number: Number) -> Iterator[str]:
     """Sine of a turn by its series on a quarter of it."""
-    yield f"z = {position} * {number(1)} + {number(2)}"
     # in turns, -1/2 to 1/2; then folded onto the quarter on which the series is short
-    yield "z = z - np.floor(z + HALF)"
-    yield "r = z if z > ZERO else -z"
-    yield "r = r if r < HALF - r else HALF - r"
-    yield "r = r * TURN"
-    yield f"{force} = r * ({_series('r * r')}) * {number(0)}"
-    yield f"{force} = {force} if z > ZERO else -{force}"
+    yield from _block(f"""
+        z = {position} * {number(1)} + {number(2)}
+        z = z - np.floor(z + HALF)
+        r = z if z > ZERO else -z
+        r = r if r < HALF - r else HALF - r
+        r = r * TURN
+        {force} = r * ({_series("r * r")}) * {number(0)}
+        {force} = {force} if z > ZERO else -{force}
+    """)
 
 
 def _series(square: str) -> str:
@@ -393,27 +402,30 @@ def _tally(shape: Shape, row: Rows) -> Iterator[str]:
     """Sums up to the tick in which the motion is too fast or no number: squared velocity, work,
     its lowest, largest command.
     """
-    samples = range(shape.samples)
     torque = "t" if shape.impulse is None else "p"
-    yield f"s2 = {' + '.join(f'v{j} * v{j}' for j in samples)}"
-    yield f"e = {' + '.join(f'v{j} * {torque}{j}' for j in samples)}"
     # NaN is not less than anything, so a lane that is no number ends here too
-    yield f"a = {row('ALIVE')} if s2 < TOO_FAST else ZERO"
-    yield "s2 = s2 if a > ZERO else ZERO"
-    yield "e = e if a > ZERO else ZERO"
-    yield "c = c if c > ZERO else -c" if shape.renders else "c = ZERO"
-    yield "c = c if a > ZERO else ZERO"
-    yield f"work = {row('WORK')} + e"
-    yield f"low = {row('LOWEST')}"
-    yield f"most = {row('FORCE')}"
+    yield from _block(f"""
+        s2 = {" + ".join(f"v{j} * v{j}" for j in range(shape.samples))}
+        e = {" + ".join(f"v{j} * {torque}{j}" for j in range(shape.samples))}
+        a = {row("ALIVE")} if s2 < TOO_FAST else ZERO
+        s2 = s2 if a > ZERO else ZERO
+        e = e if a > ZERO else ZERO
+        c = {"c if c > ZERO else -c" if shape.renders else "ZERO"}
+        c = c if a > ZERO else ZERO
+        work = {row("WORK")} + e
+        low = {row("LOWEST")}
+        most = {row("FORCE")}
+    """)
     if shape.drive is not None:
         yield f"{row('LIMITED')} = {row('LIMITED')} + (r if a > ZERO else ZERO)"
-    yield f"{row('ALIVE')} = a"
-    yield f"{row('TICKS')} = {row('TICKS')} + a"
-    yield f"{row('SPEED2')} = {row('SPEED2')} + s2"
-    yield f"{row('WORK')} = work"
-    yield f"{row('LOWEST')} = work if work < low else low"
-    yield f"{row('FORCE')} = c if c > most else most"
+    yield from _block(f"""
+        {row("ALIVE")} = a
+        {row("TICKS")} = {row("TICKS")} + a
+        {row("SPEED2")} = {row("SPEED2")} + s2
+        {row("WORK")} = work
+        {row("LOWEST")} = work if work < low else low
+        {row("FORCE")} = c if c > most else most
+    """)
 
 
 # --- one sub-step ---------------------------------------------------------------------------------
@@ -464,7 +476,7 @@ def substep(shape: Shape, row: Rows) -> Iterator[str]:
 
 
 def _friction(shape: Shape, row: Rows) -> Iterator[str]:
-    free = [f"n{velocity}" for velocity, *_ in shape.contacts]
+    free = [f"n{contact.velocity}" for contact in shape.contacts]
     if len(free) == 2:
         yield f"q1 = {free[0]} * {row.c('W10')} + {free[1]} * {row.c('W11')}"
         yield from clamped("f1", "q1", row.c("LEVEL1"))
@@ -485,7 +497,7 @@ def _friction(shape: Shape, row: Rows) -> Iterator[str]:
 def _rubbed(shape: Shape, row: Rows, i: int) -> Iterator[str]:
     """What friction does to state `i`."""
     contacts = enumerate(shape.contacts)
-    pushes = [(c, velocity == i) for c, (velocity, _, column) in contacts if column[i]]
+    pushes = [(c, body.velocity == i) for c, body in contacts if body.column[i]]
     target = _target(shape, i)
     slowed = [c for c, own in pushes if own]
     others = [f"{row.c(f'H{c}_{i}')} * f{c}" for c, own in pushes if not own]
@@ -502,7 +514,7 @@ def _held(shape: Shape, c: int) -> Iterator[str]:
     """Contact `c` that stuck for the whole sub-step: its body is where it was, the others are where
     they are.
     """
-    velocity, position, _ = shape.contacts[c]
+    position, velocity, _ = shape.contacts[c]
     # `&`, since `and` is a branch, which the lane loop must not have
     stuck = f"(f{c} == q{c}) & (x{velocity} == ZERO)"
     if shape.keeps[position]:
@@ -533,10 +545,12 @@ def _limited(shape: Shape, drive: DriveStates, row: Rows) -> Iterator[str]:
     """The motor force held inside what current and voltage reach (`model.drive`)."""
     force = f"n{drive.motor_force}"
     yield from clamped("o", force, row.c("MOST"))
-    yield f"z = {row.c('KEEP')} * x{drive.motor_force} - {row.c('DRAG')} * x{drive.velocity}"
-    yield f"o = o if o < z + {row.c('WIDTH')} else z + {row.c('WIDTH')}"
-    yield f"o = o if o > z - {row.c('WIDTH')} else z - {row.c('WIDTH')}"
-    yield f"o = o - {force}"
+    yield from _block(f"""
+        z = {row.c("KEEP")} * x{drive.motor_force} - {row.c("DRAG")} * x{drive.velocity}
+        o = o if o < z + {row.c("WIDTH")} else z + {row.c("WIDTH")}
+        o = o if o > z - {row.c("WIDTH")} else z - {row.c("WIDTH")}
+        o = o - {force}
+    """)
     for i, reached in enumerate(drive.column):
         if reached:
             yield f"{_target(shape, i)} = {_target(shape, i)} + {row.c(f'Y{i}')} * o"
@@ -560,7 +574,7 @@ def _late_last(shape: Shape, i: int) -> list[int]:
     """States of this sum, those that wait for friction last: a shorter chain from sub-step to
     sub-step.
     """
-    rubbed = {velocity for velocity, *_ in shape.contacts}
+    rubbed = {contact.velocity for contact in shape.contacts}
     return sorted(
         shape.feeds[i], key=lambda state: (state in rubbed) + 2 * (state in shape.distances)
     )

@@ -1,4 +1,4 @@
-"""Sampling rate and missing samples from a column of times.
+"""Sampling rate and missing samples from a column of times, or from a counter of samples.
 
 The rate is that of the step, not of the mean: rows that are missing make the mean step longer, and
 every limit moves with the rate or its square. With one row in a hundred missing a margin of +0.54 N
@@ -14,8 +14,11 @@ Seconds that were rounded to more than a period (milliseconds at 4 kHz) repeat. 
 for a whole number of samples, those that have fewer lost some; else the mean rate is all that they
 say.
 
+A counter grows by 1 with every sample, so a larger step is a loss. It begins anew at 2^48 at the
+latest, as a clock of 48 bits does: a step back of about that much is a step forward.
+
 What would break it: losses beside jitter of half a period or more; then the times do not run
-evenly, and are refused.
+evenly, and are refused. So is a counter of fewer bits that begins anew within the record.
 """
 
 from dataclasses import dataclass
@@ -40,6 +43,10 @@ REMEDY = (
     "sort the rows and remove what stands twice, cut the record there, or say --rate-hz if it is"
     " whole"
 )
+BITS = 48  # of the longest counter
+WRAP = 1 << BITS
+MOST_LOST_AT_ONCE = 1 << 24  # samples, an hour
+RIGHT_COUNTER = "name the right column with --counter, or leave that out"
 SPARE_UNITS = (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
 
 
@@ -61,7 +68,7 @@ def sampling(time_s: Floats) -> Sampling:
     steps = np.diff(time_s)
     _forwards(time_s, steps)
     still = float(np.mean(steps == 0.0))
-    found = _rounded(time_s, steps) if still > ROUNDED else _counted(time_s, steps)
+    found = _rounded(time_s, steps) if still > ROUNDED else _even(time_s, steps)
     if found.rate_hz < SLOWEST_HZ:
         digits = 3 + max(0, int(-log10(found.rate_hz)))
         raise AnalysisError(
@@ -120,7 +127,7 @@ def _rounded(time_s: Floats, steps: Floats) -> Sampling:
     return _placed(most / usual_s, place - place[0], steps)
 
 
-def _counted(time_s: Floats, steps: Floats) -> Sampling:
+def _even(time_s: Floats, steps: Floats) -> Sampling:
     """Rate and places by the line through all times."""
     usual_s = float(np.median(steps))
     single = steps[(steps > SINGLE[0] * usual_s) & (steps < SINGLE[1] * usual_s)]
@@ -174,3 +181,48 @@ def _uneven(steps: Floats) -> str:
         f"seconds do not run evenly, steps of {steps.min():.3g} to {steps.max():.3g} s; samples are"
         " missing or it is no time: cut the record there, or say --rate-hz if it is whole"
     )
+
+
+# --- counters of samples --------------------------------------------------------------------------
+
+
+def counted(name: str, counts: Floats) -> tuple[Integers, int]:
+    """Places (n,) from 0 by the counter of samples `name`, and its first number. AnalysisError
+    for numbers that do not count samples.
+    """
+    _whole(name, counts)
+    steps = np.mod(np.diff(counts.astype(np.int64)), WRAP)
+    if steps.size and not _counts_samples(steps):
+        raise AnalysisError(
+            f"column {name} counts by {steps.min()} to {steps.max()}, median"
+            f" {np.median(steps):g}; a number that grows by 1 with every sample was expected:"
+            f" {RIGHT_COUNTER}"
+        )
+    return np.concatenate(([0], np.cumsum(steps))), int(counts[0])
+
+
+def _whole(name: str, counts: Floats) -> None:
+    """AnalysisError for what is no whole number of BITS bits."""
+    good = (counts >= 0.0) & (counts < WRAP) & (counts == np.rint(counts))
+    if not good.all():
+        row = int(np.argmin(good))
+        raise AnalysisError(
+            f"column {name}: {counts[row]:.9g} at sample {row + 1}; a whole number from 0 to"
+            f" 2^{BITS} - 1 was expected: {RIGHT_COUNTER}"
+        )
+
+
+def _counts_samples(steps: Integers) -> bool:
+    """Whether `steps` of a counter are of 1, but for what a record can have lost."""
+    least, most = int(steps.min()), int(steps.max())
+    return least >= 1 and most <= MOST_LOST_AT_ONCE and float(np.median(steps)) == 1.0
+
+
+def unwrapped(times: Floats) -> Floats:
+    """`times` (n,) of a clock, in its own unit, as if it had not begun anew at 2^48; any other
+    fall stays as it is.
+    """
+    back = np.flatnonzero(np.diff(times) < 0.0)
+    if back.size != 1 or times[back[0] + 1] - times[back[0]] > -WRAP / 2:
+        return times
+    return np.where(np.arange(times.size) > back[0], times + WRAP, times)

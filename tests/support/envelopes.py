@@ -1,0 +1,28 @@
+"""Envelopes of trials that were measured one by one, of those that are passive."""
+
+from collections.abc import Iterable
+from functools import reduce
+from typing import NamedTuple
+
+from hapticd.signal.envelope import Envelope, accepted, merged, of_one
+from hapticd.signal.impedance import Impedance
+from hapticd.signal.verdict import Verdict
+
+
+class EnvelopeTrial(NamedTuple):
+    """One measured environment, by the name that its points of the envelope bear."""
+
+    name: str
+    impedance: Impedance
+    verdict: Verdict
+
+
+def of_trial(trial: EnvelopeTrial) -> Envelope:
+    z = trial.impedance
+    return of_one(
+        trial.name, z.frequency_hz, z.impedance_ns_per_m, z.relative_sd, z.port, z.estimator
+    )
+
+
+def envelope(trials: Iterable[EnvelopeTrial]) -> Envelope:
+    return reduce(merged, (of_trial(trial) for trial in trials if accepted(trial.verdict)))
