@@ -20,7 +20,7 @@ lease_app = typer.Typer(
 )
 What = Annotated[
     params.Leased,
-    typer.Argument(metavar="WHAT", help="environment, damping, perturbation or measuring."),
+    typer.Argument(metavar="WHAT", help="environment, active_damping, perturbation or measuring."),
 ]
 AtEnd = Annotated[
     params.AtEnd | None,
@@ -55,7 +55,7 @@ def take(
     instance: terminal.Instance = terminal.INSTANCE,
     as_json: terminal.Json = False,
 ) -> None:
-    """Hold a lease until Ctrl-C, so that nobody else changes it; e.g. to keep scripts away."""
+    """Hold a lease until Ctrl-C, to exclude other clients, for example scripts."""
     ending: list[bool] = []
     process.on_stop(lambda: ending.append(True))
     with connect(instance) as client:

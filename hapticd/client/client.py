@@ -143,8 +143,8 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Status, GuardStatus, dict
     guard, what this client asks is judged as under `refuse`.
 
     Errors of every method: CommandError where the daemon refuses, DaemonDown where none answers in
-    time. In the examples `device` is a `hapticd.virtual_board()`, disabled, with its active damping
-    on; `np` is numpy, `step` is `hapticd.client.step`.
+    time. In the examples `device` is a `hapticd.virtual_board()`, disabled, whose active damping
+    was switched on; `np` is numpy, `step` is `hapticd.client.step`.
     """
 
     _connection: GatewayConnection

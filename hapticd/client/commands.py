@@ -194,7 +194,7 @@ class Commands(Generic[R, H, S, G, D]):
         return self._change("enable")
 
     def disable(self) -> R:
-        """Force off; active damping goes off as well, unless it was asked for in `disabled`.
+        """Switch the force off. The active damping stays as it is.
 
         >>> device.disable().state
         'disabled'

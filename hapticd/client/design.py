@@ -31,9 +31,10 @@ from typing import Any, NamedTuple, Self, TextIO
 import numpy as np
 
 from hapticd.client.blocks import Records
-from hapticd.core.errors import ConfigError
+from hapticd.core.errors import CommandError, ConfigError
 from hapticd.protocol.answers import Receipt
 
+ENABLED = "enabled"  # the state of a receipt in which force acts
 IN_FORCE = ("K", "B", "M", "active_damping")
 TICKS = ("revision", "first_tick", "ramp_end_tick")
 GUARD = ("guard_safe", "guard_margin")
@@ -105,8 +106,13 @@ class Table:
             self._file.close()
 
     def begin(self, receipt: Receipt, condition: Condition) -> None:
-        """`condition` is presented from the tick of `receipt` on."""
+        """Present `condition` from the tick of `receipt` on. CommandError: the servo makes
+        no force, so it cannot be felt.
+        """
         self._flush()
+        if receipt.state != ENABLED:
+            text = f"condition {condition.name!r}: the servo is {receipt.state}, so it is not felt"
+            raise CommandError("refused", f"{text}; end the session, or enable and present it anew")
         self._number += 1
         ticks = {name: getattr(receipt, name) for name in TICKS}
         in_force = {name: receipt.effective.get(name) for name in IN_FORCE}

@@ -87,6 +87,7 @@ def test_rows_get_exactly_the_ticks_in_which_they_were_in_force(tmp_path):
 def test_a_row_is_on_the_disk_before_the_next_condition_begins(tmp_path):
     path = tmp_path / "session.csv"
     with LockStepClient(servo_params(), board_params()) as device, Table(path) as table:
+        device.enable()
         for condition in (A, B):
             table.begin(device.set(**condition.settings), condition)
         with path.open(newline="") as file:

@@ -2,12 +2,15 @@
 
 import asyncio
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import hapticd
 from hapticd.client import CommandError, step
+from hapticd.client.design import Condition, Table
+from hapticd.core.params import AtEnd
 from hapticd.run.virtual import VirtualBoard
 
 pytestmark = pytest.mark.filterwarnings("ignore::hapticd.core.errors.GuardWarning")
@@ -46,6 +49,55 @@ def test_the_guard_judges_and_refuses_as_its_policy_says(board: VirtualBoard) ->
 def test_a_strict_client_is_refused_what_is_not_passive() -> None:
     with hapticd.virtual_board(strict=True) as board, pytest.raises(CommandError):
         board.set(K=200, B=1)
+
+
+@pytest.mark.parametrize(
+    ("at_end", "state", "stiffness"), [("disable", "disabled", 10), ("zero", "enabled", 0)]
+)
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_an_error_in_a_lease_does_what_the_lease_says_at_its_end(
+    board: VirtualBoard, error: type[BaseException], at_end: AtEnd, state: str, stiffness: float
+) -> None:
+    with pytest.raises(error), board.lease("environment", at_end=at_end):  # noqa: PT012
+        board.set(K=10)
+        board.enable()
+        raise error
+    board.sleep(1.0)
+    assert board.status().state == state
+    assert board.get()["parameters"]["K"] == stiffness
+    board.set(K=5)  # its holder knows of it, and goes on
+
+
+def test_a_lease_that_is_released_leaves_the_force(board: VirtualBoard) -> None:
+    with board.lease("environment", at_end="disable"):
+        board.set(K=10)
+        board.enable()
+    board.sleep(1.0)
+    assert board.status().state == "enabled"
+
+
+def test_an_error_in_a_lease_of_asyncio_does_the_same(board: VirtualBoard) -> None:
+    async def session() -> None:
+        client = board.aio()
+        async with client.lease("environment", at_end="disable"):
+            await client.enable()
+            raise ValueError
+
+    with pytest.raises(ValueError):  # noqa: PT011
+        asyncio.run(session())
+    board.sleep(0.1)
+    assert board.status().state == "disabled"
+
+
+def test_a_condition_that_nobody_feels_is_no_row(board: VirtualBoard, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    soft = Condition("soft", {"K": 10.0})
+    with pytest.raises(CommandError, match="stopped"), Table(path) as table:  # noqa: PT012
+        board.enable()
+        table.begin(board.set(**soft.settings), soft)
+        board.stop()
+        table.begin(board.set(**soft.settings), soft)
+    assert len(path.read_text().splitlines()) == 2  # the header, and what was felt
 
 
 def test_a_silent_client_loses_its_lease_and_one_that_sleeps_in_it_does_not(
