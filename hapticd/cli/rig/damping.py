@@ -22,8 +22,8 @@ def damping(
     """Polarity of the active damping, N s/m per count, physical damping, and what the compensation
     leaves of the winding's resistance, by pushes and free glides with a tenth of the force.
 
-    Let go of the handle. Writes the table `active_damping` and `limits.physical_damping_ns_per_m` of the
-    device file.
+    Let go of the handle. Writes the table `active_damping` and `limits.physical_damping_ns_per_m`
+    of the device file.
     """
     steps.run(options, damping_step.measure)
 
