@@ -1,13 +1,14 @@
-"""`make pictures`: the screenshots of README and documentation, taken of the page itself.
+"""`make pictures`: the pictures of README and documentation, taken of the page itself.
 
-A daemon on the simulated board and its page are started in a folder of their own, driven through
-the page in Debian's Chromium, and looked at.
+A daemon on the simulated board and its page are started in a folder of their own and driven through
+the page in Debian's Chromium. In the moving picture a simulated hand holds the handle.
 """
 
 import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
@@ -27,26 +28,50 @@ PATIENCE = 600  # looks
 COLOURS = 160
 PATIENT = "[safety]\ngateway_timeout_s = 30.0\n"  # a busy machine is no fault to be shown
 PATIENCE_MS = 120_000
+# a grip that shakes the undamped device, slowly enough to be seen; no fault is to end it
+HAND = """
+limit_cycle_faults = false
+
+[simulation.touch]
+
+[[simulation.touch.hands]]
+kind = "hold"
+start_s = 1.0
+duration_s = 3600.0
+stiffness_n_per_m = 2467.0
+damping_ns_per_m = 0.1
+tremor_m = 3e-5
+"""
+MOVING_SIZE = (800, 450)
+MOVING_COLOURS = 32
+FRAME_MS = 200
+SHOWN_MS = 2500  # of each part
 PLANE_DRAWN = "() => document.querySelector('#plane-note').textContent.startsWith('by')"
 
 
 def main() -> None:
-    """Take all pictures."""
-    with daemon() as url, sync_playwright() as playwright:
+    """Take all pictures, or those that are named on the command line."""
+    asked = sys.argv[1:] or ["still", "moving"]
+    with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        enabled(browser, url)
-        refused(browser, url)
-        stopped(browser, url)
+        if "still" in asked:
+            with daemon() as url:
+                enabled(browser, url)
+                refused(browser, url)
+                stopped(browser, url)
+        if "moving" in asked:
+            with daemon(HAND) as url:
+                moving(browser, url)
         browser.close()
 
 
 @contextmanager
-def daemon() -> Iterator[str]:
-    """A daemon of its own; the URL of its page."""
+def daemon(more: str = "") -> Iterator[str]:
+    """A daemon of its own, with `more` in its configuration; the URL of its page."""
     with tempfile.TemporaryDirectory(prefix="hapticd-") as folder:
         os.environ["XDG_RUNTIME_DIR"] = folder
         config = Path(folder) / "hapticd.toml"
-        config.write_text(PATIENT)
+        config.write_text(PATIENT + more)
         words = [sys.executable, "-m", "hapticd", "run", "--instance", INSTANCE]
         words += ["--config", str(config)]
         process = subprocess.Popen(words, stdout=subprocess.DEVNULL)
@@ -129,6 +154,46 @@ def stopped(browser: Browser, url: str) -> None:
     page.wait_for_selector("html[data-state=stopped]")
     page.wait_for_timeout(700)
     taken(page, "console-stopped")
+
+
+def moving(browser: Browser, url: str) -> None:
+    """Damping on and quiet, off and shaking, on and quiet, STOP: one picture that moves."""
+    page = opened(browser, url, "light")
+    page.click("#damping-switch")
+    page.wait_for_selector("#damping-switch[aria-checked=true]")
+    values(page, K="170", B="1")
+    page.click("#enable")
+    page.wait_for_selector("html[data-state=enabled]")
+    page.wait_for_timeout(5000)
+    frames = frames_of(page)
+    for _ in range(2):
+        page.click("#damping-switch")
+        frames += frames_of(page)
+    page.focus("#enable")
+    page.keyboard.press("Space")
+    frames += frames_of(page)
+    first, *others = [one.quantize(MOVING_COLOURS) for one in frames]
+    first.save(
+        FIGURES / "console-moving.gif",
+        save_all=True,
+        append_images=others,
+        duration=FRAME_MS,
+        loop=0,
+        optimize=True,
+    )
+    page.context.close()
+
+
+def frames_of(page: Page) -> list[Image.Image]:
+    """The page every FRAME_MS, or as often as the browser can, for SHOWN_MS."""
+    taken_frames = []
+    begin_ns = time.monotonic_ns()
+    for number in range(SHOWN_MS // FRAME_MS):
+        ahead_ms = number * FRAME_MS - (time.monotonic_ns() - begin_ns) / 1e6
+        page.wait_for_timeout(max(0.0, ahead_ms))
+        drawn = Image.open(BytesIO(page.screenshot())).convert("RGB")
+        taken_frames.append(drawn.resize(MOVING_SIZE, Image.Resampling.LANCZOS))
+    return taken_frames
 
 
 def values(page: Page, **given: str) -> None:

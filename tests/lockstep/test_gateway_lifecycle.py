@@ -254,7 +254,7 @@ def test_terms_that_could_not_be_kept_are_tried_again(
         raise MailboxError("no room")
 
     with monkeypatch.context() as patch:
-        patch.setattr(terms, "keep", no_room)
+        patch.setattr(terms, "write_terms", no_room)
         rig.ask(cmd="guard", policy="refuse")
         rig.run(2000)
     warnings = [one for one in rig.journal.recent if "not kept" in one.get("text", "")]
