@@ -34,5 +34,5 @@ The sampled loop:
     narrow       narrow dips of Re Z, sought at the poles of the loop
     coupled      `withstands`, `shaking_hand`: what a passive hand can do
     predict      `predict`, `predicted_impedance`: passive or not without a trial
-    outlook      `forecast`: all of these about one environment
+    forecast     `forecast`: all of these about one environment
 """
