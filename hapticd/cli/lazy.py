@@ -7,7 +7,7 @@
 Each name that is bound there stands for a module, which is imported at the first access to one of
 its names. So only whole modules can wait, not names of them, and a module that is missing is an
 error at its first use. Nothing waits in `sys.modules`: libraries that look through all modules, as
-`inspect` does, would load what nobody needs, and in the middle of other imports.
+`inspect` does, would load unneeded modules, in the middle of other imports.
 
 What would break it: a package that gives a name to something else than its module of that name.
 """
@@ -16,6 +16,7 @@ import builtins
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
+from threading import get_ident
 from types import ModuleType
 from typing import Any
 
@@ -30,7 +31,11 @@ class _Waiting(ModuleType):
 def _waiting(
     name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
 ) -> ModuleType:
-    """What `import name`, or `from name import fromlist`, binds."""
+    """What `import name`, or `from name import fromlist`, binds. ImportError for `import a.b`,
+    which binds a.
+    """
+    if "." in name and not fromlist:
+        raise ImportError(f"import {name}: name it with `from`, so that it can wait")
     found = _Waiting(name)
     for one in fromlist or ():
         setattr(found, one, _Waiting(f"{name}.{one}"))
@@ -41,7 +46,15 @@ def _waiting(
 def lazily() -> Iterator[None]:
     """Modules that are imported within this context wait until they are used."""
     usual = builtins.__import__
-    builtins.__import__ = _waiting
+    here = get_ident()
+
+    def imported(
+        name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
+    ) -> ModuleType:
+        act = _waiting if get_ident() == here else usual
+        return act(name, globals, locals, fromlist, level)
+
+    builtins.__import__ = imported
     try:
         yield
     finally:

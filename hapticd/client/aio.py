@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from hapticd.client.blocks import Block, Excerpt, Records, chunks, concatenated
 from hapticd.client.commands import POLL_S, Commands, hand_of
-from hapticd.client.lease import RENEWALS, lost_error
+from hapticd.client.lease import RENEWALS, lost_error, renews_again
 from hapticd.client.requests import (
     STOP_TIMEOUT_S,
     RequestTracker,
@@ -379,7 +379,8 @@ class AsyncClient(
 
 
 class AsyncLease:
-    """A lease of `what`, taken when the context begins and released when it ends.
+    """A lease of `what`, taken when the context begins and released when it ends. An exception that
+    ends it does what `at_end` says.
 
     A task of its own renews it meanwhile, so it is lost when the event loop hangs, not while the
     body waits. CommandError at the end of the context if it was lost.
@@ -412,7 +413,10 @@ class AsyncLease:
 
     async def _renew(self, ttl_s: float) -> None:
         """Until it is lost; the end of the context tells that."""
-        with suppress(CommandError, DaemonDown):
-            while True:
-                await asyncio.sleep(ttl_s / RENEWALS)
+        while True:
+            await asyncio.sleep(ttl_s / RENEWALS)
+            try:
                 await self._client.call("lease", what=self._what, action="renew")
+            except HapticdError as error:
+                if not renews_again(error):
+                    return

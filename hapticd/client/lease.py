@@ -23,7 +23,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Self
 
-from hapticd.core.errors import CommandError, HapticdError
+from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.protocol.answers import LeaseHeld, LeaseReleased, answer_of
 
 __all__ = ["ClientLease"]
@@ -35,6 +35,12 @@ KEPT_ALIVE = ("environment", "active_damping")
 def lost_error(text: str) -> CommandError:
     """The error for a lease that was lost as `text` says."""
     return CommandError("leased", f"{text}; what was done since then was not excluded")
+
+
+def renews_again(error: HapticdError) -> bool:
+    """Whether another renewal may succeed: there was no answer in time, or no room."""
+    code = error.code if isinstance(error, CommandError) else ""
+    return isinstance(error, DaemonDown) or code in ("timeout", "busy")
 
 
 class ClientLease:
@@ -78,11 +84,9 @@ class ClientLease:
         while not self._left.wait(self._ttl_s / RENEWALS):
             try:
                 self.renew()
-            except CommandError as error:
-                if error.code == "leased":
+            except HapticdError as error:
+                if not renews_again(error):
                     return
-            except HapticdError:
-                continue  # no answer in time; the next renewal may have one
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         self._left.set()

@@ -7,8 +7,9 @@ came, `collect` gives what is due, also the replies to what the servo left unans
 STOP goes first among what came together, skips every interlock, and presses the stop word when
 others are ahead of it in the ring.
 
-What changes the environment goes past the guard first (`guarded`), which asks another process; all
-else is posted at once. `guard.outstanding` keeps posted commands until they are answered.
+What changes the environment goes past the guard first (`guard.request_queue`), which asks another
+process; all else is posted at once. `guard.outstanding` keeps posted commands until they are
+answered.
 
 What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what
 a client sent (it holds nothing foreign but a bounded id and a few printable characters).
@@ -231,7 +232,10 @@ class CommandServer:
         if isinstance(request, Perturb) and request.action == "load":
             return self._load(request, self.actors.number(message.client))
         if isinstance(request, LeaseRequest):
-            return self._leasing.answer(request, self.actors.number(message.client))
+            actor = self.actors.number(message.client)
+            if request.action == "fail":
+                self._guarded.give_up(actor)
+            return self._leasing.answer(request, actor)
         if isinstance(request, GuardRequest):
             self._guard.change(request)
             return None if request.mode else self.guard_summary()

@@ -1,6 +1,6 @@
 """The guard's worker: `python -m hapticd.guard.main FOLDER --fd N [--parent PID]`.
 
-It judges displays on the model in FOLDER/guard.json (`guard.judge.Judge`) for the gateway,
+It judges environments on the model in FOLDER/guard.json (`guard.judge.Judge`) for the gateway,
 which keeps the other end of the socket N. Messages both ways are msgpack maps, each behind its
 length (`guard.worker`). The first one tells whom it judges for; then every request gets one
 answer. What goes wrong with one request becomes {"n": .., "error": text}, and the worker goes on.

@@ -72,7 +72,7 @@ class PendingChange:
 
 
 def change_of(request: Request, level: float) -> dict[str, Any]:
-    """What `request` changes of a display; active damping as a number, `on` being `level`."""
+    """What `request` changes of an environment; active damping as a number, `on` being `level`."""
     if isinstance(request, Damping):
         if request.value == "auto":
             return {}

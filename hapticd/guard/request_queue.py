@@ -212,6 +212,16 @@ class GuardedQueue:
                 self._drop(case)
         self._under_way.take_back(lambda case: case.actor == actor, "its connection is gone")
 
+    def give_up(self, actor: int) -> None:
+        """The client `actor` has failed: of what it asked nothing more is posted."""
+        why = "its client has failed"
+        for case in (*self._queue, self._asked):
+            if case is not None and case.actor == actor and case.message is not None:
+                self._give_back(case, CommandError("refused", f"{case.cmd}: {why}"))
+        if self._under_way.case is not None and self._under_way.case.actor == actor:
+            self._under_way.cancel(why)
+        self._under_way.take_back(lambda case: case.actor == actor, why)
+
     def _drop(self, case: PendingChange) -> None:
         if case is self._asked:
             self._guard.forget(case.number)

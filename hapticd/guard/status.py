@@ -356,7 +356,7 @@ class Guard:
         self._answers.pop(number, None)
 
     def want_hand(self, unsafe: UnsafeRequest) -> None:
-        """Have the hand found that shakes this display."""
+        """Have the hand found that shakes this environment."""
         self._hands.append(unsafe)
 
     def _send(self, question: dict[str, Any], now_ns: int) -> int:

@@ -10,7 +10,7 @@ each of which asks one question. The first one that objects answers.
     lease      may this client change this now, or does another hold it?
 
 Whether the display would still be passive is asked of another process, and waited for: see
-`guarded`. STOP passes none of them.
+`guard.request_queue`. STOP passes none of them.
 """
 
 from dataclasses import replace

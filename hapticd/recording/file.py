@@ -228,7 +228,9 @@ def open_recording(path: Path) -> Recording:
     if path.suffix == flight.SUFFIX:
         return _flight(path)
     with _damage(path):
-        return _live(path) if live.is_live(regular(path)) else _hdf5(path)
+        growing = live.is_live(regular(path))
+    with _damage(path, "recording" if growing else "HDF5 file"):
+        return _live(path) if growing else _hdf5(path)
 
 
 def is_recording(path: Path) -> bool:

@@ -19,6 +19,7 @@ What would break it: a write after one that failed; a second writer.
 
 import struct
 from collections.abc import Iterable, Mapping, Sequence
+from fcntl import LOCK_EX, LOCK_NB, LOCK_SH, flock
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -101,6 +102,16 @@ class Column:
         return found[start : start + max(0, end - begin)]
 
 
+def require_finished(path: Path) -> None:
+    """HapticdError while the live file at `path` is written."""
+    with path.open("rb") as file:
+        try:
+            flock(file, LOCK_SH | LOCK_NB)
+        except BlockingIOError as error:
+            text = f"{path} is being recorded; end that recording first, with Ctrl-C"
+            raise HapticdError(text) from error
+
+
 def columns(blocks: Sequence[Records]) -> dict[str, Column]:
     """The columns of rows that lie in `blocks`, of one type; none without a block."""
     if not blocks:
@@ -125,6 +136,7 @@ class LiveFile:
                 f"{path}: {error}; choose another name, or `hapticd rec recover` it first"
             ) from error
         self.descriptor: int = self._file.fileno()
+        flock(self.descriptor, LOCK_EX)  # until it is closed: see `require_finished`
         self._row_bytes = {name: kind.itemsize for name, kind in groups.items()}
         descriptions = {name: kind.descr for name, kind in groups.items()}
         header = with_header(MAGIC, {"attributes": attributes, "groups": descriptions})

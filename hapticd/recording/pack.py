@@ -32,7 +32,7 @@ from hapticd.core.extras import need
 from hapticd.core.units import NS_PER_S
 from hapticd.recording.energy import DATASETS, GROUP, energies
 from hapticd.recording.file import Recording, open_recording
-from hapticd.recording.live import SUFFIX
+from hapticd.recording.live import SUFFIX, require_finished
 from hapticd.recording.stretch import remark, stretch
 from hapticd.settings.inputs import regular
 
@@ -66,6 +66,8 @@ def pack(
 
     if final.exists():
         raise HapticdError(f"{final} exists; move it away or choose another name")
+    if source.name.endswith(SUFFIX):
+        require_finished(source)
     _check_room(source, final, free_bytes)
     fresh = final.with_name(f".{final.name}.{os.getpid()}")
     with open_recording(source) as recording:

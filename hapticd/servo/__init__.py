@@ -7,8 +7,8 @@ the layers below.
     slow_path   the slow path of a tick: commands, ramps, homing
     causes      what is wrong with a sample, as the number of a fault
     samples     lost and doubted samples, and the origin behind them
-    homing      Search: finds the stop or the index, or says why not
-    plan        Plan, Settled, ServoState: what is intended, and what a tick needs of it;
+    homing      HomingSearch: finds the stop or the index, or says why not
+    plan        Plan, TickConstants, ServoState: what is intended, and what a tick needs of it;
                 flatten, unflatten: a checkpoint
     commands    one command on one plan
     safety      TABLE: which command leads where, and what torque and damping a state allows

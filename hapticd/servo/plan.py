@@ -1,4 +1,4 @@
-"""What the servo intends (Plan), what one tick needs of it (Settled), and both as plain tuples
+"""What the servo intends (Plan), what one tick needs of it (TickConstants), both as plain tuples
 (checkpoint).
 
 A Plan is everything that changes by commands, ramps and transitions, and not by the sample. It is
@@ -7,8 +7,8 @@ command. Ramps carry their own start tick, so a parameter that is set twice goes
 is. `flat_plan` makes of it the flat values that one tick needs, and until when they hold.
 
 A tick passes on a ServoState. What changes with every sample in it is a plain tuple, which CPython
-takes apart and builds at the speed of C; what only `transition` changes is one frozen object with
-named slots (Settled) that a calm tick passes on untouched.
+takes apart and builds at the speed of C; what only `slow_path` changes is one frozen object with
+named slots (TickConstants) that a calm tick passes on untouched.
 
 A checkpoint (`flatten`, `unflatten`) is the whole state as nested plain tuples: what a replay
 starts from. Every number stays the number it is, so a replay from a checkpoint gives the same bits

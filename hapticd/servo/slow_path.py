@@ -5,7 +5,8 @@ Order within a tick: what arrived (`samples`) -> what is wrong (`causes`) -> com
 changes -> homing -> active damping and ramps. So a stop that arrives with an enable wins, and a
 reset sees a fault that appears in this tick.
 
-Limitations: the fast path looks only at `Settled`, so each change of the plan has to renew it.
+Limitations: the fast path looks only at `TickConstants`, so each change of the plan has to renew
+it.
 """
 
 from typing import Any

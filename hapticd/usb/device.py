@@ -208,7 +208,7 @@ def _exchange(
 
     def begin() -> None:
         nonlocal expected, missing, seeding
-        # no sequence number is that: the first frame goes the long way, through `odd`
+        # no sequence number is that: the first frame takes the slow path, through `odd`
         expected = -1
         missing = 0
         seeding = True

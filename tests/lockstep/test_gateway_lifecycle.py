@@ -142,6 +142,43 @@ def test_what_a_closed_connection_left_waiting_is_not_carried_out(
     assert rig.servo.values[Value.STIFFNESS] != 5.0
 
 
+@pytest.mark.parametrize("policy", ["warn", *STRICT])
+def test_what_a_failed_holder_left_waiting_is_not_carried_out(
+    rig: DeskRig, worker: StubWorker, policy: str
+) -> None:
+    rig.ask(cmd="guard", policy=policy)
+    worker.silent = True
+    rig.send(packed(cmd="set", K=100), client=b"b")  # keeps the others waiting
+    rig.send(packed(cmd="lease", what="environment", at_end="disable"))
+    rig.send(packed(cmd="enable"), packed(cmd="set", K=5))
+    rig.run(2)
+    replies = rig.send(packed(cmd="lease", what="environment", action="fail"))
+    worker.silent = False
+    replies += [decoded(reply) for _ in range(2000) for reply in rig.run()]
+    assert rig.servo.state is State.DISABLED
+    assert rig.servo.values[Value.STIFFNESS] != 5.0
+    texts = [str(one["error"]) for one in replies if "error" in one]
+    assert len([text for text in texts if "its client has failed" in text]) == 2
+
+
+def test_enable_in_stages_ends_where_its_client_fails(rig: DeskRig, worker: StubWorker) -> None:
+    rig.ask(cmd="lease", what="environment", at_end="disable")
+    waits_in_stages(rig, worker)
+    rig.ask(cmd="lease", what="environment", action="fail")
+    assert comes(rig) is State.DISABLED
+
+
+def test_change_in_stages_ends_where_its_client_fails(rig: DeskRig, worker: StubWorker) -> None:
+    rig.ask(cmd="guard", policy="clamp")
+    rig.ask(cmd="lease", what="environment", at_end="zero")
+    worker.script = staged
+    rig.servo.effect = 0.0
+    rig.ask(cmd="set", K=100, active_damping=1.5)
+    rig.ask(cmd="lease", what="environment", action="fail")
+    comes(rig)
+    assert rig.servo.values[Value.STIFFNESS] == 0.0
+
+
 # --- deadlines --------------------------------------------------------------------------------
 
 

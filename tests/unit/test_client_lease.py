@@ -1,19 +1,19 @@
-"""Which leases a thread may keep alive."""
-
-from typing import Any
+"""A kept lease: which errors of a renewal end it, and which are tried again."""
 
 import pytest
 
-from hapticd.client.lease import ClientLease
-from hapticd.core.errors import CommandError
+from hapticd.client.lease import renews_again
+from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 
 
-def unasked(*_: Any, **__: Any) -> dict[str, Any]:
-    raise AssertionError("nothing is to be asked")
+@pytest.mark.parametrize(
+    "error",
+    [DaemonDown("no answer"), CommandError("timeout", "late"), CommandError("busy", "full")],
+)
+def test_a_renewal_without_an_answer_is_tried_again(error: HapticdError) -> None:
+    assert renews_again(error)
 
 
-@pytest.mark.parametrize("what", ["perturbation", "measuring"])
-def test_what_moves_the_handle_by_itself_is_not_kept_alive(what: str) -> None:
-    with pytest.raises(CommandError, match="environment and active_damping") as refused:
-        ClientLease(unasked, what, keep_alive=True)
-    assert refused.value.code == "invalid"
+@pytest.mark.parametrize("code", ["leased", "refused", "invalid"])
+def test_a_lease_that_is_lost_is_not_renewed(code: str) -> None:
+    assert not renews_again(CommandError(code, "lost"))

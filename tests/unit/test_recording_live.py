@@ -10,6 +10,7 @@ from hapticd.core.errors import HapticdError
 from hapticd.recording import live
 from hapticd.recording.file import open_recording, udunits
 from hapticd.recording.live import GROUPS, channels, columns, event_row, table
+from hapticd.recording.pack import pack
 
 
 @pytest.mark.parametrize(
@@ -85,3 +86,14 @@ def test_live_file_is_not_opened_twice(tmp_path: Path) -> None:
     with pytest.raises(HapticdError, match="choose another name"):
         live.LiveFile(tmp_path / "a.part.h5", {}, {})
     file.close()
+
+
+def test_a_file_that_is_being_recorded_is_not_recovered(tmp_path: Path) -> None:
+    """The recorder would write on into a file without a name."""
+    path = tmp_path / "run.part.h5"
+    growing = live.LiveFile(path, {}, {})
+    with pytest.raises(HapticdError, match="is being recorded"):
+        pack(path, tmp_path / "run.h5")
+    assert path.exists()
+    growing.close()
+    live.require_finished(path)

@@ -1,9 +1,9 @@
 """What moves, what resists, and how late force comes: the device's own [model], measured.
 
 The handle is let go. A weak spring and damper keep it in the middle while the probe shakes it with
-noise, softly and then hard (`balance` tells Coulomb from viscous friction by that). Then a stiffer
-spring is rendered, as stiff as friction keeps passive by far (Colgate and Schenkel's theorem with
-the lag found so far), and shaken hard again: its force shows delay and smoothing.
+noise, softly and then hard (`force_balance` tells Coulomb from viscous friction by that). Then a
+stiffer spring is rendered, as stiff as friction keeps passive by far (Colgate and Schenkel's
+theorem with the lag found so far), and shaken hard again: its force shows delay and smoothing.
 
 What that says, with intervals, is in `mechanics`; each assumption that the residuals contradict is
 told in words where it matters as well as being certain: a long record makes small terms certain, so
