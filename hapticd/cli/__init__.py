@@ -4,7 +4,7 @@
     terminal    options that verbs share, what is printed where, the progress bar, figures on disk
     change      a connection to the daemon, NAME=VALUE words, receipts
     numbers     numbers as people type them
-    lazy        imports that happen at the first use of a module
+    deferred    imports that happen at the first use of a module
     daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
                 mark, perturb
     monitor     the lines of status, live in a terminal; events
@@ -26,7 +26,7 @@ line and its exit code:
     0 done   1 failed   2 usage   3 no daemon   4 refused   5 stopped or faulted
     6 requirement not met   78 configuration   130 interrupted
 
-What is large is imported within `lazy.lazily()` and loaded when a verb uses it, so that `--help`
-and the small verbs stay quick: nothing here may import numpy, pydantic, zmq or rich at its top in
-another way.
+What is large is imported within `deferred.deferred_imports()` and loaded when a verb uses it, so
+that `--help` and the small verbs stay quick: nothing here may import numpy, pydantic, zmq or rich
+at its top in another way.
 """

@@ -11,14 +11,14 @@ from typing import Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.numbers import number, unknown
 from hapticd.client.formatting import objection_lines, receipt_text, refusal_lines
 from hapticd.core.errors import CommandError
 from hapticd.protocol.answers import GuardVerdict, Receipt
 from hapticd.protocol.limits import PLACES
 
-with lazily():
+with deferred_imports():
     from hapticd.client import client as clients
 
 NAMES = tuple(name for name in PLACES if name != "ramp_s")

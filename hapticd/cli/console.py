@@ -5,10 +5,10 @@ from typing import Annotated
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.core.process import on_stop
 
-with lazily():
+with deferred_imports():
     from hapticd.console import server
 
 

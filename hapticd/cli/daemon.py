@@ -17,8 +17,8 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import change, changes, connect
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.guard import guard_lines
-from hapticd.cli.lazy import lazily
 from hapticd.cli.lease import lease_lines
 from hapticd.cli.numbers import number
 from hapticd.cli.terminal import SIMULATED_BANNER
@@ -35,7 +35,7 @@ from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.mailbox.files import runtime_folder
 from hapticd.protocol.answers import Compensation, Delivered, StageTimes, Status, answer_of
 
-with lazily():
+with deferred_imports():
     import numpy as np
 
     from hapticd.client import fast_stop

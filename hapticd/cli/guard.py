@@ -7,12 +7,12 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.client.formatting import guard_line, margin_words, verdict_lines
 from hapticd.core import params
 from hapticd.protocol.answers import GuardStatus
 
-with lazily():
+with deferred_imports():
     from hapticd.client import client as clients
 
 Policy = Annotated[

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 
-with lazily():
+with deferred_imports():
     from hapticd.client import listener
     from hapticd.protocol import keys
 

@@ -7,11 +7,11 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.core import params
 from hapticd.protocol.answers import LeaseHeld
 
-with lazily():
+with deferred_imports():
     from hapticd.core import process
 
 lease_app = typer.Typer(

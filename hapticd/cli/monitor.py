@@ -28,7 +28,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.daemon import status_lines
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.client import fast_stop
 from hapticd.core import clock
 from hapticd.core.errors import HapticdError
@@ -38,7 +38,7 @@ from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import State
 from hapticd.protocol.answers import Status, answer_of
 
-with lazily():
+with deferred_imports():
     import msgpack
     from rich import console as rich_console
     from rich import live as rich_live

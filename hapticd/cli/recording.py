@@ -13,14 +13,14 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import changes, connect
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.core.environment import flat
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.process import on_stop
 from hapticd.mailbox.layout import Value
 from hapticd.protocol.limits import PLACES
 
-with lazily():
+with deferred_imports():
     from hapticd.recording import energy, pack, recorder
     from hapticd.recording import file as files
     from hapticd.recording import replay as replays

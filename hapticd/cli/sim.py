@@ -6,10 +6,10 @@ from typing import Annotated, Any, Literal
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.terminal import progress
 
-with lazily():
+with deferred_imports():
     from hapticd.model import compose, stability
     from hapticd.model import scene as model_scene
     from hapticd.settings import scene as scenes

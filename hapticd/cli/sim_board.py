@@ -5,12 +5,12 @@ from typing import Annotated, Literal
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import ConfigError
 from hapticd.core.process import on_stop
 
-with lazily():
+with deferred_imports():
     from hapticd.settings import build, load
     from hapticd.sim import board, injection, usb_device, usbip
 

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdError, MailboxError
 from hapticd.core.extras import need
 from hapticd.mailbox.files import DEFAULT_INSTANCE, runtime_folder
 
-with lazily():
+with deferred_imports():
     from hapticd.settings import toml
     from hapticd.zwidth import store
     from hapticd.zwidth.report import paper, style

@@ -175,7 +175,7 @@ class Command(IntEnum):
     FAULT = 11  # one of `faults.FROM_GATEWAY`
     # what others than its actor have scheduled of the places in its mask; nothing else changes
     CANCEL = 12
-    WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.watchdog_test)
+    WITHHOLD = 13  # no frames for a while, for the board's watchdog (servo.watchdog_trial)
     # changes are judged by these terms from now on; what was scheduled by others is cancelled
     TERMS = 14
 
@@ -453,7 +453,7 @@ class Flag(IntEnum):
     BELIEVED = 8192
     PAUSED = 16384  # ramps wait, since they have brought in as much energy as a second may
     CONTROLLED = 32768  # the energy controller holds more damping, or less K and B, than asked
-    WITHHELD = 65536  # no frame was sent: the board's watchdog is tried (servo.watchdog_test)
+    WITHHELD = 65536  # no frame was sent: the board's watchdog is tried (servo.watchdog_trial)
 
 
 class LateCause(IntEnum):

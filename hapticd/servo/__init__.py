@@ -13,7 +13,7 @@ the layers below.
     commands    one command on one plan
     safety      TABLE: which command leads where, and what torque and damping a state allows
     inbox       Inbox: what a tick has to obey; Streamer: a waveform into the board's FIFO
-    board_check, watchdog_test   what a board must show before it may make force; frames withheld
+    board_check, watchdog_trial   what a board must show before it may make force; frames withheld
     glitch, monitors       doubts about a sample; signs of a limit cycle
     easing, ramp_energy    how far a change may step the force, and what energy it may bring
     commissioning          what is watched while the signs are not verified

@@ -29,7 +29,7 @@ from hapticd.mailbox.layout import (
     values_of,
 )
 from hapticd.render.ramp import Ramp, constant
-from hapticd.servo import safety, watchdog_test
+from hapticd.servo import safety, watchdog_trial
 from hapticd.servo.commissioning import Push
 from hapticd.servo.homing import begin
 from hapticd.servo.plan import (
@@ -203,7 +203,7 @@ def obey(
     if kind == Command.TERMS:
         return _terms(plan, request, now, params)
     if kind == Command.WITHHOLD:
-        after, result = watchdog_test.begun(plan, values, now.tick, params)
+        after, result = watchdog_trial.begun(plan, values, now.tick, params)
         end = max(now.tick, after.silent_until)
         return after, [answer(after, seq, result, (now.tick, end), params)]
     target = _target(plan, request, now, params)

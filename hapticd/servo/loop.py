@@ -57,7 +57,7 @@ from hapticd.servo.plan import (
     in_slots,
 )
 from hapticd.servo.step import initial_state, make_step
-from hapticd.servo.watchdog_test import WITHHELD
+from hapticd.servo.watchdog_trial import WITHHELD
 from hapticd.usb.base import backoff_s
 from hapticd.usb.codec import (
     HEAD_ENCODER,

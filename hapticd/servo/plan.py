@@ -128,7 +128,7 @@ class Plan(NamedTuple):
     winding: Winding = Winding()  # and how much of its resistance is compensated
     control: Control = Control()
     push: Push = Push()  # followed while signs are not verified
-    silent_until: int = 0  # slot of the first frame after a silence (servo.watchdog_test), 0: none
+    silent_until: int = 0  # slot of the first frame after a silence (servo.watchdog_trial), 0: none
     # slot since when force that was withheld has not been whole again, -1: it is
     short_since: int = -1
     terms: int = ANY_TERMS  # number of those by which the gateway judges, ANY_TERMS: none told

@@ -27,7 +27,7 @@ from hapticd.render.law import (
     split,
 )
 from hapticd.render.ramp import Ramp, constant
-from hapticd.servo import watchdog_test
+from hapticd.servo import watchdog_trial
 from hapticd.servo.causes import SENSOR_GLITCH, Causes
 from hapticd.servo.commands import CommandContext, apply_settings, enter, obey
 from hapticd.servo.commissioning import followed, push_ended
@@ -98,7 +98,7 @@ class SlowPath:
             state = self._samples.unwrapped(state, encoder)
         settled, law, ledger, held, signs = state
         coefficients = settled.coefficients
-        plan = watchdog_test.followed(settled.plan, settled.out_flags)
+        plan = watchdog_trial.followed(settled.plan, settled.out_flags)
         before = plan
         # periods since the last tick, while something makes every tick come here; a look at the
         # winding whose own slot was lost says nothing of that
@@ -345,7 +345,7 @@ def pushing(force_n: float, limit_n: float) -> LawInputs:
 def out_flags(plan: Plan, tick: int) -> int:
     """Flags of the OUT frame: torque authority only where the table grants torque."""
     if plan.silent_until:
-        return watchdog_test.flags_of(plan, tick)
+        return watchdog_trial.flags_of(plan, tick)
     live = plan.state in GRANTED or (
         plan.state in LATCHED and (plan.gain.running(tick) or plan.fade.running(tick))
     )

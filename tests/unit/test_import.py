@@ -7,7 +7,7 @@ import sys
 import pytest
 
 import hapticd
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 
 HEAVY = {"numpy", "zmq", "msgpack", "pydantic", "h5py", "asyncio", "usb", "logging"}
 
@@ -48,7 +48,7 @@ def test_help_of_all_verbs_loads_no_large_library() -> None:
     assert loaded & large == set()
 
 
-WAITING = "from hapticd.cli.lazy import lazily\nwith lazily():\n"
+WAITING = "from hapticd.cli.deferred import deferred_imports\nwith deferred_imports():\n"
 
 
 def test_a_module_that_waits_is_loaded_at_its_first_use() -> None:
@@ -59,13 +59,13 @@ def test_a_module_that_waits_is_loaded_at_its_first_use() -> None:
 
 
 def test_a_module_that_is_missing_is_an_error_at_its_first_use() -> None:
-    with lazily():
+    with deferred_imports():
         from hapticd import nothing  # type: ignore[attr-defined]
     with pytest.raises(ModuleNotFoundError, match=r"No module named 'hapticd\.nothing'"):
         _ = nothing.something
 
 
 def test_imports_happen_at_once_again_behind_the_block() -> None:
-    with lazily():
+    with deferred_imports():
         pass
     assert "numpy" in loaded_after(f"{WAITING}    import json as waiting\nimport numpy")

@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import steps
 
-with lazily():
+with deferred_imports():
     from hapticd.rig.steps import damping as damping_step
     from hapticd.rig.steps import delivery
 

@@ -17,7 +17,7 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import damping, sensors, steps
 from hapticd.cli.rig.identify import identify
 from hapticd.cli.rig.motor import motor
@@ -26,7 +26,7 @@ from hapticd.cli.rig.verify import verify
 from hapticd.core.errors import DaemonDown, HapticdError
 from hapticd.core.params import RIG_STEPS, to_plain
 
-with lazily():
+with deferred_imports():
     from hapticd.recording import calibrations
     from hapticd.settings import build, load
     from hapticd.settings import device as device_files

@@ -1,9 +1,9 @@
 """`hapticd rig identify`: what moves, what resists, and how late force comes."""
 
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import steps
 
-with lazily():
+with deferred_imports():
     from hapticd.rig.steps import identify as identify_step
 
 

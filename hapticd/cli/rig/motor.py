@@ -7,11 +7,11 @@ from typing import Annotated
 
 import typer
 
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import steps
 from hapticd.core.errors import AnalysisError
 
-with lazily():
+with deferred_imports():
     from hapticd.client import client as clients
     from hapticd.rig import hand as hands
     from hapticd.rig import result as results

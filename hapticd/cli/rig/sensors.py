@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import steps
 
-with lazily():
+with deferred_imports():
     from hapticd.rig.steps import probe as probe_step
     from hapticd.rig.steps import probe_fits
     from hapticd.rig.steps import temperature as temperature_step

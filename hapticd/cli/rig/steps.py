@@ -20,12 +20,12 @@ import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.zwidth.live import signals_end_with_force_off
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import to_plain
 
-with lazily():
+with deferred_imports():
     from hapticd.client import client as clients
     from hapticd.rig import device_file
     from hapticd.rig import hand as hands

@@ -6,11 +6,11 @@ from typing import Annotated
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import steps
 from hapticd.core.errors import ConfigError
 
-with lazily():
+with deferred_imports():
     from hapticd.client import client as clients
     from hapticd.rig import certificate, experiment
     from hapticd.rig import hand as hands

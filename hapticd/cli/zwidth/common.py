@@ -15,11 +15,11 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.protocol.limits import CommandLimits
 
-with lazily():
+with deferred_imports():
     from hapticd.guard import bounds
     from hapticd.mailbox import environment_limits
     from hapticd.model import scene as model_scene

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.zwidth import common
 
-with lazily():
+with deferred_imports():
     from hapticd.signal import verdict
     from hapticd.zwidth import portable, store
     from hapticd.zwidth.report import comparison, style, table

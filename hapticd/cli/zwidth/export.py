@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.core.errors import ConfigError
 
-with lazily():
+with deferred_imports():
     from hapticd.zwidth import interchange, store, trial
 
 

@@ -5,11 +5,11 @@ from typing import Annotated
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
-with lazily():
+with deferred_imports():
     from hapticd.signal import passive_set
     from hapticd.zwidth import executors, limits, outcomes, store
     from hapticd.zwidth.report import passive_set as figures

@@ -11,13 +11,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 
 from hapticd.cli import change, terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.zwidth import common
 from hapticd.core.environment import Environment
 from hapticd.core.params import from_plain
 from hapticd.core.units import US_PER_S
 
-with lazily():
+with deferred_imports():
     from hapticd.client import client as clients
     from hapticd.model import scene as model_scene
     from hapticd.zwidth import scenes, sources, watch

@@ -6,10 +6,10 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.zwidth import common
 
-with lazily():
+with deferred_imports():
     import numpy as np
 
     from hapticd.model import coupled, forecast, linearise, predict

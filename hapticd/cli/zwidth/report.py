@@ -13,14 +13,14 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 from hapticd.cli.zwidth.map import draw_map
 from hapticd.cli.zwidth.trial import draw_trial
 from hapticd.core.errors import ConfigError
 
-with lazily():
+with deferred_imports():
     import numpy as np
 
     from hapticd.model import scene as model_scene

@@ -5,11 +5,11 @@ from typing import Annotated, Any
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 
-with lazily():
+with deferred_imports():
     import numpy as np
 
     from hapticd.signal import passive_set

@@ -17,12 +17,12 @@ from typing import Annotated, Literal
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 from hapticd.cli.zwidth.live import announce, open_rig
 
-with lazily():
+with deferred_imports():
     import numpy as np
 
     from hapticd.model import scene as model_scene

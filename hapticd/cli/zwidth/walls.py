@@ -5,12 +5,12 @@ from typing import Annotated
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.lazy import lazily
+from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.terminal import progress
 from hapticd.cli.zwidth import common
 from hapticd.core.errors import AnalysisError
 
-with lazily():
+with deferred_imports():
     import numpy as np
 
     from hapticd.zwidth import store, walls

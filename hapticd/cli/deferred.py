@@ -1,6 +1,6 @@
 """Imports that happen when a module is first used, so that `--help` and small verbs start quickly.
 
-    with lazily():
+    with deferred_imports():
         import numpy as np
         from hapticd.zwidth import limits
 
@@ -43,7 +43,7 @@ def _waiting(
 
 
 @contextmanager
-def lazily() -> Iterator[None]:
+def deferred_imports() -> Iterator[None]:
     """Modules that are imported within this context wait until they are used."""
     usual = builtins.__import__
     here = get_ident()
