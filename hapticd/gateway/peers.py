@@ -38,8 +38,6 @@ ACCEPTED_AT_ONCE = 16
 READ = selectors.EVENT_READ
 WRITE = selectors.EVENT_WRITE
 
-Attend = Callable[[int], None]  # what a selector's key holds: called with the events
-
 
 class Peer:
     """One connection: what came and is not taken apart yet, what waits to be sent."""
