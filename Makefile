@@ -17,7 +17,7 @@
 #   make reproduce          the paper's figures and table in build/reproduction; with ARGS=--quick by prediction, in seconds, in
 #                           build/reproduction-quick
 #   make reproduction-docs  the same, then tables, numbers and figures of docs/reproduction.md from it, and of docs/timing.md
-#   make pictures           take the screenshots of README and docs anew
+#   make pictures           take the pictures of README and docs anew
 #   make docs               build the documentation in build/docs; warnings are errors
 #   make site               the documentation as static files for any web server, build/hapticd-site.tar.gz
 #   make deps               install the system packages that are missing
