@@ -45,7 +45,7 @@ def test_experiment_of_the_page_ends_in_a_data_frame(
     rehearsed: Path, hapticd_daemon: DaemonProcess
 ) -> None:
     said = python(hapticd_daemon, rehearsed, "analyse.py", "rehearsal")
-    assert said.count("rehearsal") == 1
+    assert said.count("rehearsal") == 2  # a threshold at each level
     with (rehearsed / "data.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert {row["guard_safe"] for row in rows} == {"True"}
