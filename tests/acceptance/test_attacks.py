@@ -118,11 +118,12 @@ def one_recording_gone() -> Iterator[None]:
     packed = pack.pack
     gone: list[object] = []
 
-    def losing(path: Path, out: Path) -> Any:
+    def losing(path: Path, out: Path, **how: Any) -> Any:
         if path.name == "any.part.h5" and not gone:
             gone.append(path)
-            return path.unlink()
-        return packed(path, out)
+            path.unlink()
+            return {"dropped_bytes": 1}
+        return packed(path, out, **how)
 
     with mock.patch.object(pack, "pack", losing):
         yield
