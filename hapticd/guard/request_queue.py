@@ -195,32 +195,37 @@ class GuardedQueue:
 
     def take_back_enables(self, why: str) -> None:
         """No enable that waits shall come after `why`, which was asked later."""
-        waiting = [*self._queue] if self._asked is None else [self._asked, *self._queue]
-        for case in waiting:
+        for case in self._waits():
             if isinstance(case.request, Enable):
-                self._drop(case)
                 text = f"{case.cmd}: {why} was asked before it was judged; ask again"
-                self._replies.append(ChangeReply(case, CommandError("refused", text)))
+                self._give_back(case, CommandError("refused", text))
         self._under_way.take_back(lambda case: True, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
         """The connection of `actor` is gone: of what it asked nothing more is posted, but for the
         stages of a change that it knows of.
         """
-        for case in (*self._queue, self._asked):
-            if case is not None and case.actor == actor and case.message is not None:
-                self._drop(case)
+        for case in self._waits_of(actor):
+            self._drop(case)
         self._under_way.take_back(lambda case: case.actor == actor, "its connection is gone")
 
     def give_up(self, actor: int) -> None:
         """The client `actor` has failed: of what it asked nothing more is posted."""
         why = "its client has failed"
-        for case in (*self._queue, self._asked):
-            if case is not None and case.actor == actor and case.message is not None:
-                self._give_back(case, CommandError("refused", f"{case.cmd}: {why}"))
+        for case in self._waits_of(actor):
+            self._give_back(case, CommandError("refused", f"{case.cmd}: {why}"))
         if self._under_way.case is not None and self._under_way.case.actor == actor:
             self._under_way.cancel(why)
         self._under_way.take_back(lambda case: case.actor == actor, why)
+
+    def _waits(self) -> list[PendingChange]:
+        """What has no verdict yet, in the order in which it came."""
+        return [*self._queue] if self._asked is None else [self._asked, *self._queue]
+
+    def _waits_of(self, actor: int) -> list[PendingChange]:
+        """The same, as far as the client `actor` asked it."""
+        waiting = self._waits()
+        return [one for one in waiting if one.actor == actor and one.message is not None]
 
     def _drop(self, case: PendingChange) -> None:
         if case is self._asked:

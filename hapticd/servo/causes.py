@@ -50,7 +50,7 @@ class Causes:
             return BY_CODE["usb_lost"].number
         if status & BOARD_FAULT:
             return BY_CODE["board_fault"].number
-        allowed = self._low_count <= temperature <= self._high_count or host & NO_TEMPERATURE
+        allowed = self.cool(temperature) or host & NO_TEMPERATURE
         if status & StatusBit.OVER_TEMPERATURE or not allowed:
             return BY_CODE["over_temperature"].number
         return 0

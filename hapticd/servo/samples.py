@@ -2,9 +2,9 @@
 origin behind them.
 
 The law's filters see every period. Up to `missing_frames_limit` lost samples are replaced by
-positions on the straight line between the samples on either side of them; while the last force was
-held. A sample that is far from where those before it lead is doubted (`servo.glitch`) until the
-next ones say whether the device moved.
+positions on the straight line between the samples on either side of them. The last force was held
+meanwhile. A sample that is far from where those before it lead is doubted (`servo.glitch`) until
+the next ones say whether the device moved.
 """
 
 from collections.abc import Sequence
@@ -65,7 +65,7 @@ class Samples:
             return self._undoubted(plan, law, encoder, arrival, tick)
         if not 0 < arrival <= self._params.safety.missing_frames_limit:
             return plan, (), 0
-        positions = _line(law[0], (encoder - plan.origin) * self._m_per_count, arrival)
+        positions = _line(law[0], self.position_m(plan, encoder), arrival)
         return plan, positions, int(Flag.INTERPOLATED)
 
     def _undoubted(
@@ -74,9 +74,7 @@ class Samples:
         """`plan` after a sample that follows doubted ones, the positions [m] that the law gets of
         those, and record flags.
         """
-        *doubted, x = (
-            (count - plan.origin) * self._m_per_count for count in (*plan.doubted, encoder)
-        )
+        *doubted, x = (self.position_m(plan, count) for count in (*plan.doubted, encoder))
         believing = plan._replace(doubted=())
         if arrival > self._params.safety.missing_frames_limit:
             return believing, (), 0
@@ -93,7 +91,7 @@ class Samples:
 
     def believable(self, plan: Plan, law: LawState, encoder: int, arrival: int) -> bool:
         """Whether a sample came where those before it lead, over a gap of lost ones too."""
-        x = (encoder - plan.origin) * self._m_per_count
+        x = self.position_m(plan, encoder)
         return 0 <= arrival < SEED and abs(x - law[0] - (arrival + 1) * law[1]) <= self._bend_m
 
     def located(self, plan: Plan, sample: Sample, usable: bool) -> Plan:
