@@ -37,6 +37,7 @@ class PicoUsb:
         self._make_chip = make_chip
         self.rig: Rig | None = None
         self.configuration = 0
+        self.hang = threading.Event()  # set by another thread: the pipes belong to the server's
 
     def close(self) -> None:
         """End the chip's process."""
@@ -56,6 +57,9 @@ class PicoUsb:
 
     def advance(self, t_ns: int) -> None:
         rig = self._board()
+        if self.hang.is_set():
+            self.hang.clear()
+            rig.chip.tell(Verb.HANG)
         behind_ns = t_ns + self._offset_ns - rig.now_ns
         self._offset_ns -= max(0.0, behind_ns - MOST_BEHIND_NS)
         rig.advance(t_ns + self._offset_ns)
@@ -115,8 +119,8 @@ def main(image: Path) -> None:
 
     def listen() -> None:
         for line in sys.stdin:
-            if line.strip() == "hang" and device.rig is not None:
-                device.rig.chip.tell(Verb.HANG)
+            if line.strip() == "hang":
+                device.hang.set()
         server.stop()
 
     threading.Thread(target=listen, daemon=True).start()
