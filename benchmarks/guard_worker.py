@@ -27,7 +27,7 @@ def main() -> None:
     while judge.warm():
         pass
     assert judge.theorem is not None
-    judgement = SafeRegion(judge.theorem, judge.theorem.model.delay_periods, 0.0)
+    judgement = SafeRegion(judge.theorem, (judge.theorem.model.delay_periods,), 0.0)
 
     def answer(request: dict[str, Any]) -> dict[str, float]:
         start = from_message(request["start"], judge.setup.environment)

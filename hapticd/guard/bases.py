@@ -22,7 +22,7 @@ What would break it: a delay that changes from tick to tick; `theorem` and `pred
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -86,7 +86,7 @@ class Basis(Protocol):
         """
         ...
 
-    def reading(self, point: Point, at: Conditions) -> Reading:
+    def reading(self, point: Point, at: Conditions, /) -> Reading:
         """How safe one point is."""
         ...
 
@@ -99,11 +99,14 @@ class Theorem:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.rate_hz: float | None = model.rate_hz
-        self._late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
-        self._opened: Callable[[float], OpenLoop] = lru_cache(LEVELS + 8)(self._open)
+        # the device with a delay, the same object each time
+        self.late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
+        # as `Basis`; the margin of an unstable loop is that of its impedance alone
+        self.reading: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
+        opened: Callable[[float], OpenLoop] = partial(open_loop, model)
+        self._opened = lru_cache(LEVELS + 8)(opened)
         self._lifted: Callable[[float, Filters, float], LiftedSystem] = lru_cache(_KEPT)(self._lift)
         self._everywhere: Callable[[Conditions], Rational | None] = lru_cache(_KEPT)(self._draw)
-        self._read: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
         self._ticks: Callable[[float, Filters, float], Tick] = lru_cache(_KEPT)(self._tick)
 
     def prepare(self, at: Conditions) -> None:
@@ -138,10 +141,6 @@ class Theorem:
         seen = NOWHERE if found is None else found.circles
         return np.asarray((points[:, 0] >= 0.0) & outside_circles(seen, points))
 
-    def reading(self, point: Point, at: Conditions) -> Reading:
-        """As `Basis`. The margin of an unstable loop is that of its impedance alone."""
-        return self._read(point, at)
-
     def _look(self, point: Point, at: Conditions) -> Reading:
         lifted = self._lifted(at.active_damping_ns_per_m, at.filters, at.delay_periods)
         tick = self._ticks(at.active_damping_ns_per_m, at.filters, at.delay_periods)
@@ -149,15 +148,8 @@ class Theorem:
         found = lifted_worst(lifted, kbm[0], self.model.rate_hz)
         return Reading(found.margin_ns_per_m, found.worst_hz, float(radii(tick, kbm)[0]))
 
-    def late(self, delay_periods: float) -> Model:
-        """The device with that delay, the same object each time."""
-        return self._late(delay_periods)
-
     def _delayed(self, delay_periods: float) -> Model:
         return replace(self.model, delay_periods=delay_periods)
-
-    def _open(self, level: float) -> OpenLoop:
-        return open_loop(self.model, level)
 
     def _lift(self, level: float, filters: Filters, delay_periods: float) -> LiftedSystem:
         return lifted_system(self.late(delay_periods), level, filters, self._opened(level))

@@ -10,7 +10,7 @@ from itertools import product
 from math import isfinite
 from typing import Any
 
-from hapticd.core.environment import Environment, FilterParams, flat
+from hapticd.core.environment import Environment, flat
 from hapticd.core.errors import AnalysisError
 
 AXES = ("K", "B", "M")
@@ -20,33 +20,17 @@ def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment
     """The environment in the fields of a message, its filters made discrete as those of `rendered`;
     what the message leaves out is 0. AnalysisError for a number that is not finite.
     """
-    return apply_change(nothing_rendered(rendered.filters), plain)
-
-
-def nothing_rendered(filters: tuple[FilterParams, FilterParams]) -> Environment:
-    """No K, B, M, wall or active damping; `filters` are those of velocity and acceleration."""
-    velocity, acceleration = filters
-    return Environment(velocity_filter=velocity, acceleration_filter=acceleration)
+    velocity, acceleration = rendered.filters
+    nothing = Environment(velocity_filter=velocity, acceleration_filter=acceleration)
+    return apply_change(nothing, plain)
 
 
 def apply_change(environment: Environment, change: Mapping[str, Any]) -> Environment:
     """`environment` with the fields of a request. AnalysisError for a number not finite."""
-    _require_finite(change)
-    return environment.changed(change)
-
-
-def _require_finite(table: Mapping[str, Any]) -> None:
-    for name, value in flat(table):
+    for name, value in flat(change):
         if isinstance(value, float) and not isfinite(value):
             raise AnalysisError(f"{name} = {value}: the guard judges finite numbers only")
-
-
-def environment_of(environment: Environment, other: Environment) -> dict[str, Any]:
-    """The fields of what it renders that may differ from those of `other`."""
-    whole = environment.message()
-    if other.wall.side == 0:
-        return {name: whole[name] for name in "KBM"}
-    return {name: whole[name] for name in ("K", "B", "M", "wall")}
+    return environment.changed(change)
 
 
 def interpolate(

@@ -21,14 +21,13 @@ from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import GuardSetup
 from hapticd.guard.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
-from hapticd.guard.bounds import IDEAL_PERIODS, timing_cost
 from hapticd.guard.environments import apply_change, from_message
 from hapticd.guard.explain import VerdictBuilder, doubling_text, explain, hand_text
 from hapticd.guard.plane import plane
 from hapticd.guard.policies import MODES, POLICIES, answer_change
-from hapticd.guard.safe_region import SafeRegion
+from hapticd.guard.safe_region import IDEAL_PERIODS, SafeRegion, timing_cost
 from hapticd.model.angles import unresolved_hz
-from hapticd.model.coupled import GROWS, coupled_radius, destabilising_hand
+from hapticd.model.coupled import shaking_hand
 from hapticd.model.linearise import Perturbation
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
@@ -77,9 +76,8 @@ class Judge:
         """Prepare one more level for the delay that was last asked about; False when all are."""
         if self.theorem is None or not self._cold:
             return False
-        rendered = self.setup.environment
-        filters = rendered.velocity_filter, rendered.acceleration_filter
         spare = self.setup.guard.margin_ns_per_m
+        filters = self.setup.environment.filters
         at = Conditions(self._cold.pop(0), filters, self._warm_delay, spare)
         self.theorem.prepare(at)
         return bool(self._cold)
@@ -114,7 +112,7 @@ class Judge:
         if region is None:
             nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
             return timing | {
-                "verdict": self.verdicts.of(None, target, "", Outcome.UNKNOWN, unknown, []),
+                "verdict": self.verdicts.of(None, target, "", Outcome.UNKNOWN, unknown, [], target),
                 "without_active_damping": nothing,
                 "with_active_damping": {"level": request["level_on"], **nothing},
             }
@@ -123,7 +121,7 @@ class Judge:
         outcome = Outcome.SAFE if safe else Outcome.UNSAFE
         why = explain(region, target, safe)
         return timing | {
-            "verdict": self.verdicts.of(region, target, "", outcome, why, [target], safe),
+            "verdict": self.verdicts.of(region, target, "", outcome, why, [target], target),
             "without_active_damping": self._seen(
                 region, replace(target, active_damping_ns_per_m=0.0)
             ),
@@ -144,9 +142,8 @@ class Judge:
         """
         if self.theorem is None or self._unresolved:
             return None
-        rendered = self.setup.environment
-        filters = rendered.velocity_filter, rendered.acceleration_filter
-        delays = min(delay, self._delay(None)), delay
+        filters = self.setup.environment.filters
+        delays = delay, min(delay, self._delay(None))
         on = min(self.setup.active_damping_ns_per_m, self.setup.active_damping_limit_ns_per_m)
         return {
             "delay_periods": delay,
@@ -190,15 +187,11 @@ class Judge:
         worst = theorem.reading(point, Conditions(level, filters, delay, 0.0))
         found: list[dict[str, Any]] = []
         for at_hz in (None, worst.worst_hz):
-            shaker = destabilising_hand(model, point, level, filters, at_hz=at_hz)
-            if shaker is None:
-                continue
-            hand, hz = shaker
-            radius = float(coupled_radius(model, np.array([point]), [hand], level, filters)[0, 0])
-            if radius > GROWS:
-                grows = doubling_text(radius, model.rate_hz)
-                how = {"hz": hz, "radius": radius, "growth": f"its motion {grows}"}
-                found.append(hand_text(hand, hz, in_wall) | how)
+            shaker = shaking_hand(model, np.array(point), level, filters, at_hz)
+            if shaker is not None:
+                grows = doubling_text(shaker.radius, model.rate_hz)
+                how = {"hz": shaker.hz, "radius": shaker.radius, "growth": f"its motion {grows}"}
+                found.append(hand_text(shaker.hand, shaker.hz, in_wall) | how)
         return found
 
     # --- what it is made of -----------------------------------------------------------------------
@@ -221,7 +214,7 @@ class Judge:
             self._warm_delay = delay
             self._cold = list(self.verdicts.levels)
         spare = float(request["margin_ns_per_m"])
-        return SafeRegion(found, delay, spare, min(delay, self._delay(None))), _KNOWN
+        return SafeRegion(found, (delay, min(delay, self._delay(None))), spare), _KNOWN
 
     def _concerned(self, request: Mapping[str, Any]) -> list[Environment]:
         """What `request` leads to with all that is scheduled; with force also what acts before."""

@@ -60,16 +60,6 @@ class WorkerLine(Protocol):
     def close(self) -> None: ...
 
 
-class UnsafeRequest(NamedTuple):
-    """A request whose environment is not passive, for which a hand is to be found."""
-
-    number: int  # of the question whose verdict said so
-    cmd: str
-    id: int | str | None
-    actor: int
-    environment: Environment
-
-
 class LookKey(NamedTuple):
     """What a look at the environment in force is about."""
 
@@ -111,8 +101,9 @@ class Guard:
         self._answers: dict[int, dict[str, Any]] = {}
         self._awaited: set[int] = set()  # questions of requests
         self._unanswered: dict[int, int] = {}  # when each question was asked that has no answer
-        self._hands: deque[UnsafeRequest] = deque(maxlen=MOST_HANDS)
-        self._hand: tuple[int, UnsafeRequest] | None = None  # number of the question, for what
+        # environments whose hand is to be found, with what is told of them
+        self._hands: deque[tuple[Environment, dict[str, Any]]] = deque(maxlen=MOST_HANDS)
+        self._hand: tuple[int, dict[str, Any]] | None = None  # number of the question, for what
         self._look: tuple[int, LookKey] | None = None  # number of the question, about what
         self._looked: dict[str, Any] = {}
         self._looked_at: LookKey | None = None
@@ -262,18 +253,15 @@ class Guard:
         """The verdict on what nobody judged, because of `why`, under `policy` if not under the one
         that counts.
         """
-        nothing = (
-            "margin_ns_per_m",
-            "worst_hz",
-            "radius",
-            "contact",
-            "least_active_damping_ns_per_m",
-        )
         return {
             "safe": None,
             "policy": policy or self.policy,
             "basis": "unknown",
-            **dict.fromkeys(nothing),
+            "margin_ns_per_m": None,
+            "worst_hz": None,
+            "radius": None,
+            "contact": None,
+            "least_active_damping_ns_per_m": None,
             "delay_periods": self.delay_periods,
             "allowed": {},
             "clamped": False,
@@ -355,9 +343,9 @@ class Guard:
         self._awaited.discard(number)
         self._answers.pop(number, None)
 
-    def want_hand(self, unsafe: UnsafeRequest) -> None:
-        """Have the hand found that shakes this environment."""
-        self._hands.append(unsafe)
+    def want_hand(self, environment: Environment, **about: Any) -> None:
+        """Have the hand found that shakes this environment; `about` goes into the event."""
+        self._hands.append((environment, about))
 
     def _send(self, question: dict[str, Any], now_ns: int) -> int:
         self._number += 1
@@ -421,24 +409,21 @@ class Guard:
             self._looked_delay = None
 
     def _ask_hand(self, now_ns: int) -> None:
-        unsafe = self._hands.popleft()
+        environment, about = self._hands.popleft()
         question = {
             "ask": "hand",
-            "environment": unsafe.environment.message(),
+            "environment": environment.message(),
             "delay_periods": self.delay_periods,
         }
-        self._hand = self._send(question, now_ns), unsafe
+        self._hand = self._send(question, now_ns), about
 
-    def _tell_hand(self, unsafe: UnsafeRequest, hand: Any) -> None:
+    def _tell_hand(self, about: dict[str, Any], hand: Any) -> None:
         found = hand if isinstance(hand, dict) else {}
         text = f"a hand that would shake the device: {found['text']}" if found.get("text") else ""
         text += f"; {found['growth']}" if found.get("growth") else ""
         self._journal.note(
             "guard",
-            number=unsafe.number,
-            cmd=unsafe.cmd,
-            id=unsafe.id,
-            actor=unsafe.actor,
+            **about,
             hand=found or None,
             text=text or "no single mass or spring was found that would shake the device",
         )

@@ -33,6 +33,7 @@ import numpy as np
 
 from hapticd.core.errors import ConfigError
 from hapticd.model.blueprint import ZERO, Blueprint, Form
+from hapticd.model.discrete import computable, require_finite
 from hapticd.model.effects import Amplifier, DampingCircuit, Effect, ShapedDamping, in_order, shaped
 from hapticd.model.model import (
     Array,
@@ -48,7 +49,6 @@ from hapticd.model.model import (
     Winding,
     frozen,
 )
-from hapticd.model.reach import computable, require_finite
 from hapticd.model.scene import Scene
 from hapticd.model.stability import stability
 
@@ -126,7 +126,7 @@ def _refuse_algebraic(plan: Blueprint) -> None:
 
 def _short(plan: Blueprint) -> None:
     driven = plan.amplifier_rad_s or plan.circuit_rad_s or plan.amplifier_range
-    if driven or plan.inductance_error_h or any(plan.shaping):
+    if driven or plan.inductance_error_h or any(plan.shaping_rad_s):
         raise ConfigError(
             "a crowbar shorts the motor: leave out 'amplifier', 'amplifier_limits',"
             f" 'damping_circuit', {ShapedDamping.key!r} and 'inductance'"
@@ -259,14 +259,7 @@ def _parts(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) ->
 
 def _inputs(plan: Blueprint, contacts: int) -> InputColumns:
     place = {name: column for column, name in enumerate(plan.inputs)}
-    return InputColumns(
-        place["command"],
-        place["torque"],
-        len(place) + contacts,
-        place.get("estimate"),
-        place.get("rotor_force"),
-        place.get("amplifier"),
-    )
+    return InputColumns(**place, width=len(place) + contacts)
 
 
 def _contacts(plan: Blueprint) -> tuple[Contact, ...]:
@@ -349,16 +342,9 @@ def _noise(plan: Blueprint) -> Noise | None:
 def _winding(plan: Blueprint, parts: _Parts, n: int) -> Winding | None:
     if plan.heating is None:
         return None
-    copper = plan.copper
     return Winding(
-        resistance_ohm=copper.resistance_ohm,
-        reference_c=copper.reference_c,
-        compensated_ohm=copper.compensated_ohm,
-        residual_ohm=plan.residual_ohm,
-        thermal_resistance_k_per_w=plan.heating.thermal_resistance_k_per_w,
-        time_constant_s=plan.heating.time_constant_s,
-        ambient_c=plan.heating.ambient_c,
-        start_c=copper.start_c,
+        plan.heating,
+        plan.residual_ohm,
         a0=frozen(parts.residual[:, :n]),
         a1=frozen(parts.both[:, :n]),
         b0=frozen(parts.residual[:, n:]),

@@ -44,7 +44,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.core.arrays import Complexes, Flags, Floats, Integers
+from hapticd.core.arrays import Complexes, Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.model.angles import least_between
 from hapticd.model.blueprint import StateVariable
@@ -53,7 +53,7 @@ from hapticd.model.model import Model, Output, Outputs
 from hapticd.model.predict import environments
 from hapticd.model.theorem import LiftedSystem, lifted_system
 
-__all__ = ["GROWS", "Hand", "coupled_radius", "destabilising_hand"]
+__all__ = ["Hand", "coupled_radius", "shaking_hand"]
 
 GROUND = -1  # number of the node that is the wall
 GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
@@ -174,7 +174,11 @@ def held_by(model: Model, hand: Hand) -> Model:
     width = model.inputs.width
     return replace(
         model,
-        states=(*model.states, *_names(inner, "position", "m"), *_names(heavy, "velocity", "m/s")),
+        states=(
+            *model.states,
+            *(StateVariable(f"hand_{node}_position", "m", "hand") for node in inner),
+            *(StateVariable(f"hand_{node}_velocity", "m/s", "hand") for node in heavy),
+        ),
         a0=a0,
         a1=_wider(model.a1, size, size, rotor, share),
         b0=_wider(model.b0, size, width, rotor, share),
@@ -206,29 +210,16 @@ def _seen(outputs: Outputs, size: int) -> Outputs:
     return replace(outputs, **changed)
 
 
-def _names(nodes: Integers, what: str, unit: str) -> list[StateVariable]:
-    return [StateVariable(f"hand_{node}_{what}", unit, "hand") for node in nodes]
-
-
-@dataclass(frozen=True, eq=False)
-class ReachCircle:
-    """The circle that holds the pulse transfer in every passive hand, at the angles of its lift."""
-
-    centre: Complexes  # (A,) m/N
-    radius: Floats  # (A,) m/N
-
-
-def reach(lifted: LiftedSystem, friction_ns_per_m: float = 0.0) -> ReachCircle:
-    """The circle of a device with that damper on its rotor. Without any damping of its own the
-    circle is boundless.
+def reach(lifted: LiftedSystem, friction_ns_per_m: float = 0.0) -> tuple[Complexes, Floats]:
+    """The circle that holds the pulse transfer of a device, with that damper on its rotor, in every
+    passive hand: centre and radius (A,) [m/N] at the angles of its lift. Without any damping of its
+    own the circle is boundless.
     """
     resistance = lifted.resistance + friction_ns_per_m
     if resistance.min() <= 0.0:
-        return ReachCircle(lifted.inner, np.full(lifted.inner.size, _ENDLESS))
-    return ReachCircle(
-        lifted.inner + 0.5 * (lifted.both / resistance).sum(axis=1),
-        0.5 * (np.sqrt(lifted.out * lifted.back) / resistance).sum(axis=1),
-    )
+        return lifted.inner, np.full(lifted.inner.size, _ENDLESS)
+    centre = lifted.inner + 0.5 * (lifted.both / resistance).sum(axis=1)
+    return centre, 0.5 * (np.sqrt(lifted.out * lifted.back) / resistance).sum(axis=1)
 
 
 def coupled_stable(
@@ -243,9 +234,9 @@ def coupled_stable(
     levels = np.broadcast_to(np.asarray(friction_ns_per_m, np.float64), len(kbm))
     values = np.zeros((len(kbm), lifted.angles.size))
     for row, level in enumerate(levels.tolist()):
-        found = reach(lifted, level)
+        centre, radius = reach(lifted, level)
         law = kbm[row] @ lifted.law
-        values[row] = np.abs(1.0 + law * found.centre) ** 2 - np.abs(law * found.radius) ** 2
+        values[row] = np.abs(1.0 + law * centre) ** 2 - np.abs(law * radius) ** 2
     return np.asarray(least_between(lifted.angles, values) >= 0.0)
 
 
@@ -286,7 +277,7 @@ def destabilising_hand(
         * own**2
     )
     # on the rim each image's term lies on its own circle, at the angle of the target on the whole
-    target = -1.0 / (kbm @ lifted.law[:, at]) - reach(lifted, friction_ns_per_m).centre[at]
+    target = -1.0 / (kbm @ lifted.law[:, at]) - reach(lifted, friction_ns_per_m)[0][at]
     reactance = (
         -(own.real + friction_ns_per_m) * np.tan(0.5 * np.angle(target / product)) - own.imag
     )
@@ -336,12 +327,38 @@ def coupled_radius(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class DestabilisingHand:
+    """A passive hand in which the display oscillates."""
+
+    hand: Hand
+    hz: float  # about where
+    radius: float  # spectral radius of a tick with the hand
+
+
+def shaking_hand(
+    model: Model,
+    point: Floats,
+    active_damping_ns_per_m: float,
+    filters: Filters,
+    at_hz: float | None = None,
+) -> DestabilisingHand | None:
+    """The hand of `destabilising_hand` if the motion grows in it, by its exact tick; else None."""
+    found = destabilising_hand(model, point, active_damping_ns_per_m, filters, at_hz=at_hz)
+    if found is None:
+        return None
+    hand, hz = found
+    radii = coupled_radius(model, point[None], [hand], active_damping_ns_per_m, filters)
+    radius = float(radii[0, 0])
+    return DestabilisingHand(hand, hz, radius) if radius > GROWS else None
+
+
 def _outside(lifted: LiftedSystem, point: Floats, friction_ns_per_m: float) -> Floats:
     """How far -1/C is outside the circle, in radii (A,); inf where there is no law. It falls to
     0 with the square of the frequency.
     """
-    found = reach(lifted, friction_ns_per_m)
+    centre, radius = reach(lifted, friction_ns_per_m)
     law = point @ lifted.law
-    size = found.radius * np.abs(law)
-    near = np.abs(1.0 + law * found.centre)
+    size = radius * np.abs(law)
+    near = np.abs(1.0 + law * centre)
     return np.asarray(np.divide(near, size, out=np.full(size.size, np.inf), where=size > 0.0) - 1.0)

@@ -19,23 +19,54 @@ powers of two (exact), because states in metres and in newtons differ by many or
 Reference: Moler and Van Loan 2003, "Nineteen dubious ways to compute the exponential of a matrix",
 method 3.
 
-What would break it: a platform whose long double is a double (the last three digits go), or an
-input that is not held over the step.
+`computable` says clearly where double precision cannot compute a device's numbers: one of a device
+file has the right sign and unit, and may still be 1e-308 kg.
+
+What would break it: a computation of the composed model that is not inside `computable`, a platform
+whose long double is a double (the last three digits go), or an input that is not held over the
+step.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from math import ceil, floor, log2
 
 import numpy as np
 
+from hapticd.core.errors import ConfigError
 from hapticd.model.drive import well_posed
 from hapticd.model.model import Array, DriveLimits, Map, Model, frozen
-from hapticd.model.reach import computable, require_finite
 
 __all__ = ["discretise", "drive_response_s", "expm"]
 
 TERMS = 25
 LARGEST_NORM = 0.5
 BALANCE_SWEEPS = 8
+
+
+@contextmanager
+def computable(name: str, what: str) -> Iterator[None]:
+    """ConfigError where `what` of model `name` divides by zero, overflows or has no eigenvalues."""
+    try:
+        with np.errstate(divide="raise", over="raise", invalid="raise"):
+            yield
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        raise beyond(name, what, str(error)) from error
+
+
+def require_finite(name: str, what: str, *arrays: Array) -> None:
+    """ConfigError if `what` of model `name` is not finite: Python multiplies into infinity."""
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise beyond(name, what, "not finite")
+
+
+def beyond(name: str, what: str, why: str) -> ConfigError:
+    """The error for numbers out of reach."""
+    return ConfigError(
+        f"{name!r}: {what} cannot be computed ({why}): a number of the device or scene is beyond"
+        " what double precision reaches (some 1e-308 to 1e308); correct the one that is far from"
+        " the others"
+    )
 
 
 def expm(matrix: Array) -> Array:

@@ -64,16 +64,15 @@ from dataclasses import MISSING, dataclass, field, fields
 from math import floor, sqrt, tau
 from typing import Any, ClassVar, NamedTuple
 
+from hapticd.core.params import HeatingParams
 from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.model.blueprint import (
     AmplifierRange,
     Blueprint,
     Copper,
-    Corners,
     Form,
     Note,
     Parameter,
-    Warming,
 )
 
 __all__ = [
@@ -528,7 +527,7 @@ class ShapedDamping(Effect):
 
     def build(self, plan: Blueprint) -> None:
         """State the corners; `shaped` writes the filter where `compose` closes the loop."""
-        plan.shaping = Corners(tau * self.highpass_hz, tau * self.lowpass_hz)
+        plan.shaping_rad_s = tau * self.highpass_hz, tau * self.lowpass_hz
 
     def time_constants_s(self) -> tuple[float, ...]:
         """Those of the corners that exist."""
@@ -539,7 +538,7 @@ class ShapedDamping(Effect):
 
 def shaped(plan: Blueprint, estimate: Form) -> Form:
     """The velocity estimate as the multiplier gets it: one state for each corner."""
-    above, below = plan.shaping
+    above, below = plan.shaping_rad_s
     if above:
         slow = plan.state("slow_estimate", "m/s", ShapedDamping.key)
         plan.rates["slow_estimate"] = above * (estimate - slow)
@@ -628,9 +627,14 @@ class WindingHeating(Effect):
     ambient_c: float = number(ge=-40, le=100)  # of the surroundings
 
     def build(self, plan: Blueprint) -> None:
-        """Ask for a slow state of its own, outside the linear model."""
-        plan.heating = Warming(
-            self.thermal_resistance_k_per_w, self.time_constant_s, self.ambient_c
+        """Ask for a slow state of its own, outside the linear model. `Motor` and
+        `WindingTemperature` come before it.
+        """
+        plan.heating = HeatingParams(
+            **plan.copper._asdict(),
+            thermal_resistance_k_per_w=self.thermal_resistance_k_per_w,
+            time_constant_s=self.time_constant_s,
+            ambient_c=self.ambient_c,
         )
 
     def time_constants_s(self) -> tuple[float, ...]:

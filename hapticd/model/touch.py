@@ -31,23 +31,17 @@ whose rotor reverses within a piece at whose ends it moves the same way.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from math import exp, isfinite, pi, sin, tau
 from random import Random
 from typing import NamedTuple
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import HandParams, TouchParams
-from hapticd.model.composed import POSITION, VELOCITY, State, Step
+from hapticd.model.composed import POSITION, VELOCITY, Response, State, Step
 
 TREMOR_HZ = 10.0  # physiological tremor of a hand: 8 to 12 Hz
 HAND_KINDS = ("hold", "push", "strike")
-
-
-class Response(NamedTuple):
-    """What a force held for one sub-step does to the rotor by its end."""
-
-    position_m_per_n: float
-    velocity_m_per_s_per_n: float
 
 
 class Linear(NamedTuple):
@@ -143,15 +137,8 @@ def touched_step(
     static = params.static_n
     random = Random(f"touch {seed}")
     hands = [Hand(one, substep_s, random) for one in params.hands]
-    known: dict[float, Response] = {}
+    responds = lru_cache(maxsize=1)(response)  # of the present level
     count = 0  # sub-steps since the device was made
-
-    def responds(level: float) -> Response:
-        found = known.get(level)
-        if found is None:
-            known.clear()
-            found = known[level] = response(level)
-        return found
 
     def all_hands(now_s: float, position_m: float) -> Linear:
         acting = [hand.linear(now_s, position_m) for hand in hands if hand.acts(now_s)]

@@ -106,7 +106,7 @@ def display(point):
 @pytest.mark.parametrize("seed", range(40))
 def test_an_axis_whose_own_value_is_safe_has_an_interval(seed):
     device = drawn(seed)
-    judgement = SafeRegion(Theorem(device.model()), device.delay_periods, 0.0)
+    judgement = SafeRegion(Theorem(device.model()), (device.delay_periods,), 0.0)
     random = np.random.default_rng((4, seed))
     points = random.uniform((0.0, -1.0, -0.004), (600.0, 2.0, 0.006), (60, 3))
     points *= np.exp(random.uniform(np.log(0.01), 0.0, (60, 1)))
