@@ -102,17 +102,16 @@ class Judge:
     def _change(self, request: Mapping[str, Any]) -> dict[str, Any]:
         _require_known("policy", request["policy"], POLICIES)
         _require_known("mode", request["mode"], MODES)
-        region, unknown = self._region(request)
-        return answer_change(self.verdicts, region, unknown, request)
+        return answer_change(self.verdicts, self._region(request), request)
 
     def _look(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        region, unknown = self._region(request)
+        region = self._region(request)
         target = from_message(request["target"], self.setup.environment)
         timing = {"timing": self._timing(self._delay(request.get("delay_periods")))}
-        if region is None:
+        if isinstance(region, Explanation):
             nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
             return timing | {
-                "verdict": self.verdicts.of(None, target, "", Outcome.UNKNOWN, unknown, [], target),
+                "verdict": self.verdicts.of(None, target, "", Outcome.UNKNOWN, region, [], target),
                 "without_active_damping": nothing,
                 "with_active_damping": {"level": request["level_on"], **nothing},
             }
@@ -153,9 +152,9 @@ class Judge:
         }
 
     def _plane(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        region, unknown = self._region(request)
-        if region is None:
-            return {"plane": None, "text": unknown.plain(Outcome.UNKNOWN)["text"]}
+        region = self._region(request)
+        if isinstance(region, Explanation):
+            return {"plane": None, "text": region.plain(Outcome.UNKNOWN)["text"]}
         environment = from_message(request["target"], self.setup.environment)
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         most_k, most_b, _ = self.setup.highest
@@ -201,20 +200,20 @@ class Judge:
             return float(asked)
         return 0.0 if self.theorem is None else self.theorem.model.delay_periods
 
-    def _region(self, request: Mapping[str, Any]) -> tuple[SafeRegion | None, Explanation]:
-        """How to judge it, or None and why not."""
+    def _region(self, request: Mapping[str, Any]) -> SafeRegion | Explanation:
+        """How to judge it, or why nothing is known."""
         # each question walks the whole change, so only where there is such a parameter
         if FURTHER and (beyond := _beyond_the_model(self._concerned(request))):
-            return None, beyond
+            return beyond
         found = self._basis(request["basis"])
         if isinstance(found, Explanation):
-            return None, found
+            return found
         delay = self._delay(request.get("delay_periods"))
         if delay != self._warm_delay:
             self._warm_delay = delay
             self._cold = list(self.verdicts.levels)
         spare = float(request["margin_ns_per_m"])
-        return SafeRegion(found, (delay, min(delay, self._delay(None))), spare), _KNOWN
+        return SafeRegion(found, (delay, min(delay, self._delay(None))), spare)
 
     def _concerned(self, request: Mapping[str, Any]) -> list[Environment]:
         """What `request` leads to with all that is scheduled; with force also what acts before."""
@@ -265,9 +264,6 @@ class Judge:
         if asked == "theorem":
             return self.theorem
         return Predicted(self.theorem, Perturbation(self.setup.psd_n2_per_hz, self.setup.band_hz))
-
-
-_KNOWN = Explanation(())
 
 
 def _unknown(text: str, remedy: str = "") -> Explanation:

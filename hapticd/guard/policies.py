@@ -56,18 +56,19 @@ _WORSE = 1e-9  # a rounding is not worse
 
 def answer_change(
     verdicts: VerdictBuilder,
-    region: SafeRegion | None,
-    unknown: Explanation,
+    region: SafeRegion | Explanation,
     request: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The answer to a request `change`: action, stages and verdict (docs/guard.md).
 
-    `region` is how to judge it; None where nothing is known, for the reason `unknown`.
-    AnalysisError for a number that is not finite.
+    `region` is how to judge it, or why nothing is known. AnalysisError for a number that is not
+    finite.
     """
     planner = _asked(verdicts, request)
-    if region is None or request["policy"] == "off":
-        return _unjudged(verdicts, planner, request, unknown)
+    if request["policy"] == "off":
+        region = because(Reason.POLICY, "not judged: the policy is off")
+    if isinstance(region, Explanation):
+        return _unjudged(verdicts, planner, request["policy"], region)
     return _Judged(verdicts, region, planner, request).answer()
 
 
@@ -121,15 +122,11 @@ def _with_level(
 
 
 def _unjudged(
-    verdicts: VerdictBuilder,
-    planner: TransitionPlanner,
-    request: Mapping[str, Any],
-    why: Explanation,
+    verdicts: VerdictBuilder, planner: TransitionPlanner, policy: str, why: Explanation
 ) -> dict[str, Any]:
     """A change about which nothing is known, or was to be known: refused where safety was asked
     for, otherwise done in the right order.
     """
-    policy = request["policy"]
     wanted = planner.wanted
     given = wanted
     outcome = Outcome.UNKNOWN
@@ -140,7 +137,6 @@ def _unjudged(
         given = planner.target
         stages = []
     elif policy == "off":
-        why = because(Reason.POLICY, "not judged: the policy is off")
         outcome = Outcome.NOT_JUDGED
         stages = [Stage(wanted.fields(planner.change))]
     return _answer(stages, verdicts.of(None, wanted, policy, outcome, why, [], given))

@@ -205,8 +205,7 @@ class GuardedQueue:
         """No enable that waits shall come after `why`, which was asked later."""
         for change in self._waits():
             if isinstance(change.request, Enable):
-                text = f"{change.cmd}: {why} was asked before it was judged; ask again"
-                self._give_back(change, CommandError("refused", text))
+                self._end(change, "refused", f"{why} was asked before it was judged; ask again")
         self._under_way.take_back(lambda change: True, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
@@ -221,7 +220,7 @@ class GuardedQueue:
         """The client `actor` has failed: of what it asked nothing more is posted."""
         why = "its client has failed"
         for change in self._waits_of(actor):
-            self._give_back(change, CommandError("refused", f"{change.cmd}: {why}"))
+            self._end(change, "refused", why)
         if self._under_way.change is not None and self._under_way.change.actor == actor:
             self._under_way.cancel(why)
         self._under_way.take_back(lambda change: change.actor == actor, why)
@@ -274,7 +273,7 @@ class GuardedQueue:
         self._beside = None  # without an answer the command server has told its end
         for change in filter(None, (*self._queue, self._asked, self._under_way.change)):
             if change.life != life:
-                self._give_back(change, CommandError("servo_down", f"{change.cmd}: {SERVO_GONE}"))
+                self._end(change, "servo_down", SERVO_GONE)
 
     def _forget_who_may_not(self) -> None:
         for change in filter(None, (*self._queue, self._asked, self._under_way.change)):
@@ -301,12 +300,15 @@ class GuardedQueue:
             why = "others were before it"
             if isinstance(change.request, Enable) and (staged := self._under_way.summary()):
                 why = f"stage {staged['stage']} of {staged['stages']} of a change is still to come"
-            text = f"{change.cmd}: it was not judged within 1 s, {why}; nothing happened, ask again"
-            self._give_back(change, CommandError("timeout", text))
+            text = f"it was not judged within 1 s, {why}; nothing happened, ask again"
+            self._end(change, "timeout", text)
         asked = self._asked
         if asked is not None and now_ns - asked.came_ns >= JUDGING_NS:
-            text = f"{asked.cmd}: its verdict came too late; nothing happened, ask again"
-            self._give_back(asked, CommandError("timeout", text))
+            text = "its verdict came too late; nothing happened, ask again"
+            self._end(asked, "timeout", text)
+
+    def _end(self, change: PendingChange, code: str, text: str) -> None:
+        self._give_back(change, CommandError(code, f"{change.cmd}: {text}"))
 
     def _give_back(self, change: PendingChange, error: CommandError) -> None:
         if change is self._under_way.change:
@@ -423,8 +425,8 @@ class GuardedQueue:
             "before": before,
             "after": after,
             "policy": change.policy,
-            "basis": guard.basis,
-            "margin_ns_per_m": guard.margin_ns_per_m,
+            "basis": guard.terms.basis,
+            "margin_ns_per_m": guard.terms.margin_ns_per_m,
             "mode": "auto" if self._auto(change) else "off",  # a level is in the change
             "level": guard.in_force.level,
             "delay_periods": guard.delay_periods,
@@ -569,7 +571,7 @@ class GuardedQueue:
         if change is self._beside and result is Result.APPLIED:
             change.held = answer
             # in force, whatever its verdict: mode auto must not choose again meanwhile
-            self._guard.auto = self._auto(change)
+            self._guard.choose_level(self._auto(change))
             return None
         if result is Result.SCHEDULED:
             fields = change_of(change.request, self._guard.in_force.level)
@@ -594,7 +596,7 @@ class GuardedQueue:
         return ChangeReply(change, error)
 
     def _applied(self, change: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
-        self._guard.auto = self._auto(change)
+        self._guard.choose_level(self._auto(change))
         if self._under_way.applied(change, answer, now_ns):
             if change.taken_back:
                 return self._under_way.taken_back(change)

@@ -17,7 +17,7 @@ which policies refuse it).
 """
 
 from collections import deque
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES, GuardParams
@@ -25,6 +25,7 @@ from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.guard.in_force import EnvironmentInForce
 from hapticd.guard.terms import Terms, TermsKeeper
+from hapticd.guard.worker import Worker
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
 from hapticd.protocol.explanation import Outcome, Reason, because
 from hapticd.protocol.journal import Journal
@@ -44,22 +45,6 @@ MOST_RECORDS = LEAST_RECORDS + 100  # after which the delay cannot be known
 MOST_HANDS = 8  # that wait to be looked for
 
 
-class WorkerLine(Protocol):
-    """What is used of the line to the worker (`worker.Worker`)."""
-
-    hello: dict[str, Any]
-    trouble: str
-    life: int
-
-    @property
-    def state(self) -> str: ...
-    def tend(self, now_ns: int) -> None: ...
-    def ask(self, request: dict[str, Any]) -> None: ...
-    def answers(self) -> list[dict[str, Any]]: ...
-    def give_up(self, trouble: str) -> None: ...
-    def close(self) -> None: ...
-
-
 class LookKey(NamedTuple):
     """What a look at the environment in force is about."""
 
@@ -77,7 +62,7 @@ class Guard:
         view: ServoView,
         journal: Journal,
         params: GuardParams,
-        worker: WorkerLine | None = None,
+        worker: Worker | None = None,
     ) -> None:
         self._view = view
         self.in_force = EnvironmentInForce(view)
@@ -85,10 +70,8 @@ class Guard:
         self._worker = worker
         self._worker_life = 0
         self.leases: Leases | None = None  # of the command server that it serves, once there is one
-        self._policy = params.policy
-        self.basis = params.basis
-        self.margin_ns_per_m = params.margin_ns_per_m
-        self.auto = False  # whether the guard chooses the level of active damping
+        # what it goes by while nobody measures
+        self.terms = Terms(params.policy, params.basis, params.margin_ns_per_m)
         self._keeper = TermsKeeper(view, journal, self.terms)
         self.changes = 0  # of policy, basis or margin
         self._tended_ns = 0
@@ -121,12 +104,12 @@ class Guard:
     @property
     def policy(self) -> str:
         """The policy that counts now."""
-        return "off" if self.measuring else self._policy
+        return "off" if self.measuring else self.terms.policy
 
     @property
     def mode(self) -> str:
         """The mode of active damping: off, level or auto; while measuring, nobody chooses."""
-        if self.auto and not self.measuring:
+        if self.terms.auto and not self.measuring:
             return "auto"
         return "level" if self.in_force.target().active_damping_ns_per_m else "off"
 
@@ -168,27 +151,19 @@ class Guard:
 
     def change(self, asked: GuardRequest) -> None:
         """Policy, basis and margin as far as `asked` gives them."""
-        given = asked.given
+        given = {name: asked.given[name] for name in Terms._fields if name in asked.given}
         before = self.terms
-        self._policy = given.get("policy", self._policy)
-        self.basis = given.get("basis", self.basis)
-        self.margin_ns_per_m = given.get("margin_ns_per_m", self.margin_ns_per_m)
+        self.terms = before._replace(**given)
         if self.terms != before:
             self.changes += 1
         if given.keys() & {"basis", "margin_ns_per_m"}:
             self._looked = {}
             self._looked_at = None
-        self._keep_terms(self._tended_ns)
+        self.terms = self._keeper.follow(self.terms, self._tended_ns)
 
-    @property
-    def terms(self) -> Terms:
-        """What it goes by while nobody measures."""
-        return Terms(self._policy, self.basis, self.margin_ns_per_m, self.auto)
-
-    def _keep_terms(self, now_ns: int) -> None:
-        """Have the gateway that may follow this one know what was asked for."""
-        kept = self._keeper.follow(self.terms, now_ns)
-        self._policy, self.basis, self.margin_ns_per_m, self.auto = kept
+    def choose_level(self, auto: bool) -> None:
+        """Whether the level of active damping is the guard's to choose from now on."""
+        self.terms = self.terms._replace(auto=auto)
 
     def summary(self) -> dict[str, Any]:
         """What `status` and the command `guard` tell."""
@@ -243,8 +218,8 @@ class Guard:
     def _terms(self) -> dict[str, Any]:
         return {
             "policy": self.policy,
-            "basis": self.basis,
-            "margin_ns_per_m": self.margin_ns_per_m,
+            "basis": self.terms.basis,
+            "margin_ns_per_m": self.terms.margin_ns_per_m,
             "mode": self.mode,
             "delay_periods": self.delay_periods,
         }
@@ -316,7 +291,7 @@ class Guard:
         """Hear the worker, keep it alive, ask what nobody waits for."""
         self._terms_base = self._terms_base or now_ns // NS_PER_MS
         self._tended_ns = now_ns
-        self._keep_terms(now_ns)
+        self.terms = self._keeper.follow(self.terms, now_ns)
         if self._worker is None:
             return
         self._worker.tend(now_ns)
@@ -461,8 +436,8 @@ class Guard:
             "now": self.in_force.now().message(),
             "target": self.in_force.target().message(),
             "delay_periods": self.delay.periods,
-            "margin_ns_per_m": self.margin_ns_per_m,
-            "basis": self.basis,
+            "margin_ns_per_m": self.terms.margin_ns_per_m,
+            "basis": self.terms.basis,
             "level_on": self.in_force.level,
         }
         self._look = self._send(question, now_ns), what

@@ -260,7 +260,9 @@ def sampled_segment(
     moving = _moving(segment)
     if sum(moving) <= 1:
         # filters and the side of a wall change at once, while everything else is where it was
-        first = 0.0 if _jumps(segment) and count > 1 else 1.0 / count
+        here, end = segment.start, segment.end
+        jumps = here.wall.side != end.wall.side or here.filters != end.filters
+        first = 0.0 if jumps and count > 1 else 1.0 / count
         line = np.linspace(first, 1.0, count).tolist()
         return [interpolate(segment.start, segment.end, share, levels) for share in line]
     side = int(count ** (1.0 / sum(moving)) + 1e-9)
@@ -269,12 +271,6 @@ def sampled_segment(
     shares = np.linspace(0.0, 1.0, side).tolist()
     grid = product(*(shares if moves else [1.0] for moves in moving))
     return [_patch(segment, place, levels) for place in grid]
-
-
-def _jumps(segment: Segment) -> bool:
-    """Whether something of the environment does not ramp."""
-    sides = segment.start.wall.side, segment.end.wall.side
-    return sides[0] != sides[1] or segment.start.filters != segment.end.filters
 
 
 def _gained(segment: Segment, count: int) -> list[Environment]:

@@ -197,12 +197,14 @@ class _Parts(NamedTuple):
 
 
 def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
-    contacts = _contacts(plan)
-    inputs = _inputs(plan, len(contacts))
     states = [state.name for state in plan.states]
     n = len(states)
+    contacts = _contacts(plan, states)
+    columns = {name: column for column, name in enumerate(plan.inputs)}
+    inputs = InputColumns(**columns, width=len(columns) + len(contacts))
     parts = _parts(plan, states, contacts)
     fixed, per_level = parts.at(plan.residual_ohm)
+    noise = plan.velocity_noise_m_per_s, plan.estimate_psd
     return Model(
         name=name,
         rate_hz=rate_hz,
@@ -217,9 +219,12 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         contacts=contacts,
         **plan.numbers,
         ends=_ends(plan, states),
-        rotor_forces=_rotor_forces(plan, states),
+        rotor_forces=tuple(
+            RotorForce(law, numbers, states.index("rotor_position"), states.index("rotor_velocity"))
+            for law, numbers in plan.rotor_forces
+        ),
         drive=_drive(plan, states),
-        noise=_noise(plan),
+        noise=Noise(*noise) if any(noise) else None,
         winding=_winding(plan, parts, n),
         estimate_offset_m_per_s=plan.estimate_offset_m_per_s,
         level_gain=plan.level_gain,
@@ -227,7 +232,6 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         mass_kg=sum(body.mass_kg for body in plan.bodies.values() if body.name != "hand"),
         probe_mass_kg=plan.probe_mass_kg,
         viscous_ns_per_m=plan.viscous_ns_per_m,
-        coulomb_n=sum(contact.level_n for contact in contacts),
         torque_constant_n_per_a=plan.torque_constant_n_per_a,
         resistance_ohm=plan.resistance_ohm,
         temperature_c=plan.copper.start_c,
@@ -257,19 +261,13 @@ def _parts(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) ->
     )
 
 
-def _inputs(plan: Blueprint, contacts: int) -> InputColumns:
-    place = {name: column for column, name in enumerate(plan.inputs)}
-    return InputColumns(**place, width=len(place) + contacts)
-
-
-def _contacts(plan: Blueprint) -> tuple[Contact, ...]:
-    names = [state.name for state in plan.states]
+def _contacts(plan: Blueprint, states: list[str]) -> tuple[Contact, ...]:
     rubbing = [body for body in plan.bodies.values() if body.coulomb_n > 0.0]
     return tuple(
         Contact(
             body.name,
-            names.index(f"{body.name}_velocity"),
-            names.index(f"{body.name}_position"),
+            states.index(f"{body.name}_velocity"),
+            states.index(f"{body.name}_position"),
             body.coulomb_n,
             len(plan.inputs) + place,
         )
@@ -278,7 +276,7 @@ def _contacts(plan: Blueprint) -> tuple[Contact, ...]:
 
 
 def _outputs(plan: Blueprint, states: list[str], width: int) -> Outputs:
-    def output(form: Form, unit: str) -> Output:
+    def output(form: Form) -> Output:
         of_states = np.zeros((2, len(states)))  # without the level, and what goes with it
         of_inputs = np.zeros((2, width))
         for name, c in form.terms.items():
@@ -287,18 +285,18 @@ def _outputs(plan: Blueprint, states: list[str], width: int) -> Outputs:
                 of_states[:, states.index(name)] = at
             else:
                 of_inputs[:, plan.inputs.index(name)] = at
-        return Output(unit, *(frozen(row) for row in (*of_states, *of_inputs)))
+        return Output(*(frozen(row) for row in (*of_states, *of_inputs)))
 
     rotor = plan.rotor
     return Outputs(
-        encoder=output(plan.endpoint.position, "m"),
-        position=output(rotor.position, "m"),
-        velocity=output(rotor.velocity, "m/s"),
-        recorded_velocity=output(plan.channel, "m/s"),
-        recorded_travel=output(plan.travel, "m"),
-        recorded_impulse=None if plan.impulse is None else output(plan.impulse, "N s"),
-        motor_force=output(plan.motor, "N"),
-        estimate=output(plan.estimate, "m/s"),
+        encoder=output(plan.endpoint.position),
+        position=output(rotor.position),
+        velocity=output(rotor.velocity),
+        recorded_velocity=output(plan.channel),
+        recorded_travel=output(plan.travel),
+        recorded_impulse=None if plan.impulse is None else output(plan.impulse),
+        motor_force=output(plan.motor),
+        estimate=output(plan.estimate),
     )
 
 
@@ -307,12 +305,6 @@ def _ends(plan: Blueprint, states: list[str]) -> Ends | None:
         return None
     name = plan.endpoint.name
     return Ends(*plan.ends_m, states.index(f"{name}_position"), states.index(f"{name}_velocity"))
-
-
-def _rotor_forces(plan: Blueprint, states: list[str]) -> tuple[RotorForce, ...]:
-    position = states.index("rotor_position")
-    velocity = states.index("rotor_velocity")
-    return tuple(RotorForce(law, numbers, position, velocity) for law, numbers in plan.rotor_forces)
 
 
 def _drive(plan: Blueprint, states: list[str]) -> DriveLimits | None:
@@ -331,12 +323,6 @@ def _drive(plan: Blueprint, states: list[str]) -> DriveLimits | None:
         electrical_rad_s=around_ohm / given.inductance_h,
         amplifier_rad_s=plan.amplifier_rad_s,
     )
-
-
-def _noise(plan: Blueprint) -> Noise | None:
-    if not (plan.velocity_noise_m_per_s or plan.estimate_psd):
-        return None
-    return Noise(plan.velocity_noise_m_per_s, plan.estimate_psd)
 
 
 def _winding(plan: Blueprint, parts: _Parts, n: int) -> Winding | None:

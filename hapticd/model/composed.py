@@ -554,10 +554,9 @@ def _compensate(heat: HeatingParams) -> list[str]:
 
 def _ohms(heat: HeatingParams) -> list[str]:
     """Resistance of the winding as it is, and what of it is not compensated."""
-    cold = heat.resistance_ohm
-    reference = heat.reference_c
+    kelvin = f"(celsius - {heat.reference_c!r})"
     return [
-        f"        hot = {cold!r} * (1.0 + {COPPER_PER_K!r} * (celsius - {reference!r}))",
+        f"        hot = {heat.resistance_ohm!r} * (1.0 + {COPPER_PER_K!r} * {kelvin})",
         "        residual_ohm = hot - compensated_ohm",
     ]
 

@@ -154,9 +154,8 @@ def drive_response_s(limits: DriveLimits, column: int | None, whole: Map) -> flo
     return found
 
 
-def delay_steps(delay_periods: float, steps_per_period: int) -> tuple[int, float]:
-    """(whole steps, fraction of a step) after the sample at which the command takes effect."""
-    steps = delay_periods * steps_per_period
-    count = floor(steps + SNAP)
-    fraction = steps - count
+def delay_steps(delay_periods: float) -> tuple[int, float]:
+    """(whole periods, fraction of one) after the sample at which the command takes effect."""
+    count = floor(delay_periods + SNAP)
+    fraction = delay_periods - count
     return count, fraction if fraction > SNAP else 0.0

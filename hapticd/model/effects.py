@@ -127,8 +127,12 @@ class Effect:
         raise NotImplementedError
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Its own time constants; those of the device as a whole are eigenvalues of the model."""
-        return ()
+        """Its own time constants, here of the corners and bandwidths that it has; those of the
+        device as a whole are eigenvalues of the model.
+        """
+        values = {one.name: one.value for one in self.parameters()}
+        corners = [value for name, value in values.items() if name.endswith("_hz") and value]
+        return tuple(1.0 / (tau * corner_hz) for corner_hz in corners)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Every number with its unit and its source."""
@@ -382,10 +386,6 @@ class Smoothing(Effect):
         plan.rates["smoothed_force"] = tau * self.corner_hz * (plan.command - smooth)
         plan.command = smooth
 
-    def time_constants_s(self) -> tuple[float, ...]:
-        """The lag of the low-pass."""
-        return (1.0 / (tau * self.corner_hz),)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Amplifier(Effect):
@@ -398,10 +398,6 @@ class Amplifier(Effect):
     def build(self, plan: Blueprint) -> None:
         """Give the motor force a state, which `compose` writes."""
         plan.amplifier_rad_s = tau * self.bandwidth_hz
-
-    def time_constants_s(self) -> tuple[float, ...]:
-        """The lag of the current."""
-        return (1.0 / (tau * self.bandwidth_hz),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -452,10 +448,6 @@ class DampingCircuit(Effect):
     def build(self, plan: Blueprint) -> None:
         """Give the estimate a state, which `compose` writes."""
         plan.circuit_rad_s = tau * self.bandwidth_hz
-
-    def time_constants_s(self) -> tuple[float, ...]:
-        """The lag of the estimate."""
-        return (1.0 / (tau * self.bandwidth_hz),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -528,12 +520,6 @@ class ShapedDamping(Effect):
     def build(self, plan: Blueprint) -> None:
         """State the corners; `shaped` writes the filter where `compose` closes the loop."""
         plan.shaping_rad_s = tau * self.highpass_hz, tau * self.lowpass_hz
-
-    def time_constants_s(self) -> tuple[float, ...]:
-        """Those of the corners that exist."""
-        return tuple(
-            1.0 / (tau * corner) for corner in (self.highpass_hz, self.lowpass_hz) if corner
-        )
 
 
 def shaped(plan: Blueprint, estimate: Form) -> Form:
@@ -705,10 +691,6 @@ class VelocityHighpass(Effect):
         plan.rates["velocity_baseline"] = rate_rad_s * (plan.channel - low)
         plan.channel = plan.channel - low
         plan.travel = low / rate_rad_s
-
-    def time_constants_s(self) -> tuple[float, ...]:
-        """That of the coupling capacitor."""
-        return (1.0 / (tau * self.corner_hz),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

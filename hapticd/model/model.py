@@ -80,7 +80,6 @@ class Winding:
 class Output:
     """y = (c0 + b c1) x + (d0 + b d1) u: c0, c1 (states,), d0, d1 (inputs,)."""
 
-    unit: str  # of y
     c0: Array  # (states,)
     c1: Array  # (states,), per Ns/m
     d0: Array  # (inputs,)
@@ -155,7 +154,6 @@ class Model:
     mass_kg: float = 0.0  # all that moves with the endpoint, the probe included
     probe_mass_kg: float = 0.0  # part of mass_kg
     viscous_ns_per_m: float = 0.0  # all viscous friction, at both bodies
-    coulomb_n: float = 0.0  # all Coulomb friction
     velocity_quantum_m_per_s: float | None = None  # of the recorded velocity
     torque_quantum_n: float | None = None  # of the perturbation
     torque_constant_n_per_a: float = 1.0  # K_m / lever radius

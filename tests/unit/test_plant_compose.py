@@ -102,7 +102,8 @@ def test_whole_device_is_the_equations():
     inputs[4, model.inputs.command] = wr
     inputs[1, model.inputs.torque] = inputs[1, model.contacts[0].column] = 1 / mm
     assert model.b(LEVEL) == pytest.approx(inputs, rel=1e-12)
-    assert (model.mass_kg, model.coulomb_n, model.viscous_ns_per_m) == pytest.approx(
+    coulomb_n = sum(contact.level_n for contact in model.contacts)
+    assert (model.mass_kg, coulomb_n, model.viscous_ns_per_m) == pytest.approx(
         (0.008, 0.0293, 0.358)
     )
 
