@@ -23,12 +23,12 @@ follow leaves is a plan of its own, and is judged again.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from hapticd.core.environment import Environment
-from hapticd.core.params import STRICT_POLICIES, DampingMode, Policy
+from hapticd.core.params import STRICT_POLICIES
 from hapticd.guard.environments import AXES, apply_change, from_message, interpolate
 from hapticd.guard.explain import VerdictBuilder, explain
 from hapticd.guard.safe_region import SafeRegion
@@ -45,8 +45,6 @@ from hapticd.model.stability import edge
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
-POLICIES: tuple[str, ...] = get_args(Policy)
-MODES: tuple[str, ...] = get_args(DampingMode)
 _HALVINGS = 12  # of the way between the last safe point and the first that is not
 _SHARES = 41  # of the environment that `follow` looks at
 _LEVEL_HALVINGS = 6  # between two kept levels: to some hundredths of N s/m

@@ -176,7 +176,9 @@ class TransitionPlanner:
             return [[Stage(damping), *_waiting(stages, level)] for stages in orders]
         if wanted.active_damping_ns_per_m < here:
             return [[*stages, Stage(damping, after_ramps=True)] for stages in orders]
-        whole = [_with(stages, damping) for stages in orders]
+        whole = [
+            [first._replace(change=first.change | damping), *others] for first, *others in orders
+        ]
         if self.now.active_damping_ns_per_m >= here:
             return whole
         return whole + [_waiting(stages, self._reported(here)) for stages in whole]
@@ -219,10 +221,6 @@ class TransitionPlanner:
 
 def _waiting(stages: list[Stage], level: float) -> list[Stage]:
     return [stages[0]._replace(active_damping_at_least=level), *stages[1:]]
-
-
-def _with(stages: list[Stage], fields: dict[str, Any]) -> list[Stage]:
-    return [stages[0]._replace(change=stages[0].change | fields), *stages[1:]]
 
 
 def moving_groups(segment: Segment) -> int:

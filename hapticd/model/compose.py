@@ -27,7 +27,6 @@ differential equation (refused).
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -183,28 +182,21 @@ def compose_device(name: str, effects: Iterable[Effect], rate_hz: float = 1000.0
     return model
 
 
-class _Parts(NamedTuple):
-    """[A B] = one + b level + r residual + b r both, each (states, inputs), as in `Coefficient`."""
-
-    one: Array
-    level: Array
-    residual: Array
-    both: Array
-
-    def at(self, residual_ohm: float) -> tuple[Array, Array]:
-        """(constant part, part that goes with the damping level), at a residual resistance."""
-        return self.one + residual_ohm * self.residual, self.level + residual_ohm * self.both
-
-
 def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
     states = [state.name for state in plan.states]
     n = len(states)
     contacts = _contacts(plan, states)
     columns = {name: column for column, name in enumerate(plan.inputs)}
     inputs = InputColumns(**columns, width=len(columns) + len(contacts))
-    parts = _parts(plan, states, contacts)
-    fixed, per_level = parts.at(plan.residual_ohm)
+    one, level, residual, both = _coefficients(plan, states, contacts)
+    fixed = one + plan.residual_ohm * residual
+    per_level = level + plan.residual_ohm * both
     noise = plan.velocity_noise_m_per_s, plan.estimate_psd
+    per_ohm = [
+        frozen(part) for part in (residual[:, :n], both[:, :n], residual[:, n:], both[:, n:])
+    ]
+    heating = plan.heating
+    winding = None if heating is None else Winding(heating, plan.residual_ohm, *per_ohm)
     return Model(
         name=name,
         rate_hz=rate_hz,
@@ -225,7 +217,7 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         ),
         drive=_drive(plan, states),
         noise=Noise(*noise) if any(noise) else None,
-        winding=_winding(plan, parts, n),
+        winding=winding,
         estimate_offset_m_per_s=plan.estimate_offset_m_per_s,
         level_gain=plan.level_gain,
         level_offset_ns_per_m=plan.level_offset_ns_per_m,
@@ -240,25 +232,22 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
     )
 
 
-def _parts(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> _Parts:
-    """The coefficients of all rates, and a column for the friction force of each contact."""
+def _coefficients(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> Array:
+    """[A B] = one + b level + r residual + b r both (4, states, states and inputs), as in
+    `Coefficient`, of all rates, with a column for the friction force of each contact.
+    """
     names = states + plan.inputs
     accelerations = {
         f"{body.name}_velocity": body.force / body.mass_kg for body in plan.bodies.values()
     }
     rates = {**plan.rates, **accelerations}
     cells = np.array([[rates[row].terms.get(name, ZERO) for name in names] for row in states])
-    one, level, residual, both = np.moveaxis(cells, -1, 0)
-    forces = np.zeros((len(states), len(contacts)))
-    for column, contact in enumerate(contacts):
-        forces[contact.velocity, column] = 1.0 / plan.bodies[contact.body].mass_kg
-    none = np.zeros_like(forces)  # friction acts on a mass alone: neither level nor resistance
-    return _Parts(
-        np.hstack([one, forces]),
-        np.hstack([level, none]),
-        np.hstack([residual, none]),
-        np.hstack([both, none]),
-    )
+    found = np.zeros((4, len(states), len(names) + len(contacts)))
+    found[:, :, : len(names)] = np.moveaxis(cells, -1, 0)
+    for contact in contacts:  # friction acts on a mass alone: neither level nor resistance
+        column = len(states) + contact.column
+        found[0, contact.velocity, column] = 1.0 / plan.bodies[contact.body].mass_kg
+    return found
 
 
 def _contacts(plan: Blueprint, states: list[str]) -> tuple[Contact, ...]:
@@ -322,17 +311,4 @@ def _drive(plan: Blueprint, states: list[str]) -> DriveLimits | None:
         shorted_ns_per_m=n_per_a**2 / around_ohm,
         electrical_rad_s=around_ohm / given.inductance_h,
         amplifier_rad_s=plan.amplifier_rad_s,
-    )
-
-
-def _winding(plan: Blueprint, parts: _Parts, n: int) -> Winding | None:
-    if plan.heating is None:
-        return None
-    return Winding(
-        plan.heating,
-        plan.residual_ohm,
-        a0=frozen(parts.residual[:, :n]),
-        a1=frozen(parts.both[:, :n]),
-        b0=frozen(parts.residual[:, n:]),
-        b1=frozen(parts.both[:, n:]),
     )

@@ -55,7 +55,6 @@ from hapticd.model.theorem import LiftedSystem, lifted_system
 
 __all__ = ["Hand", "coupled_radius", "shaking_hand"]
 
-GROUND = -1  # number of the node that is the wall
 GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
 _ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0
 _IMAGES = np.array([0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0, -4.0, 4.0])  # for which a hand is tuned
@@ -111,38 +110,6 @@ class Hand:
         )
         inner = np.linalg.solve(all_nodes[:, 1:, 1:], all_nodes[:, 1:, :1])
         return np.asarray((all_nodes[:, 0, 0] - (all_nodes[:, :1, 1:] @ inner)[:, 0, 0]) / s)
-
-
-class Network:
-    """A hand under construction: nodes and what joins them; `GROUND` is the wall."""
-
-    def __init__(self, mass_kg: float = 0.0) -> None:
-        self._masses = [mass_kg]
-        self._joints: list[tuple[int, int, float, float]] = []
-
-    def node(self, mass_kg: float = 0.0) -> int:
-        """Add a node of that mass and return its number."""
-        self._masses.append(mass_kg)
-        return len(self._masses) - 1
-
-    def join(
-        self, one: int, other: int, stiffness_n_per_m: float = 0.0, damping_ns_per_m: float = 0.0
-    ) -> None:
-        """Put a spring and a damper side by side between two nodes."""
-        self._joints.append((one, other, stiffness_n_per_m, damping_ns_per_m))
-
-    def hand(self) -> Hand:
-        """Return the hand that was built. AnalysisError as `Hand`."""
-        size = len(self._masses)
-        stiffness, damping = np.zeros((2, size, size))
-        for one, other, spring, damper in self._joints:
-            across = np.zeros(size)
-            across[[node for node in (one, other) if node != GROUND]] = (1.0, -1.0)[
-                : 2 - (one, other).count(GROUND)
-            ]
-            stiffness += spring * np.outer(across, across)
-            damping += damper * np.outer(across, across)
-        return Hand(np.array(self._masses), damping, stiffness)
 
 
 def held_by(model: Model, hand: Hand) -> Model:
@@ -297,11 +264,12 @@ def _tuned(w: Floats, reactance: Floats) -> Hand:
         size = np.linalg.solve(share, reactance)
         if size.min() >= 0.0:
             break
-    network = Network(float(size[0]) if heavy else 0.0)
-    network.join(0, GROUND, 0.0 if heavy else float(size[0]))
-    for mass, rate in zip(size[1:], peak[1:], strict=True):
-        network.join(0, network.node(float(mass)), float(mass * rate**2))
-    return network.hand()
+    springs = [float(mass * rate**2) for mass, rate in zip(size[1:], peak[1:], strict=True)]
+    to_the_wall = 0.0 if heavy else float(size[0])
+    stiffness = np.diag([sum(springs, to_the_wall), *springs])
+    stiffness[0, 1:] = stiffness[1:, 0] = -np.array(springs)
+    masses = np.array([size[0] if heavy else 0.0, *size[1:]])
+    return Hand(masses, np.zeros_like(stiffness), stiffness)
 
 
 def coupled_radius(

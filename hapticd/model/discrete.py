@@ -29,12 +29,11 @@ step.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import ceil, floor, log2
+from math import ceil, exp, floor, log2
 
 import numpy as np
 
 from hapticd.core.errors import ConfigError
-from hapticd.model.drive import well_posed
 from hapticd.model.model import Array, DriveLimits, Map, Model, frozen
 
 __all__ = ["discretise", "drive_response_s", "expm"]
@@ -42,6 +41,8 @@ __all__ = ["discretise", "drive_response_s", "expm"]
 TERMS = 25
 LARGEST_NORM = 0.5
 BALANCE_SWEEPS = 8
+# of what limits of an amplifier do to it alone, by which they must move the motor force in a step
+LEAST_SHARE = 0.25
 
 
 @contextmanager
@@ -147,10 +148,16 @@ def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Arra
 
 def drive_response_s(limits: DriveLimits, column: int | None, whole: Map) -> float:
     """How much the input `column`, by which `limits` act, moves the motor force in the step of
-    `whole`, N per N/s. ConfigError if that is too little to hold it (`drive.well_posed`).
+    `whole`, N per N/s. ConfigError if that is too little to end the step where the force may be.
     """
     found = float(whole.b[limits.motor_force, column])
-    well_posed(limits, found, whole.duration_s, whole.active_damping_ns_per_m)
+    alone_s = (1.0 - exp(-limits.amplifier_rad_s * whole.duration_s)) / limits.amplifier_rad_s
+    if found < LEAST_SHARE * alone_s:
+        raise ConfigError(
+            f"active damping of {whole.active_damping_ns_per_m:g} N s/m moves the motor force"
+            f" within a step of {1e6 * whole.duration_s:g} us more than the amplifier does, so"
+            " 'amplifier_limits' cannot hold it; use more sub-steps, or a lower level"
+        )
     return found
 
 

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from support.guard_device import change, setup_of
 from support.narrow_modes import ClosedForm, Narrow, drawn
+from support.passive_hands import GROUND, Network
 
 from hapticd.core.environment import Environment
 from hapticd.guard.bases import Conditions, Theorem
 from hapticd.guard.judge import Judge
 from hapticd.guard.safe_region import SafeRegion, intervals
 from hapticd.model.angles import angles_of, least_between, unresolved_hz
-from hapticd.model.coupled import GROUND, Network, coupled_radius
+from hapticd.model.coupled import coupled_radius
 from hapticd.model.effects import Coupling, Masses, Motor, Viscous
 from hapticd.model.loop import PAPER_FILTERS
 from hapticd.model.theorem import Circles, outside_circles
