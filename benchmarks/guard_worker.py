@@ -10,10 +10,9 @@ from typing import Any
 
 from benchmarks.worker import serve
 from hapticd.core.params import GuardSetup, RealtimeParams, from_plain
-from hapticd.guard.environments import from_message
 from hapticd.guard.judge import Judge
 from hapticd.guard.safe_region import SafeRegion
-from hapticd.guard.transition_planner import Segment, sampled_segment
+from hapticd.guard.transition_planner import Segment, from_message, sampled_segment
 from hapticd.mailbox.files import GUARD_JSON
 
 POINTS = 20

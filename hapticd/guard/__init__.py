@@ -8,8 +8,8 @@ The criterion, as pure functions of a device's model and of environments:
     bases               Theorem, Predicted, Measured: how it is known what is safe
     safe_region         SafeRegion: which environments are safe, and how far K, B and M may go;
                         what a device renders of each alone, and what its delay costs
-    environments        what lies between two environments
-    transition_planner  the stages of a change and the points that it passes
+    transition_planner  the stages of a change and the points that it passes; what lies between two
+                        environments
     policies            what is done with a change, by the policy in force
     plane               the K-B plane with and without active damping
     judge               Judge: requests of the gateway in, answers out

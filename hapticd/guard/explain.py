@@ -54,6 +54,7 @@ class VerdictBuilder:
         if region is not None and known["least_active_damping_ns_per_m"] is None:
             no_level = (one for one in why.remedies if one.code != Remedy.MORE_DAMPING)
             why = Explanation(why.reasons, tuple(no_level))
+        ends = self.setup.environment.workspace.stiffness_n_per_m > 0.0
         return {
             "safe": None if region is None else outcome is Outcome.SAFE,
             "policy": policy,
@@ -61,7 +62,7 @@ class VerdictBuilder:
             "clamped": outcome is Outcome.CLAMPED,
             "given": given.message(),
             "path_points": sum(len(one.points()) for one in path),
-            "not_covered": self._not_covered(),
+            "not_covered": [*NOT_COVERED, "soft ends of the workspace"] if ends else [*NOT_COVERED],
             **why.plain(outcome),
         }
 
@@ -75,11 +76,6 @@ class VerdictBuilder:
             "allowed": region.allowed(environment, self.setup.lowest, self.setup.highest),
             "least_active_damping_ns_per_m": region.least_level(environment, self.levels),
         }
-
-    def _not_covered(self) -> list[str]:
-        """What no verdict promises."""
-        ends = self.setup.environment.workspace.stiffness_n_per_m > 0.0
-        return [*NOT_COVERED, "soft ends of the workspace"] if ends else [*NOT_COVERED]
 
 
 def explain(region: SafeRegion, environment: Environment, safe: bool, way: str = "") -> Explanation:

@@ -21,11 +21,11 @@ from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import GuardSetup
 from hapticd.guard.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
-from hapticd.guard.environments import apply_change, from_message
 from hapticd.guard.explain import VerdictBuilder, doubling_text, explain, hand_text
 from hapticd.guard.plane import plane
 from hapticd.guard.policies import answer_change
 from hapticd.guard.safe_region import IDEAL_PERIODS, SafeRegion, timing_cost
+from hapticd.guard.transition_planner import apply_change, from_message
 from hapticd.model.angles import unresolved_hz
 from hapticd.model.coupled import shaking_hand
 from hapticd.model.linearise import Perturbation

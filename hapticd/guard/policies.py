@@ -29,15 +29,18 @@ import numpy as np
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES
-from hapticd.guard.environments import AXES, apply_change, from_message, interpolate
 from hapticd.guard.explain import VerdictBuilder, explain
 from hapticd.guard.safe_region import SafeRegion
 from hapticd.guard.transition_planner import (
+    AXES,
     POINTS,
     Plan,
     Segment,
     Stage,
     TransitionPlanner,
+    apply_change,
+    from_message,
+    interpolate,
     moving_groups,
     sampled_segment,
 )

@@ -22,7 +22,7 @@ from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment, FilterParams, Point
 from hapticd.core.params import GuardSetup
 from hapticd.guard.bases import Basis, Conditions, Reading, Theorem, model_of
-from hapticd.guard.environments import AXES
+from hapticd.guard.transition_planner import AXES
 from hapticd.mailbox.environment_limits import WIDEST
 from hapticd.model.model import Model
 

@@ -185,12 +185,9 @@ class Guard:
     @property
     def verdict(self) -> dict[str, Any] | None:
         """The verdict on the environment in force; None: it has not been judged (yet)."""
-        return self._looked.get("verdict") if self._same(self._looked_at) else None
-
-    def _same(self, about: LookKey | None) -> bool:
-        """Whether `about` is the environment in force."""
         now = self._view.life, self.in_force.revision
-        return about is not None and (about.life, about.revision) == now
+        same = self._looked_at is not None and self._looked_at[:2] == now
+        return self._looked.get("verdict") if same else None
 
     def _unjudged(self) -> str:
         """Why there is no verdict on the environment in force, and what is known of it all the

@@ -47,7 +47,10 @@ def plant_params(
     """
     quantum = model.active_damping_quantum_ns_per_m
     levels = {float(level) for level in np.linspace(0.0, highest_ns_per_m, GRID)}
-    levels |= {_dac(level, quantum) for level in exact_levels}
+    levels |= {
+        level if quantum is None else floor(level / quantum + 0.5) * quantum
+        for level in exact_levels
+    }
     residuals = _residuals(model, trim_ohm)
     variants = [
         model.at_residual(residual_ohm) if model.winding else model for residual_ohm in residuals
@@ -102,10 +105,6 @@ def board_fields(
         "ambient_c": model.temperature_c,
         "plant": plant_params(model, substep_s, [0.0, *exact_levels], highest_ns_per_m, trim_ohm),
     }
-
-
-def _dac(level: float, quantum: float | None) -> float:
-    return level if quantum is None else floor(level / quantum + 0.5) * quantum
 
 
 def _columns(model: Model) -> tuple[str, ...]:
