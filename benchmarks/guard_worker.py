@@ -10,10 +10,9 @@ from typing import Any
 
 from benchmarks.worker import serve
 from hapticd.core.params import GuardSetup, RealtimeParams, from_plain
-from hapticd.guard.environments import from_message
 from hapticd.guard.judge import Judge
 from hapticd.guard.safe_region import SafeRegion
-from hapticd.guard.transition_planner import Segment, sampled_segment
+from hapticd.guard.transition_planner import Segment, from_message, sampled_segment
 from hapticd.mailbox.files import GUARD_JSON
 
 POINTS = 20
@@ -27,7 +26,7 @@ def main() -> None:
     while judge.warm():
         pass
     assert judge.theorem is not None
-    judgement = SafeRegion(judge.theorem, judge.theorem.model.delay_periods, 0.0)
+    judgement = SafeRegion(judge.theorem, (judge.theorem.model.delay_periods,), 0.0)
 
     def answer(request: dict[str, Any]) -> dict[str, float]:
         start = from_message(request["start"], judge.setup.environment)

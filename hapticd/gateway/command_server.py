@@ -8,7 +8,7 @@ STOP goes first among what came together, skips every interlock, and presses the
 others are ahead of it in the ring.
 
 What changes the environment goes past the guard first (`guard.request_queue`), which asks another
-process; all else is posted at once. `guard.outstanding` keeps posted commands until they are
+process; all else is posted at once. `guard.pending` keeps posted commands until they are
 answered.
 
 What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what
@@ -22,8 +22,7 @@ from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.params import LeaseParams, to_plain
 from hapticd.gateway.lease_server import LeaseServer
 from hapticd.gateway.waveform import Waveform
-from hapticd.guard.outstanding import Outstanding, Pending
-from hapticd.guard.pending_change import PendingChange, concerns, damping_by
+from hapticd.guard.pending import Outstanding, Pending, PendingChange, concerns, damping_by
 from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard
@@ -212,8 +211,8 @@ class CommandServer:
             if isinstance(request, GuardRequest):
                 request = damping_by(request)
             if concerns(request):
-                case = self._case(message, actor, request, now_ns)
-                self._guarded.take(case, now_ns, not len(self._outstanding))
+                change = self._change(message, actor, request, now_ns)
+                self._guarded.take(change, now_ns, not len(self._outstanding))
                 return None
             if request.cmd in OVERTAKING:
                 self._guarded.take_back_enables(request.cmd)
@@ -268,14 +267,12 @@ class CommandServer:
         """Policy, worker and what is under way, for `status` and the command `guard`."""
         return self._guard.summary() | self._guarded.summary()
 
-    def _case(
+    def _change(
         self, message: RequestMessage, actor: int, request: Request, now_ns: int
     ) -> PendingChange:
         self._view.require_servo(message.cmd)
         at_tick = request.at_tick or 0 if isinstance(request, Change) else 0
-        return PendingChange(
-            message.cmd, message.id, actor, request, message, self._view.life, now_ns, at_tick
-        )
+        return PendingChange(message, actor, request, self._view.life, now_ns, at_tick)
 
     def _stop(self, message: RequestMessage, actor: int, now_ns: int) -> Reply | None:
         self._guarded.take_back_enables("stop")
@@ -314,37 +311,39 @@ class CommandServer:
 
     def _report(self, scheduled: Pending, answer: Answer, now_ns: int) -> None:
         """What became of a scheduled change, at its tick."""
-        told = scheduled.case and self._guarded.later(scheduled.case, answer, now_ns)
+        told = scheduled.change and self._guarded.answered(
+            scheduled.change, answer, now_ns, scheduled=True
+        )
         if told:
             self._tell(told)
 
     def _tell(self, told: ChangeReply) -> Reply | None:
         """The reply to a request that went past the guard, or an event once it has its reply."""
-        case = told.case
-        verdict = {"guard": case.verdict} if case.verdict else {}
-        if case.replied or case.message is None:
+        change = told.change
+        verdict = {"guard": change.verdict} if change.verdict else {}
+        if change.replied:
             error = told.error and {"result": "refused", "text": str(told.error)}
-            self._note_answer(case, (told.receipt or error or {}) | verdict)
+            self._note_answer(change, (told.receipt or error or {}) | verdict)
             return None
-        case.replied = True
+        change.replied = True
         if told.error is not None:
-            return self._refused(case.message, told.error)
+            return self._refused(change.message, told.error)
         found = told.receipt or {}
         body = {"rev": found["revision"], "receipt": found, **verdict}
-        if case.cmd == "guard":
+        if change.cmd == "guard":
             body["result"] = self.guard_summary()
-        return self._accepted(case.message, body)
+        return self._accepted(change.message, body)
 
-    def _note_answer(self, case: PendingChange, content: dict[str, Any]) -> None:
-        name = self.actors.name(case.actor)
+    def _note_answer(self, change: PendingChange, content: dict[str, Any]) -> None:
+        name = self.actors.name(change.actor)
         self._journal.note(
-            "answer", cmd=case.cmd, id=case.id, actor=case.actor, name=name, **content
+            "answer", cmd=change.cmd, id=change.message.id, actor=change.actor, name=name, **content
         )
 
     def _ended(self, pending: Pending, error: CommandError) -> Reply | None:
         """`pending` has come to an end without an answer."""
-        if pending.case is not None:
-            return self._tell(ChangeReply(pending.case, error))
+        if pending.change is not None:
+            return self._tell(ChangeReply(pending.change, error))
         return self._refused(pending.message, error)
 
     def _closed(self, pending: Pending, now_ns: int) -> Reply | None:
@@ -360,8 +359,8 @@ class CommandServer:
             reason = f"{message.cmd}: no answer from the servo within 1 s; {outlook}"
             code = "timeout" if self._view.alive else "servo_down"
             return self._ended(pending, CommandError(code, reason))
-        if pending.case is not None:
-            told = self._guarded.answered(pending.case, answer, now_ns)
+        if pending.change is not None:
+            told = self._guarded.answered(pending.change, answer, now_ns)
             return self._tell(told) if told else None
         if answer.result not in ACCEPTED:
             return self._refused(message, refusal(answer, message.cmd, self._view, self.actors))

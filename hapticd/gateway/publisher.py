@@ -397,7 +397,7 @@ class Publisher:
     def without_guard(self, unix_ns: int) -> dict[str, Any]:
         """The topic `state` but for what the guard tells."""
         found = state_map(self._view, self._actors, self._leases, unix_ns)
-        return found | {"delivered_active_damping": self._delivered.plain()}
+        return found | {"delivered_active_damping": self._delivered.estimate._asdict()}
 
 
 def _packed(content: dict[str, Any]) -> bytes:

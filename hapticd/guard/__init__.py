@@ -6,11 +6,11 @@ go into the mailbox one after the other. The direction is gateway -> guard -> ma
 The criterion, as pure functions of a device's model and of environments:
 
     bases               Theorem, Predicted, Measured: how it is known what is safe
-    safe_region         SafeRegion: which environments are safe, and how far K, B and M may go
-    environments        what lies between two environments
-    transition_planner  the stages of a change and the points that it passes
+    safe_region         SafeRegion: which environments are safe, and how far K, B and M may go;
+                        what a device renders of each alone, and what its delay costs
+    transition_planner  the stages of a change and the points that it passes; what lies between two
+                        environments
     policies            what is done with a change, by the policy in force
-    bounds              what a device renders of K, B and M, each alone; what the delay costs
     plane               the K-B plane with and without active damping
     judge               Judge: requests of the gateway in, answers out
     explain             verdict, reasons and remedies as they are sent
@@ -19,8 +19,8 @@ The life of a request:
 
     status              the policy in force, and what the worker last said
     request_queue       requests on their way past the guard
-    pending_change      one of them, and its parts
-    outstanding         commands that were posted, until they are answered
+    pending             one of them, and its parts; commands that were posted, until they are
+                        answered
     stages              the change of several stages that is under way
     in_force            the environment in force, by record and answer
     terms               what the guard goes by, and what is left of it when the gateway starts anew

@@ -22,8 +22,8 @@ What would break it: a delay that changes from tick to tick; `theorem` and `pred
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
-from typing import NamedTuple, Protocol
+from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -70,27 +70,6 @@ class Reading(NamedTuple):
     radius: float | None  # spectral radius of a tick
 
 
-class Basis(Protocol):
-    """How it is known whether points are safe."""
-
-    name: str
-    rate_hz: float | None  # of the ticks that a radius is of; None: it knows no radius
-
-    def safe(self, points: Floats, at: Conditions) -> Flags:
-        """Whether each of `points` (N, 3) is safe, with the margin asked for."""
-        ...
-
-    def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """What `safe` says, or where that is much cheaper: whether those of a connected set are
-        safe as soon as one of them is.
-        """
-        ...
-
-    def reading(self, point: Point, at: Conditions) -> Reading:
-        """How safe one point is."""
-        ...
-
-
 class Theorem:
     """Stable, and passive for every input and hand without friction."""
 
@@ -99,11 +78,14 @@ class Theorem:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.rate_hz: float | None = model.rate_hz
-        self._late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
-        self._opened: Callable[[float], OpenLoop] = lru_cache(LEVELS + 8)(self._open)
+        # the device with a delay, the same object each time
+        self.late: Callable[[float], Model] = lru_cache(LEVELS)(self._delayed)
+        # how safe a point is; the margin of an unstable loop is that of its impedance alone
+        self.reading: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
+        opened: Callable[[float], OpenLoop] = partial(open_loop, model)
+        self._opened = lru_cache(LEVELS + 8)(opened)
         self._lifted: Callable[[float, Filters, float], LiftedSystem] = lru_cache(_KEPT)(self._lift)
         self._everywhere: Callable[[Conditions], Rational | None] = lru_cache(_KEPT)(self._draw)
-        self._read: Callable[[Point, Conditions], Reading] = lru_cache(_KEPT)(self._look)
         self._ticks: Callable[[float, Filters, float], Tick] = lru_cache(_KEPT)(self._tick)
 
     def prepare(self, at: Conditions) -> None:
@@ -112,8 +94,8 @@ class Theorem:
         self._ticks(at.active_damping_ns_per_m, at.filters, at.delay_periods)
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As `Basis`. What lies between two safe points of a convex set is safe: outside of all
-        circles, and stable as they are.
+        """Whether each of `points` (N, 3) is safe, with the margin asked for. What lies between two
+        safe points of a convex set is safe: outside of all circles, and stable as they are.
         """
         found = self._everywhere(at)
         ends = line_ends(points) if found is not None and found.convex else None
@@ -130,17 +112,14 @@ class Theorem:
         return hopeful
 
     def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """At some angles, and without stability: an eigenvalue that crosses |z| = 1 does so where
-        -1/C = G, inside a circle, so a connected set outside the circles is stable as a whole or
-        not at all.
+        """What `safe` says, or where that is much cheaper: whether those of a connected set are
+        safe as soon as one of them is. Here at some angles, and without stability: an eigenvalue
+        that crosses |z| = 1 does so where -1/C = G, inside a circle, so a connected set outside the
+        circles is stable as a whole or not at all.
         """
         found = self._everywhere(at)
         seen = NOWHERE if found is None else found.circles
         return np.asarray((points[:, 0] >= 0.0) & outside_circles(seen, points))
-
-    def reading(self, point: Point, at: Conditions) -> Reading:
-        """As `Basis`. The margin of an unstable loop is that of its impedance alone."""
-        return self._read(point, at)
 
     def _look(self, point: Point, at: Conditions) -> Reading:
         lifted = self._lifted(at.active_damping_ns_per_m, at.filters, at.delay_periods)
@@ -149,15 +128,8 @@ class Theorem:
         found = lifted_worst(lifted, kbm[0], self.model.rate_hz)
         return Reading(found.margin_ns_per_m, found.worst_hz, float(radii(tick, kbm)[0]))
 
-    def late(self, delay_periods: float) -> Model:
-        """The device with that delay, the same object each time."""
-        return self._late(delay_periods)
-
     def _delayed(self, delay_periods: float) -> Model:
         return replace(self.model, delay_periods=delay_periods)
-
-    def _open(self, level: float) -> OpenLoop:
-        return open_loop(self.model, level)
 
     def _lift(self, level: float, filters: Filters, delay_periods: float) -> LiftedSystem:
         return lifted_system(self.late(delay_periods), level, filters, self._opened(level))
@@ -181,7 +153,7 @@ class Predicted:
         self._perturbation = perturbation
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As `Basis`."""
+        """As of `Theorem`."""
         return self._enough(self._predict(points, at), at)
 
     def hopeful(self, points: Floats, at: Conditions) -> Flags:
@@ -189,8 +161,8 @@ class Predicted:
         return self._enough(self._predict(points, at, stability=False), at)
 
     def reading(self, point: Point, at: Conditions) -> Reading:
-        """As `Basis`; the radius is that with the linearised friction, without it where Re Z
-        decided.
+        """How safe a point is; the radius is that with the linearised friction, without it where
+        Re Z decided.
         """
         found = self._predict(np.array([point]), at)
         radius = float(found.spectral_radius[0])
@@ -224,7 +196,7 @@ class Measured:
         self._measured = measured
 
     def safe(self, points: Floats, at: Conditions) -> Flags:
-        """As `Basis`. A margin in N s/m is not known: none may be asked for."""
+        """As of `Theorem`. A margin in N s/m is not known: none may be asked for."""
         level = self._level(at.active_damping_ns_per_m)
         corners = tuple(one.frequency_hz for one in at.filters if one is not None)
         if level is None or at.spare_ns_per_m > 0.0 or corners != self._measured.corners_hz:
@@ -236,12 +208,10 @@ class Measured:
         shares[points == 0.0] = 0.0
         return np.asarray(shares.sum(axis=1) <= 1.0)
 
-    def hopeful(self, points: Floats, at: Conditions) -> Flags:
-        """As `safe`."""
-        return self.safe(points, at)
+    hopeful = safe
 
     def reading(self, point: Point, at: Conditions) -> Reading:
-        """As `Basis`: limits say nothing of how far inside a point is."""
+        """Limits say nothing of how far inside a point is."""
         return Reading(None, None, None)
 
     def _level(self, active_damping_ns_per_m: float) -> MeasuredLevel | None:
@@ -251,6 +221,10 @@ class Measured:
             if one.active_damping_ns_per_m <= active_damping_ns_per_m * (1.0 + 1e-3) + 1e-6
         ]
         return below[-1] if below else None
+
+
+# `rate_hz` of a basis is that of the ticks that its radius is of; None: it knows no radius
+Basis = Theorem | Predicted | Measured
 
 
 def line_ends(points: Floats) -> list[int] | None:
@@ -272,7 +246,7 @@ def model_of(params: ModelParams) -> Model:
     """The model of these numbers, as far as judgements need it."""
 
     def output(of: OutputParams) -> Output:
-        return Output("", *(frozen(np.array(row)) for row in (of.c0, of.c1, of.d0, of.d1)))
+        return Output(*(frozen(np.array(row)) for row in (of.c0, of.c1, of.d0, of.d1)))
 
     seen = {
         name: output(getattr(params, name))

@@ -51,7 +51,7 @@ class DelayHistogram:
         steps = np.ceil(delay_us[known] * self._steps_per_us - 1e-6).astype(np.int64)
         for second in sorted(set(seconds.tolist())):
             self._count(second, np.minimum(steps[seconds == second], BINS - 1))
-        self._follow(self._percentile())
+        self._follow()
 
     def _count(self, second: int, steps: NDArray[np.int64]) -> None:
         if second <= self._newest - KEPT_S:
@@ -64,16 +64,12 @@ class DelayHistogram:
         self._total += counts
         self._newest = max(self._newest, second)
 
-    def _percentile(self) -> float | None:
+    def _follow(self) -> None:
+        """Delay that 99 % of the ticks did not exceed, in periods; shorter ones later."""
         below = np.cumsum(self._total)
         if below[-1] < LEAST_RECORDS:
-            return None
-        return float(np.searchsorted(below, SHARE * below[-1]) / STEPS)
-
-    def _follow(self, measured: float | None) -> None:
-        """Delay that 99 % of the ticks did not exceed, in periods; shorter ones later."""
-        if measured is None:
             return
+        measured = float(np.searchsorted(below, SHARE * below[-1]) / STEPS)
         if self.periods is None or measured >= self.periods:
             self.periods = measured
             self._shorter_since = None

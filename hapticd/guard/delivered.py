@@ -13,7 +13,7 @@ What would break it: records that are not consecutive without `forget`.
 
 from collections import deque
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,10 +121,6 @@ class Delivered:
         self._count = len(new) - whole
         parts = np.split(new[:whole], range(self._length, whole, self._length))
         return [low for part in parts for low in self._block(part)]
-
-    def plain(self) -> dict[str, Any]:
-        """The estimate as a map of plain values, for messages."""
-        return self.estimate._asdict()
 
     def _block(self, records: Records) -> list[Shortfall]:
         commanded = float(records["active_damping_ns_per_m"][-1])

@@ -6,7 +6,7 @@ promises (NOT_COVERED) beside it.
 """
 
 from collections.abc import Sequence
-from math import inf, log
+from math import log
 from typing import Any
 
 from hapticd.core.environment import Environment
@@ -17,7 +17,14 @@ from hapticd.model.coupled import Hand
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 NOT_COVERED = ("contact switching", "varying delay")
-_NOTHING = Reading(None, None, None)
+NOTHING_KNOWN: dict[str, Any] = {
+    "basis": "unknown",
+    **Reading(None, None, None)._asdict(),
+    "contact": None,
+    "delay_periods": None,
+    "allowed": {},
+    "least_active_damping_ns_per_m": None,
+}
 
 
 class VerdictBuilder:
@@ -40,23 +47,22 @@ class VerdictBuilder:
         outcome: Outcome,
         why: Explanation,
         path: Sequence[Environment],
-        safe: bool | None = None,
-        given: Environment | None = None,
-        clamped: bool = False,
+        given: Environment,
     ) -> dict[str, Any]:
         """What is told of `environment`, judged along `path`; `given` is where the stages lead."""
-        known = _of_nothing() if region is None else self._known(region, environment)
+        known = NOTHING_KNOWN if region is None else self._known(region, environment)
         if region is not None and known["least_active_damping_ns_per_m"] is None:
             no_level = (one for one in why.remedies if one.code != Remedy.MORE_DAMPING)
             why = Explanation(why.reasons, tuple(no_level))
+        ends = self.setup.environment.workspace.stiffness_n_per_m > 0.0
         return {
-            "safe": safe,
+            "safe": None if region is None else outcome is Outcome.SAFE,
             "policy": policy,
             **known,
-            "clamped": clamped,
-            "given": (environment if given is None else given).message(),
+            "clamped": outcome is Outcome.CLAMPED,
+            "given": given.message(),
             "path_points": sum(len(one.points()) for one in path),
-            "not_covered": self._not_covered(),
+            "not_covered": [*NOT_COVERED, "soft ends of the workspace"] if ends else [*NOT_COVERED],
             **why.plain(outcome),
         }
 
@@ -66,26 +72,10 @@ class VerdictBuilder:
             "basis": region.basis.name,
             **region.reading(environment)._asdict(),
             "contact": None if contact is None else contact._asdict(),
-            "delay_periods": region.delay_periods,
+            "delay_periods": region.delays_periods[0],
             "allowed": region.allowed(environment, self.setup.lowest, self.setup.highest),
             "least_active_damping_ns_per_m": region.least_level(environment, self.levels),
         }
-
-    def _not_covered(self) -> list[str]:
-        """What no verdict promises."""
-        ends = self.setup.environment.workspace.stiffness_n_per_m > 0.0
-        return [*NOT_COVERED, "soft ends of the workspace"] if ends else [*NOT_COVERED]
-
-
-def _of_nothing() -> dict[str, Any]:
-    return {
-        "basis": "unknown",
-        **_NOTHING._asdict(),
-        "contact": None,
-        "delay_periods": None,
-        "allowed": {},
-        "least_active_damping_ns_per_m": None,
-    }
 
 
 def explain(region: SafeRegion, environment: Environment, safe: bool, way: str = "") -> Explanation:
@@ -129,16 +119,11 @@ def _shortage(region: SafeRegion, worst: Reading, side: str) -> tuple[Reason, st
     )
 
 
-def doubling_s(radius: float, rate_hz: float) -> float:
-    """Time [s] in which a motion doubles that each tick multiplies by `radius` >= 1."""
-    return log(2.0) / (log(radius) * rate_hz) if radius > 1.0 else inf
-
-
 def doubling_text(radius: float, rate_hz: float) -> str:
-    """How fast such a motion grows: `doubles in 40 ms`."""
-    seconds = doubling_s(radius, rate_hz)
-    if seconds == inf:
+    """How fast a motion grows that each tick multiplies by `radius` >= 1: `doubles in 40 ms`."""
+    if radius <= 1.0:
         return "does not die out"
+    seconds = log(2.0) / (log(radius) * rate_hz)
     return f"doubles in {1e3 * seconds:.3g} ms" if seconds < 1.0 else f"doubles in {seconds:.3g} s"
 
 

@@ -21,28 +21,19 @@ from hapticd.core.environment import FURTHER, Environment, Point
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import GuardSetup
 from hapticd.guard.bases import Basis, Conditions, Measured, Predicted, Theorem, model_of
-from hapticd.guard.bounds import IDEAL_PERIODS, timing_cost
-from hapticd.guard.environments import apply_change, from_message
 from hapticd.guard.explain import VerdictBuilder, doubling_text, explain, hand_text
 from hapticd.guard.plane import plane
-from hapticd.guard.policies import MODES, POLICIES, answer_change
-from hapticd.guard.safe_region import SafeRegion
+from hapticd.guard.policies import answer_change
+from hapticd.guard.safe_region import IDEAL_PERIODS, SafeRegion, timing_cost
+from hapticd.guard.transition_planner import apply_change, from_message
 from hapticd.model.angles import unresolved_hz
-from hapticd.model.coupled import GROWS, coupled_radius, destabilising_hand
+from hapticd.model.coupled import shaking_hand
 from hapticd.model.linearise import Perturbation
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 __all__ = ["Judge"]
 
 _DELAYS = 8  # whose cost is kept
-_TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}
-_CHANGE = {"state", "gain", "enable", "change", "before", "after", "policy", "mode", "level"}
-_FIELDS = {  # of what is asked
-    "change": {*_TERMS, *_CHANGE, "now", "target", "ramp_s"},
-    "look": {*_TERMS, "now", "target", "level_on"},
-    "hand": {"ask", "n", "environment", "delay_periods"},
-    "plane": {*_TERMS, "target", "level_on"},
-}
 
 
 class Judge:
@@ -77,9 +68,8 @@ class Judge:
         """Prepare one more level for the delay that was last asked about; False when all are."""
         if self.theorem is None or not self._cold:
             return False
-        rendered = self.setup.environment
-        filters = rendered.velocity_filter, rendered.acceleration_filter
         spare = self.setup.guard.margin_ns_per_m
+        filters = self.setup.environment.filters
         at = Conditions(self._cold.pop(0), filters, self._warm_delay, spare)
         self.theorem.prepare(at)
         return bool(self._cold)
@@ -95,26 +85,21 @@ class Judge:
         ask = request.get("ask")
         if ask not in asks:
             raise AnalysisError(f"the guard is asked {ask!r}; it knows {', '.join(asks)}")
-        if strange := request.keys() - _FIELDS[ask]:
-            raise AnalysisError(f"{ask}: the guard knows no field {min(strange)!r}")
         return {"n": request.get("n"), **asks[ask](request)}
 
     # --- what is asked ----------------------------------------------------------------------------
 
     def _change(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        _require_known("policy", request["policy"], POLICIES)
-        _require_known("mode", request["mode"], MODES)
-        region, unknown = self._region(request)
-        return answer_change(self.verdicts, region, unknown, request)
+        return answer_change(self.verdicts, self._region(request), request)
 
     def _look(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        region, unknown = self._region(request)
+        region = self._region(request)
         target = from_message(request["target"], self.setup.environment)
         timing = {"timing": self._timing(self._delay(request.get("delay_periods")))}
-        if region is None:
+        if isinstance(region, Explanation):
             nothing: dict[str, Any] = {"margin_ns_per_m": None, "allowed": {}}
             return timing | {
-                "verdict": self.verdicts.of(None, target, "", Outcome.UNKNOWN, unknown, []),
+                "verdict": self.verdicts.of(None, target, "", Outcome.UNKNOWN, region, [], target),
                 "without_active_damping": nothing,
                 "with_active_damping": {"level": request["level_on"], **nothing},
             }
@@ -123,7 +108,7 @@ class Judge:
         outcome = Outcome.SAFE if safe else Outcome.UNSAFE
         why = explain(region, target, safe)
         return timing | {
-            "verdict": self.verdicts.of(region, target, "", outcome, why, [target], safe),
+            "verdict": self.verdicts.of(region, target, "", outcome, why, [target], target),
             "without_active_damping": self._seen(
                 region, replace(target, active_damping_ns_per_m=0.0)
             ),
@@ -144,9 +129,8 @@ class Judge:
         """
         if self.theorem is None or self._unresolved:
             return None
-        rendered = self.setup.environment
-        filters = rendered.velocity_filter, rendered.acceleration_filter
-        delays = min(delay, self._delay(None)), delay
+        filters = self.setup.environment.filters
+        delays = delay, min(delay, self._delay(None))
         on = min(self.setup.active_damping_ns_per_m, self.setup.active_damping_limit_ns_per_m)
         return {
             "delay_periods": delay,
@@ -156,9 +140,9 @@ class Judge:
         }
 
     def _plane(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        region, unknown = self._region(request)
-        if region is None:
-            return {"plane": None, "text": unknown.plain(Outcome.UNKNOWN)["text"]}
+        region = self._region(request)
+        if isinstance(region, Explanation):
+            return {"plane": None, "text": region.plain(Outcome.UNKNOWN)["text"]}
         environment = from_message(request["target"], self.setup.environment)
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
         most_k, most_b, _ = self.setup.highest
@@ -190,15 +174,11 @@ class Judge:
         worst = theorem.reading(point, Conditions(level, filters, delay, 0.0))
         found: list[dict[str, Any]] = []
         for at_hz in (None, worst.worst_hz):
-            shaker = destabilising_hand(model, point, level, filters, at_hz=at_hz)
-            if shaker is None:
-                continue
-            hand, hz = shaker
-            radius = float(coupled_radius(model, np.array([point]), [hand], level, filters)[0, 0])
-            if radius > GROWS:
-                grows = doubling_text(radius, model.rate_hz)
-                how = {"hz": hz, "radius": radius, "growth": f"its motion {grows}"}
-                found.append(hand_text(hand, hz, in_wall) | how)
+            shaker = shaking_hand(model, np.array(point), level, filters, at_hz)
+            if shaker is not None:
+                grows = doubling_text(shaker.radius, model.rate_hz)
+                how = {"hz": shaker.hz, "radius": shaker.radius, "growth": f"its motion {grows}"}
+                found.append(hand_text(shaker.hand, shaker.hz, in_wall) | how)
         return found
 
     # --- what it is made of -----------------------------------------------------------------------
@@ -208,20 +188,20 @@ class Judge:
             return float(asked)
         return 0.0 if self.theorem is None else self.theorem.model.delay_periods
 
-    def _region(self, request: Mapping[str, Any]) -> tuple[SafeRegion | None, Explanation]:
-        """How to judge it, or None and why not."""
+    def _region(self, request: Mapping[str, Any]) -> SafeRegion | Explanation:
+        """How to judge it, or why nothing is known."""
         # each question walks the whole change, so only where there is such a parameter
         if FURTHER and (beyond := _beyond_the_model(self._concerned(request))):
-            return None, beyond
+            return beyond
         found = self._basis(request["basis"])
         if isinstance(found, Explanation):
-            return None, found
+            return found
         delay = self._delay(request.get("delay_periods"))
         if delay != self._warm_delay:
             self._warm_delay = delay
             self._cold = list(self.verdicts.levels)
         spare = float(request["margin_ns_per_m"])
-        return SafeRegion(found, delay, spare, min(delay, self._delay(None))), _KNOWN
+        return SafeRegion(found, (delay, min(delay, self._delay(None))), spare)
 
     def _concerned(self, request: Mapping[str, Any]) -> list[Environment]:
         """What `request` leads to with all that is scheduled; with force also what acts before."""
@@ -274,17 +254,9 @@ class Judge:
         return Predicted(self.theorem, Perturbation(self.setup.psd_n2_per_hz, self.setup.band_hz))
 
 
-_KNOWN = Explanation(())
-
-
 def _unknown(text: str, remedy: str = "") -> Explanation:
     why = because(Reason.UNKNOWN, f"unknown: {text}")
     return why.and_remedy(Remedy.CONFIGURE, remedy) if remedy else why
-
-
-def _require_known(what: str, asked: object, known: Sequence[str]) -> None:
-    if asked not in known:
-        raise AnalysisError(f"{what} {asked!r}; there are {', '.join(known)}")
 
 
 def _beyond_the_model(environments: Sequence[Environment]) -> Explanation | None:

@@ -105,21 +105,14 @@ def _warm_while_idle(line: socket.socket, judge: "Judge") -> None:
 
 def _receive(line: socket.socket) -> bytes | None:
     """The next message; None at the end, or after one that is longer than is allowed."""
-    head = _exactly(line, LENGTH.size)
-    if head is None:
+    head = line.recv(LENGTH.size, socket.MSG_WAITALL)
+    if len(head) < LENGTH.size:
         return None
     (size,) = LENGTH.unpack(head)
-    return _exactly(line, size) if size <= MAX_MESSAGE_BYTES else None
-
-
-def _exactly(line: socket.socket, size: int) -> bytes | None:
-    found = b""
-    while len(found) < size:
-        part = line.recv(size - len(found))
-        if not part:
-            return None
-        found += part
-    return found
+    if size > MAX_MESSAGE_BYTES:
+        return None
+    content = line.recv(size, socket.MSG_WAITALL)
+    return content if len(content) == size else None
 
 
 def _send(line: socket.socket, message: dict[str, Any]) -> None:

@@ -23,30 +23,31 @@ follow leaves is a plan of its own, and is judged again.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import ceil
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from hapticd.core.environment import Environment
-from hapticd.core.params import STRICT_POLICIES, DampingMode, Policy
-from hapticd.guard.environments import apply_change, environment_of, from_message, interpolate
+from hapticd.core.params import STRICT_POLICIES
 from hapticd.guard.explain import VerdictBuilder, explain
 from hapticd.guard.safe_region import SafeRegion
 from hapticd.guard.transition_planner import (
+    AXES,
     POINTS,
     Plan,
-    Request,
     Segment,
     Stage,
     TransitionPlanner,
+    apply_change,
+    from_message,
+    interpolate,
     moving_groups,
     sampled_segment,
 )
+from hapticd.model.stability import edge
 from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, because
 
 HYSTERESIS_NS_PER_M = 0.05  # more than the margin asked for, before auto goes down
-POLICIES: tuple[str, ...] = get_args(Policy)
-MODES: tuple[str, ...] = get_args(DampingMode)
 _HALVINGS = 12  # of the way between the last safe point and the first that is not
 _SHARES = 41  # of the environment that `follow` looks at
 _LEVEL_HALVINGS = 6  # between two kept levels: to some hundredths of N s/m
@@ -56,125 +57,118 @@ _WORSE = 1e-9  # a rounding is not worse
 
 def answer_change(
     verdicts: VerdictBuilder,
-    region: SafeRegion | None,
-    unknown: Explanation,
+    region: SafeRegion | Explanation,
     request: Mapping[str, Any],
 ) -> dict[str, Any]:
     """The answer to a request `change`: action, stages and verdict (docs/guard.md).
 
-    `region` is how to judge it; None where nothing is known, for the reason `unknown`.
-    AnalysisError for a number that is not finite.
+    `region` is how to judge it, or why nothing is known. AnalysisError for a number that is not
+    finite.
     """
-    if region is None or request["policy"] == "off":
-        return _Unjudged(verdicts, request).answer(unknown)
-    return _Judged(verdicts, region, request).answer()
+    planner = _asked(verdicts, request)
+    if request["policy"] == "off":
+        region = because(Reason.POLICY, "not judged: the policy is off")
+    if isinstance(region, Explanation):
+        return _unjudged(verdicts, planner, request["policy"], region)
+    return _Judged(verdicts, region, planner, request).answer()
 
 
-class _Asked:
-    """One `change` as it is asked for: where it starts, with what before and after it."""
+def _asked(verdicts: VerdictBuilder, request: Mapping[str, Any]) -> TransitionPlanner:
+    """What is asked for: where it starts, with what before and after it, and at which level."""
+    setup = verdicts.setup
+    state = request["state"]
+    # while an enable still comes up only a part of the environment acts
+    gain = float(request.get("gain", 1.0)) if state == "enabled" else 1.0
+    reported = from_message(request["now"], setup.environment)
+    now = reported.scaled(gain)
+    target = from_message(request["target"], setup.environment)
+    passed = [reported]
+    for one in request["before"]:
+        passed.append(target)
+        now = target
+        target = apply_change(target, one)
+    level = _in_effect(verdicts, now.active_damping_ns_per_m, target.active_damping_ns_per_m)
+    return TransitionPlanner(
+        now=replace(now, active_damping_ns_per_m=level),
+        target=target,
+        passed=passed,
+        after=request["after"],
+        enable=request["enable"],
+        moving=request["enable"] or state == "enabled",
+        levels=verdicts.levels,
+        count_ns_per_m=setup.active_damping_count_ns_per_m,
+        change=_with_level(request, target, setup.active_damping_limit_ns_per_m),
+    )
 
-    def __init__(self, verdicts: VerdictBuilder, request: Mapping[str, Any]) -> None:
-        self.verdicts = verdicts
-        self.setup = verdicts.setup
-        self.levels = verdicts.levels
-        self.policy: str = request["policy"]
-        # while an enable still comes up only a part of the environment acts
-        gain = float(request.get("gain", 1.0)) if request["state"] == "enabled" else 1.0
-        reported = from_message(request["now"], self.setup.environment)
-        self.now = reported.scaled(gain)
-        self.target = from_message(request["target"], self.setup.environment)
-        self.passed = [reported]
-        for one in request["before"]:
-            self.passed.append(self.target)
-            self.now = self.target
-            self.target = apply_change(self.target, one)
-        self.now = replace(self.now, active_damping_ns_per_m=self._in_effect())
-        self.asked: dict[str, Any] = dict(request["change"])
-        self.request = request
 
-    def _in_effect(self) -> float:
-        """The level in effect: that which is asked for, or while it is on its way the kept one
-        below.
-        """
-        reported = self.now.active_damping_ns_per_m
-        asked = self.target.active_damping_ns_per_m
-        if abs(reported - asked) <= self.setup.active_damping_count_ns_per_m:
-            return asked
-        return max((level for level in self.levels if level <= reported), default=reported)
+def _in_effect(verdicts: VerdictBuilder, reported: float, asked: float) -> float:
+    """The level in effect: that which is asked for, or while it is on its way the kept one below
+    what is reported.
+    """
+    if abs(reported - asked) <= verdicts.setup.active_damping_count_ns_per_m:
+        return asked
+    return max((level for level in verdicts.levels if level <= reported), default=reported)
 
-    def planner_of(self, change: dict[str, Any]) -> TransitionPlanner:
-        """The planner of `change`."""
-        enable = bool(self.request["enable"])
-        return TransitionPlanner(
-            Request(
-                now=self.now,
-                target=self.target,
-                wanted=apply_change(self.target, change),
-                change=change,
-                passed=self.passed,
-                after=[dict(one) for one in self.request["after"]],
-                enable=enable,
-                moving=enable or self.request["state"] == "enabled",
-                levels=self.levels,
-                count_ns_per_m=self.setup.active_damping_count_ns_per_m,
-            )
-        )
 
-    def with_level(self) -> dict[str, Any]:
-        """The change with the level of mode `level`, where it names no other."""
-        change = dict(self.asked)
-        if self.request["mode"] == "level" and "active_damping" not in change:
-            ceiling = self.setup.active_damping_limit_ns_per_m
-            level = min(float(self.request["level"]), ceiling)
-            if level != self.target.active_damping_ns_per_m:
-                change["active_damping"] = level
+def _with_level(
+    request: Mapping[str, Any], target: Environment, ceiling_ns_per_m: float
+) -> Mapping[str, Any]:
+    """The change with the level of mode `level`, where it names no other."""
+    change: Mapping[str, Any] = request["change"]
+    level = min(float(request["level"]), ceiling_ns_per_m)
+    named = request["mode"] != "level" or "active_damping" in change
+    if named or level == target.active_damping_ns_per_m:
         return change
+    return {**change, "active_damping": level}
 
 
-class _Unjudged(_Asked):
-    """A change about which nothing is known, or was to be known."""
-
-    def answer(self, why: Explanation) -> dict[str, Any]:
-        """Refused where safety was asked for, otherwise done in the right order."""
-        change = self.with_level()
-        planner = self.planner_of(change)
-        wanted = planner.request.wanted
-        if self.policy in STRICT_POLICIES:
-            text = f"the policy {self.policy!r} refuses what is unknown"
-            refused = why.and_reason(Reason.POLICY, text)
-            return _answer([], self._verdict(wanted, Outcome.REFUSED, refused, self.target))
-        if self.policy == "off":
-            stage = Stage(wanted.fields(change))
-            off = because(Reason.POLICY, "not judged: the policy is off")
-            return _answer([stage], self._verdict(wanted, Outcome.NOT_JUDGED, off, wanted))
-        stages = planner.plans()[0].stages
-        return _answer(stages, self._verdict(wanted, Outcome.UNKNOWN, why, wanted))
-
-    def _verdict(
-        self, wanted: Environment, outcome: Outcome, why: Explanation, given: Environment
-    ) -> dict[str, Any]:
-        return self.verdicts.of(None, wanted, self.policy, outcome, why, [], given=given)
+def _unjudged(
+    verdicts: VerdictBuilder, planner: TransitionPlanner, policy: str, why: Explanation
+) -> dict[str, Any]:
+    """A change about which nothing is known, or was to be known: refused where safety was asked
+    for, otherwise done in the right order.
+    """
+    wanted = planner.wanted
+    given = wanted
+    outcome = Outcome.UNKNOWN
+    stages = planner.plans()[0].stages
+    if policy in STRICT_POLICIES:
+        why = why.and_reason(Reason.POLICY, f"the policy {policy!r} refuses what is unknown")
+        outcome = Outcome.REFUSED
+        given = planner.target
+        stages = []
+    elif policy == "off":
+        outcome = Outcome.NOT_JUDGED
+        stages = [Stage(wanted.fields(planner.change))]
+    return _answer(stages, verdicts.of(None, wanted, policy, outcome, why, [], given))
 
 
-class _Judged(_Asked):
+class _Judged:
     """A change that is judged, and what the policy makes of it."""
 
     def __init__(
-        self, verdicts: VerdictBuilder, region: SafeRegion, request: Mapping[str, Any]
+        self,
+        verdicts: VerdictBuilder,
+        region: SafeRegion,
+        planner: TransitionPlanner,
+        request: Mapping[str, Any],
     ) -> None:
-        super().__init__(verdicts, request)
+        self.verdicts = verdicts
         self.region = region
-        self.change = self._with_auto() if request["mode"] == "auto" else self.with_level()
-        self.planner = self.planner_of(self.change)
-        self.wanted = self.planner.request.wanted
-        self.plans = self.planner.plans()
+        self.policy: str = request["policy"]
+        self.levels = verdicts.levels
+        self.target = planner.target
+        if request["mode"] == "auto":
+            planner = replace(planner, change=self._with_auto(request["change"]))
+        self.planner = planner
+        self.wanted = planner.wanted
+        self.plans = planner.plans()
 
     def answer(self) -> dict[str, Any]:
         """The first way that is safe, or what the policy makes of it."""
         plan = next((plan for plan in self.plans if self._is_safe(plan)), None)
         if plan is not None:
-            spare = explain(self.region, self.wanted, True)
-            return self._taken(plan, Outcome.SAFE, spare, safe=True)
+            return self._taken(plan, Outcome.SAFE, explain(self.region, self.wanted, True))
         why = self._trouble()
         safer = next((plan for plan in self.plans if self._is_safer(plan)), None)
         if safer is not None:
@@ -193,23 +187,17 @@ class _Judged(_Asked):
 
     # --- answers ----------------------------------------------------------------------------------
 
-    def _taken(
-        self, plan: Plan, outcome: Outcome, why: Explanation, safe: bool = False
-    ) -> dict[str, Any]:
-        path = self.planner.path(plan)
-        clamped = outcome is Outcome.CLAMPED
-        verdict = self.verdicts.of(
-            self.region, self.wanted, self.policy, outcome, why, path, safe, plan.end, clamped
-        )
-        return _answer(plan.stages, verdict)
+    def _taken(self, plan: Plan, outcome: Outcome, why: Explanation) -> dict[str, Any]:
+        return _answer(plan.stages, self._verdict(plan, outcome, why, plan.end))
 
     def _refused(self, why: Explanation) -> dict[str, Any]:
-        path = self.planner.path(self.plans[0])
-        refused = Outcome.REFUSED
-        verdict = self.verdicts.of(
-            self.region, self.wanted, self.policy, refused, why, path, False, self.target
-        )
-        return _answer([], verdict)
+        return _answer([], self._verdict(self.plans[0], Outcome.REFUSED, why, self.target))
+
+    def _verdict(
+        self, plan: Plan, outcome: Outcome, why: Explanation, given: Environment
+    ) -> dict[str, Any]:
+        path = self.planner.path(plan)
+        return self.verdicts.of(self.region, self.wanted, self.policy, outcome, why, path, given)
 
     def _trouble(self) -> Explanation:
         """Why the first way is not safe: its end, or a point on it."""
@@ -228,31 +216,26 @@ class _Judged(_Asked):
 
     # --- damping that is chosen -------------------------------------------------------------------
 
-    def _with_auto(self) -> dict[str, Any]:
-        """The change with the level of mode `auto`, whatever level it names."""
-        level = self._least(apply_change(self.target, self.asked))
-        rest = {name: value for name, value in self.asked.items() if name != "active_damping"}
-        return (
-            rest
-            if level == self.target.active_damping_ns_per_m
-            else rest | {"active_damping": level}
-        )
+    def _with_auto(self, change: Mapping[str, Any]) -> dict[str, Any]:
+        """`change` with the level of mode `auto`, whatever level it names."""
+        level = self._least(apply_change(self.target, change))
+        rest = {name: value for name, value in change.items() if name != "active_damping"}
+        present = self.target.active_damping_ns_per_m
+        return rest if level == present else rest | {"active_damping": level}
 
     def _least(self, environment: Environment) -> float:
         """The least level that will do; down only with some to spare. Where none will, the one
         with the largest margin, and not less than now.
         """
         present = self.target.active_damping_ns_per_m
-        levels = self.levels
-        needed = self.region.least_level(environment, levels)
+        needed = self.region.least_level(environment, self.levels)
         if needed is None:
             return max(present, self._most_spare(environment))
         if needed >= present:
             return needed
         spare = self.region.spare_ns_per_m + HYSTERESIS_NS_PER_M
-        mine = self.region
-        easy = SafeRegion(mine.basis, mine.delay_periods, spare, mine.least_delay_periods)
-        lower = easy.least_level(environment, [level for level in levels if level < present])
+        easy = replace(self.region, spare_ns_per_m=spare)
+        lower = easy.least_level(environment, [one for one in self.levels if one < present])
         return present if lower is None else lower
 
     def _most_spare(self, environment: Environment) -> float:
@@ -273,13 +256,13 @@ class _Judged(_Asked):
         """Whether it leads from outside the set to a better point, no point worse than the one
         before.
         """
-        request = self.planner.request
-        if request.enable or not request.moving or self.region.safe([self.now])[0]:
+        now = self.planner.now
+        if self.planner.enable or not self.planner.moving or self.region.safe([now])[0]:
             return False
         path = self.planner.path(plan)
         if not path or any(moving_groups(segment) > 1 for segment in plan.segments):
             return False
-        merits = np.array([self._merit(one) for one in [self.now, *path]])
+        merits = np.array([self._merit(one) for one in [now, *path]])
         steps = np.diff(merits, axis=0)
         return bool((steps >= -_WORSE).all() and (merits[-1] - merits[0] > _WORSE).any())
 
@@ -301,15 +284,15 @@ class _Judged(_Asked):
 
     def _clamped(self, why: Explanation) -> dict[str, Any]:
         """As far as the first exit, the result judged again."""
-        request = self.planner.request
-        if "filters" in self.change:
+        planner = self.planner
+        if "filters" in planner.change:
             return self._not_clamped(why, "filters are not clamped")
-        if request.enable or not request.moving:
+        if planner.enable or not planner.moving:
             return self._not_clamped(why, "there is no way to clamp to")
-        if not all(self.region.safe([self.now, self.target])):
+        if not all(self.region.safe([planner.now, self.target])):
             inside = why.and_remedy(Remedy.POINT_INSIDE, "for a point inside")
             return self._not_clamped(inside, "the environment is outside the safe set already")
-        plan = self.planner.plan(self._shortened())
+        plan = planner.plan(self._shortened())
         if plan.end == self.target:
             return self._not_clamped(why, "nothing of it is safe")
         if not self._is_safe(plan):
@@ -353,7 +336,7 @@ class _Judged(_Asked):
             return self.region.safe([replace(end, active_damping_ns_per_m=lower(share))])[0]
 
         level = lower(_largest(holds, (0.0, 1.0), _LEVEL_HALVINGS))
-        count = self.planner.request.count_ns_per_m
+        count = self.planner.count_ns_per_m
         counted = ceil(level / count) * count if count > 0.0 else level
         return replace(end, active_damping_ns_per_m=min(counted, end.active_damping_ns_per_m))
 
@@ -374,11 +357,12 @@ class _Judged(_Asked):
 
     def _followed(self, why: Explanation) -> dict[str, Any]:
         """The environment into the smaller set first, then less damping."""
-        small = None if "filters" in self.change else self._smaller()
+        small = None if "filters" in self.planner.change else self._smaller()
         if small is None:
             text = "no smaller environment would do either"
             return self._refused(why.and_reason(Reason.NOT_FOLLOWED, text))
-        first = Stage(environment_of(small, self.wanted))
+        names = (*AXES, "wall") if self.wanted.wall.side else AXES
+        first = Stage({name: small.message()[name] for name in names})
         second = Stage({"active_damping": self.wanted.active_damping_ns_per_m}, after_ramps=True)
         plan = self.planner.plan([first, second])
         if not self._is_safe(plan):
@@ -406,19 +390,10 @@ def _largest(
 ) -> float:
     """The share at which `holds` first ends on the way along `shares`, the first of which holds."""
     inside = shares[0]
-    outside = None
     for share in shares[1:]:
         if not holds(share):
-            outside = share
-            break
+            return edge(holds, inside, share, halvings)
         inside = share
-    for _ in range(halvings if outside is not None else 0):
-        assert outside is not None
-        middle = 0.5 * (inside + outside)
-        if holds(middle):
-            inside = middle
-        else:
-            outside = middle
     return inside
 
 
@@ -426,4 +401,4 @@ def _answer(stages: list[Stage], verdict: dict[str, Any]) -> dict[str, Any]:
     at_once = len(stages) == 1 and stages[0].active_damping_at_least is None
     at_once = at_once and not stages[0].after_ramps
     action = "refuse" if not stages else "apply" if at_once else "stage"
-    return {"action": action, "stages": [stage.plain() for stage in stages], "verdict": verdict}
+    return {"action": action, "stages": [stage._asdict() for stage in stages], "verdict": verdict}

@@ -31,10 +31,9 @@ from typing import Any, NamedTuple
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.guard.outstanding import Outstanding
-from hapticd.guard.pending_change import (
+from hapticd.guard.pending import (
+    Outstanding,
     PendingChange,
-    Stage,
     auto_of,
     change_of,
     ends_force,
@@ -43,10 +42,12 @@ from hapticd.guard.pending_change import (
     until_tick,
 )
 from hapticd.guard.stages import ChangeReply, StagedChange, ramp_s
-from hapticd.guard.status import VERDICT_NS, Guard, UnsafeRequest
+from hapticd.guard.status import VERDICT_NS, Guard
+from hapticd.guard.transition_planner import Stage
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
 from hapticd.protocol.commands import posting, receipt, refusal
+from hapticd.protocol.envelope import INTERNAL_REQUEST
 from hapticd.protocol.explanation import (
     Explanation,
     Outcome,
@@ -80,7 +81,7 @@ class ScheduledChange(NamedTuple):
 
     tick: int
     seq: int
-    change: dict[str, Any]
+    fields: dict[str, Any]
 
 
 class GuardedQueue:
@@ -128,60 +129,67 @@ class GuardedQueue:
 
     # --- in ---------------------------------------------------------------------------------------
 
-    def take(self, case: PendingChange, now_ns: int, idle: bool) -> None:
+    def take(self, change: PendingChange, now_ns: int, idle: bool) -> None:
         """A request has come; `idle`: no command is on its way.
 
         CommandError: it is refused at once, nothing happens.
         """
-        if not self.waiting and not self._asks(case):
-            self._unjudged(case, now_ns)
+        if not self.waiting and not self._asks(change):
+            self._unjudged(change, now_ns)
             return
-        if idle and self._goes_at_once(case):
-            self._judge_beside(case, now_ns)
+        if idle and self._goes_at_once(change):
+            self._judge_beside(change, now_ns)
             return
         if len(self._queue) >= MOST_WAITING:
             reason = f"{MOST_WAITING} requests wait for the guard already; slow down and ask again"
-            raise CommandError("busy", f"{case.cmd}: {reason}")
-        self._queue.append(case)
+            raise CommandError("busy", f"{change.cmd}: {reason}")
+        self._queue.append(change)
 
-    def _goes_at_once(self, case: PendingChange) -> bool:
+    def _goes_at_once(self, change: PendingChange) -> bool:
         """Whether it is done whatever the verdict says, and in one stage."""
         guard = self._guard
-        change = change_of(case.request, guard.in_force.level)
-        whole = "active_damping" not in change or len(change) == 1
-        plain = whole and not case.at_tick and not self._auto(case)
-        plain = plain and not until_tick(case.request)
+        fields = change_of(change.request, guard.in_force.level)
+        whole = "active_damping" not in fields or len(fields) == 1
+        plain = whole and not change.at_tick and not self._auto(change)
+        plain = plain and not until_tick(change.request)
         # a look, or the search for a hand, delays the reply alone
         ready = guard.worker == "up" and guard.in_force.known and not guard.owes_verdict
-        free = not self.waiting and self._under_way.case is None
-        return self._policy(case) == "warn" and plain and ready and free
+        free = not self.waiting and self._under_way.change is None
+        return self._policy(change) == "warn" and plain and ready and free
 
-    def _judge_beside(self, case: PendingChange, now_ns: int) -> None:
-        self._ask(case, now_ns)
+    def _judge_beside(self, change: PendingChange, now_ns: int) -> None:
+        self._ask(change, now_ns)
         self._asked = None
         try:
-            self._outstanding.post_case(case, posting(case.request, 0), now_ns)
+            self._post(change, now_ns)
         except CommandError:
-            self._guard.forget(case.number)
+            self._guard.forget(change.number)
             raise
-        self._beside = case
+        self._beside = change
 
-    def _hear_beside(self, case: PendingChange, now_ns: int) -> None:
+    def _post(self, change: PendingChange, now_ns: int) -> None:
+        """Post `change` as it is asked."""
+        what = posting(change.request, 0)
+        self._outstanding.post(change.message, change.actor, what, now_ns, change)
+
+    def _hear_beside(self, change: PendingChange, now_ns: int) -> None:
         """The reply to what is in force already, once its verdict is there or too late."""
         guard = self._guard
-        answer = guard.answer(case.number)
-        late = guard.worker != "up" or now_ns - case.ready_ns >= VERDICT_NS
+        answer = guard.answer(change.number)
+        late = guard.worker != "up" or now_ns - change.ready_ns >= VERDICT_NS
         if answer is None and not late:
             return
         self._beside = None
-        guard.forget(case.number)
-        case.verdict = self._verdict_beside(case, answer)
-        if case.verdict["safe"] is False:
-            self._want_hand(case)
-        if case.held is not None and (reply := self.answered(case, case.held, now_ns)):
+        guard.forget(change.number)
+        change.verdict = self._verdict_beside(change, answer)
+        if change.verdict["safe"] is False:
+            self._want_hand(change)
+        if change.held is not None and (reply := self.answered(change, change.held, now_ns)):
             self._replies.append(reply)
 
-    def _verdict_beside(self, case: PendingChange, answer: dict[str, Any] | None) -> dict[str, Any]:
+    def _verdict_beside(
+        self, change: PendingChange, answer: dict[str, Any] | None
+    ) -> dict[str, Any]:
         verdict = answer.get("verdict") if answer else None
         if answer is None or not isinstance(verdict, dict):
             why = f"the guard's worker answered: {answer.get('error')}" if answer else self._late()
@@ -191,32 +199,31 @@ class GuardedQueue:
             known = explanation_of(verdict)
             both = Explanation(stages.reasons + known.reasons, known.remedies)
             verdict = verdict | {"safe": False} | both.plain(Outcome.WARNING)
-        return {"safe": None, "text": "", **verdict, "number": case.number, "cmd": case.cmd}
+        return {"safe": None, "text": "", **verdict, "number": change.number, "cmd": change.cmd}
 
     def take_back_enables(self, why: str) -> None:
         """No enable that waits shall come after `why`, which was asked later."""
-        for case in self._waits():
-            if isinstance(case.request, Enable):
-                text = f"{case.cmd}: {why} was asked before it was judged; ask again"
-                self._give_back(case, CommandError("refused", text))
-        self._under_way.take_back(lambda case: True, f"{why} was asked meanwhile")
+        for change in self._waits():
+            if isinstance(change.request, Enable):
+                self._end(change, "refused", f"{why} was asked before it was judged; ask again")
+        self._under_way.take_back(lambda change: True, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
         """The connection of `actor` is gone: of what it asked nothing more is posted, but for the
         stages of a change that it knows of.
         """
-        for case in self._waits_of(actor):
-            self._drop(case)
-        self._under_way.take_back(lambda case: case.actor == actor, "its connection is gone")
+        for change in self._waits_of(actor):
+            self._drop(change)
+        self._under_way.take_back(lambda change: change.actor == actor, "its connection is gone")
 
     def give_up(self, actor: int) -> None:
         """The client `actor` has failed: of what it asked nothing more is posted."""
         why = "its client has failed"
-        for case in self._waits_of(actor):
-            self._give_back(case, CommandError("refused", f"{case.cmd}: {why}"))
-        if self._under_way.case is not None and self._under_way.case.actor == actor:
+        for change in self._waits_of(actor):
+            self._end(change, "refused", why)
+        if self._under_way.change is not None and self._under_way.change.actor == actor:
             self._under_way.cancel(why)
-        self._under_way.take_back(lambda case: case.actor == actor, why)
+        self._under_way.take_back(lambda change: change.actor == actor, why)
 
     def _waits(self) -> list[PendingChange]:
         """What has no verdict yet, in the order in which it came."""
@@ -224,15 +231,14 @@ class GuardedQueue:
 
     def _waits_of(self, actor: int) -> list[PendingChange]:
         """The same, as far as the client `actor` asked it."""
-        waiting = self._waits()
-        return [one for one in waiting if one.actor == actor and one.message is not None]
+        return [one for one in self._waits() if one.actor == actor]
 
-    def _drop(self, case: PendingChange) -> None:
-        if case is self._asked:
-            self._guard.forget(case.number)
+    def _drop(self, change: PendingChange) -> None:
+        if change is self._asked:
+            self._guard.forget(change.number)
             self._asked = None
         else:
-            self._queue.remove(case)
+            self._queue.remove(change)
 
     # --- onwards ----------------------------------------------------------------------------------
 
@@ -248,7 +254,7 @@ class GuardedQueue:
             self._hear(self._asked, now_ns, idle)
         elif self._queue and idle:
             self._begin(now_ns)
-        elif self._under_way.case is None and idle:
+        elif self._under_way.change is None and idle:
             self._choose_level(now_ns)
         self._under_way.advance(now_ns, idle and self._asked is None)
         replies = list(self._replies)
@@ -265,26 +271,22 @@ class GuardedQueue:
             text = f"{self._beside.cmd}: {SERVO_GONE}"
             self._replies.append(ChangeReply(self._beside, CommandError("servo_down", text)))
         self._beside = None  # without an answer the command server has told its end
-        for case in filter(None, (*self._queue, self._asked, self._under_way.case)):
-            if case.life != life:
-                self._give_back(case, CommandError("servo_down", f"{case.cmd}: {SERVO_GONE}"))
+        for change in filter(None, (*self._queue, self._asked, self._under_way.change)):
+            if change.life != life:
+                self._end(change, "servo_down", SERVO_GONE)
 
     def _forget_who_may_not(self) -> None:
-        for case in (*self._queue, self._asked, self._under_way.case):
-            if (
-                case is not None
-                and case.message is not None
-                and (error := forbidden_by(self._leases, case))
-            ):
-                self._give_back(case, error)
+        for change in filter(None, (*self._queue, self._asked, self._under_way.change)):
+            if error := forbidden_by(self._leases, change):
+                self._give_back(change, error)
 
     def _forget_other_terms(self) -> None:
         """Under a strict policy nothing comes into force that was judged by other terms, or
         scheduled through a gateway before this one.
         """
         number = self._guard.terms_number
-        case = self._under_way.case
-        if number != ANY_TERMS and case is not None and case.terms != number:
+        change = self._under_way.change
+        if number != ANY_TERMS and change is not None and change.terms != number:
             self._under_way.cancel("the guard goes by other terms than it was judged by")
         mailbox = self._view.mailbox
         if mailbox is None or not self._view.record or self._terms_sent == (self._life, number):
@@ -294,58 +296,61 @@ class GuardedQueue:
             self._terms_sent = self._life, number
 
     def _expire(self, now_ns: int) -> None:
-        for case in [one for one in self._queue if now_ns - one.came_ns >= WAITING_NS]:
+        for change in [one for one in self._queue if now_ns - one.came_ns >= WAITING_NS]:
             why = "others were before it"
-            if isinstance(case.request, Enable) and (staged := self._under_way.summary()):
+            if isinstance(change.request, Enable) and (staged := self._under_way.summary()):
                 why = f"stage {staged['stage']} of {staged['stages']} of a change is still to come"
-            text = f"{case.cmd}: it was not judged within 1 s, {why}; nothing happened, ask again"
-            self._give_back(case, CommandError("timeout", text))
+            text = f"it was not judged within 1 s, {why}; nothing happened, ask again"
+            self._end(change, "timeout", text)
         asked = self._asked
         if asked is not None and now_ns - asked.came_ns >= JUDGING_NS:
-            text = f"{asked.cmd}: its verdict came too late; nothing happened, ask again"
-            self._give_back(asked, CommandError("timeout", text))
+            text = "its verdict came too late; nothing happened, ask again"
+            self._end(asked, "timeout", text)
 
-    def _give_back(self, case: PendingChange, error: CommandError) -> None:
-        if case is self._under_way.case:
-            self._under_way.case = None
+    def _end(self, change: PendingChange, code: str, text: str) -> None:
+        self._give_back(change, CommandError(code, f"{change.cmd}: {text}"))
+
+    def _give_back(self, change: PendingChange, error: CommandError) -> None:
+        if change is self._under_way.change:
+            self._under_way.change = None
         else:
-            self._drop(case)
-        self._replies.append(ChangeReply(case, error))
+            self._drop(change)
+        self._replies.append(ChangeReply(change, error))
 
-    def _policy(self, case: PendingChange) -> str:
-        """The policy that `case` goes by: the one in force, or `refuse` where its client asks for
+    def _policy(self, change: PendingChange) -> str:
+        """The policy that `change` goes by: the one in force, or `refuse` where its client asks for
         that.
         """
-        return "refuse" if case.strict else self._guard.policy
+        return "refuse" if change.strict else self._guard.policy
 
-    def _must(self, case: PendingChange) -> bool:
-        """Whether `case` is refused unless it is known to be safe."""
-        return self._policy(case) in STRICT_POLICIES
+    def _must(self, change: PendingChange) -> bool:
+        """Whether `change` is refused unless it is known to be safe."""
+        return self._policy(change) in STRICT_POLICIES
 
-    def _asks(self, case: PendingChange) -> bool:
+    def _asks(self, change: PendingChange) -> bool:
         """Whether a worker is there to be asked, and the policy wants it."""
-        wanted = self._policy(case) != "off" or self._auto(case)
+        wanted = self._policy(change) != "off" or self._auto(change)
         return wanted and self._guard.worker in ("up", "starting")
 
-    def _auto(self, case: PendingChange) -> bool:
-        """Whether the level of damping is the guard's to choose once `case` is in force."""
-        asked = auto_of(case.request)
+    def _auto(self, change: PendingChange) -> bool:
+        """Whether the level of damping is the guard's to choose once `change` is in force."""
+        asked = auto_of(change.request)
         return self._guard.mode == "auto" if asked is None else asked
 
     def _begin(self, now_ns: int) -> None:
-        case = self._queue[0]
-        if isinstance(case.request, Enable) and self._under_way.case is not None:
+        change = self._queue[0]
+        if isinstance(change.request, Enable) and self._under_way.change is not None:
             return
-        if self._must(case) and not self._guard.settled and self._asks(case):
-            if now_ns - case.came_ns >= SETTLING_NS:
+        if self._must(change) and not self._guard.settled and self._asks(change):
+            if now_ns - change.came_ns >= SETTLING_NS:
                 self._try_unjudged(self._queue.popleft(), now_ns, UNSETTLED)
             return
-        case.ready_ns = case.ready_ns or now_ns
-        if not self._asks(case):
+        change.ready_ns = change.ready_ns or now_ns
+        if not self._asks(change):
             self._try_unjudged(self._queue.popleft(), now_ns)
         elif self._guard.worker == "up" and self._guard.in_force.known and not self._guard.busy:
             self._ask(self._queue.popleft(), now_ns)
-        elif now_ns - case.ready_ns >= VERDICT_NS:
+        elif now_ns - change.ready_ns >= VERDICT_NS:
             self._try_unjudged(self._queue.popleft(), now_ns, self._late())
 
     def _late(self) -> str:
@@ -368,46 +373,46 @@ class GuardedQueue:
         self._chosen_for = about
         self._chosen_ns = now_ns
         request = Damping(cmd="damping", value="auto")
-        case = PendingChange("damping", None, GATEWAY_ACTOR, request, None, self._life, now_ns)
-        case.replied = True
-        self._ask(case, now_ns)
+        message = INTERNAL_REQUEST
+        own = PendingChange(message, GATEWAY_ACTOR, request, self._life, now_ns, replied=True)
+        self._ask(own, now_ns)
 
-    def _ask(self, case: PendingChange, now_ns: int) -> None:
+    def _ask(self, change: PendingChange, now_ns: int) -> None:
         guard = self._guard
         self._scheduled = {
             seq: one for seq, one in self._scheduled.items() if one.tick > self._view.tick
         }
         booked = sorted(self._scheduled.values())
-        before = [one.change for one in booked if case.at_tick and one.tick <= case.at_tick]
-        case.answer = None
-        case.ready_ns = case.ready_ns or now_ns
-        case.changes = guard.changes
-        case.terms = guard.terms_number
-        case.policy = self._policy(case)
-        case.ahead = len(before)
-        case.revision = guard.in_force.revision
-        after = [one.change for one in booked[len(before) :]]
-        case.former = self._former(case, before)
-        after = [*filter(None, [case.former]), *after]
-        question = self._question(case, before, after)
-        case.number = guard.ask(question, now_ns)
-        self._asked = case
+        before = [one.fields for one in booked if change.at_tick and one.tick <= change.at_tick]
+        change.answer = None
+        change.ready_ns = change.ready_ns or now_ns
+        change.changes = guard.changes
+        change.terms = guard.terms_number
+        change.policy = self._policy(change)
+        change.ahead = len(before)
+        change.revision = guard.in_force.revision
+        after = [one.fields for one in booked[len(before) :]]
+        change.former = self._former(change, before)
+        after = [*filter(None, [change.former]), *after]
+        question = self._question(change, before, after)
+        change.number = guard.ask(question, now_ns)
+        self._asked = change
 
-    def _former(self, case: PendingChange, before: list[dict[str, Any]]) -> dict[str, Any]:
+    def _former(self, change: PendingChange, before: list[dict[str, Any]]) -> dict[str, Any]:
         """What a bounded change brings back at its end, with what is scheduled `before` it; {}
         for one without an end.
         """
-        if not until_tick(case.request):
+        if not until_tick(change.request):
             return {}
         target = self._guard.in_force.target()
-        for change in before:
-            target = target.changed(change)
-        return target.fields(change_of(case.request, 0.0))
+        for fields in before:
+            target = target.changed(fields)
+        return target.fields(change_of(change.request, 0.0))
 
     def _question(
-        self, case: PendingChange, before: list[dict[str, Any]], after: list[dict[str, Any]]
+        self, change: PendingChange, before: list[dict[str, Any]], after: list[dict[str, Any]]
     ) -> dict[str, Any]:
-        """What the worker is asked about `case`, with what is scheduled before and after it."""
+        """What the worker is asked about `change`, with what is scheduled before and after it."""
         guard = self._guard
         return {
             "ask": "change",
@@ -415,194 +420,203 @@ class GuardedQueue:
             "target": guard.in_force.target().message(),
             "state": self._view.state_name,
             "gain": float(self._view.record["gain"]),
-            "enable": isinstance(case.request, Enable),
-            "change": change_of(case.request, guard.in_force.level),
+            "enable": isinstance(change.request, Enable),
+            "change": change_of(change.request, guard.in_force.level),
             "before": before,
             "after": after,
-            "policy": case.policy,
-            "basis": guard.basis,
-            "margin_ns_per_m": guard.margin_ns_per_m,
-            "mode": "auto" if self._auto(case) else "off",  # a level is in the change
+            "policy": change.policy,
+            "basis": guard.terms.basis,
+            "margin_ns_per_m": guard.terms.margin_ns_per_m,
+            "mode": "auto" if self._auto(change) else "off",  # a level is in the change
             "level": guard.in_force.level,
             "delay_periods": guard.delay_periods,
-            "ramp_s": ramp_s(case.request, self._view.params.safety.default_ramp_s),
+            "ramp_s": ramp_s(change.request, self._view.params.safety.default_ramp_s),
         }
 
-    def _hear(self, case: PendingChange, now_ns: int, idle: bool) -> None:
-        """Act on the verdict for `case` once it is there and nothing else is on its way."""
-        case.answer = case.answer or self._guard.answer(case.number)
-        if case.answer is not None:
+    def _hear(self, change: PendingChange, now_ns: int, idle: bool) -> None:
+        """Act on the verdict for `change` once it is there and nothing else is on its way."""
+        change.answer = change.answer or self._guard.answer(change.number)
+        if change.answer is not None:
             if idle and self._guard.in_force.known:
                 self._asked = None
-                self._take_verdict(case, case.answer, now_ns)
-        elif self._guard.worker != "up" or now_ns - case.ready_ns >= VERDICT_NS:
+                self._take_verdict(change, change.answer, now_ns)
+        elif self._guard.worker != "up" or now_ns - change.ready_ns >= VERDICT_NS:
             self._asked = None
-            self._guard.forget(case.number)
-            self._try_unjudged(case, now_ns, self._late())
+            self._guard.forget(change.number)
+            self._try_unjudged(change, now_ns, self._late())
 
-    def _take_verdict(self, case: PendingChange, answer: dict[str, Any], now_ns: int) -> None:
+    def _take_verdict(self, change: PendingChange, answer: dict[str, Any], now_ns: int) -> None:
         """Go by `answer`, or ask again if it is about what is no more."""
         guard = self._guard
-        if case.changes != guard.changes or case.policy != self._policy(case):
-            case.ready_ns = 0
-            self._queue.appendleft(case)
-        elif case.revision != guard.in_force.revision and case.tries < TRIES:
-            self._again(case, now_ns)
+        if change.changes != guard.changes or change.policy != self._policy(change):
+            change.ready_ns = 0
+            self._queue.appendleft(change)
+        elif change.revision != guard.in_force.revision and change.tries < TRIES:
+            self._again(change, now_ns)
         else:
-            self._judged(case, answer, now_ns)
+            self._judged(change, answer, now_ns)
 
-    def _judged(self, case: PendingChange, answer: dict[str, Any], now_ns: int) -> None:
+    def _judged(self, change: PendingChange, answer: dict[str, Any], now_ns: int) -> None:
         verdict = answer.get("verdict")
         action = answer.get("action")
         try:
             if not isinstance(verdict, dict) or action not in ("apply", "stage", "refuse"):
                 raise ValueError(str(answer.get("error", "an answer that is none"))[:200])
-            case.stages = self._stages(case, answer) if action != "refuse" else ()
+            change.stages = self._stages(change, answer) if action != "refuse" else ()
         except ValueError as error:
-            self._try_unjudged(case, now_ns, f"the guard's worker answered: {error}")
+            self._try_unjudged(change, now_ns, f"the guard's worker answered: {error}")
             return
-        of_case = {"number": case.number, "stages": len(case.stages), "cmd": case.cmd}
-        case.verdict = {**verdict, **of_case}
-        if case.message is None and (action == "refuse" or not self._changes(case)):
+        of_case = {"number": change.number, "stages": len(change.stages), "cmd": change.cmd}
+        change.verdict = {**verdict, **of_case}
+        if change.own and (action == "refuse" or not self._changes(change)):
             return  # the level of mode auto stays
         if verdict.get("safe") is False:
-            self._want_hand(case)
-        leased = forbidden_by(self._leases, case) if case.message is not None else None
-        if leased is not None:
-            self._replies.append(ChangeReply(case, leased))
+            self._want_hand(change)
+        if leased := forbidden_by(self._leases, change):
+            self._replies.append(ChangeReply(change, leased))
         elif action == "refuse":
-            text = f"{case.cmd}: {verdict.get('text', 'the guard gave no reason')}"
-            self._replies.append(ChangeReply(case, CommandError("guard", text, guard=case.verdict)))
+            text = f"{change.cmd}: {verdict.get('text', 'the guard gave no reason')}"
+            self._replies.append(
+                ChangeReply(change, CommandError("guard", text, guard=change.verdict))
+            )
         else:
-            self._start(case, now_ns)
+            self._start(change, now_ns)
 
-    def _start(self, case: PendingChange, now_ns: int) -> None:
-        """Post the first stage of `case`, or have it wait."""
-        if until_tick(case.request) and len(case.stages) > 1:
-            text = f"{case.cmd}: with an end it needs one stage, and would take {len(case.stages)}"
+    def _start(self, change: PendingChange, now_ns: int) -> None:
+        """Post the first stage of `change`, or have it wait."""
+        if until_tick(change.request) and len(change.stages) > 1:
+            text = (
+                f"{change.cmd}: with an end it needs one stage, and would take {len(change.stages)}"
+            )
             remedy = "bring in the active damping first, then ask again"
-            self._replies.append(ChangeReply(case, CommandError("guard", f"{text}; {remedy}")))
+            self._replies.append(ChangeReply(change, CommandError("guard", f"{text}; {remedy}")))
             return
-        self._under_way.start(case, now_ns)
+        self._under_way.start(change, now_ns)
 
-    def _changes(self, case: PendingChange) -> bool:
-        """Whether the stages of `case` lead anywhere else than the ramps in force."""
+    def _changes(self, change: PendingChange) -> bool:
+        """Whether the stages of `change` lead anywhere else than the ramps in force."""
         before = self._guard.in_force.target()
         after = before
-        for stage in case.stages:
+        for stage in change.stages:
             after = after.changed(stage.change)
         here, there = before.active_damping_ns_per_m, after.active_damping_ns_per_m
         moved = abs(there - here) > self._under_way.resolution_ns_per_m
         return moved or replace(after, active_damping_ns_per_m=here) != before
 
-    def _stages(self, case: PendingChange, answer: dict[str, Any]) -> tuple[Stage, ...]:
+    def _stages(self, change: PendingChange, answer: dict[str, Any]) -> tuple[Stage, ...]:
         found = stages_of(answer)
-        if isinstance(case.request, Enable) and found[-1].change:
+        if isinstance(change.request, Enable) and found[-1].change:
             return (*found, Stage({}, None, False))  # force comes on once all of it is in force
         return found
 
-    def _want_hand(self, case: PendingChange) -> None:
-        asked = change_of(case.request, self._guard.in_force.level)
+    def _want_hand(self, change: PendingChange) -> None:
+        asked = change_of(change.request, self._guard.in_force.level)
         wanted = self._guard.in_force.target().changed(asked)
-        self._guard.want_hand(UnsafeRequest(case.number, case.cmd, case.id, case.actor, wanted))
+        self._guard.want_hand(
+            wanted,
+            number=change.number,
+            cmd=change.cmd,
+            id=change.message.id,
+            actor=change.actor,
+        )
 
     # --- without a verdict ------------------------------------------------------------------------
 
-    def _try_unjudged(self, case: PendingChange, now_ns: int, why: str = "") -> None:
+    def _try_unjudged(self, change: PendingChange, now_ns: int, why: str = "") -> None:
         try:
-            self._unjudged(case, now_ns, why)
+            self._unjudged(change, now_ns, why)
         except CommandError as error:
-            self._replies.append(ChangeReply(case, error))
+            self._replies.append(ChangeReply(change, error))
 
-    def _unjudged(self, case: PendingChange, now_ns: int, why: str = "") -> None:
+    def _unjudged(self, change: PendingChange, now_ns: int, why: str = "") -> None:
         """Post it as asked, or refuse it, as the policy says."""
         guard = self._guard
-        case.policy = self._policy(case)
-        case.changes = guard.changes
-        off = case.policy == "off"
+        change.policy = self._policy(change)
+        change.changes = guard.changes
+        off = change.policy == "off"
         reason = "policy off judges nothing" if off else why or guard.trouble
-        case.verdict = guard.unknown(reason, case.policy)
-        if self._must(case) and not ends_force(case.request, guard.in_force.target()):
-            raise self._unknown_refused(case)
-        if auto_of(case.request):
+        change.verdict = guard.unknown(reason, change.policy)
+        if self._must(change) and not ends_force(change.request, guard.in_force.target()):
+            raise self._unknown_refused(change)
+        if auto_of(change.request):
             text = "the guard chooses no level of active damping while it judges nothing"
-            raise _refused(case, because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
-        case.revision = None
-        case.stages = ()
-        if not case.at_tick and not isinstance(case.request, Enable):
-            self._under_way.supersede(case)
-        self._outstanding.post_case(case, posting(case.request, 0), now_ns)
-        if case.at_tick:
+            raise _refused(change, because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
+        change.revision = None
+        change.stages = ()
+        if not change.at_tick and not isinstance(change.request, Enable):
+            self._under_way.supersede(change)
+        self._post(change, now_ns)
+        if change.at_tick:
             self._terms_sent = (0, ANY_TERMS)  # no terms came with it: those that count go after it
 
-    def _unknown_refused(self, case: PendingChange) -> CommandError:
+    def _unknown_refused(self, change: PendingChange) -> CommandError:
         """The refusal of what nobody judged, with what would do it all the same."""
         remedy = "`hapticd guard warn` would do it all the same"
-        if case.strict:
+        if change.strict:
             remedy = "under `warn` a client that is not strict would do it all the same"
-        why = explanation_of(case.verdict)
-        why = why.and_reason(Reason.POLICY, f"policy {case.policy} refuses that")
-        return _refused(case, why.and_remedy(Remedy.POLICY, remedy))
+        why = explanation_of(change.verdict)
+        why = why.and_reason(Reason.POLICY, f"policy {change.policy} refuses that")
+        return _refused(change, why.and_remedy(Remedy.POLICY, remedy))
 
     # --- answers ----------------------------------------------------------------------------------
 
-    def answered(self, case: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
-        """What the servo's `answer` to the last stage of `case` means; None: more is to come."""
-        if case is self._beside and answer.result is Result.APPLIED:
-            case.held = answer
+    def answered(
+        self, change: PendingChange, answer: Answer, now_ns: int, scheduled: bool = False
+    ) -> ChangeReply | None:
+        """What the servo's `answer` to the last stage of `change` means; None: more is to come.
+
+        `scheduled`: it is the second answer, to a change that was scheduled.
+        """
+        result = answer.result
+        if change is self._beside and result is Result.APPLIED:
+            change.held = answer
             # in force, whatever its verdict: mode auto must not choose again meanwhile
-            self._guard.auto = self._auto(case)
+            self._guard.choose_level(self._auto(change))
             return None
-        if answer.result is Result.SCHEDULED:
-            change = change_of(case.request, self._guard.in_force.level)
-            self._scheduled[answer.seq] = ScheduledChange(case.at_tick, answer.seq, change)
-            if case.former:
-                end = ScheduledChange(until_tick(case.request), answer.seq, case.former)
+        if result is Result.SCHEDULED:
+            fields = change_of(change.request, self._guard.in_force.level)
+            self._scheduled[answer.seq] = ScheduledChange(change.at_tick, answer.seq, fields)
+            if change.former:
+                end = ScheduledChange(until_tick(change.request), answer.seq, change.former)
                 self._scheduled[-answer.seq] = end
-            return ChangeReply(case, receipt=receipt(answer))
-        if answer.result in JUDGED_OTHERWISE and case.tries < TRIES:
-            self._again(case, now_ns)
+            return ChangeReply(change, receipt=receipt(answer))
+        if scheduled:
+            self._scheduled.pop(answer.seq, None)
+            if result is not Result.APPLIED:
+                self._scheduled.pop(-answer.seq, None)
+        if result is Result.APPLIED:
+            return self._applied(change, answer, now_ns)
+        if result in JUDGED_OTHERWISE and change.tries < TRIES:
+            self._again(change, now_ns)
             return None
-        if answer.result is not Result.APPLIED:
-            error = refusal(answer, case.cmd, self._view, self._actors)
-            error.guard = case.verdict
-            return ChangeReply(case, error)
-        return self._applied(case, answer, now_ns)
+        if scheduled:
+            return ChangeReply(change, receipt=receipt(answer))
+        error = refusal(answer, change.cmd, self._view, self._actors)
+        error.guard = change.verdict
+        return ChangeReply(change, error)
 
-    def _applied(self, case: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
-        self._guard.auto = self._auto(case)
-        if self._under_way.applied(case, answer, now_ns):
-            if case.taken_back:
-                return self._under_way.taken_back(case)
+    def _applied(self, change: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
+        self._guard.choose_level(self._auto(change))
+        if self._under_way.applied(change, answer, now_ns):
+            if change.taken_back:
+                return self._under_way.taken_back(change)
             staged = receipt(answer) | {"result": "staged"}
-            return None if case.replied else ChangeReply(case, receipt=staged)
-        if len(case.stages) <= 1 and not case.ahead:
-            self._guard.take_verdict(case.verdict)
-        return ChangeReply(case, receipt=receipt(answer))
+            return None if change.replied else ChangeReply(change, receipt=staged)
+        if len(change.stages) <= 1 and not change.ahead:
+            self._guard.take_verdict(change.verdict)
+        return ChangeReply(change, receipt=receipt(answer))
 
-    def _again(self, case: PendingChange, now_ns: int) -> None:
+    def _again(self, change: PendingChange, now_ns: int) -> None:
         """Another change came first: judge it anew, before those that came later."""
-        case.tries += 1
-        case.came_ns = now_ns
-        case.number = case.place = case.ready_ns = 0
-        if case.at_tick <= self._view.tick and not until_tick(case.request):
-            case.at_tick = 0  # a bounded change that is late is refused: it was to last so long
-        self._queue.appendleft(case)
-
-    def later(self, case: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
-        """As `answered`, for the second answer to a scheduled change."""
-        self._scheduled.pop(answer.seq, None)
-        if answer.result is not Result.APPLIED:
-            self._scheduled.pop(-answer.seq, None)
-        if answer.result is Result.APPLIED:
-            return self._applied(case, answer, now_ns)
-        if answer.result in JUDGED_OTHERWISE and case.tries < TRIES:
-            self._again(case, now_ns)
-            return None
-        return ChangeReply(case, receipt=receipt(answer))
+        change.tries += 1
+        change.came_ns = now_ns
+        change.number = change.place = change.ready_ns = 0
+        if change.at_tick <= self._view.tick and not until_tick(change.request):
+            change.at_tick = 0  # a bounded change that is late is refused: it was to last so long
+        self._queue.appendleft(change)
 
 
-def _refused(case: PendingChange, why: Explanation) -> CommandError:
+def _refused(change: PendingChange, why: Explanation) -> CommandError:
     """The refusal of what nobody judged."""
-    verdict = case.verdict | why.plain(Outcome.REFUSED) | {"cmd": case.cmd}
-    return CommandError("guard", f"{case.cmd}: {verdict['text']}", guard=verdict)
+    verdict = change.verdict | why.plain(Outcome.REFUSED) | {"cmd": change.cmd}
+    return CommandError("guard", f"{change.cmd}: {verdict['text']}", guard=verdict)

@@ -1,50 +1,51 @@
 """The safe region of a device: whether environments are safe, by how much, and how far each of K, B
-and M may go.
+and M may go; what a device renders of each alone, and what of K its delay costs.
 
 An environment is safe if its K, B, M in free space and those in its wall are, by a basis (`bases`),
 at each delay that is judged. How far K, B or M may go is looked for on a grid that gets
 finer towards the environment's own value, and then between its last two points at either end.
 
-What would break it: a delay that changes from tick to tick, or a hand that makes and breaks
+What would break it: a device that renders nothing of one axis alone and much of it beside another;
+a delay that changes from tick to tick; or a hand that makes and breaks
 contact with the wall in step with its motion: each side is judged for itself, and neither is
 covered.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from hapticd.core.arrays import Flags, Floats
-from hapticd.core.environment import Environment, Point
-from hapticd.guard.bases import Basis, Conditions, Reading
-from hapticd.guard.environments import AXES
+from hapticd.core.environment import Environment, FilterParams, Point
+from hapticd.core.params import GuardSetup
+from hapticd.guard.bases import Basis, Conditions, Reading, Theorem, model_of
+from hapticd.guard.transition_planner import AXES
+from hapticd.mailbox.environment_limits import WIDEST
+from hapticd.model.model import Model
+
+__all__ = ["passive_ranges", "ranges_of"]
 
 _GRID = 40  # distances at which an axis is looked at, on either side
 _FINER = 9  # values between the last that holds and the first that does not, three times
 _INSIDE = 1e-3  # of an interval: as far inside of its ends as may be needed to be sure
 NONE = np.zeros(0)
+IDEAL_PERIODS = 0.0  # a force that acts at its sample: of the delay, the hold alone is left
+
+Ranges = dict[str, list[float] | None]  # of K, B and M, from and to; None: nothing is passive
 
 
+@dataclass(frozen=True)
 class SafeRegion:
     """Displays judged by one basis, with one margin asked for, at one delay or at two: more delay
     makes a negative virtual mass easier, so the longest alone is not the worst.
     """
 
-    def __init__(
-        self,
-        basis: Basis,
-        delay_periods: float,
-        spare_ns_per_m: float,
-        least_delay_periods: float | None = None,
-    ) -> None:
-        self.basis = basis
-        self.delay_periods = delay_periods
-        self.spare_ns_per_m = spare_ns_per_m
-        self.least_delay_periods = least_delay_periods
-        least = delay_periods if least_delay_periods is None else least_delay_periods
-        self._delays = list(dict.fromkeys((delay_periods, least)))
+    basis: Basis
+    delays_periods: tuple[float, ...]  # the longest first
+    spare_ns_per_m: float
 
     def conditions(self, environment: Environment) -> list[Conditions]:
         """Those of one environment, by delay."""
@@ -52,7 +53,7 @@ class SafeRegion:
             Conditions(
                 environment.active_damping_ns_per_m, environment.filters, delay, self.spare_ns_per_m
             )
-            for delay in self._delays
+            for delay in dict.fromkeys(self.delays_periods)
         ]
 
     def safe(self, environments: Sequence[Environment]) -> list[bool]:
@@ -108,7 +109,7 @@ class SafeRegion:
 
     def allowed(
         self, environment: Environment, lowest: Sequence[float], highest: Sequence[float]
-    ) -> dict[str, list[float] | None]:
+    ) -> Ranges:
         """How far each of K, B, M may go with the others as they are, within `lowest`..`highest`:
         the interval round its value if that is safe, else the nearest that is, None for none.
 
@@ -135,6 +136,68 @@ def _moved(point: Floats, axis: int, values: Floats, environment: Environment) -
     moved = np.tile(point, (len(values), 1))
     moved[:, axis] += values - environment.free[axis]
     return moved
+
+
+def _passive(
+    theorem: Theorem,
+    filters: tuple[FilterParams, FilterParams],
+    level_ns_per_m: float,
+    delays_periods: tuple[float, ...],
+) -> Ranges:
+    """What is passive of K, B and M, each alone, within WIDEST."""
+    velocity, acceleration = filters
+    free = Environment(
+        velocity_filter=velocity,
+        acceleration_filter=acceleration,
+        active_damping_ns_per_m=level_ns_per_m,
+    )
+    return SafeRegion(theorem, delays_periods, 0.0).allowed(free, WIDEST.lowest, WIDEST.highest)
+
+
+def passive_ranges(
+    model: Model, filters: tuple[FilterParams, FilterParams], level_ns_per_m: float
+) -> Ranges:
+    """What `model` renders passively at that level of active damping, within WIDEST: for every
+    input and without friction. What is measured or predicted may reach further by a few times, not
+    by the factor of a mistaken unit.
+
+    `filters` are those of velocity and acceleration.
+    """
+    return _passive(Theorem(model), filters, level_ns_per_m, (model.delay_periods,))
+
+
+def ranges_of(setup: GuardSetup) -> Ranges:
+    """Those of the guard's device with the most active damping that its file allows."""
+    if setup.model is None:
+        return {}
+    ceiling = setup.active_damping_limit_ns_per_m
+    return passive_ranges(model_of(setup.model), setup.environment.filters, ceiling)
+
+
+def timing_cost(
+    theorem: Theorem,
+    filters: tuple[FilterParams, FilterParams],
+    level_ns_per_m: float,
+    delays_periods: tuple[float, ...],
+) -> dict[str, Any]:
+    """The largest K with B = M = 0 at that level of active damping and at all `delays_periods`, the
+    longest first, beside the largest K without any delay.
+
+    A delay that varies is outside the theorem: that both ends are passive is a convention.
+    """
+
+    def stiffest(delays: tuple[float, ...]) -> float:
+        ends = _passive(theorem, filters, level_ns_per_m, delays)["K"]
+        return ends[1] if ends else 0.0
+
+    stiffness = stiffest(delays_periods)
+    ideal = stiffest((IDEAL_PERIODS,))
+    return {
+        "level_ns_per_m": level_ns_per_m,
+        "stiffness_n_per_m": stiffness,
+        "ideal_stiffness_n_per_m": ideal,
+        "lost_share": 1.0 - stiffness / ideal if ideal else None,
+    }
 
 
 Asked = Callable[[list[Floats], bool], list[Flags]]  # values of several axes; for sure, or not yet

@@ -17,8 +17,7 @@ from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_S
 from hapticd.guard.in_force import IN_MOTION
-from hapticd.guard.outstanding import Outstanding
-from hapticd.guard.pending_change import PendingChange
+from hapticd.guard.pending import Outstanding, PendingChange
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, State, Value, values_of
 from hapticd.protocol.commands import Posting, parameters, values_given
@@ -37,9 +36,9 @@ LATCHED = frozenset({State.STOPPED, State.FAULT})
 
 
 class ChangeReply(NamedTuple):
-    """What is to be said of a case: a refusal, or a receipt."""
+    """What is to be said of a change: a refusal, or a receipt."""
 
-    case: PendingChange
+    change: PendingChange
     error: CommandError | None = None
     receipt: dict[str, Any] | None = None
 
@@ -55,7 +54,7 @@ class StagedChange:
     def __init__(
         self, view: ServoView, outstanding: Outstanding, replies: list[ChangeReply]
     ) -> None:
-        self.case: PendingChange | None = None  # whose next stage waits
+        self.change: PendingChange | None = None  # whose next stage waits
         # whose stage was posted last; its answer may be due
         self._posted: PendingChange | None = None
         self._view = view
@@ -66,129 +65,128 @@ class StagedChange:
 
     def summary(self) -> dict[str, Any] | None:
         """What `status` tells; None while nothing is under way."""
-        case = self.case
-        if case is None:
+        change = self.change
+        if change is None:
             return None
         return {
-            "cmd": case.cmd,
-            "id": case.id,
-            "actor": case.actor,
-            "stage": case.place + 1,
-            "stages": len(case.stages),
+            "cmd": change.cmd,
+            "id": change.message.id,
+            "actor": change.actor,
+            "stage": change.place + 1,
+            "stages": len(change.stages),
         }
 
-    def start(self, case: PendingChange, now_ns: int) -> None:
-        """Post the first stage of `case`, or wait for what it waits for."""
-        request = case.request
+    def start(self, change: PendingChange, now_ns: int) -> None:
+        """Post the first stage of `change`, or wait for what it waits for."""
+        request = change.request
         expected = request.given.get("if_rev")
         if expected is not None and expected != self._view.revision:
-            text = f"{case.cmd}: the revision is {self._view.revision} by now, not {expected}"
+            text = f"{change.cmd}: the revision is {self._view.revision} by now, not {expected}"
             error = CommandError("refused", f"{text}; look at what changed and ask again")
-            self._replies.append(ChangeReply(case, error))
+            self._replies.append(ChangeReply(change, error))
             return
-        case.place = 0
-        case.state = self._view.state
-        case.seen = self._view.revision
-        case.since_ns = now_ns
-        if not case.at_tick and not isinstance(request, Enable):
-            self.supersede(case)
-        if self._met(case):
-            self._post_stage(case, now_ns)
+        change.place = 0
+        change.state = self._view.state
+        change.seen = self._view.revision
+        change.since_ns = now_ns
+        if not change.at_tick and not isinstance(request, Enable):
+            self.supersede(change)
+        if self._met(change):
+            self._post_stage(change, now_ns)
         else:
-            self.case = case
-            self._replies.append(ChangeReply(case, receipt=self._standing("staged")))
+            self.change = change
+            self._replies.append(ChangeReply(change, receipt=self._standing("staged")))
 
     def advance(self, now_ns: int, free: bool) -> None:
         """The next stage, if it is time and nothing else is on its way (`free`)."""
-        case = self.case
-        if case is None:
+        change = self.change
+        if change is None:
             return
         state = self._view.state
-        ended = case.state is State.ENABLED and state is not State.ENABLED
-        if state is not None and state is not case.state and (ended or state in LATCHED):
+        ended = change.state is State.ENABLED and state is not State.ENABLED
+        if state is not None and state is not change.state and (ended or state in LATCHED):
             self.cancel(f"the servo is {self._view.state_name}")
-        elif isinstance(case.request, Enable) and self._view.revision != case.seen:
+        elif isinstance(change.request, Enable) and self._view.revision != change.seen:
             self.cancel("something else was changed before it")
-        elif now_ns - case.since_ns >= self._patience_ns(case) + STAGE_NS:
+        elif now_ns - change.since_ns >= self._patience_ns(change) + STAGE_NS:
             self.cancel("the gateway stood still meanwhile")
-        elif self._met(case):
+        elif self._met(change):
             if free:
-                self.case = None
-                self._post_stage(case, now_ns)
+                self.change = None
+                self._post_stage(change, now_ns)
         elif int(self._view.record["flags"]) & Flag.PAUSED:
-            case.since_ns = now_ns
-        elif now_ns - case.since_ns >= self._patience_ns(case):
+            change.since_ns = now_ns
+        elif now_ns - change.since_ns >= self._patience_ns(change):
             effect = float(self._view.record["active_damping_effect_ns_per_m"])
-            stage = case.stages[case.place]
+            stage = change.stages[change.place]
             least = stage.active_damping_at_least
             lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
             self.cancel(f"the next stage waited too long: {lacks}")
 
     def take_back(self, concerned: Callable[[PendingChange], bool], why: str) -> None:
         """Of an enable that is `concerned` no further stage comes, because of `why`."""
-        case = self.case
-        if case is not None and isinstance(case.request, Enable) and concerned(case):
+        change = self.change
+        if change is not None and isinstance(change.request, Enable) and concerned(change):
             self.cancel(why)
         posted = self._posted
         if posted is not None and isinstance(posted.request, Enable) and concerned(posted):
             posted.taken_back = why
 
-    def taken_back(self, case: PendingChange) -> ChangeReply:
-        """What is to be said of `case`, of which a stage came into force after it was taken back;
+    def taken_back(self, change: PendingChange) -> ChangeReply:
+        """What is to be said of `change`, of which a stage came into force after it was taken back;
         force does not come.
         """
-        self.case = None
-        text = f"{case.taken_back}; what is in force stays"
-        if case.replied:
-            return ChangeReply(case, receipt=self._standing("cancelled", text))
-        return ChangeReply(case, CommandError("refused", f"{case.cmd}: {text}; ask again"))
+        self.change = None
+        text = f"{change.taken_back}; what is in force stays"
+        if change.replied:
+            return ChangeReply(change, receipt=self._standing("cancelled", text))
+        return ChangeReply(change, CommandError("refused", f"{change.cmd}: {text}; ask again"))
 
     def supersede(self, by: PendingChange) -> None:
         """`by` comes into force: what is left is not done."""
-        case = self.case
-        self.case = None
-        if case is not None and case is not by:
-            text = f"a newer {by.cmd} of actor {by.actor} came; what is in force stays"
-            self._replies.append(ChangeReply(case, receipt=self._standing("superseded", text)))
+        if self.change is by:
+            self.change = None
+        self.cancel(f"a newer {by.cmd} of actor {by.actor} came", "superseded")
 
-    def applied(self, case: PendingChange, answer: Answer, now_ns: int) -> bool:
-        """A stage of `case` is in force; whether there are more."""
-        case.place += 1
-        case.ramp_end_tick = answer.ramp_end_tick
-        case.seen = answer.revision
-        case.since_ns = now_ns
+    def cancel(self, why: str, result: str = "cancelled") -> None:
+        """What is left is not done, because of `why`."""
+        change = self.change
+        self.change = None
+        if change is not None:
+            text = f"{why}; what is in force stays"
+            self._replies.append(ChangeReply(change, receipt=self._standing(result, text)))
+
+    def applied(self, change: PendingChange, answer: Answer, now_ns: int) -> bool:
+        """A stage of `change` is in force; whether there are more."""
+        change.place += 1
+        change.ramp_end_tick = answer.ramp_end_tick
+        change.seen = answer.revision
+        change.since_ns = now_ns
         self._posted = None
-        if case.place >= len(case.stages):
+        if change.place >= len(change.stages):
             return False
-        if self.case is not None:
-            self.supersede(case)
-        self.case = case
+        self.supersede(change)
+        self.change = change
         return True
 
-    def _met(self, case: PendingChange) -> bool:
+    def _met(self, change: PendingChange) -> bool:
         """Whether what the next stage waits for is there, as the newest record has it."""
-        stage = case.stages[case.place]
+        stage = change.stages[change.place]
         record = self._view.record
         moving = int(record["flags"]) & IN_MOTION
-        if stage.after_ramps and (moving or self._view.tick < case.ramp_end_tick):
+        if stage.after_ramps and (moving or self._view.tick < change.ramp_end_tick):
             return False
         least = stage.active_damping_at_least
         effect = float(record["active_damping_effect_ns_per_m"])
         return least is None or effect >= least - self.resolution_ns_per_m
 
-    def _patience_ns(self, case: PendingChange) -> int:
+    def _patience_ns(self, change: PendingChange) -> int:
         safety = self._view.params.safety
         level = self._view.params.device.active_damping_limit_ns_per_m
         rising_s = level / safety.active_damping_slew_ns_per_m_s
-        return STAGE_NS + round((rising_s + ramp_s(case.request, safety.default_ramp_s)) * NS_PER_S)
-
-    def cancel(self, why: str) -> None:
-        """What is left is not done, because of `why`."""
-        case = self.case
-        self.case = None
-        if case is not None:
-            text = f"{why}; what is in force stays"
-            self._replies.append(ChangeReply(case, receipt=self._standing("cancelled", text)))
+        return STAGE_NS + round(
+            (rising_s + ramp_s(change.request, safety.default_ramp_s)) * NS_PER_S
+        )
 
     def _standing(self, result: str, text: str = "") -> dict[str, Any]:
         """A receipt of what is in force, for what has no answer of the servo of its own."""
@@ -201,35 +199,34 @@ class StagedChange:
             "effective": parameters(self._view.targets),
         } | ({"text": text} if text else {})
 
-    def _post_stage(self, case: PendingChange, now_ns: int) -> None:
+    def _post_stage(self, change: PendingChange, now_ns: int) -> None:
         try:
-            self._outstanding.post_case(case, self._posting(case), now_ns)
-            self._posted = case
+            self._outstanding.post(
+                change.message, change.actor, self._posting(change), now_ns, change
+            )
+            self._posted = change
         except CommandError as error:
-            self._replies.append(ChangeReply(case, error))
+            self._replies.append(ChangeReply(change, error))
 
-    def _posting(self, case: PendingChange) -> Posting:
+    def _posting(self, change: PendingChange) -> Posting:
         """The command of the stage that is due, bound to the environment it was judged for."""
-        stage = case.stages[case.place]
-        last = case.place == len(case.stages) - 1
+        stage = change.stages[change.place]
+        last = change.place == len(change.stages) - 1
         values: dict[Value, float] = {}
-        if case.policy in STRICT_POLICIES and case.revision is not None:
-            ahead = case.revision + case.ahead + case.place
+        if change.policy in STRICT_POLICIES and change.revision is not None:
+            ahead = change.revision + change.ahead + change.place
             values[Value.ENVIRONMENT_REVISION] = ahead & REVISION_MASK
-        if case.terms != ANY_TERMS:
-            values[Value.TERMS] = case.terms
-        if isinstance(case.request, Enable) and last:
+        if change.terms != ANY_TERMS:
+            values[Value.TERMS] = change.terms
+        if isinstance(change.request, Enable) and last:
             return Command.ENABLE, 0, values_of(values)
-        extras = {name: case.request.given[name] for name in self._extras(case)}
+        given = change.request.given if isinstance(change.request, Set) else {}
+        names = PASS_THROUGH_FIELDS if change.place == 0 else PASS_THROUGH_FIELDS[:1]
+        extras = {name: given[name] for name in names if name in given}
         values |= values_given(extras | stage.change)
         kind = (
             Command.DAMPING
             if set(stage.change) == {"active_damping"} and not extras
             else Command.SET
         )
-        return kind, case.at_tick if case.place == 0 else 0, values_of(values)
-
-    def _extras(self, case: PendingChange) -> list[str]:
-        given = case.request.given
-        names = PASS_THROUGH_FIELDS if case.place == 0 else PASS_THROUGH_FIELDS[:1]
-        return [name for name in names if name in given] if isinstance(case.request, Set) else []
+        return kind, change.at_tick if change.place == 0 else 0, values_of(values)

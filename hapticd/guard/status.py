@@ -17,7 +17,7 @@ which policies refuse it).
 """
 
 from collections import deque
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES, GuardParams
@@ -25,6 +25,7 @@ from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.guard.in_force import EnvironmentInForce
 from hapticd.guard.terms import Terms, TermsKeeper
+from hapticd.guard.worker import Worker
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
 from hapticd.protocol.explanation import Outcome, Reason, because
 from hapticd.protocol.journal import Journal
@@ -44,32 +45,6 @@ MOST_RECORDS = LEAST_RECORDS + 100  # after which the delay cannot be known
 MOST_HANDS = 8  # that wait to be looked for
 
 
-class WorkerLine(Protocol):
-    """What is used of the line to the worker (`worker.Worker`)."""
-
-    hello: dict[str, Any]
-    trouble: str
-    life: int
-
-    @property
-    def state(self) -> str: ...
-    def tend(self, now_ns: int) -> None: ...
-    def ask(self, request: dict[str, Any]) -> None: ...
-    def answers(self) -> list[dict[str, Any]]: ...
-    def give_up(self, trouble: str) -> None: ...
-    def close(self) -> None: ...
-
-
-class UnsafeRequest(NamedTuple):
-    """A request whose environment is not passive, for which a hand is to be found."""
-
-    number: int  # of the question whose verdict said so
-    cmd: str
-    id: int | str | None
-    actor: int
-    environment: Environment
-
-
 class LookKey(NamedTuple):
     """What a look at the environment in force is about."""
 
@@ -87,7 +62,7 @@ class Guard:
         view: ServoView,
         journal: Journal,
         params: GuardParams,
-        worker: WorkerLine | None = None,
+        worker: Worker | None = None,
     ) -> None:
         self._view = view
         self.in_force = EnvironmentInForce(view)
@@ -95,10 +70,8 @@ class Guard:
         self._worker = worker
         self._worker_life = 0
         self.leases: Leases | None = None  # of the command server that it serves, once there is one
-        self._policy = params.policy
-        self.basis = params.basis
-        self.margin_ns_per_m = params.margin_ns_per_m
-        self.auto = False  # whether the guard chooses the level of active damping
+        # what it goes by while nobody measures
+        self.terms = Terms(params.policy, params.basis, params.margin_ns_per_m)
         self._keeper = TermsKeeper(view, journal, self.terms)
         self.changes = 0  # of policy, basis or margin
         self._tended_ns = 0
@@ -111,8 +84,9 @@ class Guard:
         self._answers: dict[int, dict[str, Any]] = {}
         self._awaited: set[int] = set()  # questions of requests
         self._unanswered: dict[int, int] = {}  # when each question was asked that has no answer
-        self._hands: deque[UnsafeRequest] = deque(maxlen=MOST_HANDS)
-        self._hand: tuple[int, UnsafeRequest] | None = None  # number of the question, for what
+        # environments whose hand is to be found, with what is told of them
+        self._hands: deque[tuple[Environment, dict[str, Any]]] = deque(maxlen=MOST_HANDS)
+        self._hand: tuple[int, dict[str, Any]] | None = None  # number of the question, for what
         self._look: tuple[int, LookKey] | None = None  # number of the question, about what
         self._looked: dict[str, Any] = {}
         self._looked_at: LookKey | None = None
@@ -130,12 +104,12 @@ class Guard:
     @property
     def policy(self) -> str:
         """The policy that counts now."""
-        return "off" if self.measuring else self._policy
+        return "off" if self.measuring else self.terms.policy
 
     @property
     def mode(self) -> str:
         """The mode of active damping: off, level or auto; while measuring, nobody chooses."""
-        if self.auto and not self.measuring:
+        if self.terms.auto and not self.measuring:
             return "auto"
         return "level" if self.in_force.target().active_damping_ns_per_m else "off"
 
@@ -177,27 +151,19 @@ class Guard:
 
     def change(self, asked: GuardRequest) -> None:
         """Policy, basis and margin as far as `asked` gives them."""
-        given = asked.given
+        given = {name: asked.given[name] for name in Terms._fields if name in asked.given}
         before = self.terms
-        self._policy = given.get("policy", self._policy)
-        self.basis = given.get("basis", self.basis)
-        self.margin_ns_per_m = given.get("margin_ns_per_m", self.margin_ns_per_m)
+        self.terms = before._replace(**given)
         if self.terms != before:
             self.changes += 1
         if given.keys() & {"basis", "margin_ns_per_m"}:
             self._looked = {}
             self._looked_at = None
-        self._keep_terms(self._tended_ns)
+        self.terms = self._keeper.follow(self.terms, self._tended_ns)
 
-    @property
-    def terms(self) -> Terms:
-        """What it goes by while nobody measures."""
-        return Terms(self._policy, self.basis, self.margin_ns_per_m, self.auto)
-
-    def _keep_terms(self, now_ns: int) -> None:
-        """Have the gateway that may follow this one know what was asked for."""
-        kept = self._keeper.follow(self.terms, now_ns)
-        self._policy, self.basis, self.margin_ns_per_m, self.auto = kept
+    def choose_level(self, auto: bool) -> None:
+        """Whether the level of active damping is the guard's to choose from now on."""
+        self.terms = self.terms._replace(auto=auto)
 
     def summary(self) -> dict[str, Any]:
         """What `status` and the command `guard` tell."""
@@ -219,12 +185,9 @@ class Guard:
     @property
     def verdict(self) -> dict[str, Any] | None:
         """The verdict on the environment in force; None: it has not been judged (yet)."""
-        return self._looked.get("verdict") if self._same(self._looked_at) else None
-
-    def _same(self, about: LookKey | None) -> bool:
-        """Whether `about` is the environment in force."""
         now = self._view.life, self.in_force.revision
-        return about is not None and (about.life, about.revision) == now
+        same = self._looked_at is not None and self._looked_at[:2] == now
+        return self._looked.get("verdict") if same else None
 
     def _unjudged(self) -> str:
         """Why there is no verdict on the environment in force, and what is known of it all the
@@ -252,8 +215,8 @@ class Guard:
     def _terms(self) -> dict[str, Any]:
         return {
             "policy": self.policy,
-            "basis": self.basis,
-            "margin_ns_per_m": self.margin_ns_per_m,
+            "basis": self.terms.basis,
+            "margin_ns_per_m": self.terms.margin_ns_per_m,
             "mode": self.mode,
             "delay_periods": self.delay_periods,
         }
@@ -262,18 +225,15 @@ class Guard:
         """The verdict on what nobody judged, because of `why`, under `policy` if not under the one
         that counts.
         """
-        nothing = (
-            "margin_ns_per_m",
-            "worst_hz",
-            "radius",
-            "contact",
-            "least_active_damping_ns_per_m",
-        )
         return {
             "safe": None,
             "policy": policy or self.policy,
             "basis": "unknown",
-            **dict.fromkeys(nothing),
+            "margin_ns_per_m": None,
+            "worst_hz": None,
+            "radius": None,
+            "contact": None,
+            "least_active_damping_ns_per_m": None,
             "delay_periods": self.delay_periods,
             "allowed": {},
             "clamped": False,
@@ -328,7 +288,7 @@ class Guard:
         """Hear the worker, keep it alive, ask what nobody waits for."""
         self._terms_base = self._terms_base or now_ns // NS_PER_MS
         self._tended_ns = now_ns
-        self._keep_terms(now_ns)
+        self.terms = self._keeper.follow(self.terms, now_ns)
         if self._worker is None:
             return
         self._worker.tend(now_ns)
@@ -355,9 +315,9 @@ class Guard:
         self._awaited.discard(number)
         self._answers.pop(number, None)
 
-    def want_hand(self, unsafe: UnsafeRequest) -> None:
-        """Have the hand found that shakes this environment."""
-        self._hands.append(unsafe)
+    def want_hand(self, environment: Environment, **about: Any) -> None:
+        """Have the hand found that shakes this environment; `about` goes into the event."""
+        self._hands.append((environment, about))
 
     def _send(self, question: dict[str, Any], now_ns: int) -> int:
         self._number += 1
@@ -421,24 +381,21 @@ class Guard:
             self._looked_delay = None
 
     def _ask_hand(self, now_ns: int) -> None:
-        unsafe = self._hands.popleft()
+        environment, about = self._hands.popleft()
         question = {
             "ask": "hand",
-            "environment": unsafe.environment.message(),
+            "environment": environment.message(),
             "delay_periods": self.delay_periods,
         }
-        self._hand = self._send(question, now_ns), unsafe
+        self._hand = self._send(question, now_ns), about
 
-    def _tell_hand(self, unsafe: UnsafeRequest, hand: Any) -> None:
+    def _tell_hand(self, about: dict[str, Any], hand: Any) -> None:
         found = hand if isinstance(hand, dict) else {}
         text = f"a hand that would shake the device: {found['text']}" if found.get("text") else ""
         text += f"; {found['growth']}" if found.get("growth") else ""
         self._journal.note(
             "guard",
-            number=unsafe.number,
-            cmd=unsafe.cmd,
-            id=unsafe.id,
-            actor=unsafe.actor,
+            **about,
             hand=found or None,
             text=text or "no single mass or spring was found that would shake the device",
         )
@@ -476,8 +433,8 @@ class Guard:
             "now": self.in_force.now().message(),
             "target": self.in_force.target().message(),
             "delay_periods": self.delay.periods,
-            "margin_ns_per_m": self.margin_ns_per_m,
-            "basis": self.basis,
+            "margin_ns_per_m": self.terms.margin_ns_per_m,
+            "basis": self.terms.basis,
             "level_on": self.in_force.level,
         }
         self._look = self._send(question, now_ns), what

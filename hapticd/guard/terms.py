@@ -22,7 +22,7 @@ from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import ServoView
 
 RETRY_NS = NS_PER_S  # after terms that could not be kept
-LAXEST_FIRST = ("off", "warn")  # then those of STRICT_POLICIES, which are all as strict
+STRICTNESS = {"off": 0, "warn": 1} | dict.fromkeys(STRICT_POLICIES, 2)
 
 
 class Terms(NamedTuple):
@@ -39,17 +39,13 @@ class Terms(NamedTuple):
         return f"{self.policy} by {self.basis}, margin {self.margin_ns_per_m:g} N s/m{mode}"
 
 
-def _strictness(policy: str) -> int:
-    return len(LAXEST_FIRST) if policy in STRICT_POLICIES else LAXEST_FIRST.index(policy)
-
-
 def stricter_of(chosen: Terms, configured: Terms) -> Terms:
     """`chosen` as far as each of them is no laxer than `configured`, which counts for the rest.
 
     A basis counts again if it is the theorem, which counts on least; mode auto does in any case:
     without it the level in force would stay when the delay grows.
     """
-    stricter = _strictness(chosen.policy) >= _strictness(configured.policy)
+    stricter = STRICTNESS[chosen.policy] >= STRICTNESS[configured.policy]
     return Terms(
         policy=chosen.policy if stricter else configured.policy,
         basis=chosen.basis if chosen.basis == "theorem" else configured.basis,

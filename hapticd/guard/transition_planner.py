@@ -14,20 +14,26 @@ grows first. A longer ramp goes through the same points, so none is asked for.
 Where it is not known what comes first, a scheduled change or the end of the ramps before it, all
 corners of what may then act have to be safe (`mixture`).
 
+An environment is (K, B, M) in free space and (K + K_wall, B + B_wall, M) in the wall; whatever is
+said of it has to hold for both.
+
 Limitations: a parameter that moves without being asked.
 """
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product, takewhile
+from math import isfinite
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hapticd.core.environment import Environment
-from hapticd.guard.environments import AXES, apply_change, corner_mixtures, interpolate, kept_level
+from hapticd.core.environment import Environment, flat
+from hapticd.core.errors import AnalysisError
 
 POINTS = 20  # of a whole way
+AXES = ("K", "B", "M")
 
 
 class Stage(NamedTuple):
@@ -36,10 +42,6 @@ class Stage(NamedTuple):
     change: dict[str, Any]  # fields as in `set`, absolute values
     active_damping_at_least: float | None = None  # N s/m that the board has to report before
     after_ramps: bool = False  # ramps before it must have ended
-
-    def plain(self) -> dict[str, Any]:
-        """As it is sent."""
-        return self._asdict()
 
 
 class Segment(NamedTuple):
@@ -59,41 +61,41 @@ class Plan(NamedTuple):
     end: Environment
 
 
-class Request(NamedTuple):
-    """What is asked for, and where it starts from."""
+@dataclass(frozen=True)
+class TransitionPlanner:
+    """What is asked for, where it starts from, and the ways there in the order in which they are
+    tried.
+    """
 
     now: Environment  # in force, with the damping in effect
     target: Environment  # where what is under way ends
-    wanted: Environment  # where this change leads
-    change: dict[str, Any]  # its fields
     passed: list[Environment]  # in force at first, and where each change scheduled before it starts
-    after: list[dict[str, Any]]  # scheduled later
+    after: Sequence[Mapping[str, Any]]  # changes that are scheduled later
     enable: bool
     moving: bool  # the environment is felt, or will be
     levels: tuple[float, ...]  # of damping that are kept
     count_ns_per_m: float  # of the damping DAC
+    change: Mapping[str, Any]  # the fields that are asked for
 
-
-class TransitionPlanner:
-    """The ways to what `request` asks for, in the order in which they are tried."""
-
-    def __init__(self, request: Request) -> None:
-        self.request = request
+    @cached_property
+    def wanted(self) -> Environment:
+        """Where the change leads."""
+        return apply_change(self.target, self.change)
 
     def plans(self) -> list[Plan]:
         """Each with its stages; the first is how it is done where nobody asks for safety."""
-        wanted = self.request.wanted
-        if not self.request.moving:
-            whole = Stage(wanted.fields(self.request.change))
+        wanted = self.wanted
+        if not self.moving:
+            whole = Stage(wanted.fields(self.change))
             return [Plan([whole], [Segment(wanted, wanted, wanted)], wanted)]
-        if self.request.enable:
+        if self.enable:
             return [self._enabling(False), self._enabling(True)]
         return [self.plan(stages) for stages in self._orders()]
 
     def plan(self, stages: list[Stage]) -> Plan:
         """The way that these stages take, from what is in force."""
-        now = self.request.now
-        target = self.request.target
+        now = self.now
+        target = self.target
         segments = []
         for stage in stages:
             if stage.active_damping_at_least is not None:
@@ -117,7 +119,7 @@ class TransitionPlanner:
         more = room % len(segments)
         counts = [room // len(segments) + (place < more) for place in range(len(segments))]
         parts = [
-            sampled_segment(segment, count, self.request.levels)
+            sampled_segment(segment, count, self.levels)
             for segment, count in zip(segments, counts, strict=True)
         ]
         return [environment for part in parts for environment in part] if all(parts) else []
@@ -127,18 +129,15 @@ class TransitionPlanner:
         scheduled, whose ramps and damping may still be under way when the next one comes, and
         at an enable while something is on its way.
         """
-        request = self.request
         later = [segment.end for segment in self._later(plan.end)]
-        known = not later and len(request.passed) == 1
-        if known and not request.enable:
+        known = not later and len(self.passed) == 1
+        if known and not self.enable:
             return self._overlapping(plan)
-        environments = [*request.passed, request.target, plan.end, *later]
+        environments = [*self.passed, self.target, plan.end, *later]
         if plan.stages[-1].active_damping_at_least is not None:
             # nothing is felt before the damping that is asked for is in effect
-            here = replace(
-                request.passed[0], active_damping_ns_per_m=plan.end.active_damping_ns_per_m
-            )
-            environments[0] = here if request.enable else environments[0]
+            here = replace(self.passed[0], active_damping_ns_per_m=plan.end.active_damping_ns_per_m)
+            environments[0] = here if self.enable else environments[0]
         rendered = {replace(one, active_damping_ns_per_m=0.0) for one in environments}
         return corner_mixtures(environments) if len(rendered) > 1 else []
 
@@ -146,8 +145,8 @@ class TransitionPlanner:
         """The same where two parameters or more are under way, each on a ramp of its own, until a
         stage waits for their ends.
         """
-        pairs = zip(_numbers(self.request.now), _numbers(self.request.target), strict=True)
-        if not self.request.moving or sum(start != end for start, end in pairs) < 2:
+        pairs = zip(_numbers(self.now), _numbers(self.target), strict=True)
+        if not self.moving or sum(start != end for start, end in pairs) < 2:
             return []
         together = takewhile(
             lambda one: not one[0].after_ramps, zip(plan.stages, plan.segments, strict=True)
@@ -160,16 +159,16 @@ class TransitionPlanner:
 
     def _later(self, start: Environment) -> list[Segment]:
         segments = []
-        for change in self.request.after:
+        for change in self.after:
             end = apply_change(start, change)
             segments.append(Segment(start, start, end))
             start = end
         return segments
 
     def _orders(self) -> list[list[Stage]]:
-        change = self.request.change
-        wanted = self.request.wanted
-        here = self.request.target.active_damping_ns_per_m
+        change = self.change
+        wanted = self.wanted
+        here = self.target.active_damping_ns_per_m
         damping = (
             {"active_damping": wanted.active_damping_ns_per_m} if "active_damping" in change else {}
         )
@@ -182,16 +181,18 @@ class TransitionPlanner:
             return [[Stage(damping), *_waiting(stages, level)] for stages in orders]
         if wanted.active_damping_ns_per_m < here:
             return [[*stages, Stage(damping, after_ramps=True)] for stages in orders]
-        whole = [_with(stages, damping) for stages in orders]
-        if self.request.now.active_damping_ns_per_m >= here:
+        whole = [
+            [first._replace(change=first.change | damping), *others] for first, *others in orders
+        ]
+        if self.now.active_damping_ns_per_m >= here:
             return whole
         return whole + [_waiting(stages, self._reported(here)) for stages in whole]
 
     def _environment_orders(self, rest: dict[str, Any]) -> list[list[Stage]]:
         """At once, after what is under way, and what shrinks and what grows one after the other."""
         orders = [[Stage(rest)], [Stage(rest, after_ramps=True)]]
-        new = dict(zip(AXES, self.request.wanted.free, strict=True))
-        old = dict(zip(AXES, self.request.target.free, strict=True))
+        new = dict(zip(AXES, self.wanted.free, strict=True))
+        old = dict(zip(AXES, self.target.free, strict=True))
         shrinking = {name for name in rest if name in new and abs(new[name]) < abs(old[name])}
         one = {name: value for name, value in rest.items() if name in shrinking}
         other = {name: value for name, value in rest.items() if name not in shrinking}
@@ -205,14 +206,14 @@ class TransitionPlanner:
 
     def _reported(self, level: float) -> float:
         """What the board reports at least when it has that level: a count less."""
-        return max(0.0, level - self.request.count_ns_per_m)
+        return max(0.0, level - self.count_ns_per_m)
 
     def _enabling(self, waits: bool) -> Plan:
         """Force comes on at once, or once the damping that is asked for is in effect."""
-        end = self.request.wanted
-        change = end.fields(self.request.change)
+        end = self.wanted
+        change = end.fields(self.change)
         if not waits:
-            start = replace(end, active_damping_ns_per_m=self.request.now.active_damping_ns_per_m)
+            start = replace(end, active_damping_ns_per_m=self.now.active_damping_ns_per_m)
             return Plan([Stage(change)], [Segment(start, start, end, gain=True)], end)
         level = self._reported(end.active_damping_ns_per_m)
         stages = [Stage(change)] if change else []
@@ -227,33 +228,21 @@ def _waiting(stages: list[Stage], level: float) -> list[Stage]:
     return [stages[0]._replace(active_damping_at_least=level), *stages[1:]]
 
 
-def _with(stages: list[Stage], fields: dict[str, Any]) -> list[Stage]:
-    return [stages[0]._replace(change=stages[0].change | fields), *stages[1:]]
-
-
 def moving_groups(segment: Segment) -> int:
     """How many things move by themselves: what is asked, what is under way, the damping."""
-    asked, under_way = _parts(segment)
-    return (
-        asked
-        + under_way
-        + (segment.start.active_damping_ns_per_m != segment.end.active_damping_ns_per_m)
-    )
+    return sum(_moving(segment))
 
 
-def _parts(segment: Segment) -> tuple[bool, bool]:
-    """Whether what was asked moves the environment, and whether something else is under way."""
-    asked = (
-        replace(segment.end, active_damping_ns_per_m=segment.under_way.active_damping_ns_per_m)
-        != segment.under_way
-    )
-    left = any(
-        start != end and before == end
-        for start, before, end in zip(
-            _numbers(segment.start), _numbers(segment.under_way), _numbers(segment.end), strict=True
-        )
-    )
-    return asked or segment.gain, left
+def _moving(segment: Segment) -> tuple[bool, bool, bool]:
+    """Whether what was asked moves the environment, whether something else is under way, and
+    whether the damping moves.
+    """
+    start, under_way, end = segment[:3]
+    level = under_way.active_damping_ns_per_m
+    asked = segment.gain or replace(end, active_damping_ns_per_m=level) != under_way
+    numbers = zip(_numbers(start), _numbers(under_way), _numbers(end), strict=True)
+    left = any(first != last and before == last for first, before, last in numbers)
+    return asked, left, start.active_damping_ns_per_m != end.active_damping_ns_per_m
 
 
 def _numbers(environment: Environment) -> tuple[float, ...]:
@@ -271,29 +260,20 @@ def sampled_segment(
         return []
     if segment.gain:
         return _gained(segment, count)
-    moving = moving_groups(segment)
-    if moving <= 1:
+    moving = _moving(segment)
+    if sum(moving) <= 1:
         # filters and the side of a wall change at once, while everything else is where it was
-        first = 0.0 if _jumps(segment) and count > 1 else 1.0 / count
+        here, end = segment.start, segment.end
+        jumps = here.wall.side != end.wall.side or here.filters != end.filters
+        first = 0.0 if jumps and count > 1 else 1.0 / count
         line = np.linspace(first, 1.0, count).tolist()
         return [interpolate(segment.start, segment.end, share, levels) for share in line]
-    side = int(count ** (1.0 / moving) + 1e-9)
+    side = int(count ** (1.0 / sum(moving)) + 1e-9)
     if side < 2:
         return []
     shares = np.linspace(0.0, 1.0, side).tolist()
-    still = [1.0]
-    asked, left = _parts(segment)
-    damped = segment.start.active_damping_ns_per_m != segment.end.active_damping_ns_per_m
-    grid = product(
-        shares if asked else still, shares if left else still, shares if damped else still
-    )
-    return [_patch(segment, *place, levels) for place in grid]
-
-
-def _jumps(segment: Segment) -> bool:
-    """Whether something of the environment does not ramp."""
-    sides = segment.start.wall.side, segment.end.wall.side
-    return sides[0] != sides[1] or segment.start.filters != segment.end.filters
+    grid = product(*(shares if moves else [1.0] for moves in moving))
+    return [_patch(segment, place, levels) for place in grid]
 
 
 def _gained(segment: Segment, count: int) -> list[Environment]:
@@ -305,12 +285,11 @@ def _gained(segment: Segment, count: int) -> list[Environment]:
     return [*rising, segment.end]
 
 
-def _patch(
-    segment: Segment, asked: float, left: float, level: float, levels: Sequence[float]
-) -> Environment:
+def _patch(segment: Segment, shares: Sequence[float], levels: Sequence[float]) -> Environment:
     """A segment's environment with what was asked, what was under way and active damping at shares
     of their own.
     """
+    asked, left, level = shares
     fast = interpolate(segment.start, segment.end, asked)
     slow = interpolate(segment.start, segment.end, left)
     still = [
@@ -330,3 +309,85 @@ def _patch(
         segment.start.active_damping_ns_per_m, segment.end.active_damping_ns_per_m, level, levels
     )
     return replace(segment.end.with_free(numbers[:3]), wall=wall, active_damping_ns_per_m=added)
+
+
+# --- environments, and what lies between two of them ----------------------------------------------
+
+
+def from_message(plain: Mapping[str, Any], rendered: Environment) -> Environment:
+    """The environment in the fields of a message, its filters made discrete as those of `rendered`;
+    what the message leaves out is 0. AnalysisError for a number that is not finite.
+    """
+    velocity, acceleration = rendered.filters
+    nothing = Environment(velocity_filter=velocity, acceleration_filter=acceleration)
+    return apply_change(nothing, plain)
+
+
+def apply_change(environment: Environment, change: Mapping[str, Any]) -> Environment:
+    """`environment` with the fields of a request. AnalysisError for a number not finite."""
+    for name, value in flat(change):
+        if isinstance(value, float) and not isfinite(value):
+            raise AnalysisError(f"{name} = {value}: the guard judges finite numbers only")
+    return environment.changed(change)
+
+
+def interpolate(
+    one: Environment, other: Environment, share: float, levels: Sequence[float] = ()
+) -> Environment:
+    """The environment a share of the way from one to the other. Filters, and side and place of a
+    wall, are those of the other; a level strictly between is one of `levels`, if any is. A wall
+    that is taken away acts until its side has come to 0, with no more than the larger of both
+    strengths.
+    """
+
+    def part(start: float, end: float) -> float:
+        return end if share >= 1.0 else start + share * (end - start)
+
+    def most(start: float, end: float) -> float:
+        return max(start, end)
+
+    going = share < 1.0 and one.wall.side != 0 and other.wall.side == 0
+    strength = most if going else part
+    wall = replace(
+        other.wall,
+        stiffness_n_per_m=strength(one.wall.stiffness_n_per_m, other.wall.stiffness_n_per_m),
+        virtual_damping_ns_per_m=strength(
+            one.wall.virtual_damping_ns_per_m, other.wall.virtual_damping_ns_per_m
+        ),
+        side=one.wall.side if going else other.wall.side,
+    )
+    level = kept_level(one.active_damping_ns_per_m, other.active_damping_ns_per_m, share, levels)
+    free = [part(*pair) for pair in zip(one.free, other.free, strict=True)]
+    return replace(other.with_free(free), wall=wall, active_damping_ns_per_m=level)
+
+
+def kept_level(start: float, end: float, share: float, levels: Sequence[float]) -> float:
+    """The level a share of the way: one that is kept, not beyond that share; or the start."""
+    if share >= 1.0 or start == end:
+        return end
+    exact = start + share * (end - start)
+    inside = [level for level in levels if min(start, exact) <= level <= max(start, exact)]
+    return min(inside, key=lambda level: abs(level - exact), default=start)
+
+
+def corner_mixtures(environments: Sequence[Environment]) -> list[Environment]:
+    """Corners of all that may act while each parameter is anywhere between those of them:
+    least and most of K, B, M and level, with the strongest wall if one of them has any.
+    """
+    places = [one.free for one in environments]
+    ranges = [sorted({min(axis), max(axis)}) for axis in zip(*places, strict=True)]
+    levels = [one.active_damping_ns_per_m for one in environments]
+    sides = [one.wall.side for one in environments if one.wall.side != 0]
+    wall = replace(
+        environments[-1].wall,
+        stiffness_n_per_m=max(one.wall.stiffness_n_per_m for one in environments),
+        virtual_damping_ns_per_m=max(one.wall.virtual_damping_ns_per_m for one in environments),
+        side=sides[0] if sides else 0,
+    )
+    filters = {one.filters: one for one in environments}
+    return [
+        replace(one.with_free(free), wall=wall, active_damping_ns_per_m=level)
+        for free in product(*ranges)
+        for one in filters.values()
+        for level in sorted({min(levels), max(levels)})
+    ]

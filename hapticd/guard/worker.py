@@ -14,12 +14,15 @@ import selectors
 import socket
 import struct
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import msgpack
 
 from hapticd.core.units import NS_PER_S
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
+
+if TYPE_CHECKING:
+    import subprocess
 
 __all__ = ["LENGTH", "Start", "Worker"]
 
@@ -28,16 +31,7 @@ READ_BYTES = 4 * MAX_MESSAGE_BYTES  # in one pass
 LENGTH = struct.Struct("<I")  # before each message, in bytes
 
 
-class Process(Protocol):
-    """The part of subprocess.Popen that is used here."""
-
-    pid: int
-
-    def poll(self) -> int | None: ...
-    def kill(self) -> None: ...
-
-
-Start = Callable[[socket.socket], Process]  # starts the worker, with its end of the line
+Start = Callable[[socket.socket], "subprocess.Popen[bytes]"]  # the worker, with its end of the line
 
 
 class BadMessage(ValueError):
@@ -51,8 +45,8 @@ class Worker:
         self._start = start
         self._selector = selector
         self._config_hash = config_hash
-        self._process: Process | None = None
-        self._ended: list[Process] = []  # killed, to be waited for
+        self._process: subprocess.Popen[bytes] | None = None
+        self._ended: list[subprocess.Popen[bytes]] = []  # killed, to be waited for
         self._socket: socket.socket | None = None
         self._buffer = b""
         self._answers: list[dict[str, Any]] = []

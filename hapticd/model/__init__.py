@@ -12,7 +12,8 @@ The device:
     scene        Scene, Excitation, DampingStep: what is simulated, in plain values
     compose      compose(scene), compose_device(name, effects): the composed Model
     model        Model and its parts, as frozen values
-    discrete     discretise(model, duration_s): the exact map over a step; expm
+    discrete     discretise(model, duration_s): the exact map over a step; expm; what numbers of a
+                 model can be computed with
     stability    stability, modes, damping_ceiling, explain
     excitation   torque_record: perturbation torque at 4 kHz
     friction     stick_one, stick_two: Coulomb friction solved exactly over a sub-step
@@ -20,7 +21,6 @@ The device:
     step         make_plant(board parameters): the plant of a simulated board
     tables       board_fields(model): a model as the numbers of board.json
     touch        what touches the moving part beside its motor: stops, a hand
-    reach        what numbers of a model can be computed with
     composed     the step of a composed model, as generated text
     blueprint    Blueprint and Form: what an effect writes into
 

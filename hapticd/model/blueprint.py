@@ -24,6 +24,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from hapticd.core.params import HeatingParams
+
 __all__ = ["StateVariable"]
 
 
@@ -140,14 +142,6 @@ class Copper(NamedTuple):
     start_c: float
 
 
-class Warming(NamedTuple):
-    """How the winding warms up while it works."""
-
-    thermal_resistance_k_per_w: float
-    time_constant_s: float
-    ambient_c: float
-
-
 class AmplifierRange(NamedTuple):
     """What the amplifier can give, and the circuit that it drives."""
 
@@ -157,15 +151,7 @@ class AmplifierRange(NamedTuple):
     inductance_h: float  # of that circuit
 
 
-class Corners(NamedTuple):
-    """Corners of the filter in the active damping; 0 for none."""
-
-    highpass_rad_s: float
-    lowpass_rad_s: float
-
-
 NO_MOTOR = Copper(0.0, 20.0, 0.0, 20.0)
-UNSHAPED = Corners(0.0, 0.0)
 
 
 @dataclass
@@ -202,7 +188,8 @@ class Blueprint:
     amplifier_rad_s: float | None = None  # None for an amplifier without lag
     amplifier_range: AmplifierRange | None = None  # None for one without limits
     circuit_rad_s: float | None = None  # bandwidth of the velocity estimate; None for no lag
-    shaping: Corners = UNSHAPED
+    # corners of high-pass and low-pass in the active damping; 0 for none
+    shaping_rad_s: tuple[float, float] = (0.0, 0.0)
     level_gain: float = 1.0  # of the multiplier, on the commanded damping level
     level_offset_ns_per_m: float = 0.0  # added to the level behind that gain
     estimate_offset_m_per_s: float = 0.0  # added to the velocity estimate
@@ -220,7 +207,7 @@ class Blueprint:
     # law and its numbers, SI units
     rotor_forces: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
     velocity_noise_m_per_s: float = 0.0  # rms, added to each 4 kHz value of the record
-    heating: Warming | None = None  # None: the winding keeps its temperature
+    heating: HeatingParams | None = None  # None: the winding keeps its temperature
     copper: Copper = NO_MOTOR
 
     @property
@@ -233,11 +220,9 @@ class Blueprint:
         """The slider, where hand and load act and the encoder sits, or a rigid device's rotor."""
         return self.bodies.get("slider", self.rotor)
 
-    def state(self, name: str, unit: str, effect: str, rate: Form | None = None) -> Form:
-        """Add a state; its rate may be given later in `rates`."""
+    def state(self, name: str, unit: str, effect: str) -> Form:
+        """Add a state, whose rate is to be given in `rates`."""
         self.states.append(StateVariable(name, unit, effect))
-        if rate is not None:
-            self.rates[name] = rate
         return Form.symbol(name)
 
     def input(self, name: str) -> Form:

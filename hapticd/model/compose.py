@@ -27,12 +27,12 @@ differential equation (refused).
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
 from hapticd.core.errors import ConfigError
 from hapticd.model.blueprint import ZERO, Blueprint, Form
+from hapticd.model.discrete import computable, require_finite
 from hapticd.model.effects import Amplifier, DampingCircuit, Effect, ShapedDamping, in_order, shaped
 from hapticd.model.model import (
     Array,
@@ -48,7 +48,6 @@ from hapticd.model.model import (
     Winding,
     frozen,
 )
-from hapticd.model.reach import computable, require_finite
 from hapticd.model.scene import Scene
 from hapticd.model.stability import stability
 
@@ -126,7 +125,7 @@ def _refuse_algebraic(plan: Blueprint) -> None:
 
 def _short(plan: Blueprint) -> None:
     driven = plan.amplifier_rad_s or plan.circuit_rad_s or plan.amplifier_range
-    if driven or plan.inductance_error_h or any(plan.shaping):
+    if driven or plan.inductance_error_h or any(plan.shaping_rad_s):
         raise ConfigError(
             "a crowbar shorts the motor: leave out 'amplifier', 'amplifier_limits',"
             f" 'damping_circuit', {ShapedDamping.key!r} and 'inductance'"
@@ -183,26 +182,21 @@ def compose_device(name: str, effects: Iterable[Effect], rate_hz: float = 1000.0
     return model
 
 
-class _Parts(NamedTuple):
-    """[A B] = one + b level + r residual + b r both, each (states, inputs), as in `Coefficient`."""
-
-    one: Array
-    level: Array
-    residual: Array
-    both: Array
-
-    def at(self, residual_ohm: float) -> tuple[Array, Array]:
-        """(constant part, part that goes with the damping level), at a residual resistance."""
-        return self.one + residual_ohm * self.residual, self.level + residual_ohm * self.both
-
-
 def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
-    contacts = _contacts(plan)
-    inputs = _inputs(plan, len(contacts))
     states = [state.name for state in plan.states]
     n = len(states)
-    parts = _parts(plan, states, contacts)
-    fixed, per_level = parts.at(plan.residual_ohm)
+    contacts = _contacts(plan, states)
+    columns = {name: column for column, name in enumerate(plan.inputs)}
+    inputs = InputColumns(**columns, width=len(columns) + len(contacts))
+    one, level, residual, both = _coefficients(plan, states, contacts)
+    fixed = one + plan.residual_ohm * residual
+    per_level = level + plan.residual_ohm * both
+    noise = plan.velocity_noise_m_per_s, plan.estimate_psd
+    per_ohm = [
+        frozen(part) for part in (residual[:, :n], both[:, :n], residual[:, n:], both[:, n:])
+    ]
+    heating = plan.heating
+    winding = None if heating is None else Winding(heating, plan.residual_ohm, *per_ohm)
     return Model(
         name=name,
         rate_hz=rate_hz,
@@ -217,17 +211,19 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         contacts=contacts,
         **plan.numbers,
         ends=_ends(plan, states),
-        rotor_forces=_rotor_forces(plan, states),
+        rotor_forces=tuple(
+            RotorForce(law, numbers, states.index("rotor_position"), states.index("rotor_velocity"))
+            for law, numbers in plan.rotor_forces
+        ),
         drive=_drive(plan, states),
-        noise=_noise(plan),
-        winding=_winding(plan, parts, n),
+        noise=Noise(*noise) if any(noise) else None,
+        winding=winding,
         estimate_offset_m_per_s=plan.estimate_offset_m_per_s,
         level_gain=plan.level_gain,
         level_offset_ns_per_m=plan.level_offset_ns_per_m,
         mass_kg=sum(body.mass_kg for body in plan.bodies.values() if body.name != "hand"),
         probe_mass_kg=plan.probe_mass_kg,
         viscous_ns_per_m=plan.viscous_ns_per_m,
-        coulomb_n=sum(contact.level_n for contact in contacts),
         torque_constant_n_per_a=plan.torque_constant_n_per_a,
         resistance_ohm=plan.resistance_ohm,
         temperature_c=plan.copper.start_c,
@@ -236,47 +232,31 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
     )
 
 
-def _parts(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> _Parts:
-    """The coefficients of all rates, and a column for the friction force of each contact."""
+def _coefficients(plan: Blueprint, states: list[str], contacts: tuple[Contact, ...]) -> Array:
+    """[A B] = one + b level + r residual + b r both (4, states, states and inputs), as in
+    `Coefficient`, of all rates, with a column for the friction force of each contact.
+    """
     names = states + plan.inputs
     accelerations = {
         f"{body.name}_velocity": body.force / body.mass_kg for body in plan.bodies.values()
     }
     rates = {**plan.rates, **accelerations}
     cells = np.array([[rates[row].terms.get(name, ZERO) for name in names] for row in states])
-    one, level, residual, both = np.moveaxis(cells, -1, 0)
-    forces = np.zeros((len(states), len(contacts)))
-    for column, contact in enumerate(contacts):
-        forces[contact.velocity, column] = 1.0 / plan.bodies[contact.body].mass_kg
-    none = np.zeros_like(forces)  # friction acts on a mass alone: neither level nor resistance
-    return _Parts(
-        np.hstack([one, forces]),
-        np.hstack([level, none]),
-        np.hstack([residual, none]),
-        np.hstack([both, none]),
-    )
+    found = np.zeros((4, len(states), len(names) + len(contacts)))
+    found[:, :, : len(names)] = np.moveaxis(cells, -1, 0)
+    for contact in contacts:  # friction acts on a mass alone: neither level nor resistance
+        column = len(states) + contact.column
+        found[0, contact.velocity, column] = 1.0 / plan.bodies[contact.body].mass_kg
+    return found
 
 
-def _inputs(plan: Blueprint, contacts: int) -> InputColumns:
-    place = {name: column for column, name in enumerate(plan.inputs)}
-    return InputColumns(
-        place["command"],
-        place["torque"],
-        len(place) + contacts,
-        place.get("estimate"),
-        place.get("rotor_force"),
-        place.get("amplifier"),
-    )
-
-
-def _contacts(plan: Blueprint) -> tuple[Contact, ...]:
-    names = [state.name for state in plan.states]
+def _contacts(plan: Blueprint, states: list[str]) -> tuple[Contact, ...]:
     rubbing = [body for body in plan.bodies.values() if body.coulomb_n > 0.0]
     return tuple(
         Contact(
             body.name,
-            names.index(f"{body.name}_velocity"),
-            names.index(f"{body.name}_position"),
+            states.index(f"{body.name}_velocity"),
+            states.index(f"{body.name}_position"),
             body.coulomb_n,
             len(plan.inputs) + place,
         )
@@ -285,7 +265,7 @@ def _contacts(plan: Blueprint) -> tuple[Contact, ...]:
 
 
 def _outputs(plan: Blueprint, states: list[str], width: int) -> Outputs:
-    def output(form: Form, unit: str) -> Output:
+    def output(form: Form) -> Output:
         of_states = np.zeros((2, len(states)))  # without the level, and what goes with it
         of_inputs = np.zeros((2, width))
         for name, c in form.terms.items():
@@ -294,18 +274,18 @@ def _outputs(plan: Blueprint, states: list[str], width: int) -> Outputs:
                 of_states[:, states.index(name)] = at
             else:
                 of_inputs[:, plan.inputs.index(name)] = at
-        return Output(unit, *(frozen(row) for row in (*of_states, *of_inputs)))
+        return Output(*(frozen(row) for row in (*of_states, *of_inputs)))
 
     rotor = plan.rotor
     return Outputs(
-        encoder=output(plan.endpoint.position, "m"),
-        position=output(rotor.position, "m"),
-        velocity=output(rotor.velocity, "m/s"),
-        recorded_velocity=output(plan.channel, "m/s"),
-        recorded_travel=output(plan.travel, "m"),
-        recorded_impulse=None if plan.impulse is None else output(plan.impulse, "N s"),
-        motor_force=output(plan.motor, "N"),
-        estimate=output(plan.estimate, "m/s"),
+        encoder=output(plan.endpoint.position),
+        position=output(rotor.position),
+        velocity=output(rotor.velocity),
+        recorded_velocity=output(plan.channel),
+        recorded_travel=output(plan.travel),
+        recorded_impulse=None if plan.impulse is None else output(plan.impulse),
+        motor_force=output(plan.motor),
+        estimate=output(plan.estimate),
     )
 
 
@@ -314,12 +294,6 @@ def _ends(plan: Blueprint, states: list[str]) -> Ends | None:
         return None
     name = plan.endpoint.name
     return Ends(*plan.ends_m, states.index(f"{name}_position"), states.index(f"{name}_velocity"))
-
-
-def _rotor_forces(plan: Blueprint, states: list[str]) -> tuple[RotorForce, ...]:
-    position = states.index("rotor_position")
-    velocity = states.index("rotor_velocity")
-    return tuple(RotorForce(law, numbers, position, velocity) for law, numbers in plan.rotor_forces)
 
 
 def _drive(plan: Blueprint, states: list[str]) -> DriveLimits | None:
@@ -337,30 +311,4 @@ def _drive(plan: Blueprint, states: list[str]) -> DriveLimits | None:
         shorted_ns_per_m=n_per_a**2 / around_ohm,
         electrical_rad_s=around_ohm / given.inductance_h,
         amplifier_rad_s=plan.amplifier_rad_s,
-    )
-
-
-def _noise(plan: Blueprint) -> Noise | None:
-    if not (plan.velocity_noise_m_per_s or plan.estimate_psd):
-        return None
-    return Noise(plan.velocity_noise_m_per_s, plan.estimate_psd)
-
-
-def _winding(plan: Blueprint, parts: _Parts, n: int) -> Winding | None:
-    if plan.heating is None:
-        return None
-    copper = plan.copper
-    return Winding(
-        resistance_ohm=copper.resistance_ohm,
-        reference_c=copper.reference_c,
-        compensated_ohm=copper.compensated_ohm,
-        residual_ohm=plan.residual_ohm,
-        thermal_resistance_k_per_w=plan.heating.thermal_resistance_k_per_w,
-        time_constant_s=plan.heating.time_constant_s,
-        ambient_c=plan.heating.ambient_c,
-        start_c=copper.start_c,
-        a0=frozen(parts.residual[:, :n]),
-        a1=frozen(parts.both[:, :n]),
-        b0=frozen(parts.residual[:, n:]),
-        b1=frozen(parts.both[:, n:]),
     )

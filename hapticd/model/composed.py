@@ -75,6 +75,13 @@ SIGNALS = {
 _serial = itertools.count(1)  # of generated sources, so that tracebacks find their own
 
 
+class Response(NamedTuple):
+    """What a force held for one sub-step does to the rotor by its end."""
+
+    position_m_per_n: float
+    velocity_m_per_s_per_n: float
+
+
 class Product(NamedTuple):
     """One product of a row: a coefficient of the map times a variable of the generated text."""
 
@@ -167,16 +174,11 @@ class RowTerms:
             letter: [self._needed(i, [node[letter][i] for node in nodes]) for i in range(len(rows))]
             for letter, rows in nodes[0].items()
         }
-        # plain tuples, for they are unpacked at every tick of a slew between nodes
-        self._cells = {
-            letter: [[(term.column, term.sign) for term in row] for row in rows]
-            for letter, rows in self.by_letter.items()
-        }
 
     def flat(self, letter: str, rows: Rows) -> Row:
         """Coefficients of the block `letter` in the order of its names."""
-        pairs = zip(rows, self._cells[letter], strict=True)
-        return tuple(sign * row[column] for row, cells in pairs for column, sign in cells)
+        pairs = zip(rows, self.by_letter[letter], strict=True)
+        return tuple(sign * row[column] for row, terms in pairs for _, column, sign in terms)
 
     def names(self, letter: str) -> list[str]:
         """The names of the cells of the block `letter`."""
@@ -214,14 +216,13 @@ class RowTerms:
 
 def viewer(terms: RowTerms, name: str) -> View:
     """`view(state, force_n, active_damping_ns_per_m)` of the output `name`."""
-    state = ", ".join(f"x{i}" for i in range(terms.n)) + (", _" if terms.params.heating else "")
-    source = (
-        f"def view(state, force_n, level):\n    {state}, = state\n    return"
-        f" {output_text(terms, name)}\n"
-    )
     picked = picked_state(getattr(terms.params, name))
-    if picked is not None:
-        source = f"def view(state, force_n, level):\n    return state[{picked}]\n"
+    if picked is None:
+        state = ", ".join(f"x{i}" for i in range(terms.n)) + (", _" if terms.params.heating else "")
+        lines = [f"    {state}, = state", f"    return {output_text(terms, name)}"]
+    else:
+        lines = [f"    return state[{picked}]"]
+    source = "\n".join(["def view(state, force_n, level):", *lines, ""])
     view: View = compiled(source, f"plant {name}")["view"]
     return view
 
@@ -553,10 +554,9 @@ def _compensate(heat: HeatingParams) -> list[str]:
 
 def _ohms(heat: HeatingParams) -> list[str]:
     """Resistance of the winding as it is, and what of it is not compensated."""
-    cold = heat.resistance_ohm
-    reference = heat.reference_c
+    kelvin = f"(celsius - {heat.reference_c!r})"
     return [
-        f"        hot = {cold!r} * (1.0 + {COPPER_PER_K!r} * (celsius - {reference!r}))",
+        f"        hot = {heat.resistance_ohm!r} * (1.0 + {COPPER_PER_K!r} * {kelvin})",
         "        residual_ohm = hot - compensated_ohm",
     ]
 
@@ -577,18 +577,14 @@ def _warmed(
     ]
 
 
-class Composed(NamedTuple):
-    """The step of a composed device, as `model.step.make_step` describes it."""
-
-    step: Step
-    terms: RowTerms
-    # sets the ohm that a board adds to the nominal compensation; None: the winding keeps its
-    # temperature, so its maps hold for one residual resistance
-    compensate: Callable[[float], None] | None
-
-
-def composed_step(params: PlantParams, board: BoardParams, substep_s: float) -> Composed:
-    """The step of the composed device `params` of `board`, in sub-steps of `substep_s`."""
+def composed_step(
+    params: PlantParams, board: BoardParams, substep_s: float
+) -> tuple[Step, RowTerms, Callable[[float], None] | None]:
+    """The step of the composed device `params` of `board`, in sub-steps of `substep_s`, as
+    `model.step.make_step` describes it; its terms; and what sets the ohm that a board adds to the
+    nominal compensation. None: the winding keeps its temperature, so its maps hold for one residual
+    resistance.
+    """
     _check(params)
     lookup = Lookup(params)
     nodes = [blocks(params, node) for node in lookup.nodes]
@@ -605,20 +601,19 @@ def composed_step(params: PlantParams, board: BoardParams, substep_s: float) -> 
         "bind"
     ]
     step, compensate = bind(coefficients, Random(board.seed).gauss, sin, stick_two)
-    return Composed(step, terms, compensate)
+    return step, terms, compensate
 
 
-def rotor_response(params: PlantParams) -> Callable[[float], tuple[float, float]]:
-    """`response(active_damping_ns_per_m)`: by how much a force of 1 N on the rotor, held for one
-    sub-step, changes its position [m] and its velocity [m/s] by the end; at the first residual
-    resistance.
+def rotor_response(params: PlantParams) -> Callable[[float], Response]:
+    """`response(active_damping_ns_per_m)`: what a force on the rotor that is held for one sub-step
+    does; at the first residual resistance.
     """
     lookup = Lookup(params)
     column = len(params.states) + params.columns.index("torque")
 
-    def response(level: float) -> tuple[float, float]:
+    def response(level: float) -> Response:
         rows = lookup.between(level, params.residuals_ohm[0])
-        return rows[POSITION][column], rows[VELOCITY][column]
+        return Response(rows[POSITION][column], rows[VELOCITY][column])
 
     return response
 

@@ -44,7 +44,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.core.arrays import Complexes, Flags, Floats, Integers
+from hapticd.core.arrays import Complexes, Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.model.angles import least_between
 from hapticd.model.blueprint import StateVariable
@@ -53,9 +53,8 @@ from hapticd.model.model import Model, Output, Outputs
 from hapticd.model.predict import environments
 from hapticd.model.theorem import LiftedSystem, lifted_system
 
-__all__ = ["GROWS", "Hand", "coupled_radius", "destabilising_hand"]
+__all__ = ["Hand", "coupled_radius", "shaking_hand"]
 
-GROUND = -1  # number of the node that is the wall
 GROWS = 1.0 + 1e-9  # radius in a hand; 1 within rounding is a mode of the hand without loss
 _ROUNDING = 1e-9  # of the largest entry: an eigenvalue less negative than that is 0
 _IMAGES = np.array([0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0, -4.0, 4.0])  # for which a hand is tuned
@@ -113,38 +112,6 @@ class Hand:
         return np.asarray((all_nodes[:, 0, 0] - (all_nodes[:, :1, 1:] @ inner)[:, 0, 0]) / s)
 
 
-class Network:
-    """A hand under construction: nodes and what joins them; `GROUND` is the wall."""
-
-    def __init__(self, mass_kg: float = 0.0) -> None:
-        self._masses = [mass_kg]
-        self._joints: list[tuple[int, int, float, float]] = []
-
-    def node(self, mass_kg: float = 0.0) -> int:
-        """Add a node of that mass and return its number."""
-        self._masses.append(mass_kg)
-        return len(self._masses) - 1
-
-    def join(
-        self, one: int, other: int, stiffness_n_per_m: float = 0.0, damping_ns_per_m: float = 0.0
-    ) -> None:
-        """Put a spring and a damper side by side between two nodes."""
-        self._joints.append((one, other, stiffness_n_per_m, damping_ns_per_m))
-
-    def hand(self) -> Hand:
-        """Return the hand that was built. AnalysisError as `Hand`."""
-        size = len(self._masses)
-        stiffness, damping = np.zeros((2, size, size))
-        for one, other, spring, damper in self._joints:
-            across = np.zeros(size)
-            across[[node for node in (one, other) if node != GROUND]] = (1.0, -1.0)[
-                : 2 - (one, other).count(GROUND)
-            ]
-            stiffness += spring * np.outer(across, across)
-            damping += damper * np.outer(across, across)
-        return Hand(np.array(self._masses), damping, stiffness)
-
-
 def held_by(model: Model, hand: Hand) -> Model:
     """Return `model` with `hand` on its rotor, where the probe is. The temperature of its
     winding stays as it is.
@@ -174,7 +141,11 @@ def held_by(model: Model, hand: Hand) -> Model:
     width = model.inputs.width
     return replace(
         model,
-        states=(*model.states, *_names(inner, "position", "m"), *_names(heavy, "velocity", "m/s")),
+        states=(
+            *model.states,
+            *(StateVariable(f"hand_{node}_position", "m", "hand") for node in inner),
+            *(StateVariable(f"hand_{node}_velocity", "m/s", "hand") for node in heavy),
+        ),
         a0=a0,
         a1=_wider(model.a1, size, size, rotor, share),
         b0=_wider(model.b0, size, width, rotor, share),
@@ -206,29 +177,16 @@ def _seen(outputs: Outputs, size: int) -> Outputs:
     return replace(outputs, **changed)
 
 
-def _names(nodes: Integers, what: str, unit: str) -> list[StateVariable]:
-    return [StateVariable(f"hand_{node}_{what}", unit, "hand") for node in nodes]
-
-
-@dataclass(frozen=True, eq=False)
-class ReachCircle:
-    """The circle that holds the pulse transfer in every passive hand, at the angles of its lift."""
-
-    centre: Complexes  # (A,) m/N
-    radius: Floats  # (A,) m/N
-
-
-def reach(lifted: LiftedSystem, friction_ns_per_m: float = 0.0) -> ReachCircle:
-    """The circle of a device with that damper on its rotor. Without any damping of its own the
-    circle is boundless.
+def reach(lifted: LiftedSystem, friction_ns_per_m: float = 0.0) -> tuple[Complexes, Floats]:
+    """The circle that holds the pulse transfer of a device, with that damper on its rotor, in every
+    passive hand: centre and radius (A,) [m/N] at the angles of its lift. Without any damping of its
+    own the circle is boundless.
     """
     resistance = lifted.resistance + friction_ns_per_m
     if resistance.min() <= 0.0:
-        return ReachCircle(lifted.inner, np.full(lifted.inner.size, _ENDLESS))
-    return ReachCircle(
-        lifted.inner + 0.5 * (lifted.both / resistance).sum(axis=1),
-        0.5 * (np.sqrt(lifted.out * lifted.back) / resistance).sum(axis=1),
-    )
+        return lifted.inner, np.full(lifted.inner.size, _ENDLESS)
+    centre = lifted.inner + 0.5 * (lifted.both / resistance).sum(axis=1)
+    return centre, 0.5 * (np.sqrt(lifted.out * lifted.back) / resistance).sum(axis=1)
 
 
 def coupled_stable(
@@ -243,9 +201,9 @@ def coupled_stable(
     levels = np.broadcast_to(np.asarray(friction_ns_per_m, np.float64), len(kbm))
     values = np.zeros((len(kbm), lifted.angles.size))
     for row, level in enumerate(levels.tolist()):
-        found = reach(lifted, level)
+        centre, radius = reach(lifted, level)
         law = kbm[row] @ lifted.law
-        values[row] = np.abs(1.0 + law * found.centre) ** 2 - np.abs(law * found.radius) ** 2
+        values[row] = np.abs(1.0 + law * centre) ** 2 - np.abs(law * radius) ** 2
     return np.asarray(least_between(lifted.angles, values) >= 0.0)
 
 
@@ -286,7 +244,7 @@ def destabilising_hand(
         * own**2
     )
     # on the rim each image's term lies on its own circle, at the angle of the target on the whole
-    target = -1.0 / (kbm @ lifted.law[:, at]) - reach(lifted, friction_ns_per_m).centre[at]
+    target = -1.0 / (kbm @ lifted.law[:, at]) - reach(lifted, friction_ns_per_m)[0][at]
     reactance = (
         -(own.real + friction_ns_per_m) * np.tan(0.5 * np.angle(target / product)) - own.imag
     )
@@ -306,11 +264,12 @@ def _tuned(w: Floats, reactance: Floats) -> Hand:
         size = np.linalg.solve(share, reactance)
         if size.min() >= 0.0:
             break
-    network = Network(float(size[0]) if heavy else 0.0)
-    network.join(0, GROUND, 0.0 if heavy else float(size[0]))
-    for mass, rate in zip(size[1:], peak[1:], strict=True):
-        network.join(0, network.node(float(mass)), float(mass * rate**2))
-    return network.hand()
+    springs = [float(mass * rate**2) for mass, rate in zip(size[1:], peak[1:], strict=True)]
+    to_the_wall = 0.0 if heavy else float(size[0])
+    stiffness = np.diag([sum(springs, to_the_wall), *springs])
+    stiffness[0, 1:] = stiffness[1:, 0] = -np.array(springs)
+    masses = np.array([size[0] if heavy else 0.0, *size[1:]])
+    return Hand(masses, np.zeros_like(stiffness), stiffness)
 
 
 def coupled_radius(
@@ -336,12 +295,38 @@ def coupled_radius(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class DestabilisingHand:
+    """A passive hand in which the display oscillates."""
+
+    hand: Hand
+    hz: float  # about where
+    radius: float  # spectral radius of a tick with the hand
+
+
+def shaking_hand(
+    model: Model,
+    point: Floats,
+    active_damping_ns_per_m: float,
+    filters: Filters,
+    at_hz: float | None = None,
+) -> DestabilisingHand | None:
+    """The hand of `destabilising_hand` if the motion grows in it, by its exact tick; else None."""
+    found = destabilising_hand(model, point, active_damping_ns_per_m, filters, at_hz=at_hz)
+    if found is None:
+        return None
+    hand, hz = found
+    radii = coupled_radius(model, point[None], [hand], active_damping_ns_per_m, filters)
+    radius = float(radii[0, 0])
+    return DestabilisingHand(hand, hz, radius) if radius > GROWS else None
+
+
 def _outside(lifted: LiftedSystem, point: Floats, friction_ns_per_m: float) -> Floats:
     """How far -1/C is outside the circle, in radii (A,); inf where there is no law. It falls to
     0 with the square of the frequency.
     """
-    found = reach(lifted, friction_ns_per_m)
+    centre, radius = reach(lifted, friction_ns_per_m)
     law = point @ lifted.law
-    size = found.radius * np.abs(law)
-    near = np.abs(1.0 + law * found.centre)
+    size = radius * np.abs(law)
+    near = np.abs(1.0 + law * centre)
     return np.asarray(np.divide(near, size, out=np.full(size.size, np.inf), where=size > 0.0) - 1.0)

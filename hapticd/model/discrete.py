@@ -19,23 +19,55 @@ powers of two (exact), because states in metres and in newtons differ by many or
 Reference: Moler and Van Loan 2003, "Nineteen dubious ways to compute the exponential of a matrix",
 method 3.
 
-What would break it: a platform whose long double is a double (the last three digits go), or an
-input that is not held over the step.
+`computable` says clearly where double precision cannot compute a device's numbers: one of a device
+file has the right sign and unit, and may still be 1e-308 kg.
+
+What would break it: a computation of the composed model that is not inside `computable`, a platform
+whose long double is a double (the last three digits go), or an input that is not held over the
+step.
 """
 
-from math import ceil, floor, log2
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import ceil, exp, floor, log2
 
 import numpy as np
 
-from hapticd.model.drive import well_posed
+from hapticd.core.errors import ConfigError
 from hapticd.model.model import Array, DriveLimits, Map, Model, frozen
-from hapticd.model.reach import computable, require_finite
 
 __all__ = ["discretise", "drive_response_s", "expm"]
 
 TERMS = 25
 LARGEST_NORM = 0.5
 BALANCE_SWEEPS = 8
+# of what limits of an amplifier do to it alone, by which they must move the motor force in a step
+LEAST_SHARE = 0.25
+
+
+@contextmanager
+def computable(name: str, what: str) -> Iterator[None]:
+    """ConfigError where `what` of model `name` divides by zero, overflows or has no eigenvalues."""
+    try:
+        with np.errstate(divide="raise", over="raise", invalid="raise"):
+            yield
+    except (ArithmeticError, np.linalg.LinAlgError) as error:
+        raise beyond(name, what, str(error)) from error
+
+
+def require_finite(name: str, what: str, *arrays: Array) -> None:
+    """ConfigError if `what` of model `name` is not finite: Python multiplies into infinity."""
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise beyond(name, what, "not finite")
+
+
+def beyond(name: str, what: str, why: str) -> ConfigError:
+    """The error for numbers out of reach."""
+    return ConfigError(
+        f"{name!r}: {what} cannot be computed ({why}): a number of the device or scene is beyond"
+        " what double precision reaches (some 1e-308 to 1e308); correct the one that is far from"
+        " the others"
+    )
 
 
 def expm(matrix: Array) -> Array:
@@ -116,16 +148,21 @@ def late_command(model: Model, whole: Map, fraction: float) -> tuple[Array, Arra
 
 def drive_response_s(limits: DriveLimits, column: int | None, whole: Map) -> float:
     """How much the input `column`, by which `limits` act, moves the motor force in the step of
-    `whole`, N per N/s. ConfigError if that is too little to hold it (`drive.well_posed`).
+    `whole`, N per N/s. ConfigError if that is too little to end the step where the force may be.
     """
     found = float(whole.b[limits.motor_force, column])
-    well_posed(limits, found, whole.duration_s, whole.active_damping_ns_per_m)
+    alone_s = (1.0 - exp(-limits.amplifier_rad_s * whole.duration_s)) / limits.amplifier_rad_s
+    if found < LEAST_SHARE * alone_s:
+        raise ConfigError(
+            f"active damping of {whole.active_damping_ns_per_m:g} N s/m moves the motor force"
+            f" within a step of {1e6 * whole.duration_s:g} us more than the amplifier does, so"
+            " 'amplifier_limits' cannot hold it; use more sub-steps, or a lower level"
+        )
     return found
 
 
-def delay_steps(delay_periods: float, steps_per_period: int) -> tuple[int, float]:
-    """(whole steps, fraction of a step) after the sample at which the command takes effect."""
-    steps = delay_periods * steps_per_period
-    count = floor(steps + SNAP)
-    fraction = steps - count
+def delay_steps(delay_periods: float) -> tuple[int, float]:
+    """(whole periods, fraction of one) after the sample at which the command takes effect."""
+    count = floor(delay_periods + SNAP)
+    fraction = delay_periods - count
     return count, fraction if fraction > SNAP else 0.0

@@ -24,20 +24,17 @@ impact at 50 m/s, where the back-EMF is five times the supply, one step of 250 u
 
 The controller of a real amplifier winds up while it is at a limit; here nothing does.
 
-What would break it: a step so long that F at its end hardly depends on e any more (`well_posed`), a
-rotor so light that D h / m is not small, or an amplifier without a lag (refused by `compose`).
-Standard library alone: the simulated board runs by it.
+What would break it: a step so long that F at its end hardly depends on e any more (refused by
+`discrete.drive_response_s`), a rotor so light that D h / m is not small, or an amplifier without a
+lag (refused by `compose`). Standard library alone: the simulated board runs by it.
 """
 
 from math import exp
 from typing import NamedTuple
 
-from hapticd.core.errors import ConfigError
 from hapticd.core.params import DriveLimits
 
-__all__ = ["Reach", "reach", "well_posed"]
-
-LEAST_SHARE = 0.25  # of what e does to an amplifier alone, by which it must move F in a step
+__all__ = ["Reach", "reach"]
 
 
 class Reach(NamedTuple):
@@ -52,18 +49,3 @@ def reach(limits: DriveLimits, duration_s: float) -> Reach:
     """The range of the supply over a step of `duration_s`."""
     keep = exp(-limits.electrical_rad_s * duration_s)
     return Reach(keep, (1.0 - keep) * limits.shorted_ns_per_m, (1.0 - keep) * limits.stall_n)
-
-
-def well_posed(
-    limits: DriveLimits, response_s: float, duration_s: float, level_ns_per_m: float
-) -> None:
-    """ConfigError unless `response_s`, by how much e moves F in a step of `duration_s` [N per N/s],
-    is enough to end the step where F may be.
-    """
-    alone_s = (1.0 - exp(-limits.amplifier_rad_s * duration_s)) / limits.amplifier_rad_s
-    if response_s < LEAST_SHARE * alone_s:
-        raise ConfigError(
-            f"active damping of {level_ns_per_m:g} N s/m moves the motor force within a step of"
-            f" {1e6 * duration_s:g} us more than the amplifier does, so 'amplifier_limits' cannot"
-            " hold it; use more sub-steps, or a lower level"
-        )

@@ -64,16 +64,15 @@ from dataclasses import MISSING, dataclass, field, fields
 from math import floor, sqrt, tau
 from typing import Any, ClassVar, NamedTuple
 
+from hapticd.core.params import HeatingParams
 from hapticd.core.units import COPPER_PER_K, unit_of
 from hapticd.model.blueprint import (
     AmplifierRange,
     Blueprint,
     Copper,
-    Corners,
     Form,
     Note,
     Parameter,
-    Warming,
 )
 
 __all__ = [
@@ -128,8 +127,12 @@ class Effect:
         raise NotImplementedError
 
     def time_constants_s(self) -> tuple[float, ...]:
-        """Its own time constants; those of the device as a whole are eigenvalues of the model."""
-        return ()
+        """Its own time constants, here of the corners and bandwidths that it has; those of the
+        device as a whole are eigenvalues of the model.
+        """
+        values = {one.name: one.value for one in self.parameters()}
+        corners = [value for name, value in values.items() if name.endswith("_hz") and value]
+        return tuple(1.0 / (tau * corner_hz) for corner_hz in corners)
 
     def parameters(self) -> tuple[Parameter, ...]:
         """Every number with its unit and its source."""
@@ -383,10 +386,6 @@ class Smoothing(Effect):
         plan.rates["smoothed_force"] = tau * self.corner_hz * (plan.command - smooth)
         plan.command = smooth
 
-    def time_constants_s(self) -> tuple[float, ...]:
-        """The lag of the low-pass."""
-        return (1.0 / (tau * self.corner_hz),)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Amplifier(Effect):
@@ -399,10 +398,6 @@ class Amplifier(Effect):
     def build(self, plan: Blueprint) -> None:
         """Give the motor force a state, which `compose` writes."""
         plan.amplifier_rad_s = tau * self.bandwidth_hz
-
-    def time_constants_s(self) -> tuple[float, ...]:
-        """The lag of the current."""
-        return (1.0 / (tau * self.bandwidth_hz),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -453,10 +448,6 @@ class DampingCircuit(Effect):
     def build(self, plan: Blueprint) -> None:
         """Give the estimate a state, which `compose` writes."""
         plan.circuit_rad_s = tau * self.bandwidth_hz
-
-    def time_constants_s(self) -> tuple[float, ...]:
-        """The lag of the estimate."""
-        return (1.0 / (tau * self.bandwidth_hz),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -528,18 +519,12 @@ class ShapedDamping(Effect):
 
     def build(self, plan: Blueprint) -> None:
         """State the corners; `shaped` writes the filter where `compose` closes the loop."""
-        plan.shaping = Corners(tau * self.highpass_hz, tau * self.lowpass_hz)
-
-    def time_constants_s(self) -> tuple[float, ...]:
-        """Those of the corners that exist."""
-        return tuple(
-            1.0 / (tau * corner) for corner in (self.highpass_hz, self.lowpass_hz) if corner
-        )
+        plan.shaping_rad_s = tau * self.highpass_hz, tau * self.lowpass_hz
 
 
 def shaped(plan: Blueprint, estimate: Form) -> Form:
     """The velocity estimate as the multiplier gets it: one state for each corner."""
-    above, below = plan.shaping
+    above, below = plan.shaping_rad_s
     if above:
         slow = plan.state("slow_estimate", "m/s", ShapedDamping.key)
         plan.rates["slow_estimate"] = above * (estimate - slow)
@@ -628,9 +613,14 @@ class WindingHeating(Effect):
     ambient_c: float = number(ge=-40, le=100)  # of the surroundings
 
     def build(self, plan: Blueprint) -> None:
-        """Ask for a slow state of its own, outside the linear model."""
-        plan.heating = Warming(
-            self.thermal_resistance_k_per_w, self.time_constant_s, self.ambient_c
+        """Ask for a slow state of its own, outside the linear model. `Motor` and
+        `WindingTemperature` come before it.
+        """
+        plan.heating = HeatingParams(
+            **plan.copper._asdict(),
+            thermal_resistance_k_per_w=self.thermal_resistance_k_per_w,
+            time_constant_s=self.time_constant_s,
+            ambient_c=self.ambient_c,
         )
 
     def time_constants_s(self) -> tuple[float, ...]:
@@ -701,10 +691,6 @@ class VelocityHighpass(Effect):
         plan.rates["velocity_baseline"] = rate_rad_s * (plan.channel - low)
         plan.channel = plan.channel - low
         plan.travel = low / rate_rad_s
-
-    def time_constants_s(self) -> tuple[float, ...]:
-        """That of the coupling capacitor."""
-        return (1.0 / (tau * self.corner_hz),)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

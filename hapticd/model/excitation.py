@@ -19,8 +19,8 @@ from enum import IntEnum
 from math import pi, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
+from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.scene import Excitation
@@ -35,7 +35,6 @@ __all__ = [
     "torque_record",
 ]
 
-Floats = npt.NDArray[np.float64]
 NOISE_SAMPLES_MAX = 1 << 26  # of one record: half a gigabyte, 4.7 hours
 MARK_ORDER = 10  # stages of the shift register
 MARK_TAPS = (3, 10)  # x^10 + x^3 + 1 is primitive

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.model.coupled import GROWS, Hand, coupled_radius, coupled_stable, destabilising_hand
+from hapticd.model.coupled import DestabilisingHand, coupled_stable, shaking_hand
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import Filters, spectral_radius
 from hapticd.model.model import Model
@@ -29,15 +29,6 @@ from hapticd.model.rational import positive_everywhere, rational
 from hapticd.model.theorem import lifted_margin, lifted_system
 
 __all__ = ["Forecast", "forecast"]
-
-
-@dataclass(frozen=True, eq=False)
-class DestabilisingHand:
-    """A passive hand in which the display oscillates."""
-
-    hand: Hand
-    hz: float  # about where
-    radius: float  # spectral radius of a tick with the hand
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,18 +88,7 @@ def forecast(
         theorem_margin=float(lifted_margin(lifted, kbm)[0]),
         theorem_passive=radius < 1.0 and bool(kbm[0, 0] >= 0.0 and proven[0]),
         withstands=safe,
-        shaker=_shaker(model, kbm, active_damping_ns_per_m, filters) if sought else None,
+        shaker=shaking_hand(model, kbm[0], active_damping_ns_per_m, filters) if sought else None,
         true=true,
         recorded=recorded,
     )
-
-
-def _shaker(
-    model: Model, kbm: npt.NDArray[np.float64], level: float, filters: Filters
-) -> DestabilisingHand | None:
-    found = destabilising_hand(model, kbm[0], level, filters)
-    if found is None:
-        return None
-    hand, hz = found
-    radius = float(coupled_radius(model, kbm, [hand], level, filters)[0, 0])
-    return DestabilisingHand(hand, hz, radius) if radius > GROWS else None

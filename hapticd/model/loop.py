@@ -30,7 +30,7 @@ stable by itself. Growth over a 90 s record is no substitute for the radius: at 
 1.00002 takes half a minute to show.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -72,14 +72,6 @@ class Loop:
     admittance: Complexes  # (p, p, 4, F) numerators, m/(N s)
     common: Complexes  # (4, F) denominator
     recorded: Complexes  # (4, F) numerator of 1/Z of the board's recorded channels
-
-
-def with_viscous(model: Model, ns_per_m: tuple[float, ...]) -> Model:
-    """Return `model` with a damper on the body of each of its contacts."""
-    a0 = model.a0.copy()
-    for contact, level in zip(model.contacts, ns_per_m, strict=True):
-        a0[:, contact.velocity] -= level * model.b0[:, contact.column]
-    return replace(model, a0=a0)
 
 
 def close_loop(
@@ -140,7 +132,7 @@ def responses(
     columns = [
         model.inputs.command,
         model.inputs.torque,
-        *(_force_column(model, state) for state in ports[1:]),
+        *(one.column for one in model.contacts if one.velocity in ports[1:]),
     ]
     forces = model.b(level)[:, columns]
     state = np.linalg.solve(
@@ -171,10 +163,6 @@ def recorded_channels(
     if outputs.recorded_impulse is not None:
         torque += slope * (x @ outputs.recorded_impulse.row(active_damping_ns_per_m))
     return np.stack((torque, slope * (x @ outputs.recorded_travel.row(active_damping_ns_per_m))))
-
-
-def _force_column(model: Model, state: int) -> int:
-    return next(contact.column for contact in model.contacts if contact.velocity == state)
 
 
 def held_force_model(frequency_hz: Floats, rate_hz: float, delay_periods: float) -> Complexes:
@@ -225,7 +213,7 @@ class Sampled:
 def sampled(model: Model, active_damping_ns_per_m: float = 0.0) -> Sampled:
     """The exact map over one tick; a command that arrives inside the tick is split there."""
     whole = discretise(model, 1.0 / model.rate_hz, active_damping_ns_per_m)
-    steps, fraction = delay_steps(model.delay_periods, 1)
+    steps, fraction = delay_steps(model.delay_periods)
     old, new = late_command(model, whole, fraction)
     return Sampled(whole.a, new, old, steps, model.outputs.encoder.row(active_damping_ns_per_m))
 
@@ -260,8 +248,32 @@ def tick_of(
     model: Model, active_damping_ns_per_m: float = 0.0, filters: Filters = PAPER_FILTERS
 ) -> Tick:
     """One tick of `model` at that level of active damping, to be closed by any environment."""
-    parts = _tick(sampled(model, active_damping_ns_per_m), model.rate_hz, filters)
-    return Tick(*parts, _drifts(model, active_damping_ns_per_m))
+    device = sampled(model, active_damping_ns_per_m)
+    n = len(device.a)
+    waiting = device.steps + 1
+    # the device's n, commands on their way (newest first), two last positions, two filters of two
+    size = n + waiting + 6
+    unit = np.eye(size)
+    base = np.zeros((size, size))
+    column = np.zeros(size)
+    base[:n, :n] = device.a
+    if device.steps:
+        base[:n, n + device.steps - 1] += device.new
+    else:  # less than a tick of delay: the command acts within its own tick
+        column[:n] = device.new
+    base[:n, n + device.steps] += device.old
+    column[n] = 1.0
+    base[n + 1 : n + waiting, n : n + waiting - 1] = np.eye(waiting - 1)  # they move up by one
+    at = n + waiting
+    position = np.concatenate((device.row, np.zeros(size - n)))
+    slope = (position - unit[at]) * model.rate_hz
+    bend = (position - 2.0 * unit[at] + unit[at + 1]) * model.rate_hz**2
+    base[at] = position
+    base[at + 1] = unit[at]
+    velocity = _filter(base, unit, at + 2, slope, biquad_of(filters[0], model.rate_hz))
+    acceleration = _filter(base, unit, at + 4, bend, biquad_of(filters[1], model.rate_hz))
+    rows = np.stack((position, velocity, acceleration))
+    return Tick(base, column, rows, model.drifts(active_damping_ns_per_m))
 
 
 def radii(tick: Tick, points: Floats) -> Floats:
@@ -287,42 +299,6 @@ def spectral_radius(
     K, B, M in SI.
     """
     return radii(tick_of(model, active_damping_ns_per_m, filters), points)
-
-
-def _drifts(model: Model, active_damping_ns_per_m: float) -> bool:
-    """Whether nothing in the device itself holds it in place."""
-    shift = np.array([1.0 if state.name.endswith("_position") else 0.0 for state in model.states])
-    return not bool((model.a(active_damping_ns_per_m) @ shift).any())
-
-
-def _tick(device: Sampled, rate_hz: float, filters: Filters) -> tuple[Floats, Floats, Floats]:
-    """The matrix without the law, the column through which the command enters, and rows (3, n)
-    of position, velocity and acceleration.
-    """
-    n = len(device.a)
-    waiting = device.steps + 1
-    # the device's n, commands on their way (newest first), two last positions, two filters of two
-    size = n + waiting + 6
-    unit = np.eye(size)
-    base = np.zeros((size, size))
-    column = np.zeros(size)
-    base[:n, :n] = device.a
-    if device.steps:
-        base[:n, n + device.steps - 1] += device.new
-    else:  # less than a tick of delay: the command acts within its own tick
-        column[:n] = device.new
-    base[:n, n + device.steps] += device.old
-    column[n] = 1.0
-    base[n + 1 : n + waiting, n : n + waiting - 1] = np.eye(waiting - 1)  # they move up by one
-    at = n + waiting
-    position = np.concatenate((device.row, np.zeros(size - n)))
-    slope = (position - unit[at]) * rate_hz
-    bend = (position - 2.0 * unit[at] + unit[at + 1]) * rate_hz**2
-    base[at] = position
-    base[at + 1] = unit[at]
-    velocity = _filter(base, unit, at + 2, slope, biquad_of(filters[0], rate_hz))
-    acceleration = _filter(base, unit, at + 4, bend, biquad_of(filters[1], rate_hz))
-    return base, column, np.stack((position, velocity, acceleration))
 
 
 def _filter(base: Floats, unit: Floats, at: int, source: Floats, biquad: Biquad) -> Floats:

@@ -31,7 +31,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.core.params import Contact, DriveLimits, Ends, Noise, RotorForce
+from hapticd.core.params import (
+    Contact,
+    DriveLimits,
+    Ends,
+    HeatingParams,
+    Noise,
+    OutputParams,
+    RotorForce,
+)
 from hapticd.model.blueprint import InputColumns, Note, StateVariable
 
 __all__ = [
@@ -56,17 +64,12 @@ class Winding:
         dT/dt = (R(T) (F / K)^2 R_th - (T - ambient)) / tau
         R(T)  = resistance_ohm (1 + 0.00393 (T - reference_c)),   dR = R(T) - compensated_ohm
 
-    `a0, a1, b0, b1` are the changes of the model's arrays per ohm of dR.
+    The numbers are those of `heating`; `a0, a1, b0, b1` are the changes of the model's arrays per
+    ohm of dR.
     """
 
-    resistance_ohm: float  # at reference_c
-    reference_c: float  # temperature of resistance_ohm
-    compensated_ohm: float  # resistance that the damping circuit believes in
+    heating: HeatingParams
     residual_ohm: float  # at which the model's own arrays hold
-    thermal_resistance_k_per_w: float  # winding to surroundings
-    time_constant_s: float  # of the winding against its surroundings
-    ambient_c: float  # of the surroundings
-    start_c: float  # of the winding
     a0: Array  # (n, n) per ohm, as all four
     a1: Array  # per Ns/m as well
     b0: Array  # (n, m)
@@ -77,7 +80,6 @@ class Winding:
 class Output:
     """y = (c0 + b c1) x + (d0 + b d1) u: c0, c1 (states,), d0, d1 (inputs,)."""
 
-    unit: str  # of y
     c0: Array  # (states,)
     c1: Array  # (states,), per Ns/m
     d0: Array  # (inputs,)
@@ -90,6 +92,11 @@ class Output:
     def through(self, active_damping_ns_per_m: float = 0.0) -> Array:
         """D at that level, (inputs,)."""
         return self.d0 + active_damping_ns_per_m * self.d1
+
+    def params(self) -> OutputParams:
+        """The same as plain numbers."""
+        rows = (self.c0, self.c1, self.d0, self.d1)
+        return OutputParams(*(tuple(row.tolist()) for row in rows))
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +154,6 @@ class Model:
     mass_kg: float = 0.0  # all that moves with the endpoint, the probe included
     probe_mass_kg: float = 0.0  # part of mass_kg
     viscous_ns_per_m: float = 0.0  # all viscous friction, at both bodies
-    coulomb_n: float = 0.0  # all Coulomb friction
     velocity_quantum_m_per_s: float | None = None  # of the recorded velocity
     torque_quantum_n: float | None = None  # of the perturbation
     torque_constant_n_per_a: float = 1.0  # K_m / lever radius
@@ -168,9 +174,9 @@ class Model:
         """All bodies moved by the same amount: 1 for every position, else 0, (n,)."""
         return np.array([1.0 if state.name.endswith("_position") else 0.0 for state in self.states])
 
-    def index(self, state: str) -> int:
-        """Index of the state of that name. ValueError if the model has none."""
-        return [item.name for item in self.states].index(state)
+    def drifts(self, active_damping_ns_per_m: float = 0.0) -> bool:
+        """Whether nothing in the device itself holds it in place."""
+        return not (self.a(active_damping_ns_per_m) @ self.translation()).any()
 
     def at_residual(self, residual_ohm: float) -> "Model":
         """The same device with another residual resistance, that of a colder or hotter winding.

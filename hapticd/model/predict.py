@@ -19,7 +19,7 @@ a measurement. An AC-coupled velocity amplifier of 0.1 Hz turns a spring's phase
 N/m read as 690; no loop is safer or less safe for that.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -43,7 +43,6 @@ from hapticd.model.loop import (
     close_loop,
     port_states,
     spectral_radius,
-    with_viscous,
 )
 from hapticd.model.model import Model
 from hapticd.model.narrow import MinimumRealPart, min_real_part, mode_lines
@@ -254,10 +253,11 @@ def coulomb(model: Model) -> Floats:
 
 def with_equivalent_damping(model: Model, level: Floats) -> Model:
     """Return `model` with the dampers `level` (ports,) on its bodies with friction."""
-    by_state = dict(zip(port_states(model), level, strict=True))
-    return with_viscous(
-        model, tuple(float(by_state[contact.velocity]) for contact in model.contacts)
-    )
+    dampers = dict(zip(port_states(model), level, strict=True))
+    a0 = model.a0.copy()
+    for contact in model.contacts:
+        a0[:, contact.velocity] -= dampers[contact.velocity] * model.b0[:, contact.column]
+    return replace(model, a0=a0)
 
 
 @lru_cache(maxsize=_LOOPS)

@@ -23,8 +23,8 @@ from math import inf, tau
 import numpy as np
 
 from hapticd.model.blueprint import Note, StateVariable
+from hapticd.model.discrete import computable
 from hapticd.model.model import Array, Model
-from hapticd.model.reach import computable
 
 __all__ = ["AtLevel", "Explanation", "damping_ceiling", "edge", "explain", "modes", "stability"]
 
@@ -63,9 +63,8 @@ def modes(
     """Eigenvalues [1/s] of the device, its free translation left out. ConfigError: out of reach."""
     with computable(model.name, f"the modes at {active_damping_ns_per_m:g} N s/m"):
         a = model.a(active_damping_ns_per_m)
-        shift = model.translation()
-        if not (a @ shift).any():
-            a = _quotient(a, shift)
+        if model.drifts(active_damping_ns_per_m):
+            a = _quotient(a, model.translation())
         return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
 
 
@@ -76,9 +75,11 @@ def damping_ceiling(model: Model, highest_ns_per_m: float = 1e6) -> float:
     return edge(lambda level: stability(model, level).stable, 0.0, highest_ns_per_m)
 
 
-def edge(holds: Callable[[float], bool], inside: float, outside: float) -> float:
+def edge(
+    holds: Callable[[float], bool], inside: float, outside: float, halvings: int = HALVINGS
+) -> float:
     """The last value for which `holds` is true, between `inside`, where it is, and `outside`."""
-    for _ in range(HALVINGS):
+    for _ in range(halvings):
         middle = 0.5 * (inside + outside)
         inside, outside = (middle, outside) if holds(middle) else (inside, middle)
     return inside

@@ -34,11 +34,12 @@ from math import exp, expm1, factorial, inf, isfinite
 from typing import NamedTuple
 
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import BoardParams, PlantParams, TouchParams
+from hapticd.core.params import BoardParams, TouchParams
 from hapticd.model.composed import (
     POSITION,
     VELOCITY,
     WINDING,
+    Response,
     State,
     Step,
     View,
@@ -48,13 +49,9 @@ from hapticd.model.composed import (
     rotor_response,
     viewer,
 )
-from hapticd.model.touch import Response as TouchResponse
 from hapticd.model.touch import touched_step
 
 __all__ = ["SUBSTEPS_PER_TICK", "make_plant"]
-
-# plain, not named: the generated step unpacks it in every piece
-Response = tuple[float, float, float, float]
 
 # the last term is below 1e-17 at |a| = 1
 _PHI2_SERIES = tuple((-1) ** k / factorial(k + 2) for k in reversed(range(18)))
@@ -75,7 +72,9 @@ def phi2(a: float) -> float:
     return total
 
 
-def held_force_response(mass_kg: float, damping_ns_per_m: float, duration_s: float) -> Response:
+def held_force_response(
+    mass_kg: float, damping_ns_per_m: float, duration_s: float
+) -> tuple[float, float, float, float]:
     """The exact response of a mass to a held force f, as four coefficients.
 
         v' = decay v + velocity_per_n f
@@ -123,11 +122,6 @@ _STOP = """\
             if velocity {beyond} 0.0:
                 velocity = 0.0
 """
-
-
-def rest_state(params: BoardParams, position_m: float = 0.0) -> State:
-    """State of the plant of `params` at rest at `position_m`."""
-    return position_m, 0.0
 
 
 def step_source(params: BoardParams) -> str:
@@ -183,7 +177,7 @@ def make_plant(params: BoardParams) -> Plant:
         return _touched(params, params.touch)
     if params.plant is None:
         return Plant(
-            rest=lambda position_m: rest_state(params, position_m),
+            rest=lambda position_m: (position_m, 0.0),
             step=make_step(params),
             encoder=lambda state, force_n, level: state[POSITION],
             travel=lambda state, force_n, level: state[POSITION],
@@ -214,7 +208,8 @@ def _touched(params: BoardParams, touch: TouchParams) -> Plant:
     stops_m = (-inf, inf)
     if touch.stop_stiffness_n_per_m:
         stops_m = _stops(params)
-        bare = replace(bare, lower_stop_m=-inf, upper_stop_m=inf, plant=_endless(bare.plant))
+        endless = bare.plant and replace(bare.plant, ends=None)
+        bare = replace(bare, lower_stop_m=-inf, upper_stop_m=inf, plant=endless)
     if bare.plant is not None:
         level_n = sum(one.level_n for one in bare.plant.contacts if one.body == "rotor")
         kept = tuple(one for one in bare.plant.contacts if one.body != "rotor")
@@ -236,21 +231,16 @@ def _stops(params: BoardParams) -> tuple[float, float]:
     return (-inf, inf) if ends is None else (ends.lower_m, ends.upper_m)
 
 
-def _endless(plant: PlantParams | None) -> PlantParams | None:
-    return None if plant is None else replace(plant, ends=None)
-
-
-def _response(params: BoardParams, substep_s: float) -> Callable[[float], TouchResponse]:
+def _response(params: BoardParams, substep_s: float) -> Callable[[float], Response]:
     """How the rotor answers a force that is held for a sub-step, by the level of damping."""
     if params.plant is not None:
-        answer = rotor_response(params.plant)
-        return lambda level: TouchResponse(*answer(level))
+        return rotor_response(params.plant)
 
-    def rigid(level: float) -> TouchResponse:
+    def rigid(level: float) -> Response:
         _, velocity_per_n, _, position_per_n = held_force_response(
             params.mass_kg, params.viscous_ns_per_m + level, substep_s
         )
-        return TouchResponse(position_per_n, velocity_per_n)
+        return Response(position_per_n, velocity_per_n)
 
     return rigid
 

@@ -12,15 +12,16 @@ hotter than `HOTTEST_C` (the outermost maps are extended linearly).
 """
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from math import floor
 from typing import Any
 
 import numpy as np
 
-from hapticd.core.params import HeatingParams, OutputParams, PlantParams
+from hapticd.core.params import PlantParams
 from hapticd.model.discrete import discretise, drive_response_s
 from hapticd.model.effects import copper_ohm
-from hapticd.model.model import Model, Output
+from hapticd.model.model import Model
 from hapticd.model.step import SUBSTEPS_PER_TICK
 
 __all__ = ["board_fields"]
@@ -46,7 +47,10 @@ def plant_params(
     """
     quantum = model.active_damping_quantum_ns_per_m
     levels = {float(level) for level in np.linspace(0.0, highest_ns_per_m, GRID)}
-    levels |= {_dac(level, quantum) for level in exact_levels}
+    levels |= {
+        level if quantum is None else floor(level / quantum + 0.5) * quantum
+        for level in exact_levels
+    }
     residuals = _residuals(model, trim_ohm)
     variants = [
         model.at_residual(residual_ohm) if model.winding else model for residual_ohm in residuals
@@ -61,22 +65,22 @@ def plant_params(
     return PlantParams(
         states=tuple(state.name for state in model.states),
         columns=_columns(model),
-        floating=not (model.a0 @ model.translation()).any(),
+        floating=model.drifts(),
         levels_ns_per_m=tuple(sorted(levels)),
         residuals_ohm=residuals,
         maps=tuple(tuple(np.hstack([found.a, found.b]).ravel().tolist()) for found in maps),
-        encoder=_output(out.encoder),
-        travel=_output(out.recorded_travel),
-        impulse=None if out.recorded_impulse is None else _output(out.recorded_impulse),
-        motor_force=_output(out.motor_force),
-        estimate=_output(out.estimate),
+        encoder=out.encoder.params(),
+        travel=out.recorded_travel.params(),
+        impulse=None if out.recorded_impulse is None else out.recorded_impulse.params(),
+        motor_force=out.motor_force.params(),
+        estimate=out.estimate.params(),
         contacts=model.contacts,
         ends=model.ends,
         rotor_forces=model.rotor_forces,
         drive=model.drive,
         noise=model.noise,
         estimate_offset_m_per_s=model.estimate_offset_m_per_s,
-        heating=_heating(model),
+        heating=None if model.winding is None else model.winding.heating,
     )
 
 
@@ -103,26 +107,18 @@ def board_fields(
     }
 
 
-def _dac(level: float, quantum: float | None) -> float:
-    return level if quantum is None else floor(level / quantum + 0.5) * quantum
-
-
 def _columns(model: Model) -> tuple[str, ...]:
-    names = {model.inputs.command: "command", model.inputs.torque: "torque"}
-    if model.inputs.estimate is not None:
-        names[model.inputs.estimate] = "estimate"
-    if model.inputs.rotor_force is not None:
-        names[model.inputs.rotor_force] = "rotor_force"
-    if model.inputs.amplifier is not None:
-        names[model.inputs.amplifier] = "amplifier"
+    inputs = asdict(model.inputs)
+    del inputs["width"]
+    names = {column: name for name, column in inputs.items() if column is not None}
     names |= {contact.column: f"friction_{contact.body}" for contact in model.contacts}
     return tuple(names[column] for column in range(model.inputs.width))
 
 
 def _residuals(model: Model, trim_ohm: float) -> tuple[float, ...]:
-    winding = model.winding
-    if winding is None:
+    if model.winding is None:
         return (model.residual_ohm,)
+    winding = model.winding.heating
     ends_c = (min(winding.start_c, winding.ambient_c), HOTTEST_C)
     low, high = (
         copper_ohm(winding.resistance_ohm, winding.reference_c, end_c) - winding.compensated_ohm
@@ -130,23 +126,3 @@ def _residuals(model: Model, trim_ohm: float) -> tuple[float, ...]:
     )
     count = TRIMMED_RESIDUALS if trim_ohm else RESIDUALS
     return tuple(float(residual_ohm) for residual_ohm in np.linspace(low - trim_ohm, high, count))
-
-
-def _heating(model: Model) -> HeatingParams | None:
-    winding = model.winding
-    if winding is None:
-        return None
-    return HeatingParams(
-        resistance_ohm=winding.resistance_ohm,
-        reference_c=winding.reference_c,
-        compensated_ohm=winding.compensated_ohm,
-        thermal_resistance_k_per_w=winding.thermal_resistance_k_per_w,
-        time_constant_s=winding.time_constant_s,
-        ambient_c=winding.ambient_c,
-        start_c=winding.start_c,
-    )
-
-
-def _output(output: Output) -> OutputParams:
-    rows = (output.c0, output.c1, output.d0, output.d1)
-    return OutputParams(*(tuple(row.tolist()) for row in rows))

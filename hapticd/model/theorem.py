@@ -58,6 +58,7 @@ from hapticd.model.loop import (
 )
 from hapticd.model.model import Model
 from hapticd.model.predict import environments
+from hapticd.model.stability import edge
 
 __all__ = [
     "NOWHERE",
@@ -404,12 +405,7 @@ def _spare_between(lifted: LiftedSystem, law: Complexes, spare: float, span: flo
     down = span * 4.0**-_FOURFOLD
     while down < span and not holds(spare - down):
         down *= 4.0
-    low = spare - down
-    high = spare
-    for _ in range(_HALVINGS // 2):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if holds(middle) else (low, middle)
-    return low
+    return edge(holds, spare - down, spare, _HALVINGS // 2)
 
 
 def _outside(lifted: LiftedSystem, law: Complexes, spare: float, angles: Integers) -> Floats:

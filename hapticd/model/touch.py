@@ -31,23 +31,17 @@ whose rotor reverses within a piece at whose ends it moves the same way.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from math import exp, isfinite, pi, sin, tau
 from random import Random
 from typing import NamedTuple
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import HandParams, TouchParams
-from hapticd.model.composed import POSITION, VELOCITY, State, Step
+from hapticd.model.composed import POSITION, VELOCITY, Response, State, Step
 
 TREMOR_HZ = 10.0  # physiological tremor of a hand: 8 to 12 Hz
 HAND_KINDS = ("hold", "push", "strike")
-
-
-class Response(NamedTuple):
-    """What a force held for one sub-step does to the rotor by its end."""
-
-    position_m_per_n: float
-    velocity_m_per_s_per_n: float
 
 
 class Linear(NamedTuple):
@@ -58,15 +52,11 @@ class Linear(NamedTuple):
     damping_ns_per_m: float = 0.0
 
 
-class Solved(NamedTuple):
-    """The force of all contacts, and whether friction holds the rotor still."""
-
-    force_n: float
-    sticks: bool
-
-
-def solve(x_free: float, v_free: float, w: Response, linear: Linear, friction_n: float) -> Solved:
-    """The force for which the laws hold at the end of the sub-step.
+def solve(
+    x_free: float, v_free: float, w: Response, linear: Linear, friction_n: float
+) -> tuple[float, bool]:
+    """The force [N] of all contacts for which the laws hold at the end of the sub-step, and whether
+    friction holds the rotor still.
 
     `x_free` [m] and `v_free` [m/s] are reached without it.
     """
@@ -76,9 +66,9 @@ def solve(x_free: float, v_free: float, w: Response, linear: Linear, friction_n:
     pull = push - stiffness * x_free - damping * v_free
     holding = -(v_free * yielding / wv + pull)
     if -friction_n <= holding <= friction_n:
-        return Solved((pull + holding) / yielding, friction_n > 0.0)
+        return (pull + holding) / yielding, friction_n > 0.0
     friction = friction_n if holding > 0.0 else -friction_n
-    return Solved((pull + friction) / yielding, False)
+    return (pull + friction) / yielding, False
 
 
 class Hand:
@@ -143,23 +133,18 @@ def touched_step(
     static = params.static_n
     random = Random(f"touch {seed}")
     hands = [Hand(one, substep_s, random) for one in params.hands]
-    known: dict[float, Response] = {}
+    responds = lru_cache(maxsize=1)(response)  # of the present level
     count = 0  # sub-steps since the device was made
-
-    def responds(level: float) -> Response:
-        found = known.get(level)
-        if found is None:
-            known.clear()
-            found = known[level] = response(level)
-        return found
 
     def all_hands(now_s: float, position_m: float) -> Linear:
         acting = [hand.linear(now_s, position_m) for hand in hands if hand.acts(now_s)]
         return Linear(*map(sum, zip(*acting, strict=True))) if acting else Linear()
 
-    def contact(x_free: float, v_free: float, w: Response, linear: Linear, grip: float) -> Solved:
+    def contact(
+        x_free: float, v_free: float, w: Response, linear: Linear, grip: float
+    ) -> tuple[float, bool]:
         found = solve(x_free, v_free, w, linear, grip)
-        end = x_free + w.position_m_per_n * found.force_n
+        end = x_free + w.position_m_per_n * found[0]
         if lower <= end <= upper:
             return found
         edge = lower if end < lower else upper
@@ -169,8 +154,8 @@ def touched_step(
             linear.damping_ns_per_m + damping,
         )
         tried = solve(x_free, v_free, w, stopped, grip)
-        beyond = x_free + w.position_m_per_n * tried.force_n - edge
-        speed = v_free + w.velocity_m_per_s_per_n * tried.force_n
+        beyond = x_free + w.position_m_per_n * tried[0] - edge
+        speed = v_free + w.velocity_m_per_s_per_n * tried[0]
         outwards = -stiffness * beyond - damping * speed
         return tried if (outwards > 0.0) == (edge == lower) else found
 
@@ -178,15 +163,15 @@ def touched_step(
         x = state[POSITION]
         v = state[VELOCITY]
         free = step(state, force_n, torque_n, level, 1)
-        found = contact(
+        contact_n, sticks = contact(
             free[POSITION],
             free[VELOCITY],
             responds(level),
             all_hands(count * substep_s, x),
             coulomb if v else static,
         )
-        after = step(state, force_n, torque_n + found.force_n, level, 1)
-        if not found.sticks:
+        after = step(state, force_n, torque_n + contact_n, level, 1)
+        if not sticks:
             return after
         # what rounding leaves of a velocity that is 0, and of no way
         return (after[POSITION] if v else x, 0.0, *after[VELOCITY + 1 :])

@@ -59,7 +59,7 @@ def _limits(settings: Settings, guard: GuardSetup) -> EnvironmentLimits:
     """How much K, B and M clients may ask of the device, by the [model] of its file."""
     if settings.device.model is None:
         return environment_limits(UNKNOWN)
-    from hapticd.guard.bounds import ranges_of  # numpy, as the guard's model has taken already
+    from hapticd.guard.safe_region import ranges_of  # numpy, as the guard's model has taken already
 
     return environment_limits(ranges_of(guard))
 

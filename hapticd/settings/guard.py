@@ -23,7 +23,6 @@ from hapticd.core.params import (
     MeasuredLevel,
     MeasuredParams,
     ModelParams,
-    OutputParams,
     ServoParams,
 )
 from hapticd.core.units import COPPER_PER_K
@@ -102,9 +101,7 @@ def model_params(name: str, effects: Iterable[Effect], rate_hz: float) -> ModelP
 
     model = compose_device(name, effects, rate_hz)
     outputs = model.outputs
-
-    def output(of: Any) -> OutputParams:
-        return OutputParams(*(tuple(row.tolist()) for row in (of.c0, of.c1, of.d0, of.d1)))
+    impulse = outputs.recorded_impulse
 
     def rows(matrix: Any) -> tuple[tuple[float, ...], ...]:
         return tuple(tuple(row) for row in matrix.tolist())
@@ -120,14 +117,12 @@ def model_params(name: str, effects: Iterable[Effect], rate_hz: float) -> ModelP
         b1=rows(model.b1),
         command=model.inputs.command,
         torque=model.inputs.torque,
-        encoder=output(outputs.encoder),
-        position=output(outputs.position),
-        velocity=output(outputs.velocity),
-        recorded_velocity=output(outputs.recorded_velocity),
-        recorded_travel=output(outputs.recorded_travel),
-        recorded_impulse=(
-            None if outputs.recorded_impulse is None else output(outputs.recorded_impulse)
-        ),
+        encoder=outputs.encoder.params(),
+        position=outputs.position.params(),
+        velocity=outputs.velocity.params(),
+        recorded_velocity=outputs.recorded_velocity.params(),
+        recorded_travel=outputs.recorded_travel.params(),
+        recorded_impulse=None if impulse is None else impulse.params(),
         contacts=model.contacts,
     )
 

@@ -143,7 +143,8 @@ def run_scene(plan: ScenePlan, tell: Progress = silent) -> SceneResult:
     winding = compose(plan.scene).winding
     steps = Steps(tell, len(plan.cases) * (1 + (TEMPERATURES if winding else 0)))
     trials = tuple(
-        _trial(plan, case, winding.start_c if winding else None, steps) for case in plan.cases
+        _trial(plan, case, winding.heating.start_c if winding else None, steps)
+        for case in plan.cases
     )
     steps.end()
     return SceneResult(plan, trials)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from support.narrow_modes import ClosedForm, directions, drawn, edge
-from support.passive_hands import random_hands
+from support.passive_hands import GROUND, Network, random_hands
 
 from hapticd.guard.bases import Conditions, Theorem
-from hapticd.model.coupled import GROUND, Network, coupled_radius
+from hapticd.model.coupled import coupled_radius
 from hapticd.model.loop import PAPER_FILTERS
 
 DEVICES = 300

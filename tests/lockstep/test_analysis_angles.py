@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from support.guard_device import change, setup_of
 from support.narrow_modes import ClosedForm, Narrow, drawn
+from support.passive_hands import GROUND, Network
 
 from hapticd.core.environment import Environment
 from hapticd.guard.bases import Conditions, Theorem
 from hapticd.guard.judge import Judge
 from hapticd.guard.safe_region import SafeRegion, intervals
 from hapticd.model.angles import angles_of, least_between, unresolved_hz
-from hapticd.model.coupled import GROUND, Network, coupled_radius
+from hapticd.model.coupled import coupled_radius
 from hapticd.model.effects import Coupling, Masses, Motor, Viscous
 from hapticd.model.loop import PAPER_FILTERS
 from hapticd.model.theorem import Circles, outside_circles
@@ -106,7 +107,7 @@ def display(point):
 @pytest.mark.parametrize("seed", range(40))
 def test_an_axis_whose_own_value_is_safe_has_an_interval(seed):
     device = drawn(seed)
-    judgement = SafeRegion(Theorem(device.model()), device.delay_periods, 0.0)
+    judgement = SafeRegion(Theorem(device.model()), (device.delay_periods,), 0.0)
     random = np.random.default_rng((4, seed))
     points = random.uniform((0.0, -1.0, -0.004), (600.0, 2.0, 0.006), (60, 3))
     points *= np.exp(random.uniform(np.log(0.01), 0.0, (60, 1)))

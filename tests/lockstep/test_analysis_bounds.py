@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.cli.app import main
-from hapticd.guard.bounds import passive_ranges
+from hapticd.guard.safe_region import passive_ranges
 from hapticd.mailbox import files
 from hapticd.mailbox.environment_limits import STATED, environment_limits
 from hapticd.run import resolve

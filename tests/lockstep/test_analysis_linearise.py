@@ -15,8 +15,8 @@ from hapticd.model.linearise import (
     density_weights,
     port_admittance,
 )
-from hapticd.model.loop import close_loop, with_viscous
-from hapticd.model.predict import predict
+from hapticd.model.loop import close_loop
+from hapticd.model.predict import predict, with_equivalent_damping
 
 F = np.array([0.5, 2.0, 10.0, 47.0, 120.0, 333.0, 499.0, 700.0, 1500.0])
 WHITE = Perturbation(2.5e-5, 1700.0)
@@ -70,7 +70,7 @@ def test_hung_dampers_equal_dampers_in_the_device():
     afterwards = add_port_dampers(
         port_admittance(close_loop(both, F), nothing), np.array(levels)[:, None]
     )
-    inside = port_admittance(close_loop(with_viscous(both, levels), F), nothing)
+    inside = port_admittance(close_loop(with_equivalent_damping(both, levels), F), nothing)
     assert afterwards == pytest.approx(inside, rel=1e-9)
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from hapticd.model.compose import compose
 from hapticd.model.linearise import Perturbation
-from hapticd.model.loop import spectral_radius, with_viscous
-from hapticd.model.predict import predict, predicted_impedance
+from hapticd.model.loop import spectral_radius
+from hapticd.model.predict import predict, predicted_impedance, with_equivalent_damping
 from hapticd.settings.scene import load_scene
 from hapticd.signal.prior import ModelPrior
 from hapticd.signal.surrogate import Box
@@ -48,7 +48,7 @@ def test_headroom_is_the_friction_that_the_loop_can_lose():
     for place in between:
         edge = [
             spectral_radius(
-                with_viscous(model, (factor * friction.friction_ns_per_m[place],)),
+                with_equivalent_damping(model, (factor * friction.friction_ns_per_m[place],)),
                 POINTS[place],
                 1.74,
                 chosen,

@@ -166,7 +166,7 @@ def test_noise_of_the_estimate_has_its_density():
 def test_source_holds_only_what_the_device_has():
     def source(model):
         params = plant_params(model, H, LEVELS, 10.0)
-        shape = composed_step(params, board_params(), H).terms
+        _, shape, _ = composed_step(params, board_params(), H)
         return composed_source(shape, H, 1.65)
 
     rigid = source(MODELS["rigid"])
@@ -182,7 +182,7 @@ def test_source_holds_only_what_the_device_has():
 
 def test_zero_products_are_left_out():
     params = plant_params(MODELS["whole"], H, LEVELS, 10.0)
-    shape = composed_step(params, board_params(), H).terms
+    _, shape, _ = composed_step(params, board_params(), H)
     assert isinstance(shape, RowTerms)
     smoothed = params.states.index("smoothed_force")
     assert shape.row("a", smoothed).count("*") == 2

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.plant_devices import FULL, alpha, weir_device
+from support.plant_devices import FULL, alpha, state_index, weir_device
 from support.straight import Straight
 
 from hapticd.core.errors import ConfigError
@@ -213,10 +213,10 @@ def test_engine_plays_it_exactly():
 def test_level_may_be_switched_while_the_shape_keeps_its_state():
     """The filter sits before the multiplier: its own equation does not know the level."""
     model = weir_device(*FULL, shaped_damping=ShapedDamping(highpass_hz=10.0))
-    assert not model.a1[model.index("slow_estimate")].any()
-    assert model.a1[model.index("motor_force"), model.index("slow_estimate")] == pytest.approx(
-        tau * 5e3 * 1.05
-    )
+    assert not model.a1[state_index(model, "slow_estimate")].any()
+    assert model.a1[
+        state_index(model, "motor_force"), state_index(model, "slow_estimate")
+    ] == pytest.approx(tau * 5e3 * 1.05)
 
 
 def test_crowbar_and_shape_exclude_each_other():

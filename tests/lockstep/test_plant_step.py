@@ -13,7 +13,7 @@ from support.boards import board_params
 
 import hapticd.model.step as plant_step
 from hapticd.core.errors import ConfigError
-from hapticd.model.step import held_force_response, make_step, phi1, phi2, rest_state, step_source
+from hapticd.model.step import held_force_response, make_step, phi1, phi2, step_source
 
 MASS_KG = 0.008
 DAMPINGS = (0.0, 1e-15, 1e-9, 1e-4, 0.36, 2.1, 10.36, 127.9, 128.1, 1e4)
@@ -143,7 +143,7 @@ def test_coefficients_are_made_once_per_level(monkeypatch):
 
     monkeypatch.setattr(plant_step, "held_force_response", counted)
     step = make_step(board_params())
-    state = rest_state(board_params())
+    state = (0.0, 0.0)
     for damping in (0.0, 1.0, 1.0, 0.0):
         for _ in range(50):
             state = step(state, 1.0, 0.0, damping, 4)
@@ -168,7 +168,7 @@ def test_free_travel_has_no_comparison():
 @pytest.mark.parametrize("sign", [1, -1])
 def test_stop_holds_and_releases(sign):
     step = make_step(STOPPED)
-    state = rest_state(STOPPED, sign * 0.0219)
+    state = (sign * 0.0219, 0.0)
     for _ in range(100):
         state = step(state, sign * 5.0, 0.0, 0.0, 4)
         assert abs(state[0]) <= 0.022

@@ -17,8 +17,8 @@ from hapticd.core.params import LeaseParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.gateway.command_server import CommandServer
 from hapticd.gateway.server import GatewayServer
-from hapticd.guard.status import Guard, WorkerLine
-from hapticd.guard.worker import Start
+from hapticd.guard.status import Guard
+from hapticd.guard.worker import Start, Worker
 from hapticd.protocol.codec import Encoding, encode
 from hapticd.protocol.journal import Journal
 from hapticd.protocol.view import ServoView
@@ -39,7 +39,7 @@ class DeskRig:
     reply.
     """
 
-    def __init__(self, folder: Path, worker: WorkerLine | None = None) -> None:
+    def __init__(self, folder: Path, worker: Worker | None = None) -> None:
         self.folder = folder
         self.worker = worker
         self.clock = VirtualClock(START_NS)

@@ -7,7 +7,42 @@ alone.
 
 import numpy as np
 
-from hapticd.model.coupled import GROUND, Hand, Network
+from hapticd.model.coupled import Hand
+
+GROUND = -1  # number of the node that is the wall
+
+
+class Network:
+    """A hand under construction: nodes and what joins them; `GROUND` is the wall."""
+
+    def __init__(self, mass_kg: float = 0.0) -> None:
+        self._masses = [mass_kg]
+        self._joints: list[tuple[int, int, float, float]] = []
+
+    def node(self, mass_kg: float = 0.0) -> int:
+        """Add a node of that mass and return its number."""
+        self._masses.append(mass_kg)
+        return len(self._masses) - 1
+
+    def join(
+        self, one: int, other: int, stiffness_n_per_m: float = 0.0, damping_ns_per_m: float = 0.0
+    ) -> None:
+        """Put a spring and a damper side by side between two nodes."""
+        self._joints.append((one, other, stiffness_n_per_m, damping_ns_per_m))
+
+    def hand(self) -> Hand:
+        """Return the hand that was built. AnalysisError as `Hand`."""
+        size = len(self._masses)
+        stiffness, damping = np.zeros((2, size, size))
+        for one, other, spring, damper in self._joints:
+            across = np.zeros(size)
+            across[[node for node in (one, other) if node != GROUND]] = (1.0, -1.0)[
+                : 2 - (one, other).count(GROUND)
+            ]
+            stiffness += spring * np.outer(across, across)
+            damping += damper * np.outer(across, across)
+        return Hand(np.array(self._masses), damping, stiffness)
+
 
 MASS_KG = (1e-5, 30.0)
 SPRING_N_PER_M = (1e-1, 1e6)

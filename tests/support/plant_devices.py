@@ -51,3 +51,8 @@ def alpha(level_ns_per_m: float, residual_ohm: float, torque_constant_n_per_a: f
     K^2).
     """
     return 1.0 / (1.0 + level_ns_per_m * residual_ohm / torque_constant_n_per_a**2)
+
+
+def state_index(model: Model, name: str) -> int:
+    """Index of the state of that name."""
+    return [state.name for state in model.states].index(name)

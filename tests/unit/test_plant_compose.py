@@ -4,7 +4,7 @@ from math import pi, tau
 
 import numpy as np
 import pytest
-from support.plant_devices import EFFECTS, FULL, N_PER_A, weir_device
+from support.plant_devices import EFFECTS, FULL, N_PER_A, state_index, weir_device
 
 from hapticd.core.errors import ConfigError
 from hapticd.model.compose import compose_device
@@ -45,11 +45,11 @@ def dc_force(model, level, command=1.0, velocity=0.0):
     ]
     inflow = (
         b[electrical, model.inputs.command] * command
-        + a[electrical, model.index("rotor_velocity")] * velocity
+        + a[electrical, state_index(model, "rotor_velocity")] * velocity
     )
     settled = np.linalg.solve(a[np.ix_(electrical, electrical)], -inflow)
     x = np.zeros(len(model.states))
-    x[electrical], x[model.index("rotor_velocity")] = settled, velocity
+    x[electrical], x[state_index(model, "rotor_velocity")] = settled, velocity
     u = np.zeros(model.inputs.width)
     u[model.inputs.command] = command
     return model.outputs.motor_force.row(level) @ x + model.outputs.motor_force.through(level) @ u
@@ -102,15 +102,16 @@ def test_whole_device_is_the_equations():
     inputs[4, model.inputs.command] = wr
     inputs[1, model.inputs.torque] = inputs[1, model.contacts[0].column] = 1 / mm
     assert model.b(LEVEL) == pytest.approx(inputs, rel=1e-12)
-    assert (model.mass_kg, model.coulomb_n, model.viscous_ns_per_m) == pytest.approx(
+    coulomb_n = sum(contact.level_n for contact in model.contacts)
+    assert (model.mass_kg, coulomb_n, model.viscous_ns_per_m) == pytest.approx(
         (0.008, 0.0293, 0.358)
     )
 
 
 def test_encoder_sits_on_the_slider():
     model = weir_device(*FULL)
-    assert model.outputs.encoder.row()[model.index("slider_position")] == 1.0
-    assert model.outputs.velocity.row()[model.index("rotor_velocity")] == 1.0
+    assert model.outputs.encoder.row()[state_index(model, "slider_position")] == 1.0
+    assert model.outputs.velocity.row()[state_index(model, "rotor_velocity")] == 1.0
     rigid = weir_device("probe")
     assert rigid.outputs.encoder.row().tolist() == [1.0, 0.0]
 
@@ -143,9 +144,9 @@ def test_multiplier_offsets_step_the_force():
         assert model.estimate_offset_m_per_s == 0.02
         asked = 1.1 * LEVEL + 0.05
         if lags:
-            row = model.index("motor_force")
+            row = state_index(model, "motor_force")
             assert model.b(LEVEL)[row, column] == pytest.approx(-tau * 5e3 * asked)
-            assert model.a(LEVEL)[row, model.index("velocity_estimate")] == pytest.approx(
+            assert model.a(LEVEL)[row, state_index(model, "velocity_estimate")] == pytest.approx(
                 -tau * 5e3 * asked
             )
         else:
@@ -184,8 +185,8 @@ def test_inductance_error_differentiates_the_current():
     wa = tau * 5e3
     wd = tau * 1e3
     lam = 1e-4 / N_PER_A**2
-    estimate = model.index("velocity_estimate")
-    motor = model.index("motor_force")
+    estimate = state_index(model, "velocity_estimate")
+    motor = state_index(model, "motor_force")
     row = model.a(LEVEL)[estimate]
     assert row[motor] == pytest.approx(-wd * lam * wa)
     assert row[estimate] == pytest.approx(-wd - wd * lam * wa * LEVEL)

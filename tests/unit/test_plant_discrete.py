@@ -131,7 +131,7 @@ def test_late_command_is_two_exact_pieces(fraction):
     ],
 )
 def test_delay_is_split_into_steps_and_a_rest(periods, steps, expected):
-    count, fraction = delay_steps(periods, steps)
+    count, fraction = delay_steps(periods * steps)
     assert (count, pytest.approx(fraction, abs=1e-12)) == expected
 
 

@@ -51,10 +51,8 @@ def test_what_crosses_packages_is_in_all() -> None:
 
 @pytest.mark.parametrize("name", ["_stage", "flat"])
 def test_a_private_or_unnamed_import_is_seen(name: str) -> None:
-    tree = ast.parse(f"from hapticd.guard.pending_change import {name}")
-    assert unnamed("hapticd.cli.app", tree) == [
-        f"hapticd.cli.app: hapticd.guard.pending_change.{name}"
-    ]
+    tree = ast.parse(f"from hapticd.guard.pending import {name}")
+    assert unnamed("hapticd.cli.app", tree) == [f"hapticd.cli.app: hapticd.guard.pending.{name}"]
 
 
 def test_first_level_packages_import_nothing_and_say_what_they_are_for() -> None:

@@ -20,7 +20,7 @@ from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.protocol.limits import CommandLimits
 
 with deferred_imports():
-    from hapticd.guard import bounds
+    from hapticd.guard import safe_region
     from hapticd.mailbox import environment_limits
     from hapticd.model import scene as model_scene
     from hapticd.recording import provenance
@@ -205,7 +205,7 @@ def require_within(name: str, shown: "scenes.Display", asked: dict[str, float]) 
     ceiling = own.limits.active_damping_ns_per_m
     passive = environment_limits.UNKNOWN
     if own.model is not None:
-        passive = bounds.passive_ranges(shown.model, scenes.filters(shown.scene), ceiling)
+        passive = safe_region.passive_ranges(shown.model, scenes.filters(shown.scene), ceiling)
     widest = environment_limits.environment_limits(passive)
     limits = CommandLimits(shown.model.rate_hz, ceiling, widest)
     if broken := limits.broken_by(asked):

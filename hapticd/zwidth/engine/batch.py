@@ -368,7 +368,7 @@ def _run_group(job: Job, made: Prepared, params: Array, numbers: Sequence[int]) 
     group = Group(job, made, params)
     inputs = Inputs(job, made, numbers)
     records = (spectral if job.keep == "spectra" else Records)(job, made, numbers)
-    heating = None if made.model.winding is None else Heating(group, made.model.winding)
+    heating = None if made.model.winding is None else Heating(group, made.model.winding.heating)
     level_ns_per_m = None
     for start, end in inputs.legs():
         if (wanted := level_at(job, start)) != level_ns_per_m:

@@ -41,10 +41,11 @@ import numpy as np
 from hapticd.core.arrays import Flags, Values, aligned
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
+from hapticd.core.params import HeatingParams
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.effects import copper_ohm
 from hapticd.model.excitation import Stream, held_noise, torque_record
-from hapticd.model.model import Array, Model, Winding
+from hapticd.model.model import Array, Model
 from hapticd.model.scene import DampingStep, Excitation
 from hapticd.signal.spectra import DEFAULT_LAG as LAG
 from hapticd.zwidth.engine.kernels import kernel
@@ -281,7 +282,7 @@ GRID_K = 0.5  # between the temperatures whose coefficients are computed
 class Heating:
     """The windings of a group."""
 
-    def __init__(self, group: Group, winding: Winding) -> None:
+    def __init__(self, group: Group, winding: HeatingParams) -> None:
         self._group = group
         self._winding = winding
         self.temperature_c: Array = np.full(group.made.shape.lanes, winding.start_c)
