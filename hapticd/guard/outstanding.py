@@ -11,8 +11,8 @@ from hapticd.core.units import NS_PER_S
 from hapticd.guard.pending_change import PendingChange
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Result
+from hapticd.protocol.codec import INTERNAL_REQUEST, RequestMessage
 from hapticd.protocol.commands import Posting
-from hapticd.protocol.envelope import INTERNAL_REQUEST, RequestMessage
 from hapticd.protocol.view import ServoView
 
 __all__ = ["Outstanding", "Pending"]

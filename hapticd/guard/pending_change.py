@@ -12,8 +12,8 @@ from hapticd.core.environment import JUDGED, SLOTS, Environment, flat
 from hapticd.core.errors import CommandError
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, State
+from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import forbidden
-from hapticd.protocol.envelope import RequestMessage
 from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.limits import PLACES
 from hapticd.protocol.schemas import Damping, Enable, GuardRequest, Judged, Request, Set
