@@ -27,7 +27,7 @@ from support.whole_tick import Point
 
 from hapticd.core.environment import Environment
 from hapticd.core.errors import HapticdError
-from hapticd.core.params import ServoParams, to_plain
+from hapticd.core.params import ServoParams
 from hapticd.mailbox.layout import COMMAND_VALUES, Command, Result, Value
 from hapticd.protocol.commands import posting
 from hapticd.protocol.limits import CommandLimits
@@ -144,7 +144,7 @@ class Plans:
 
     def __init__(self, params: ServoParams) -> None:
         self.params = params
-        self.limits = CommandLimits.announced(to_plain(params))
+        self.limits = CommandLimits.announced(params)
         self.plan = initial_plan(params)
         self.tick = 1
         self.points: dict[Point, bool] = {}  # and whether it ever stood

@@ -1,6 +1,5 @@
 """Commands and telemetry over ZeroMQ, with the limits of the simulated device."""
 
-from hapticd.core.params import to_plain
 from hapticd.gateway.addresses import MAX_SUBSCRIPTION_BYTES, MESSAGES_QUEUED, REPLIES_QUEUED
 from hapticd.gateway.command_server import MOST_QUEUED
 from hapticd.gateway.peers import MOST_PEERS, QUEUED_BYTES
@@ -38,9 +37,7 @@ One per tick, little-endian, packed; `descr` in each message is this table as nu
 def messages_page() -> str:
     """Commands and telemetry over ZeroMQ, with the limits of the simulated device."""
     found = json_schema(
-        CommandLimits.announced(
-            to_plain(servo_params(load(shipped("config") / "hapticd.toml"), "default"))
-        )
+        CommandLimits.announced(servo_params(load(shipped("config") / "hapticd.toml"), "default"))
     )
     commands = [
         f"### `{model['properties']['cmd']['const']}`\n\n{model['description']}\n\n{_fields(found, model)}"

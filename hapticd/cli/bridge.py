@@ -57,8 +57,8 @@ def lsl(
         )
     with connect(instance) as client:
         known = client.hello().servo
-        rate_hz = float(known["realtime"]["rate_hz"])
-        source = f"hapticd-{known['device']['serial']}-{instance}"
+        rate_hz = known.realtime.rate_hz
+        source = f"hapticd-{known.device.serial}-{instance}"
         info = pylsl.StreamInfo(
             "hapticd", "Haptics", len(CHANNELS), rate_hz, pylsl.cf_double64, source
         )

@@ -15,7 +15,7 @@ from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.numbers import number, unknown
 from hapticd.client.formatting import objection_lines, receipt_text, refusal_lines
 from hapticd.core.errors import CommandError
-from hapticd.protocol.answers import GuardVerdict, Receipt
+from hapticd.protocol.answers import Event, GuardVerdict, Receipt
 from hapticd.protocol.limits import PLACES
 
 with deferred_imports():
@@ -87,17 +87,17 @@ def _settled(client: "clients.Client", receipt: Receipt) -> Receipt:
     while time.monotonic() < deadline:
         status = client.status()
         for event in status.events:
-            if event["kind"] == "answer" and event["actor"] == actor:
+            if event.kind == "answer" and event.actor == actor:
                 return _ended(event, receipt, status.state)
         time.sleep(POLL_S)
     raise CommandError("timeout", f"no end of the stages within {STAGED_S:g} s; see `status`")
 
 
-def _ended(event: dict[str, Any], begun: Receipt, state: str) -> Receipt:
-    if event["result"] != "applied":
-        raise CommandError("refused", f"{event['cmd']}: {event['result']}: {event['text']}")
+def _ended(event: Event, begun: Receipt, state: str) -> Receipt:
+    if event.result != "applied":
+        raise CommandError("refused", f"{event.cmd}: {event.result}: {event.text}")
     names = ("result", "revision", "first_tick", "ramp_end_tick", "effective")
-    return dataclasses.replace(begun, state=state, **{name: event[name] for name in names})
+    return dataclasses.replace(begun, state=state, **{name: getattr(event, name) for name in names})
 
 
 def _found_out(
@@ -107,5 +107,6 @@ def _found_out(
     if verdict is None or verdict.safe is not False:
         return verdict, []
     event = client.hand(verdict)
-    lines = [event["text"]] if event and event["hand"] else []
-    return dataclasses.replace(verdict, hand=event["hand"] if event else None), lines
+    if event is None or event.hand is None:
+        return verdict, []
+    return dataclasses.replace(verdict, hand=event.hand), [event.text]

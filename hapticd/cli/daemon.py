@@ -4,6 +4,7 @@
 serves its help and mistakes.
 """
 
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -321,9 +322,9 @@ def get_parameters(
     with connect(instance) as client:
         found = client.get()
     if as_json:
-        terminal.data_json(found)
+        terminal.data_json(dataclasses.asdict(found))
         return
-    for name, value in parameters(found["parameters"]):
+    for name, value in parameters(found.parameters):
         terminal.data(f"{name} = {value}")
 
 

@@ -30,13 +30,14 @@ from hapticd.cli.change import connect
 from hapticd.cli.daemon import status_lines
 from hapticd.cli.deferred import deferred_imports
 from hapticd.client import fast_stop
+from hapticd.client.formatting import event_words
 from hapticd.core import clock
 from hapticd.core.errors import HapticdError
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.process import die_with_parent
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import State
-from hapticd.protocol.answers import Status, answer_of
+from hapticd.protocol.answers import Event, Status, answer_of
 
 with deferred_imports():
     import msgpack
@@ -44,8 +45,7 @@ with deferred_imports():
     from rich import live as rich_live
     from rich import text as rich_text
 
-    from hapticd.client import blocks
-    from hapticd.client import events as event_texts
+    from hapticd.client import blocks, requests
 
 
 class Keys:
@@ -181,7 +181,7 @@ def _take(view: View, decoder: Any, topic: str, payload: bytes) -> bool:
         view.state = msgpack.unpackb(payload)
         return False
     if topic == EVENT:
-        view.event = event_texts.event_words(msgpack.unpackb(payload))
+        view.event = event_words(requests.message_of(topic, payload))
         return False
     block = decoder.decode(payload)
     view.simulated = bool(block.header["simulated"])
@@ -284,13 +284,14 @@ def events(
                 terminal.data(f"real-time right {line}")
         for message in messages:
             if message is not None:
-                event = msgpack.unpackb(message[1])
-                terminal.data_json(event) if as_json else terminal.data(_timed(event))
+                told = msgpack.unpackb(message[1])
+                terminal.data_json(told) if as_json else terminal.data(_timed(told))
             if seconds is not None and now_ns() - begin_ns >= seconds * NS_PER_S:
                 return
 
 
-def _timed(event: dict[str, Any]) -> str:
+def _timed(told: dict[str, Any]) -> str:
     """An event with the time of day."""
-    at = datetime.fromtimestamp(event["timestamp"]).strftime("%H:%M:%S")
-    return f"{at} {event_texts.event_words(event)}"
+    event = answer_of(Event, told)
+    at = datetime.fromtimestamp(event.timestamp).strftime("%H:%M:%S")
+    return f"{at} {event_words(event)}"

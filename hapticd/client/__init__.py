@@ -21,7 +21,7 @@
 
 These are in `client`, `aio`, `listener`, `lease`, `sequence` and `blocks`. Beside them stand
 `design` and `staircase` (experiments), `requests`, `commands` and `telemetry` (shared by the
-clients), `verdict` (the warning), `events` and `formatting` (text for people).
+clients), `verdict` (the warning) and `formatting` (text for people).
 
 `fast_stop` is the short way to a stop, for programs that may load nothing large. The names above
 are loaded when they are used, so that it stays fast.

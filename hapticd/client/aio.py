@@ -20,13 +20,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-import msgpack
 import zmq
 import zmq.asyncio
 from numpy.typing import ArrayLike
 
-from hapticd.client.blocks import Block, Excerpt, Records, chunks, concatenated
-from hapticd.client.commands import POLL_S, Commands, hand_of
+from hapticd.client.blocks import Block, Excerpt, Records, concatenated
+from hapticd.client.commands import Ask, Commands, Course, Pause, hand_of, loaded, reached
 from hapticd.client.lease import RENEWALS, lost_error, renews_again
 from hapticd.client.requests import (
     STOP_TIMEOUT_S,
@@ -35,28 +34,19 @@ from hapticd.client.requests import (
     accepted,
     check_topic,
     heard_with,
-    not_reached,
+    message_of,
     pressed,
     quiet,
     receipt_of,
     silence,
     socket_file,
 )
-from hapticd.client.sequence import (
-    Ask,
-    AtRefusal,
-    Course,
-    Pause,
-    Step,
-    StepReceipt,
-    advanced,
-    course,
-)
-from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.client.sequence import AtRefusal, Step, StepReceipt
+from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.core.params import AtEnd, Leased
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.files import COMMAND_SOCKET, TELEMETRY_SOCKET
-from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
+from hapticd.protocol.answers import Event, Get, GuardStatus, GuardVerdict, Hello, Receipt, Status
 
 __all__ = ["AsyncClient"]
 
@@ -175,6 +165,7 @@ class AsyncClient(
     Commands[
         Awaitable[Receipt],
         Awaitable[Hello],
+        Awaitable[Get],
         Awaitable[Status],
         Awaitable[GuardStatus],
         Awaitable[Answer],
@@ -213,20 +204,22 @@ class AsyncClient(
         asked = self._as_asked(cmd, fields)
         return accepted(await self._connection.exchange(cmd, asked, self._timeout_s))
 
-    async def _result(self, cmd: str, **fields: Any) -> Answer:
-        reply = await self.call(cmd, **fields)
-        if "receipt" in reply:  # a mode of the guard changes the damping
-            self._warnings.tell(receipt_of(reply))
-        found: Answer = reply["result"]
-        return found
+    async def _carried_out(self, course: Course[Any]) -> Any:
+        answer = None
+        try:
+            while True:
+                answer = await self._tried(course.send(answer))
+        except StopIteration as end:
+            return end.value
 
-    async def _answer(self, kind: type[Any], cmd: str, **fields: Any) -> Any:
-        return answer_of(kind, await self._result(cmd, **fields))
-
-    async def _change(self, cmd: str, **fields: Any) -> Receipt:
-        receipt = receipt_of(await self.call(cmd, **fields))
-        self._warnings.tell(receipt)
-        return receipt
+    async def _tried(self, due: Ask | Pause) -> Any:
+        """The reply to a request, or the error that it ended with; None after a pause."""
+        try:
+            if isinstance(due, Pause):
+                return await self._connection.pause(due.seconds)
+            return await (self.stop() if due.cmd == "stop" else self.call(due.cmd, **due.fields))
+        except (CommandError, DaemonDown) as error:
+            return error
 
     async def stop(self) -> Receipt:
         """Latched stop; without a reply within 40 ms the stop word is pressed.
@@ -264,10 +257,8 @@ class AsyncClient(
         >>> await device.perturb_load(0.1 * np.ones(4000))
         4000
         """
-        loaded: int = 0
-        for chunk in chunks(samples_n):
-            loaded = (await self._result("perturb", **chunk))["samples"]
-        return loaded
+        count: int = await self._carried_out(loaded(samples_n))
+        return count
 
     async def sequence(
         self,
@@ -283,57 +274,29 @@ class AsyncClient(
         >>> [one.result for one in await device.sequence(steps)]
         ['applied', 'applied', 'applied']
         """
-        try:
-            done = await self._carried_out(course(steps, at_refusal, self._name, lead_s))
-        except SequenceError as error:
-            self._warnings.tell_beside(error.receipts)
-            raise
-        self._warnings.tell(*done)
+        done: tuple[StepReceipt, ...] = await self._carried_out(
+            self._sequence(steps, at_refusal, lead_s)
+        )
         return done
 
-    async def _carried_out(self, under_way: Course) -> tuple[StepReceipt, ...]:
-        answer = None
-        while True:
-            due = advanced(under_way, answer)
-            if isinstance(due, Ask):
-                answer = await self._tried(due)
-            elif isinstance(due, Pause):
-                await self._connection.pause(due.seconds)
-                answer = None
-            else:
-                return due
-
-    async def _tried(self, due: Ask) -> Answer | Receipt | HapticdError:
-        try:
-            return await (self.stop() if due.cmd == "stop" else self.call(due.cmd, **due.fields))
-        except (CommandError, DaemonDown) as error:
-            return error
-
-    async def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> Answer | None:
-        """The hand that would shake what `verdict` is about; None if `timeout_s` passes first.
+    async def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> Event | None:
+        """The event that tells the hand which would shake what `verdict` is about; None if
+        `timeout_s` passes first.
 
         >>> receipt = await device.set(K=-100)
-        >>> (await device.hand(receipt.guard))["text"]
+        >>> (await device.hand(receipt.guard)).text
         '...'
         """
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
-            if found := hand_of(await self.status(), verdict):
-                return found
-            await self._connection.pause(POLL_S)
-        return None
+        found: Event | None = await self._carried_out(hand_of(verdict, timeout_s))
+        return found
 
     async def wait_for(self, state: str, timeout_s: float = 10.0) -> None:
-        """Return when the servo is in `state`. CommandError `timeout` after `timeout_s`.
+        """Return when the servo is in `state`, as `Client.wait_for`.
 
         >>> receipt = await device.enable()
         >>> await device.wait_for("enabled")
         """
-        deadline = time.monotonic() + timeout_s
-        while (found := (await self.call("get"))["state"]) != state:
-            if time.monotonic() >= deadline:
-                raise not_reached(state, found, timeout_s)
-            await self._connection.pause(POLL_S)
+        await self._carried_out(reached(state, timeout_s))
 
     async def stream(
         self, topic: str = "servo.raw", seconds: float | None = None, count: int | None = None
@@ -364,7 +327,7 @@ class AsyncClient(
         return concatenated([block async for block in self.stream(topic, seconds=seconds)])
 
     async def listen(self, topic: str) -> AsyncGenerator[Any, None]:
-        """Decoded messages of `state`, `event` or `servo` as they come.
+        """Decoded messages of `state`, `event` (each an `Event`) or `servo` as they come.
 
         ConfigError: no such topic. DaemonDown when the daemon is silent for the client's time-out.
 
@@ -375,7 +338,7 @@ class AsyncClient(
         """
         check_topic(topic)
         async for payload in self._connection.listen(topic, self._timeout_s):
-            yield msgpack.unpackb(payload)
+            yield message_of(topic, payload)
 
 
 class AsyncLease:

@@ -3,8 +3,8 @@
 `GatewayConnection` holds the sockets: a DEALER for requests (`requests`), a PAIR that tells of new
 connections, a SUB per subscription. Requests are given only to a gateway that is connected
 (IMMEDIATE), so one that starts later finds no old commands in its queue; nothing lingers when it is
-closed. `Client` gives every command a method. Those of one request are `commands`, which asyncio
-has as well (`aio`); telemetry is read by `telemetry`.
+closed. `Client` carries out the courses of `commands`, as the client for asyncio does (`aio`);
+telemetry is read by `telemetry`.
 
 Every call ends within its time-out, with a reply, a CommandError (the daemon refused: `code` and
 `detail` say why) or DaemonDown (nobody answers, or the gateway has no servo).
@@ -24,14 +24,13 @@ from typing import TYPE_CHECKING, Any
 
 import zmq
 
-from hapticd.client.commands import POLL_S, Commands, hand_of
+from hapticd.client.commands import Ask, Commands, Course, Pause, hand_of, loaded, reached
 from hapticd.client.lease import ClientLease
 from hapticd.client.requests import (
     STOP_TIMEOUT_S,
     RequestTracker,
     TimedOut,
     accepted,
-    not_reached,
     pressed,
     quiet,
     receipt_of,
@@ -39,17 +38,17 @@ from hapticd.client.requests import (
     socket_file,
 )
 from hapticd.client.telemetry import Subscription, TelemetryReader
-from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
+from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.files import COMMAND_SOCKET, TELEMETRY_SOCKET
-from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Receipt, Status, answer_of
+from hapticd.protocol.answers import Event, Get, GuardStatus, GuardVerdict, Hello, Receipt, Status
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import ArrayLike
 
-    from hapticd.client.sequence import Ask, AtRefusal, Course, Step, StepReceipt
+    from hapticd.client.sequence import AtRefusal, Step, StepReceipt
     from hapticd.core.params import AtEnd, Leased
 
 __all__ = ["Client"]
@@ -134,7 +133,7 @@ class GatewayConnection(Subscription):
         return quiet(topic, self._folder, timeout_s)
 
 
-class Client(TelemetryReader, Commands[Receipt, Hello, Status, GuardStatus, dict[str, Any]]):
+class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus, dict[str, Any]]):
     """One connection to the daemon `instance`, best used as a context manager.
 
     `timeout_s` bounds every call; `name` is shown beside what this client changes; `folder` is the
@@ -165,38 +164,36 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Status, GuardStatus, dict
         asked = self._as_asked(cmd, fields)
         return accepted(self._connection.exchange(cmd, asked, self._timeout_s))
 
-    def _result(self, cmd: str, **fields: Any) -> dict[str, Any]:
-        reply = self.call(cmd, **fields)
-        if "receipt" in reply:  # a mode of the guard changes the damping
-            self._warnings.tell(receipt_of(reply))
-        result: dict[str, Any] = reply["result"]
-        return result
+    def _carried_out(self, course: Course[Any]) -> Any:
+        answer = None
+        try:
+            while True:
+                answer = self._tried(course.send(answer))
+        except StopIteration as end:
+            return end.value
 
-    def _answer(self, kind: type[Any], cmd: str, **fields: Any) -> Any:
-        return answer_of(kind, self._result(cmd, **fields))
-
-    def _change(self, cmd: str, **fields: Any) -> Receipt:
-        receipt = receipt_of(self.call(cmd, **fields))
-        self._warnings.tell(receipt)
-        return receipt
+    def _tried(self, due: Ask | Pause) -> Any:
+        """The reply to a request, or the error that it ended with; None after a pause."""
+        try:
+            if isinstance(due, Pause):
+                return self._pause(due.seconds)
+            return self.stop() if due.cmd == "stop" else self.call(due.cmd, **due.fields)
+        except (CommandError, DaemonDown) as error:
+            return error
 
     # --- changing ---------------------------------------------------------------------------------
 
-    def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> dict[str, Any] | None:
-        """The hand that would shake what `verdict` is about: the event `guard` with `text`.
+    def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> Event | None:
+        """The event that tells the hand which would shake what `verdict` is about.
 
         None if `timeout_s` passes first.
 
         >>> receipt = device.set(K=-100)
-        >>> device.hand(receipt.guard)["text"]
+        >>> device.hand(receipt.guard).text
         '...'
         """
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
-            if found := hand_of(self.status(), verdict):
-                return found
-            self._pause(POLL_S)
-        return None
+        found: Event | None = self._carried_out(hand_of(verdict, timeout_s))
+        return found
 
     def _pause(self, seconds: float) -> None:
         """Let time pass; on virtual time no clock of this computer does."""
@@ -249,12 +246,8 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Status, GuardStatus, dict
         >>> device.perturb_load(one_second)
         4000
         """
-        from hapticd.client.blocks import chunks
-
-        loaded: int = 0
-        for chunk in chunks(samples_n):
-            loaded = self._result("perturb", **chunk)["samples"]
-        return loaded
+        count: int = self._carried_out(loaded(samples_n))
+        return count
 
     def sequence(
         self,
@@ -275,36 +268,8 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Status, GuardStatus, dict
         >>> [one.result for one in device.sequence(steps)]
         ['applied', 'applied', 'applied']
         """
-        from hapticd.client.sequence import course
-
-        try:
-            done = self._carried_out(course(steps, at_refusal, self._name, lead_s))
-        except SequenceError as error:
-            self._warnings.tell_beside(error.receipts)
-            raise
-        self._warnings.tell(*done)
+        done: tuple[StepReceipt, ...] = self._carried_out(self._sequence(steps, at_refusal, lead_s))
         return done
-
-    def _carried_out(self, under_way: "Course") -> "tuple[StepReceipt, ...]":
-        from hapticd.client.sequence import Ask, Pause, advanced
-
-        answer = None
-        while True:
-            due = advanced(under_way, answer)
-            if isinstance(due, Ask):
-                answer = self._tried(due)
-            elif isinstance(due, Pause):
-                self._pause(due.seconds)
-                answer = None
-            else:
-                return due
-
-    def _tried(self, due: "Ask") -> "dict[str, Any] | Receipt | HapticdError":
-        """The reply to a request of a sequence, or the error that it ended with."""
-        try:
-            return self.stop() if due.cmd == "stop" else self.call(due.cmd, **due.fields)
-        except (CommandError, DaemonDown) as error:
-            return error
 
     # --- watching ---------------------------------------------------------------------------------
 
@@ -316,17 +281,4 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Status, GuardStatus, dict
         >>> receipt = device.enable()
         >>> device.wait_for("enabled")
         """
-        deadline = time.monotonic() + timeout_s
-        while True:
-            try:
-                found = self.call("get")["state"]
-            except DaemonDown:
-                if time.monotonic() >= deadline:
-                    raise
-                # a daemon that is being started does not answer yet
-                found = "down"
-            if found == state:
-                return
-            if time.monotonic() >= deadline:
-                raise not_reached(state, found, timeout_s)
-            self._pause(POLL_S)
+        self._carried_out(reached(state, timeout_s))

@@ -1,35 +1,81 @@
-"""Commands that are one request and one reply, for the client that waits and for that of asyncio.
+"""The commands of the client that waits and of that for asyncio, each written once.
 
-Each is written once; what it gives, a value or something to await, is the client's:
-`Commands[Receipt, Hello, ...]` or `Commands[Awaitable[Receipt], Awaitable[Hello], ...]`.
+A command is a course: a generator that gives what is due (`Ask` a request, `Pause`) and takes the
+reply, or the error that the request ended with. The clients carry courses out, and what a command
+gives, a value or something to await, is the client's: `Commands[Receipt, Hello, ...]` or
+`Commands[Awaitable[Receipt], Awaitable[Hello], ...]`.
 
-What would break it: a command that needs two replies; it belongs into the clients.
+What would break it: a course that reads a socket or sleeps by itself.
 """
 
+import time
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, NamedTuple, TypeVar
 
+from hapticd.client.requests import not_reached, receipt_of
 from hapticd.client.verdict import GuardWarnings
+from hapticd.core.errors import DaemonDown, HapticdError, SequenceError
 from hapticd.mailbox.daemons import daemon_folder
 from hapticd.mailbox.files import DEFAULT_INSTANCE
-from hapticd.protocol.answers import GuardStatus, GuardVerdict, Hello, Status
+from hapticd.protocol.answers import (
+    Event,
+    Get,
+    GuardStatus,
+    GuardVerdict,
+    Hello,
+    Receipt,
+    Status,
+    answer_of,
+)
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from hapticd.client.sequence import AtRefusal, Step, StepReceipt
     from hapticd.core.params import BasisName, DampingMode, Policy
+
+__all__ = ["Ask", "Course", "Pause"]
 
 
 # what is given, now or later
 R = TypeVar("R")  # by a change: a Receipt
 H = TypeVar("H")  # a Hello
+P = TypeVar("P")  # a Get
 S = TypeVar("S")  # a Status
 G = TypeVar("G")  # a GuardStatus
 D = TypeVar("D")  # by other questions: a map
 
 POLL_S = 0.02  # between two looks at the state
 JUDGED = frozenset({"set", "damping", "enable", "guard"})  # commands that the guard may refuse
+T = TypeVar("T")
+Answer = dict[str, Any]
 
 
-class Commands(Generic[R, H, S, G, D]):
+class Ask(NamedTuple):
+    """A request to carry out; the course takes its reply, or the error that it ended with."""
+
+    cmd: str
+    fields: Mapping[str, Any] = {}
+
+
+class Pause(NamedTuple):
+    """Time to let pass."""
+
+    seconds: float
+
+
+Course = Generator[Ask | Pause, Any, T]  # what is due, answers, what it gives
+
+
+def told(answer: Any) -> Any:
+    """The reply that a course was given; of a request that was refused the error."""
+    if isinstance(answer, HapticdError):
+        raise answer
+    return answer
+
+
+class Commands(Generic[R, H, P, S, G, D]):
     """Questions and changes. CommandError where the daemon refuses, DaemonDown where none answers
     in time.
     """
@@ -57,15 +103,46 @@ class Commands(Generic[R, H, S, G, D]):
         """The fields of a request, with that of a strict client."""
         return {**fields, "strict": True} if self._strict and cmd in JUDGED else fields
 
-    def _result(self, cmd: str, **fields: Any) -> D:
+    def _carried_out(self, course: Course[Any]) -> Any:
+        """What `course` gives once all of it is done."""
         raise NotImplementedError
+
+    def _question(self, kind: type[Any], cmd: str, fields: Answer) -> Course[Any]:
+        """The answer to a question, as a dataclass `kind` of `protocol.answers` or as a map."""
+        reply = told((yield Ask(cmd, fields)))
+        if "receipt" in reply:  # a mode of the guard changes the damping
+            self._warnings.tell(receipt_of(reply))
+        return reply["result"] if kind is dict else answer_of(kind, reply["result"])
+
+    def _changing(self, cmd: str, fields: Answer) -> Course[Receipt]:
+        receipt = receipt_of(told((yield Ask(cmd, fields))))
+        self._warnings.tell(receipt)
+        return receipt
 
     def _answer(self, kind: type[Any], cmd: str, **fields: Any) -> Any:
-        """The answer to a question, as a dataclass `kind` of `protocol.answers`."""
-        raise NotImplementedError
+        return self._carried_out(self._question(kind, cmd, fields))
+
+    def _result(self, cmd: str, **fields: Any) -> D:
+        result: D = self._answer(dict, cmd, **fields)
+        return result
 
     def _change(self, cmd: str, **fields: Any) -> R:
-        raise NotImplementedError
+        receipt: R = self._carried_out(self._changing(cmd, fields))
+        return receipt
+
+    def _sequence(
+        self, steps: "Sequence[Step]", at_refusal: "AtRefusal", lead_s: float | None
+    ) -> "Course[tuple[StepReceipt, ...]]":
+        """A sequence; each `GuardWarning` is emitted at its end."""
+        from hapticd.client.sequence import course
+
+        try:
+            done = yield from course(steps, at_refusal, self._name, lead_s)
+        except SequenceError as error:
+            self._warnings.tell_beside(error.receipts)
+            raise
+        self._warnings.tell(*done)
+        return done
 
     # --- asking -----------------------------------------------------------------------------------
 
@@ -78,13 +155,14 @@ class Commands(Generic[R, H, S, G, D]):
         hello: H = self._answer(Hello, "hello", name=self._name)
         return hello
 
-    def get(self) -> D:
-        """{parameters: what was asked, ramps at their ends; in_force: what acts at this tick}.
+    def get(self) -> P:
+        """What was asked for, ramps at their ends, and what acts at this tick.
 
-        >>> device.get()["in_force"]["stiffness_n_per_m"]
+        >>> device.get().in_force.stiffness_n_per_m
         0.0
         """
-        return self._result("get")
+        found: P = self._answer(Get, "get")
+        return found
 
     def status(self) -> S:
         """State, fault, counters, stage times, what the servo was granted, the last events.
@@ -279,11 +357,41 @@ class Commands(Generic[R, H, S, G, D]):
         return self._result("mark", text=text)
 
 
-def hand_of(status: Status, verdict: GuardVerdict) -> dict[str, Any] | None:
-    """The event `guard` of `status` that names the hand which would shake what `verdict` is about;
-    None as long as there is none.
+def hand_of(verdict: GuardVerdict, timeout_s: float) -> Course[Event | None]:
+    """The event `guard` that names the hand which would shake what `verdict` is about; None if
+    `timeout_s` passes first.
     """
-    for event in reversed(status.events):
-        if event["kind"] == "guard" and event["number"] == verdict.number:
-            return dict(event)
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        status = answer_of(Status, told((yield Ask("status")))["result"])
+        for event in reversed(status.events):
+            if event.kind == "guard" and event.number == verdict.number:
+                return event
+        yield Pause(POLL_S)
     return None
+
+
+def loaded(samples_n: "ArrayLike") -> Course[int]:
+    """Load a waveform; the number of samples that the daemon has."""
+    from hapticd.client.blocks import chunks
+
+    count: int = 0
+    for chunk in chunks(samples_n):
+        count = told((yield Ask("perturb", chunk)))["result"]["samples"]
+    return count
+
+
+def reached(state: str, timeout_s: float) -> Course[None]:
+    """Until the servo is in `state`. CommandError `timeout` or DaemonDown after `timeout_s`."""
+    deadline = time.monotonic() + timeout_s
+    while True:
+        answer = yield Ask("get")
+        late = time.monotonic() >= deadline
+        # a daemon that is being started does not answer yet
+        down = isinstance(answer, DaemonDown) and not late
+        found = "down" if down else told(answer)["state"]
+        if found == state:
+            return
+        if late:
+            raise not_reached(state, found, timeout_s)
+        yield Pause(POLL_S)

@@ -1,14 +1,17 @@
-"""Receipts and verdicts as people read them: one wording for terminal and page.
+"""Receipts, verdicts and events as people read them: one wording for terminal and page.
 
-What would break it: an import that is large; `hapticd --help` loads this.
+What would break it: an import that is large; `hapticd --help` loads this. An event of a kind that
+is not known here is shown by its fields.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from hapticd.core.environment import FIELDS, flat
 from hapticd.mailbox.layout import VALUE_LIMITS, Value
 from hapticd.protocol.answers import (
+    Event,
     GuardStatus,
     GuardVerdict,
     LateTicks,
@@ -24,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "board_words",
+    "event_words",
     "guard_line",
     "late_words",
     "margin_words",
@@ -170,3 +174,70 @@ def parameters(table: dict[str, Any]) -> Iterator[tuple[str, str]]:
         # a level is rounded to a count of the board's converter: 1.73999 was 1.74 when it was asked
         shown = f"{value:.4g}" if place == Value.ACTIVE_DAMPING else f"{value:.6g}"
         yield name, shown if unit in ("", "1", "side") else f"{shown} {unit}"
+
+
+# --- events ---------------------------------------------------------------------------------------
+_HIDDEN = {"timestamp", "kind", "actor", "id", "number", "epoch"}
+
+
+def event_words(event: Event) -> str:
+    """What happened, to whom and by whom, without its time."""
+    return _WORDS.get(event.kind, _plain)(event)
+
+
+def _plain(event: Event) -> str:
+    usual = asdict(Event())
+    told = {name: value for name, value in asdict(event).items() if value != usual[name]}
+    shown = [f"{name} {value}" for name, value in told.items() if name not in _HIDDEN]
+    return f"{event.kind}: {', '.join(shown)}"
+
+
+def _state(event: Event) -> str:
+    by = f" (by {event.name})" if event.name else ""
+    change = f"{event.before} -> {event.state}{by}"
+    if event.state != "fault":
+        return change
+    return f"{change}: {event.fault}: {event.cause}; {event.remedy}"
+
+
+def _flight(event: Event) -> str:
+    return f"flight recording of {event.reason}: {event.path}"
+
+
+def _mark(event: Event) -> str:
+    return f"mark: {event.text} (by {event.name}, tick {event.tick})"
+
+
+def _text(event: Event) -> str:
+    return f"{event.kind}: {event.text}"
+
+
+def _answer(event: Event) -> str:
+    return f"{event.cmd} of {event.name}: {event.text or event.result}"
+
+
+def _up(event: Event) -> str:
+    return "the servo runs"
+
+
+def _down(event: Event) -> str:
+    return "the servo has ended, or does not answer any more"
+
+
+def _lost(event: Event) -> str:
+    return f"{event.lost} ticks were overwritten before telemetry had read them"
+
+
+_WORDS: dict[str, Callable[[Event], str]] = {
+    "state": _state,
+    "flight": _flight,
+    "mark": _mark,
+    "warning": _text,
+    "guard": _text,
+    "lease": _text,
+    "controlled": _text,
+    "answer": _answer,
+    "servo_up": _up,
+    "servo_down": _down,
+    "gap": _lost,
+}

@@ -16,7 +16,7 @@ from hapticd.core.errors import CommandError, ConfigError, DaemonDown, MailboxEr
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.daemons import down, instance_of
 from hapticd.mailbox.stop_word import press_stop
-from hapticd.protocol.answers import Receipt, answer_of, verdict_of
+from hapticd.protocol.answers import Event, Receipt, answer_of, verdict_of
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 
 __all__ = ["accepted", "receipt_of"]
@@ -164,6 +164,12 @@ def check_topic(topic: str) -> None:
 
     if topic not in NAMES:
         raise ConfigError(f"topic {topic!r} is unknown; topics are {', '.join(sorted(NAMES))}")
+
+
+def message_of(topic: str, payload: bytes) -> Any:
+    """A message of `topic`: an `Event`, or a map."""
+    plain = msgpack.unpackb(payload)
+    return answer_of(Event, plain) if topic == "event" else plain
 
 
 def heard_with(topic: str) -> set[str]:

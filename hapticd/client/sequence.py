@@ -24,22 +24,21 @@ passed, and states of the servo that bar a step. What the servo refuses or cance
 state that somebody else changed, or a daemon that falls silent ends the sequence: SequenceError
 says which steps acted, which did not and why, and in which state the display was left.
 
-The course of it (`course`) is a generator without clock or socket: it gives what is to be asked and
-how long to wait, and takes replies. Both clients carry it out.
+The course of it (`course`) is one of `commands`, which both clients carry out.
 
 What would break it: two sequences at the same time by clients of one name, since scheduled changes
 are told apart by name and number of their request; take the lease of the environment.
 """
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
-from hapticd.client.commands import POLL_S
+from hapticd.client.commands import POLL_S, Ask, Course, Pause, told
 from hapticd.client.requests import receipt_of
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
-from hapticd.protocol.answers import GuardVerdict, Hello, Receipt, Status, answer_of, verdict_of
+from hapticd.protocol.answers import Event, GuardVerdict, Hello, Receipt, Status, answer_of
 
 AtRefusal = Literal["disable", "stop", "hold"]
 
@@ -103,21 +102,7 @@ class StepReceipt:
         return self.result in ("applied", "pressed")
 
 
-class Ask(NamedTuple):
-    """A request to carry out; the course takes its reply, or the error that it ended with."""
-
-    cmd: str
-    fields: Mapping[str, Any]
-
-
-class Pause(NamedTuple):
-    """Time to let pass."""
-
-    seconds: float
-
-
-Course = Generator[Ask | Pause, Any, tuple[StepReceipt, ...]]
-Part = Generator[Ask | Pause, Any, Any]
+Part = Course[Any]
 
 
 class _EndedError(Exception):
@@ -131,7 +116,7 @@ class _EndedError(Exception):
 
 def course(
     steps: Sequence[Step], at_refusal: AtRefusal, name: str, lead_s: float | None = None
-) -> Course:
+) -> Course[tuple[StepReceipt, ...]]:
     """The requests and pauses of a sequence, for the client called `name`; at last a receipt for
     each step.
 
@@ -142,21 +127,12 @@ def course(
     if not 0.0 < lead_s <= LONGEST_LEAD_S:  # neither is nan
         limit = f"outside 0..{LONGEST_LEAD_S:g} s; leave it out for {LEAD_S:g} s"
         raise CommandError("invalid", f"lead_s = {lead_s}: {limit}")
-    hello = answer_of(Hello, _reply((yield Ask("hello", {"name": name})))["result"])
-    status = answer_of(Status, _reply((yield Ask("status", {})))["result"])
+    hello = answer_of(Hello, told((yield Ask("hello", {"name": name})))["result"])
+    status = answer_of(Status, told((yield Ask("status")))["result"])
     if not status.servo_alive:
         raise DaemonDown("no servo answers; start it with `hapticd run`, see `hapticd status`")
     _check(steps, hello, status)
     return (yield from _Run(steps, at_refusal, name, status, lead_s).whole())
-
-
-def advanced(under_way: Course, answer: Any) -> Ask | Pause | tuple[StepReceipt, ...]:
-    """What is due after `answer` (None at the start and after a pause); at the end the receipts."""
-    try:
-        return under_way.send(answer)
-    except StopIteration as end:
-        receipts: tuple[StepReceipt, ...] = end.value
-        return receipts
 
 
 class _Run:
@@ -178,10 +154,12 @@ class _Run:
         self._rate_hz = status.rate_hz
         self._state = status.state  # in which the steps so far have left the servo
         self._receipts = [StepReceipt(one) for one in steps]
-        self._open: dict[int, int] = {}  # steps that were scheduled, by number of their request
+        self._open: dict[
+            int | str | None, int
+        ] = {}  # steps that were scheduled, by number of their request
         self._left = ""  # what was done to the display at the end, in words
 
-    def whole(self) -> Course:
+    def whole(self) -> Course[tuple[StepReceipt, ...]]:
         """All steps; SequenceError as soon as one cannot be done."""
         try:
             last_slot = self._status.slot
@@ -219,21 +197,22 @@ class _Run:
             known = isinstance(answer, CommandError) and answer.code != "timeout"
             guard = answer.guard if isinstance(answer, CommandError) else None
             result, text = ("refused", str(answer)) if known else ("unknown", UNTOLD)
-            self._receipts[number] = StepReceipt(self._steps[number], result, 0, 0, text, guard)
+            self._note(number, result, text=text, guard=guard)
             raise _EndedError(answer, number)
         receipt = answer if isinstance(answer, Receipt) else receipt_of(answer)
-        self._note(number, receipt.result, receipt.first_tick, receipt.revision, receipt.guard)
+        self._note_done(number, receipt)
         if receipt.result in OPEN:
             self._open[answer["id"]] = number
         elif receipt.state:
             self._state = receipt.state
 
-    def _note(
-        self, number: int, result: str, tick: int, revision: int, guard: GuardVerdict | None
-    ) -> None:
-        self._receipts[number] = StepReceipt(
-            self._steps[number], result, tick, revision, guard=guard
-        )
+    def _note(self, number: int, result: str, **more: Any) -> None:
+        """What became of step `number`."""
+        self._receipts[number] = StepReceipt(self._steps[number], result, **more)
+
+    def _note_done(self, number: int, told: Receipt | Event) -> None:
+        place = {"tick": told.first_tick, "revision": told.revision}
+        self._note(number, told.result, **place, guard=told.guard)
 
     @property
     def _lost(self) -> int:
@@ -265,7 +244,7 @@ class _Run:
 
     def _look(self, number: int) -> Part:
         """What the servo does by now, and what became of scheduled steps."""
-        answer = yield Ask("status", {})
+        answer = yield Ask("status")
         if isinstance(answer, HapticdError):
             raise _EndedError(answer, number)
         before = self._status
@@ -280,42 +259,35 @@ class _Run:
             reason = f"the servo is {found!r} and not {self._state!r}: {why}"
             raise _EndedError(CommandError("stopped", reason), number)
         self._state = found
-        if bad := [at for at in self._asked() if self._receipts[at].text]:
-            reason = self._receipts[bad[0]].text
-            raise _EndedError(CommandError("refused", reason), bad[0])
-
-    def _asked(self) -> list[int]:
-        """Steps that were sent."""
-        return [at for at, one in enumerate(self._receipts) if one.result != "not sent"]
+        for at, one in enumerate(self._receipts):
+            if one.result not in (*OPEN, "applied", "pressed", "not sent"):
+                raise _EndedError(CommandError("refused", one.text), at)
 
     def _hear(self) -> None:
         """Later answers to steps that are open, from the events that the gateway keeps."""
         for event in self._status.events:
-            mine = event["kind"] == "answer" and event["name"] == self._name
-            number = self._open.get(event["id"]) if mine else None
-            if number is None or event["cmd"] != self._steps[number].cmd:
+            mine = event.kind == "answer" and event.name == self._name
+            number = self._open.get(event.id) if mine else None
+            if number is None or event.cmd != self._steps[number].cmd:
                 continue
-            result = str(event["result"])
-            goes_on = result in OPEN  # it waited for the guard, and is now scheduled
-            if not goes_on:
-                del self._open[event["id"]]
-            if goes_on or result == "applied":
-                place = event["first_tick"], event["revision"]
-                self._note(number, result, *place, verdict_of(event.get("guard")))
-                continue
-            text = event.get("text") or WHY.get(result, result)
-            self._receipts[number] = StepReceipt(self._steps[number], result, text=text)
+            result = event.result
+            if result not in OPEN:  # else it waited for the guard, and is now scheduled
+                del self._open[event.id]
+            if result in (*OPEN, "applied"):
+                self._note_done(number, event)
+            else:
+                self._note(number, result, text=event.text or WHY.get(result, result))
 
     def _leave(self, ended: _EndedError) -> Part:
         """Leave the display as was asked for, and learn what became of scheduled steps."""
         way = "stop" if isinstance(ended.cause, DaemonDown) else self._at_refusal
         self._left = "nothing was done to the display"
         if self._at_refusal != "hold":
-            answer = yield Ask(way, {})
+            answer = yield Ask(way)
             failed = isinstance(answer, HapticdError)
             self._left = f"{way} failed ({answer})" if failed else f"{way} was asked for"
         for _ in range(round((self._lead_s + LOOK_S) / LOOK_S) + 1):
-            answer = yield Ask("status", {})
+            answer = yield Ask("status")
             if isinstance(answer, HapticdError):
                 self._state = "unknown"
                 return
@@ -328,13 +300,12 @@ class _Run:
 
     def _error(self, ended: _EndedError) -> SequenceError:
         for number in self._open.values():
-            one = self._receipts[number]
-            self._receipts[number] = StepReceipt(one.step, "unknown", text=UNTOLD)
+            self._note(number, "unknown", text=UNTOLD)
         acted = [at + 1 for at, one in enumerate(self._receipts) if one.acted]
         unknown = [at + 1 for at, one in enumerate(self._receipts) if one.result == "unknown"]
         others = sorted({*range(1, len(self._steps) + 1)} - {*acted} - {*unknown})
         parts = (("acted", acted), ("did not act", others), ("open", unknown))
-        told = ", ".join(f"{words}: {_numbers(some)}" for words, some in parts if some)
+        told = ", ".join(f"{words}: {', '.join(map(str, some))}" for words, some in parts if some)
         where = f"step {ended.number + 1} of {len(self._steps)} ({self._steps[ended.number]})"
         code = ended.cause.code if isinstance(ended.cause, CommandError) else "servo_down"
         return SequenceError(
@@ -344,17 +315,6 @@ class _Run:
             tuple(self._receipts),
             self._state,
         )
-
-
-def _numbers(some: Sequence[int]) -> str:
-    return ", ".join(map(str, some))
-
-
-def _reply(answer: Any) -> Any:
-    """An answer before anything was changed: errors are those of any request."""
-    if isinstance(answer, HapticdError):
-        raise answer
-    return answer
 
 
 def _check(steps: Sequence[Step], hello: Hello, status: Status) -> None:

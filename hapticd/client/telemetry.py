@@ -12,10 +12,9 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Self
 
-import msgpack
 import zmq
 
-from hapticd.client.requests import check_topic, heard_with
+from hapticd.client.requests import check_topic, heard_with, message_of
 from hapticd.core.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -154,7 +153,7 @@ class TelemetryReader:
         return concatenated(list(self.stream(topic, seconds=seconds)))
 
     def listen(self, topic: str) -> Generator[Any, None, None]:
-        """Decoded messages of `state`, `event` or `servo` as they come.
+        """Decoded messages of `state`, `event` (each an `Event`) or `servo` as they come.
 
         ConfigError: no such topic. DaemonDown when the daemon is silent for the client's time-out.
 
@@ -163,7 +162,7 @@ class TelemetryReader:
         """
         check_topic(topic)
         for payload in self._payloads(topic):
-            yield msgpack.unpackb(payload)
+            yield message_of(topic, payload)
 
     def _payloads(self, topic: str) -> Generator[bytes, None, None]:
         """What is published under `topic`, as it comes; after silence the error that says why."""

@@ -25,13 +25,14 @@ from numpy.typing import NDArray
 
 from hapticd.client.blocks import Block, BlockDecoder
 from hapticd.client.client import Client
-from hapticd.client.events import event_words
+from hapticd.client.formatting import event_words
 from hapticd.console.plane import Planes
 from hapticd.console.probing import Probing
 from hapticd.core.errors import HapticdError
 from hapticd.core.faults import BY_NUMBER
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.layout import State
+from hapticd.protocol.answers import Event, answer_of
 from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS
 
 RETRY_S = 0.25  # between looks for a daemon that is not there
@@ -141,7 +142,7 @@ class Watch:
         """Until the end. DaemonDown or MailboxError: there is no daemon to follow yet."""
         ticks = BlockDecoder()
         with Client(self._instance, name="page") as client:
-            self._level_on = float(client.get()["parameters"]["active_damping_level"])
+            self._level_on = float(client.get().parameters["active_damping_level"])
             for message in client.messages(TOPICS, look_s=0.0):
                 if self._ending.is_set():
                     return
@@ -164,5 +165,5 @@ class Watch:
         elif topic == "guard":
             self._planes.follow(told, self._level_on)
         elif topic == "event":
-            told["words"] = event_words(told)
+            told["words"] = event_words(answer_of(Event, told))
         self._publish(topic, json.dumps({"kind": topic, "told": told}))

@@ -16,10 +16,11 @@ a client sent (it holds nothing foreign but a bounded id and a few printable cha
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Any
 
 from hapticd.core.errors import CommandError, MailboxError
-from hapticd.core.params import LeaseParams, to_plain
+from hapticd.core.params import LeaseParams
 from hapticd.gateway.lease_server import LeaseServer
 from hapticd.gateway.waveform import Waveform
 from hapticd.guard.pending import Outstanding, Pending, PendingChange, concerns, damping_by
@@ -29,6 +30,8 @@ from hapticd.guard.status import Guard
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import Command, values_of
 from hapticd.mailbox.stop_word import press_stop
+from hapticd.protocol.answers import InForce
+from hapticd.protocol.codec import RequestMessage, unpacked
 from hapticd.protocol.commands import (
     ACCEPTED,
     Situation,
@@ -38,7 +41,6 @@ from hapticd.protocol.commands import (
     receipt,
     refusal,
 )
-from hapticd.protocol.envelope import RequestMessage, unpacked
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import (
@@ -66,15 +68,7 @@ OVERTAKING = frozenset({"disable", "reset", "zero", "home"})
 OBEYED = frozenset({"stop", "disable", "mark", "dump"})
 TAKEN_PER_TICK = 2  # by the servo; a stop behind more commands than that presses the page as well
 PAST_TICK = 1
-IN_FORCE = (
-    "tick",
-    "gain",
-    "stiffness_n_per_m",
-    "virtual_damping_ns_per_m",
-    "mass_kg",
-    "active_damping_asked_ns_per_m",
-    "active_damping_ns_per_m",
-)
+IN_FORCE = tuple(one.name for one in fields(InForce))  # of the newest record, in the reply to get
 MOST_QUEUED = 100  # requests that wait for their turn
 TOO_MANY = CommandError(
     "busy", f"{MOST_QUEUED} requests wait for the gateway already; slow down and ask again"
@@ -105,7 +99,7 @@ class CommandServer:
         self._journal = journal
         self._inquire = inquire
         self._guard = guard
-        self.limits = CommandLimits.announced(to_plain(view.params))
+        self.limits = CommandLimits.announced(view.params)
         self.schema = json_schema(self.limits)
         self.actors = Actors(view.next_actor)
         self._leasing = LeaseServer(view, self.actors, journal, lease or LeaseParams())

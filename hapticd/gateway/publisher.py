@@ -16,7 +16,7 @@ import numpy as np
 from hapticd.core.faults import BY_CODE, BY_NUMBER, FAULTS, Fault
 from hapticd.core.params import GatewaySetup
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.gateway.tick_times import TickTimes
+from hapticd.gateway.tick_times import ENOUGH, TickTimes
 from hapticd.gateway.winding import compensation
 from hapticd.guard.delivered import Delivered
 from hapticd.guard.status import Guard
@@ -26,7 +26,6 @@ from hapticd.protocol.flight import FlightRecorder, flights_folder
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.ledger import Ledger
-from hapticd.protocol.room import ENOUGH
 from hapticd.protocol.telemetry import (
     Feed,
     Origin,

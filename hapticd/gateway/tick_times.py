@@ -5,15 +5,20 @@ Histograms with logarithmic bins say how long each stage of a tick takes: 40 bin
 before it was late, and by which cause (`mailbox.layout.LateCause`). The first seconds after the
 start (`grace_s`) are left out. Late events and lost slots are counters of the servo; a histogram
 cannot show what did not happen.
+
+A tick takes the sum of the medians of its stages but the wake-up, transfers included. Below a
+quarter of its period left the daemon warns, once for each life of the servo, and names the highest
+rate that leaves it.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from hapticd.core.units import NS_PER_S, NS_PER_US
+from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.mailbox.layout import STAGES, LateCause
-from hapticd.protocol.room import Room, room_of
+from hapticd.protocol.answers import LEFT, Room
 from hapticd.protocol.view import Records, joined
 
 PER_DECADE = 40
@@ -23,6 +28,9 @@ EDGES_NS = LOWEST_NS * 10.0 ** (np.arange(PER_DECADE * DECADES + 1) / PER_DECADE
 BINS = len(EDGES_NS) + 1  # below the lowest edge, between edges, above the highest
 COUNTED_AT_ONCE = 500  # records: each call of numpy costs more than the few records of one batch
 PERCENTILES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999}
+ENOUGH = 1000  # ticks before the room is judged
+WORK = STAGES[1:]
+RATE_STEP_HZ = 10.0
 CAUSES = max(LateCause) + 1  # places by number; 0 is no cause
 
 
@@ -115,3 +123,13 @@ class TickTimes:
     def room(self) -> Room:
         """What a tick takes of its period."""
         return room_of(self.stages(), self._rate_hz)
+
+
+def room_of(stages: Mapping[str, Mapping[str, Any]], rate_hz: float) -> Room:
+    """The room at `rate_hz` by the percentiles of `stages`."""
+    period_us = US_PER_S / rate_hz
+    if stages[WORK[0]]["count"] < ENOUGH:
+        return Room(0.0, period_us, 0.0)
+    tick_us = sum(stages[stage]["p50_us"] for stage in WORK)
+    highest_hz = (1.0 - LEFT) * US_PER_S / max(tick_us, 1.0)
+    return Room(tick_us, period_us, highest_hz // RATE_STEP_HZ * RATE_STEP_HZ)

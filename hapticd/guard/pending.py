@@ -19,8 +19,8 @@ from hapticd.core.units import NS_PER_S
 from hapticd.guard.transition_planner import Stage
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, Result, State
+from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import Posting, forbidden
-from hapticd.protocol.envelope import RequestMessage
 from hapticd.protocol.journal import GATEWAY_ACTOR
 from hapticd.protocol.leases import ENVIRONMENT, Leases
 from hapticd.protocol.limits import PLACES

@@ -2,8 +2,7 @@
 
 schemas      what a client may ask, one strict model for each command
 answers      what is answered, as frozen dataclasses: the one schema of replies
-envelope     a request with its sender and encoding
-codec        msgpack or JSON, within hard limits
+codec        msgpack or JSON, within hard limits; a request with its sender
 commands     interlocks; requests as commands of the mailbox, answers as receipts
 limits       how much of each parameter may be asked
 leases       who may change what
@@ -11,7 +10,6 @@ explanation  outcome, reasons and remedies of the guard, as typed entries
 telemetry    tick records as the messages of each topic
 view         the servo by its mailbox and its newest record
 ledger       tick records as the energy ledger of the topic
-room         how much of its period a tick leaves
 journal      what happened, and who did it
 flight       the flight recorder and its file
 auth, keys   who may connect from where; files of CURVE keys

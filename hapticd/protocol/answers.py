@@ -5,7 +5,8 @@ replies with `answer_of`. It leaves out fields that this release does not know, 
 with a newer daemon; a field that an older daemon does not send has its default. Units are in the
 names of numbers. `None` stands for what is not known.
 
-What would break it: a field that the gateway sends and that is not here; a test compares both.
+What would break it: a field that the gateway sends and that is not here (a test compares both);
+a daemon that leaves out a parameter of `Hello.servo` that has no default.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,22 +15,28 @@ from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
+from hapticd.core.params import ServoParams
 from hapticd.protocol.explanation import Entry
-from hapticd.protocol.room import Room
 
 __all__ = [
+    "LEFT",
     "Compensation",
     "Delays",
     "Delivered",
+    "Event",
+    "Get",
     "GuardReading",
     "GuardStatus",
     "GuardVerdict",
+    "Hand",
     "Hello",
+    "InForce",
     "LateTicks",
     "LeaseHeld",
     "LeaseReleased",
     "Limit",
     "Receipt",
+    "Room",
     "StageTimes",
     "Status",
     "Timing",
@@ -77,6 +84,18 @@ class GuardReading:
 
 
 @dataclass(frozen=True, slots=True)
+class Hand:
+    """A hand that would shake the device, as one thing that can be imagined."""
+
+    text: str = ""  #: which mass or spring, at which frequency
+    mass_kg: float | None = None  #: one of these two
+    stiffness_n_per_m: float | None = None  #: of a spring to the ground
+    hz: float | None = None  #: at which it shakes
+    radius: float | None = None  #: spectral radius of a tick, with that hand
+    growth: str = ""  #: how fast its motion grows, in words
+
+
+@dataclass(frozen=True, slots=True)
 class GuardVerdict:
     """What the guard says of a change."""
 
@@ -104,7 +123,7 @@ class GuardVerdict:
     cmd: str = ""  #: what was asked: set, damping, enable ...
     number: int = 0  #: by which the event with the hand refers to it
     stages: int = 0  #: in which it is done
-    hand: dict[str, Any] | None = None  #: that would shake it, where it was waited for
+    hand: Hand | None = None  #: that would shake it, where it was waited for
 
     @property
     def worse(self) -> GuardReading:
@@ -153,10 +172,9 @@ class Limit:
 class Hello:
     """Who answers: versions, limits, endpoints."""
 
-    rate_hz: float = 0.0  #: of the servo
-    simulated: bool = False
-    #: the configuration of the servo process, as `hapticd.core.params.ServoParams` in plain form
-    servo: dict[str, Any] = field(default_factory=dict)
+    rate_hz: float  #: of the servo
+    simulated: bool
+    servo: ServoParams  #: the configuration of the servo process
     actor: int = 0  #: number of this client
     limits: dict[str, Limit] = field(default_factory=dict)  #: by dotted field name
     server: str = "hapticd"
@@ -167,6 +185,28 @@ class Hello:
     instance: str = ""
     endpoints: dict[str, Any] = field(default_factory=dict)
     topics: tuple[dict[str, Any], ...] = ()  #: name, rate and content of each
+
+
+@dataclass(frozen=True, slots=True)
+class InForce:
+    """What acts at a tick, on the way of every ramp."""
+
+    tick: int = -1
+    gain: float = 0.0
+    stiffness_n_per_m: float = 0.0
+    virtual_damping_ns_per_m: float = 0.0
+    mass_kg: float = 0.0
+    active_damping_asked_ns_per_m: float = 0.0
+    active_damping_ns_per_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Get:
+    """The parameters."""
+
+    #: as asked, ramps at their ends, in the shape of a `set`; units as in `Hello.limits`
+    parameters: dict[str, Any] = field(default_factory=dict)
+    in_force: InForce = InForce()
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,6 +329,78 @@ class LateTicks:
     latest_us: float = 0.0  #: after its deadline the latest of them ended
 
 
+LEFT = 0.25  # of a period, that a tick has to leave
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """What a tick takes of its period, by the stages that were measured since the servo started.
+
+    A tick that takes nearly all of it is late whenever anything holds it up.
+    """
+
+    tick_us: float = 0.0  #: 0: not known yet
+    period_us: float = 0.0
+    highest_rate_hz: float = 0.0  #: at which a quarter of the period is left; 0: not known yet
+
+    @property
+    def short(self) -> bool:
+        """Whether less than a quarter of the period is left."""
+        return self.tick_us > (1.0 - LEFT) * self.period_us
+
+    @property
+    def text(self) -> str:
+        """The warning."""
+        share = 100.0 * self.tick_us / self.period_us
+        return (
+            f"a tick takes {self.tick_us:.0f} us of its {self.period_us:.0f} us ({share:.0f} %, at"
+            f" most {100.0 * (1.0 - LEFT):.0f} % is safe): ticks will be late; set"
+            f" realtime.rate_hz to {self.highest_rate_hz:g} or less, or see `hapticd doctor`"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something that happened. What an event of its `kind` does not tell has its default."""
+
+    kind: str = ""  #: see `journal`; a newer daemon may have others
+    timestamp: float = 0.0  #: Unix time, s
+    tick: int = -1
+    actor: int = 0  #: whose doing it was
+    name: str = ""  #: of that client
+    before: str = ""  #: state of the servo until then
+    state: str = ""  #: from then on
+    fault: str = ""
+    cause: str = ""  #: of the fault
+    action: str = ""  #: that was taken
+    remedy: str = ""
+    cmd: str = ""  #: of the request that is answered, or that a hand would shake
+    id: int | str | None = None  #: of that request
+    result: str = ""  #: as in Receipt, as the four fields after it
+    revision: int = 0
+    first_tick: int = 0
+    ramp_end_tick: int = 0
+    effective: dict[str, Any] = field(default_factory=dict)
+    guard: GuardVerdict | None = None  #: on that request
+    number: int = 0  #: of the verdict that the hand belongs to
+    hand: Hand | None = None  #: None: none was found
+    seq: int = 0  #: of the record after a gap
+    lost: int = 0  #: records in the gap
+    epoch: int = 0  #: monotonic time at which the servo started, ns
+    path: str = ""  #: of a flight recording
+    reason: str = ""  #: why it was written
+    what: str = ""  #: that is leased
+    change: str = ""  #: of the lease: taken, or how it ended
+    by: str = ""  #: who took it over
+    excess_j: float | None = None  #: energy that leaked
+    tick_us: float = 0.0  #: that a tick takes of its period, where that is too much
+    period_us: float = 0.0
+    highest_rate_hz: float = 0.0  #: that would leave enough
+    address: str = ""  #: of a listener that was refused
+    times: int = 0  #: how often
+    text: str = ""  #: in words
+
+
 @dataclass(frozen=True, slots=True)
 class Status:
     """Everything about servo and gateway. What a record tells is 0, or -1 for a tick and a delay,
@@ -344,5 +456,5 @@ class Status:
     servo: dict[str, Any] = field(default_factory=dict)
     gateway: dict[str, Any] = field(default_factory=dict)  #: its process and its relay
     guard: GuardStatus | None = None
-    events: tuple[dict[str, Any], ...] = ()  #: the last ones of the topic `event`
+    events: tuple[Event, ...] = ()  #: the last ones of the topic `event`
     requests: dict[str, int] = field(default_factory=dict)  #: counts of them

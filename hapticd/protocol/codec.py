@@ -1,4 +1,5 @@
-"""Requests and replies: msgpack or JSON, told apart by the first byte, both within hard limits.
+"""Requests and replies: msgpack or JSON, told apart by the first byte, both within hard limits; a
+request with its envelope: who sent it, in which encoding, and where its reply goes.
 
 `{` (0x7B) begins every JSON object and no msgpack map, so the test is exact; the reply comes in the
 encoding of the request. Nothing is trusted: keys must be text and appear once, arrays and maps are
@@ -10,14 +11,23 @@ is a stop whatever else the message holds.
 import json
 import math
 import reprlib
+from collections.abc import Sequence
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgpack
 
 from hapticd.core.errors import CommandError
 
-__all__ = ["MAX_MESSAGE_BYTES", "Encoding", "encode", "finite"]
+__all__ = [
+    "INTERNAL_REQUEST",
+    "MAX_MESSAGE_BYTES",
+    "Encoding",
+    "RequestMessage",
+    "encode",
+    "finite",
+    "unpacked",
+]
 
 MAX_MESSAGE_BYTES = 64 * 1024
 MAX_ARRAY = 256
@@ -141,3 +151,55 @@ def _from_msgpack(payload: bytes) -> Any:
         max_bin_len=MAX_MESSAGE_BYTES,
         max_ext_len=0,
     )
+
+
+class RequestMessage(NamedTuple):
+    """A request with its envelope, and what is wrong with it if something is."""
+
+    envelope: tuple[bytes, ...]
+    encoding: Encoding
+    id: RequestId
+    cmd: str
+    plain: dict[str, Any]
+    error: CommandError | None
+
+    @property
+    def client(self) -> bytes:
+        """Identity of the sender's connection."""
+        return self.envelope[0]
+
+    def reply(self, content: dict[str, Any]) -> list[bytes]:
+        """Frames of the reply `content`, to which the id is added."""
+        return [*self.envelope, encode(self.encoding, {"id": self.id} | content)]
+
+
+def unpacked(frames: Sequence[bytes]) -> RequestMessage:
+    """The request in `frames`: client identity, delimiter, payload. Never raises.
+
+    The delimiter is empty, and is there only if a REQ socket sent the request.
+    """
+    identity, *rest = frames
+    delimiter = tuple(rest[:-1])
+    payload = rest[-1] if rest else b""
+    plain: dict[str, Any] = {}
+    error = None
+    try:
+        if delimiter not in ((), (b"",)):
+            delimiter = ()
+            raise malformed(f"{len(rest)} frames")
+        plain = decode(payload)
+    except CommandError as problem:
+        error = problem
+    cmd = plain.get("cmd")
+    return RequestMessage(
+        (identity, *delimiter),
+        encoding_of(payload),
+        echo_id(plain),
+        cmd if isinstance(cmd, str) else "",
+        plain,
+        error,
+    )
+
+
+# stands for the request of what the gateway does by itself
+INTERNAL_REQUEST = RequestMessage((b"",), Encoding.MSGPACK, None, "damping", {}, None)

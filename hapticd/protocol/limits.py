@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from hapticd.core.environment import SLOTS, flat
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import EnvironmentLimits
+from hapticd.core.params import EnvironmentLimits, ServoParams
 from hapticd.mailbox.environment_limits import AXES
 from hapticd.mailbox.layout import COMMISSIONING_LIMITS, Value, ValueLimit, value_limits
 
@@ -82,16 +82,15 @@ class CommandLimits:
             self.of[name] = CommandLimit(*narrower, source)
 
     @classmethod
-    def announced(cls, servo: dict[str, Any]) -> "CommandLimits":
-        """Those of the servo with the parameters `servo` in plain form, as `hello` tells them."""
-        device = servo["device"]
-        bounds = device["environment_limits"]
+    def announced(cls, servo: ServoParams) -> "CommandLimits":
+        """Those of the servo with these parameters, as `hello` tells them."""
+        device = servo.device
         return cls(
-            servo["realtime"]["rate_hz"],
-            device["active_damping_limit_ns_per_m"],
-            bounds and EnvironmentLimits(bounds["lowest"], bounds["highest"]),
-            device["commissioning"],
-            device["probe_limit_n"],
+            servo.realtime.rate_hz,
+            device.active_damping_limit_ns_per_m,
+            device.environment_limits,
+            device.commissioning,
+            device.probe_limit_n,
         )
 
     def broken_by(self, given: dict[str, Any]) -> list[dict[str, Any]]:

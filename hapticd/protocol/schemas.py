@@ -23,7 +23,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from hapticd.core.environment import FIELDS, JUDGED
+from hapticd.core.environment import FIELDS, JUDGED, flat
 from hapticd.core.errors import CommandError
 from hapticd.core.params import (
     LONGEST_LEASE_S,
@@ -164,6 +164,10 @@ else:
 class Set(Rendered):
     """Change any of the parameters; each goes on a ramp from where it is."""
 
+    # It is no form of an Environment but a change of one: only the fields that were sent, with
+    # ramp, ticks and revision. Its fields are made from the table, and `Environment.changed` takes
+    # what it gives.
+
     cmd: Literal["set"]
     filters: Filters = _absent("derivative filters")
     wall: Wall = _absent("unilateral wall")
@@ -188,18 +192,9 @@ class Set(Rendered):
     @model_validator(mode="after")
     def _asks_for_something(self) -> "Set":
         names = (*JUDGED, "limit_cycle_faults")
-        asked = self.model_fields_set.intersection(names) - {"filters", "wall"}
-        if not asked and not any(part.given for part in self.parts()):
+        if not any(key.partition(".")[0] in names for key, _ in flat(self.given)):
             raise ValueError(f"nothing to set; give one of {', '.join(names)}")
         return self
-
-    def parts(self) -> list[MessagePart]:
-        """The sub-tables that were sent."""
-        return [
-            part
-            for name in ("filters", "wall")
-            if isinstance(part := getattr(self, name), MessagePart)
-        ]
 
 
 class Damping(Change):
@@ -376,15 +371,18 @@ MODELS: dict[str, type[CommandMessage]] = {
     get_args(model.model_fields["cmd"].annotation)[0]: model for model in get_args(Request)
 }
 
-# to hello, status, guard, lease and to changes, in the JSON schema as `HelloAnswer` and so on
+# to hello, get, status, guard, lease and to changes, and what the topic `event` tells; in the JSON
+# schema as `HelloAnswer` and so on
 ANSWERS = (
     answers.Hello,
+    answers.Get,
     answers.Status,
     answers.GuardStatus,
     answers.LeaseHeld,
     answers.LeaseReleased,
     answers.Receipt,
     answers.GuardVerdict,
+    answers.Event,
 )
 LIMITED = {*JUDGED, "ramp_s", "value", "samples_n"}  # fields whose ranges depend on the device
 WITHOUT_LIMIT = {name for model in MODELS.values() for name in model.model_fields} - LIMITED

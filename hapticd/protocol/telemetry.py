@@ -34,7 +34,7 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from hapticd.core.params import DeviceParams, ScaleParams
+from hapticd.core.params import DeviceParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, PROBE_RATE_HZ
 from hapticd.mailbox.layout import LAYOUT_HASH, RECORD, RING_RECORDS, TELEMETRY, Flag
 from hapticd.protocol.ledger import NAMES as LEDGER
@@ -318,18 +318,15 @@ def scales(device: DeviceParams) -> dict[str, dict[str, Any]]:
 
     value = sign * (count - offset_count) * per_count
     """
-
-    def plain(scale: ScaleParams, unit: str) -> dict[str, Any]:
-        return {
+    signals = (("torque", device.probe_torque, "N"), ("velocity", device.probe_velocity, "m/s"))
+    return {
+        name: {
             "per_count": scale.per_count,
             "sign": scale.sign,
             "offset_count": scale.offset_count,
             "unit": unit,
         }
-
-    return {
-        "torque": plain(device.probe_torque, "N"),
-        "velocity": plain(device.probe_velocity, "m/s"),
+        for name, scale, unit in signals
     }
 
 

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import hapticd
+from hapticd.core.params import to_plain
 from hapticd.core.units import NS_PER_S
 from hapticd.protocol.answers import Hello, Status
 from hapticd.recording.calibrations import doubts
@@ -64,7 +65,7 @@ def of_recording(hello: Hello, status: Status, header: dict[str, Any], note: str
     mono_ns and utc_ns are one instant on the clock of `time_ns` and in Unix time. Calibrations that
     could not be relied on that day are named, and the certificate of the rig.
     """
-    servo = hello.servo
+    servo = to_plain(hello.servo)
     now_ns = time.time_ns()
     device = servo["device"]
     report = status.servo

@@ -38,7 +38,11 @@ __all__ = [
 ]
 
 LawState = tuple[float, float, float, float, float, float]
-LawInputs = tuple[float, ...]  # as `render` names them, then environment.FURTHER
+# What acts in one tick, as `render` names it, then environment.FURTHER. It is no form of an
+# Environment: the gain is multiplied in, every ramp is at its place of this tick, and bias, limit
+# and ends of the travel are beside it. An Environment made in every tick would cost the hot path an
+# allocation, and numba compiles no attribute access here.
+LawInputs = tuple[float, ...]
 # places in the inputs
 MASS: Final = 2
 LIMIT: Final = 4

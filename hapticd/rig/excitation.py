@@ -117,7 +117,7 @@ def sine_run(bench: Client) -> Recording:
     """Shake the handle with sines as strongly as it takes, and record it. AnalysisError as of
     `experiment.record`.
     """
-    most_n = float(bench.hello().servo["device"]["probe_limit_n"])
+    most_n = bench.hello().servo.device.probe_limit_n
     share = FIRST_SHARE
     with perturbing(bench, WEAK, WEAK_S, REACH_M) as watch:
         while True:

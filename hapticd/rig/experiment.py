@@ -17,7 +17,7 @@ What would break it: telemetry that is read more slowly than it comes (what is l
 or somebody who changes the wall meanwhile.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ from hapticd.client.lease import ClientLease
 from hapticd.core.arrays import Floats
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, CommandError, DaemonDown
-from hapticd.core.params import ScaleParams
+from hapticd.core.params import DeviceParams, ScaleParams, to_plain
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.mailbox.layout import State
 from hapticd.protocol.answers import Status
@@ -104,21 +104,23 @@ class Push(NamedTuple):
 
 # --- states ---------------------------------------------------------------------------------------
 def begin_step(bench: Client, what: str = "") -> dict[str, Any]:
-    """The servo's hello, with which a step begins. CommandError unless the servo is disabled;
-    AnalysisError that says `what` comes later, while the device's signs are not verified.
+    """The servo's parameters in plain form, with which a step begins. CommandError unless the
+    servo is disabled; AnalysisError that says `what` comes later, while the device's signs are not
+    verified.
     """
     state = bench.status().state
     if state != "disabled":
         raise CommandError(
             "refused", f"the servo is {state}, a step begins from disabled; `hapticd disable`"
         )
-    servo: dict[str, Any] = bench.hello().servo
-    if what and servo["device"]["commissioning"]:
+    servo = bench.hello().servo
+    if what and servo.device.commissioning:
         raise AnalysisError(
             f"{what} once the signs are verified: `hapticd rig motor` without masses, then start"
             " the daemon again"
         )
-    return servo
+    plain: dict[str, Any] = to_plain(servo)
+    return plain
 
 
 def require_force(status: Status) -> None:
@@ -137,7 +139,7 @@ def _force_ended(status: Status) -> AnalysisError:
 
 def servo_rate_hz(bench: Client) -> float:
     """The rate at which the servo of `bench` ticks."""
-    return float(bench.hello().servo["realtime"]["rate_hz"])
+    return bench.hello().servo.realtime.rate_hz
 
 
 def identity_of(bench: Client, records: Records) -> BoardIdentity:
@@ -236,7 +238,7 @@ def ready(bench: Client) -> Iterator[None]:
     bench.enable()
     try:
         bench.wait_for("enabled")
-        collect(bench, float(bench.hello().servo["safety"]["enable_ramp_s"]) + GAIN_S)
+        collect(bench, bench.hello().servo.safety.enable_ramp_s + GAIN_S)
         yield
     finally:
         if bench.status().state == "enabled":
@@ -357,10 +359,10 @@ def perturbing(
     plays and the device is disabled. The handle may go to the ends of its travel, or `reach_m`
     beyond where it is then and beyond x = 0.
     """
-    ends = bench.hello().servo["environment"]["workspace"]
+    ends = bench.hello().servo.environment.workspace
     measuring = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
     with measuring as lease, rendering(bench, environment, ramp_s) as at_m:
-        watch = Watch(lease, float(ends["lower_m"]), float(ends["upper_m"]))
+        watch = Watch(lease, ends.lower_m, ends.upper_m)
         if reach_m is not None:
             watch = Watch(lease, min(0.0, at_m) - reach_m, max(0.0, at_m) + reach_m)
         try:
@@ -385,17 +387,17 @@ def perturbation_run(
         raise AnalysisError(
             f"{lost} records were lost; quiet the host (`hapticd doctor`), and repeat the step"
         )
-    return _side_by_side(still, moving, bench.hello().servo["device"])
+    return _side_by_side(still, moving, bench.hello().servo.device)
 
 
-def _signal(samples: Records, name: str, device: Mapping[str, Any]) -> Floats:
+def _signal(samples: Records, name: str, device: DeviceParams) -> Floats:
     """A channel of the probe in SI, by the scale of the device file."""
-    scale = ScaleParams(**device[f"probe_{name}"])
+    scale: ScaleParams = getattr(device, f"probe_{name}")
     slope = scale.to_value(1.0) - scale.to_value(0.0)
     return np.asarray(scale.to_value(0.0) + slope * samples[name].astype(np.float64))
 
 
-def _side_by_side(still: Streams, moving: Streams, device: Mapping[str, Any]) -> PerturbationRun:
+def _side_by_side(still: Streams, moving: Streams, device: DeviceParams) -> PerturbationRun:
     index = moving.samples["index"].astype(np.float64)
     newest = np.searchsorted(moving.samples["time_ns"], moving.ticks["time_ns"], side="right") - 1
     ticks = moving.ticks[newest >= 0]

@@ -25,7 +25,11 @@ Written = Scalar | tuple[Scalar, ...]  # what may stand in a device file
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A measured quantity in `unit`, and the ends of its 95 % interval."""
+    """A measured quantity in `unit`, and the ends of its 95 % interval.
+
+    `name` is its key, unique in its step and TABLE.KEY for a value of the device file. It has no
+    label beside that: people are shown the key.
+    """
 
     name: str
     value: float

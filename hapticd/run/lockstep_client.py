@@ -106,6 +106,7 @@ class LockStepClient(Client):
             "state": State(int(self.newest["state"])).name.lower(),
             "cause": fault.cause if fault else "",
             "winding_c": float(self.newest["winding_c"]),
+            "rate_hz": self._servo.realtime.rate_hz,
             "simulated": self._servo.simulated,
             "config_hash": self._servo.config_hash,
             "leases": self._leases,

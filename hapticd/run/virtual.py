@@ -27,7 +27,7 @@ import msgpack
 
 from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
-from hapticd.client.requests import accepted
+from hapticd.client.requests import accepted, receipt_of
 from hapticd.core.errors import CommandError, ConfigError
 from hapticd.core.params import (
     BoardParams,
@@ -214,7 +214,7 @@ class VirtualBoard(LockStepClient):
 
     def stop(self) -> Receipt:
         """Latched stop."""
-        return self._change("stop")
+        return receipt_of(self.call("stop"))
 
     def lease(
         self,

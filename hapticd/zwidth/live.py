@@ -32,6 +32,7 @@ from hapticd.client.client import Client
 from hapticd.client.lease import ClientLease
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError, CommandError, DaemonDown
+from hapticd.core.params import to_plain
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.mailbox.layout import LOST_SLOTS, Flag, State, Watched
 from hapticd.model.excitation import marked, torque_record
@@ -81,7 +82,7 @@ def daemon_source(bench: Client, origin: str = "daemon", uncalibrated: bool = Fa
     """
 
     def record(trial: Trial, tell: Progress = silent) -> TrialRecord:
-        servo = bench.hello().servo
+        servo = to_plain(bench.hello().servo)
         doubtful = doubts(servo, datetime.date.today(), probed=True)
         if not uncalibrated:
             refuse_doubts(doubtful)

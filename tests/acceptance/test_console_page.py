@@ -210,8 +210,8 @@ def test_each_page_stops_in_its_own_name(
 
 def states_since(client: Client, tick: int) -> list[str]:
     """States that the servo came into after `tick`, in their order."""
-    events = [one for one in client.status().events if one["kind"] == "state"]
-    return [one["state"] for one in events if one["tick"] > tick]
+    events = [one for one in client.status().events if one.kind == "state"]
+    return [one.state for one in events if one.tick > tick]
 
 
 def test_stop_needs_neither_socket_nor_gateway(chromium: Browser, runtime: Path) -> None:
@@ -389,7 +389,7 @@ def test_values_are_set_together_with_a_receipt_in_words(page: Page, client: Cli
     page.fill("#B", "0.5")
     page.keyboard.press("Enter")
     wait_text(page, "#log", "disabled: applied at tick")
-    parameters = client.get()["parameters"]
+    parameters = client.get().parameters
     assert (parameters["K"], parameters["B"]) == (80.0, 0.5)
     wait_text(page, "#K-now", "80")
 
@@ -398,7 +398,7 @@ def test_a_refusal_is_told_in_words(page: Page, client: Client) -> None:
     page.fill("#K", "1e9")
     page.click("#set")
     wait_text(page, "#log", "refused: K = 1e+09 N/m: beyond the limit")
-    assert client.get()["parameters"]["K"] == 0.0
+    assert client.get().parameters["K"] == 0.0
 
 
 @pytest.mark.parametrize("text", ["1,5", "1.000,5", "0x10", "abc", "1e999"])
@@ -409,7 +409,7 @@ def test_what_the_command_line_takes_for_no_number_the_page_does_not_set(
     page.fill("#B", text)
     page.keyboard.press("Enter")
     wait_text(page, "#log", f"refused: B: '{text}' is not a number")
-    assert client.get()["parameters"]["K"] == 0.0
+    assert client.get().parameters["K"] == 0.0
 
 
 def test_a_trigger_at_no_number_says_so(page: Page) -> None:
@@ -659,7 +659,7 @@ def test_a_lease_of_another_is_shown_and_refuses_in_words(page: Page, client: Cl
         page.fill("#K", "50")
         page.click("#set")
         wait_text(page, "#log", "refused")
-        assert client.get()["parameters"]["K"] == 0.0
+        assert client.get().parameters["K"] == 0.0
         page.click("#stop")
         wait_text(page, "#lamp", "stopped")
     wait_text(page, "#lease-holder", "none")

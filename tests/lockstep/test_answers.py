@@ -1,5 +1,6 @@
 """Answers of the daemon are frozen dataclasses with all that it sends, and are the one schema."""
 
+import ast
 import dataclasses
 import json
 import subprocess
@@ -11,18 +12,27 @@ import msgpack
 import pytest
 from pydantic import TypeAdapter
 from support.gateway_stand_in import setup
+from support.tree import ROOT
 
 import hapticd
 from benchmarks.guard_attack import shipped_judge
 from hapticd.client.requests import accepted, receipt_of
 from hapticd.core.environment import Environment
 from hapticd.core.errors import CommandError
-from hapticd.core.params import to_plain
 from hapticd.core.units import UNITS
 from hapticd.gateway.tick_times import PERCENTILES
 from hapticd.guard.delivered import Estimate
 from hapticd.protocol import answers
-from hapticd.protocol.answers import GuardStatus, Hello, LeaseHeld, Receipt, Status, answer_of
+from hapticd.protocol.answers import (
+    Event,
+    Get,
+    GuardStatus,
+    Hello,
+    LeaseHeld,
+    Receipt,
+    Status,
+    answer_of,
+)
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import ANSWERS, json_schema
 
@@ -31,6 +41,7 @@ NUMBERS_WITHOUT_UNIT = {
     *("homed", "perturbing", "gain", "counters", "requests", "waiting", "number", "stages"),
     *("pid", "protocol", "count", "path_points", "radius", "low", "high", "ratio", "commanded"),
     *("timestamp", "lost_share", "loop_gain", "loop_gain_at_ceiling", "least_loop_gain"),
+    *("id", "seq", "lost", "times", "hz"),
     *("allowed", "seconds"),  # their units stand in the comments
 }
 KINDS = [one for name in answers.__all__ if dataclasses.is_dataclass(one := getattr(answers, name))]
@@ -75,7 +86,8 @@ def within(sent: Any, made: Any) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("cmd", "kind"), [("hello", Hello), ("status", Status), ("guard", GuardStatus)]
+    ("cmd", "kind"),
+    [("hello", Hello), ("get", Get), ("status", Status), ("guard", GuardStatus)],
 )
 def test_answer_has_every_field_that_is_sent(board: Any, cmd: str, kind: Any) -> None:
     plain = sent(board, cmd)
@@ -87,6 +99,7 @@ def test_answer_has_every_field_that_is_sent(board: Any, cmd: str, kind: Any) ->
 
 
 def test_nested_answers_have_every_field_that_is_sent(board: Any) -> None:
+    assert sent(board, "get")["in_force"].keys() == names(answers.InForce)
     assert sent(board, "guard")["delays"].keys() == names(answers.Delays)
     looked = whole_guard(board)
     assert looked["verdict"].keys() <= names(answers.GuardVerdict)
@@ -105,13 +118,37 @@ def test_nested_answers_have_every_field_that_is_sent(board: Any) -> None:
 
 def test_real_replies_satisfy_the_schema(board: Any) -> None:
     """Strictly: a number where a number is promised."""
-    for cmd, kind in (("hello", Hello), ("status", Status), ("guard", GuardStatus)):
+    for cmd, kind in (("hello", Hello), ("get", Get), ("status", Status), ("guard", GuardStatus)):
         plain = json.dumps(sent(board, cmd), default=str)
         TypeAdapter(kind).validate_json(plain, strict=True)
 
 
+def noted() -> Iterator[tuple[str, set[str]]]:
+    """(module, names of fields) of each event that the source notes."""
+    for path in sorted((ROOT / "hapticd").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            match node:
+                case ast.Call(func=ast.Attribute(attr="note"), args=[_, *_], keywords=fields):
+                    yield path.name, {one.arg for one in fields if one.arg}
+
+
+def test_every_field_of_an_event_is_in_its_class() -> None:
+    found = dict(noted())
+    assert {"publisher.py", "lease_server.py", "command_server.py", "status.py"} <= found.keys()
+    for module, fields in noted():
+        assert fields - {"unix_ns"} <= names(Event), module
+
+
+def test_event_is_read_with_the_answer_and_the_hand_inside_it() -> None:
+    plain = {"kind": "answer", "guard": {"safe": False}, "hand": {"hz": 34.0}, "colour": 1}
+    event = answer_of(Event, plain)
+    assert event.guard == answers.GuardVerdict(safe=False)
+    assert event.hand == answers.Hand(hz=34.0)
+    assert event.tick == -1
+
+
 def test_schema_of_the_protocol_describes_every_field_of_the_answers() -> None:
-    defined = json_schema(CommandLimits.announced(to_plain(setup().servo)))["$defs"]
+    defined = json_schema(CommandLimits.announced(setup().servo))["$defs"]
     for one in ANSWERS:
         assert defined[f"{one.__name__}Answer"]["properties"].keys() == names(one)
 

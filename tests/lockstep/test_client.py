@@ -175,7 +175,7 @@ def test_every_verb_has_its_method(client: Client) -> None:
     assert client.damping(0.5).effective["active_damping"] == 0.5
     assert client.damping("off").effective["active_damping"] == 0.0
     assert [client.stop().state, client.reset().state] == ["stopped", "disabled"]
-    assert client.get()["parameters"]["active_damping_level"] == 0.5
+    assert client.get().parameters["active_damping_level"] == 0.5
     assert client.hello().server == "hapticd"
     assert client.status().state == "disabled"
     assert "$defs" in client.schema()
@@ -295,7 +295,7 @@ def test_listen_waits_for_events(client: Client, rig: GatewayRig) -> None:
 
     rig.servo._publish = flipping  # type: ignore[method-assign]
     event = next(events)
-    assert (event["kind"], {event["before"], event["state"]}) == ("state", {"disabled", "stopped"})
+    assert (event.kind, {event.before, event.state}) == ("state", {"disabled", "stopped"})
     events.close()
 
 
@@ -373,7 +373,7 @@ def test_client_is_introduced_to_the_next_gateway_before_it_asks(
     rig.restart_gateway()
     client.mark("first")
     events = client.status().events
-    assert [one["name"] for one in events if one["kind"] == "mark"] == ["test"]
+    assert [one.name for one in events if one.kind == "mark"] == ["test"]
 
 
 def test_connection_that_is_lost_before_the_request_is_sent_times_out(

@@ -80,7 +80,7 @@ def test_streams_give_whole_records_while_others_ask() -> None:
     async def ask() -> tuple[np.ndarray, int, str]:
         async with client() as device:
             recorded, found = await asyncio.gather(device.record(0.5), device.get())
-            return recorded[0], recorded[1], found["parameters"]["active_damping_level"]
+            return recorded[0], recorded[1], found.parameters["active_damping_level"]
 
     records, lost, _ = asyncio.run(ask())
     assert (len(records), lost) == (500, 0)
@@ -156,7 +156,7 @@ def test_client_is_introduced_to_the_next_gateway_before_it_asks(rig: GatewayRig
             rig.restart_gateway()
             await device.mark("first")
             events = (await device.status()).events
-            assert [one["name"] for one in events if one["kind"] == "mark"] == ["test"]
+            assert [one.name for one in events if one.kind == "mark"] == ["test"]
 
     asyncio.run(ask())
 

@@ -325,7 +325,7 @@ def test_sequence_is_done_to_its_end_before_it_warns() -> None:
         warnings.simplefilter("error")
         with pytest.raises(GuardWarning):
             device.sequence(STEPS)
-        assert device.get()["parameters"]["K"] == 200.0
+        assert device.get().parameters["K"] == 200.0
 
 
 @pytest.mark.usefixtures("gateway")

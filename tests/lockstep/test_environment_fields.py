@@ -17,7 +17,6 @@ from benchmarks.guard_attack import shipped_judge
 from benchmarks.guard_desk import GuardedStack
 from hapticd.cli.change import changes
 from hapticd.core.environment import FIELDS, Environment, EnvironmentField, WorkspaceParams
-from hapticd.core.params import to_plain
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
 from hapticd.protocol.limits import CommandLimits
 from hapticd.recording.file import open_recording
@@ -47,7 +46,7 @@ def asked_value(field: EnvironmentField) -> float:
     """A value that the device allows and that is not the one it starts with."""
     if field.key == "wall.side":
         return -1.0
-    limit = CommandLimits.announced(to_plain(servo_params())).of[field.key]
+    limit = CommandLimits.announced(servo_params()).of[field.key]
     return round(limit.low + 0.3 * (limit.high - limit.low), 4)
 
 

@@ -13,7 +13,7 @@ from support.models import COUNT_M, COUNT_N, device_params, servo_params
 
 from hapticd.core.environment import Environment, WorkspaceParams
 from hapticd.core.faults import BY_CODE
-from hapticd.core.params import HomeParams, ScaleParams, to_plain
+from hapticd.core.params import HomeParams, ScaleParams
 from hapticd.mailbox.layout import COMMISSIONING, Command, Result, State, Value
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.view import as_records
@@ -62,11 +62,11 @@ def test_only_a_box_is_taken_until_signs_are_verified(place, inside, outside):
 
 
 def test_what_is_out_of_the_box_is_refused_with_the_reason_and_the_way_out():
-    (said,) = CommandLimits.announced(to_plain(unverified())).broken_by({"K": 300.0})
+    (said,) = CommandLimits.announced(unverified()).broken_by({"K": 300.0})
     assert "0..100 N/m" in said["msg"]
     assert "not verified" in said["msg"]
     assert "hapticd rig motor" in said["msg"]
-    assert not CommandLimits.announced(to_plain(servo_params())).broken_by({"K": 300.0})
+    assert not CommandLimits.announced(servo_params()).broken_by({"K": 300.0})
 
 
 def test_a_configuration_beyond_the_box_begins_at_its_edge():

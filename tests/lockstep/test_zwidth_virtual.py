@@ -43,7 +43,7 @@ def test_the_guard_judges_and_refuses_as_its_policy_says(board: VirtualBoard) ->
         board.set(K=400, B=1)
     assert caught.value.guard is not None
     assert caught.value.guard.safe is False
-    assert board.get()["parameters"]["K"] == 200
+    assert board.get().parameters["K"] == 200
 
 
 def test_a_strict_client_is_refused_what_is_not_passive() -> None:
@@ -64,7 +64,7 @@ def test_an_error_in_a_lease_does_what_the_lease_says_at_its_end(
         raise error
     board.sleep(1.0)
     assert board.status().state == state
-    assert board.get()["parameters"]["K"] == stiffness
+    assert board.get().parameters["K"] == stiffness
     board.set(K=5)  # its holder knows of it, and goes on
 
 

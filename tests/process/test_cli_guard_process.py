@@ -79,11 +79,11 @@ def test_refused_change_names_its_hand_and_a_killed_worker_comes_back(daemon: Da
         found = client.hand(verdict, 20.0)
         assert found is not None
         # with the delay of a busy machine it may shake by itself, without any hand
-        assert verdict.radius >= 1.0 or found["hand"]["radius"] > 1.0
+        assert verdict.radius >= 1.0 or found.hand.radius > 1.0
         worker = client.guard().pid
         os.kill(worker, signal.SIGKILL)
         assert refused(client).safe is not True  # by nobody, or by the next one already
-        assert client.get()["parameters"]["active_damping"] > 0.0
+        assert client.get().parameters["active_damping"] > 0.0
         last = until(lambda: other(client, worker), "the next worker")
         judged(client)
         client.stop()  # by the stop word, where the gateway has no processor for 40 ms

@@ -177,7 +177,7 @@ def test_killed_gateway_comes_back_beside_the_same_servo(daemon: Daemon, device:
     until(lambda: daemon.children().get("gateway", before["gateway"]) != before["gateway"], "new")
     assert daemon.children()["servo"] == before["servo"]
     with Client(daemon.instance, name="test", timeout_s=DEADLINE_S) as again:
-        assert until(lambda: again.get()["parameters"]["K"] == 70.0, "the value in force")
+        assert until(lambda: again.get().parameters["K"] == 70.0, "the value in force")
 
 
 def test_killed_servo_comes_back_disabled(daemon: Daemon, device: Client) -> None:

@@ -4,7 +4,7 @@ from typing import Any, Self
 
 from hapticd.client import Receipt
 from hapticd.core.errors import HapticdError
-from hapticd.protocol.answers import Status, answer_of
+from hapticd.protocol.answers import Get, InForce, Status, answer_of
 
 EFFECTIVE = {
     "K": 100.0,
@@ -55,9 +55,9 @@ class ClientDouble:
         self._ask("perturb_load", list(samples_n))
         return len(samples_n)
 
-    def get(self) -> dict[str, Any]:
+    def get(self) -> Get:
         self._ask("get")
-        return {"parameters": EFFECTIVE, "in_force": {"tick": 5}}
+        return Get(EFFECTIVE, InForce(5))
 
     def status(self) -> Status:
         return answer_of(Status, self.call("status")["result"])

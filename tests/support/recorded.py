@@ -16,7 +16,6 @@ from hapticd.core.params import (
     GatewaySetup,
     GuardParams,
     ServoParams,
-    to_plain,
 )
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.gateway.publisher import Publisher
@@ -145,8 +144,7 @@ class Source:
         self._look_ms = look_ms
 
     def hello(self) -> Hello:
-        servo = to_plain(self.params)
-        return Hello(1000.0, True, servo, instance="test", version="0.1.0")
+        return Hello(1000.0, True, self.params, instance="test", version="0.1.0")
 
     def status(self) -> Status:
         report = {

@@ -18,7 +18,7 @@ from hapticd.cli.app import main
 from hapticd.client import GuardVerdict, Receipt
 from hapticd.client.formatting import guard_line, objection_lines, receipt_text, timing_words
 from hapticd.core.errors import CommandError, GuardWarning
-from hapticd.protocol.answers import GuardStatus, Timing, answer_of, verdict_of
+from hapticd.protocol.answers import Event, GuardStatus, Timing, answer_of, verdict_of
 
 VERDICT = {
     "safe": False,
@@ -69,8 +69,8 @@ def says(**changed: Any) -> GuardVerdict:
 class GuardDouble(ClientDouble):
     """A daemon whose guard has an opinion."""
 
-    def hand(self, verdict: GuardVerdict) -> dict[str, Any] | None:
-        return {**EVENT, "number": verdict.number}
+    def hand(self, verdict: GuardVerdict) -> Event | None:
+        return answer_of(Event, {**EVENT, "number": verdict.number})
 
     def guard(self, *what: Any, **more: Any) -> GuardStatus:
         self._ask("guard", (what, more))
@@ -104,7 +104,8 @@ def test_refusal_carries_verdict_and_hand_in_json(
     double.error = CommandError("guard", "no", None, says())
     assert main(["damping", "off", "--json"]) == 4
     error = json.loads(capsys.readouterr().out)["error"]
-    assert error["guard"] == error["guard"] | {**VERDICT, "hand": EVENT["hand"]}
+    assert error["guard"] == error["guard"] | {**VERDICT, "hand": error["guard"]["hand"]}
+    assert error["guard"]["hand"] == error["guard"]["hand"] | EVENT["hand"]
 
 
 def test_warning_goes_to_stderr_beside_the_receipt(

@@ -9,6 +9,7 @@ import msgpack
 import numpy as np
 import pytest
 from rich.console import Console
+from support.gateway_stand_in import setup
 
 from hapticd.cli import monitor
 from hapticd.cli.app import main
@@ -160,7 +161,7 @@ class StreamDouble:
         return None
 
     def hello(self) -> Hello:
-        return Hello(1000.0, True, {"safety": {"force_limit_n": 8.0}})
+        return Hello(1000.0, True, setup().servo)
 
     def status(self) -> Status:
         refused = {"granted": False, "text": "refused: no; LimitRTPRIO=80"}

@@ -2,9 +2,10 @@
 
 import pytest
 
-from hapticd.client.events import event_words
+from hapticd.client.formatting import event_words
 from hapticd.core.faults import BY_CODE
 from hapticd.gateway.publisher import described
+from hapticd.protocol.answers import Event, answer_of
 
 FAULT = BY_CODE["overspeed"]
 
@@ -51,4 +52,4 @@ FAULT = BY_CODE["overspeed"]
     ],
 )
 def test_an_event_reads_as_a_sentence(event, words):
-    assert event_words(event) == words
+    assert event_words(answer_of(Event, event)) == words

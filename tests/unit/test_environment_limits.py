@@ -62,7 +62,7 @@ def test_an_end_of_which_nothing_is_known_is_the_stated_one() -> None:
 def test_value_beyond_is_refused_with_unit_limit_and_what_was_meant(
     given: dict[str, float], said: str
 ) -> None:
-    limits = CommandLimits.announced(to_plain(servo(environment_limits(WEIR))))
+    limits = CommandLimits.announced(servo(environment_limits(WEIR)))
     with pytest.raises(CommandError) as caught:
         parse({"cmd": "set", **given}, limits)
     assert caught.value.code == "invalid"
@@ -70,12 +70,12 @@ def test_value_beyond_is_refused_with_unit_limit_and_what_was_meant(
 
 
 def test_mass_that_is_no_number_of_grams_either_is_not_guessed() -> None:
-    limits = CommandLimits.announced(to_plain(servo(environment_limits(WEIR))))
+    limits = CommandLimits.announced(servo(environment_limits(WEIR)))
     assert "ask for a value inside" in limits.complaint("M", 9000.0)
 
 
 def test_limit_itself_may_be_asked_for() -> None:
-    limits = CommandLimits.announced(to_plain(servo(environment_limits(WEIR))))
+    limits = CommandLimits.announced(servo(environment_limits(WEIR)))
     for given in ({"M": 1.42}, {"M": -0.814}, {"K": 19600}, {"B": -100}):
         parse({"cmd": "set", **given}, limits)
 
@@ -91,20 +91,20 @@ def test_clients_and_pages_are_told_the_same_limits() -> None:
         device.commissioning,
         device.probe_limit_n,
     )
-    assert CommandLimits.announced(to_plain(params)).of == own.of
+    assert CommandLimits.announced(params).of == own.of
     assert own.plain()["M"] == {"low": -0.814, "high": 1.42, "unit": "kg"}
     assert json_schema(own)["$defs"]["Set"]["properties"]["M"]["maximum"] == 1.42
     assert from_plain(ServoParams, to_plain(params)) == params
 
 
 def test_box_of_unverified_signs_stays_the_narrower_one() -> None:
-    limits = CommandLimits.announced(to_plain(servo(environment_limits(WEIR), commissioning=True)))
+    limits = CommandLimits.announced(servo(environment_limits(WEIR), commissioning=True))
     assert "0..100 N/m (the signs of this device are not verified" in limits.complaint("K", 300.0)
     assert not limits.allows("M", 0.010)
 
 
 def test_without_bounds_the_mailbox_alone_limits() -> None:
     """As on a scene that the bench simulates."""
-    limits = CommandLimits.announced(to_plain(servo(None)))
+    limits = CommandLimits.announced(servo(None))
     assert limits.allows("M", 10.0)
     assert "it is fixed in this version" in limits.complaint("K", 2e5)

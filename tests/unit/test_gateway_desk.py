@@ -12,7 +12,7 @@ import pytest
 from support.gateway_rig import DeskRig, decoded, packed
 from support.gateway_stand_in import StandInServo
 
-from hapticd.client.events import event_words
+from hapticd.client.formatting import event_words
 from hapticd.core.faults import BY_CODE
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.client_side import Answer
@@ -24,6 +24,7 @@ from hapticd.mailbox.layout import (
     State,
     Value,
 )
+from hapticd.protocol.answers import Event, answer_of
 from hapticd.protocol.commands import refusal
 from hapticd.protocol.journal import Actors
 from hapticd.usb.frames import StatusBit
@@ -431,7 +432,8 @@ def test_a_mark_is_an_event_with_words_and_tick(rig: DeskRig) -> None:
     event = next(one for one in reversed(rig.journal.recent) if one["kind"] == "mark")
     assert found["tick"] >= 7
     assert (event["tick"], event["actor"]) == (found["tick"], actor)
-    assert event_words(event) == f"mark: the handle is released (by trial, tick {event['tick']})"
+    words = f"mark: the handle is released (by trial, tick {event['tick']})"
+    assert event_words(answer_of(Event, event)) == words
     assert rig.ask(cmd="mark", text="")["error"]["code"] == "invalid"
 
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from hapticd.gateway.tick_times import ENOUGH, room_of
 from hapticd.mailbox.layout import STAGES
-from hapticd.protocol.room import ENOUGH, room_of
 from hapticd.run.doctor.late import judge_room
 
 

@@ -7,12 +7,11 @@ from support.gateway_stand_in import setup
 
 from hapticd.core.environment import flat
 from hapticd.core.errors import CommandError
-from hapticd.core.params import to_plain
 from hapticd.mailbox.layout import VALUE_LIMITS
 from hapticd.protocol.limits import PLACES, CommandLimits
 from hapticd.protocol.schemas import MODELS, json_schema, parse
 
-LIMITS = CommandLimits.announced(to_plain(setup().servo))
+LIMITS = CommandLimits.announced(setup().servo)
 LIST = "the command `schema` lists what is allowed"
 
 ALLOWED: list[dict[str, Any]] = [

@@ -16,7 +16,7 @@ from hapticd.core.errors import MailboxError
 from hapticd.core.faults import Fault
 from hapticd.core.params import ScaleParams
 from hapticd.model.effects import Effect
-from hapticd.protocol.answers import GuardVerdict
+from hapticd.protocol.answers import Event, GuardVerdict, LeaseReleased
 from hapticd.protocol.explanation import Entry
 from hapticd.recording.calibrations import CalibrationDoubt
 from hapticd.rig.result import Finding
@@ -30,6 +30,8 @@ from hapticd.zwidth.trial import TrialResult
 TEXTS: dict[type[Any], tuple[str, ...]] = {
     StepReceipt: ("text",),
     GuardVerdict: ("text",),
+    Event: ("text",),
+    LeaseReleased: ("text",),
     Entry: ("text",),
     Grant: ("text",),
     TrialEnd: ("text",),

@@ -39,7 +39,7 @@ class TestConfigOfYourOwn:
         return path
 
     def test_rate_is_that_of_the_file(self, hapticd_board):
-        assert hapticd_board.hello().servo["realtime"]["rate_hz"] == 2000.0
+        assert hapticd_board.hello().servo.realtime.rate_hz == 2000.0
 
 
 class TestRealBoard:

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+from support.gateway_stand_in import setup
+
 from hapticd.protocol.answers import Hello, LeaseHeld, Status
 from hapticd.recording import provenance
 from hapticd.recording.file import open_recording
@@ -40,9 +42,7 @@ def test_provenance_is_complete(recording_file: Path) -> None:
 
 def test_holders_of_leases_are_named() -> None:
     held = LeaseHeld("trial", 17, left_s=3.0, ttl_s=5.0, at_end="hold")
-    device = {"name": "d", "serial": "s"}
-    servo = {"device": device, "config_hash": "c", "simulated": True}
-    hello = Hello(1000.0, True, servo, instance="i", version="v")
+    hello = Hello(1000.0, True, setup().servo, instance="i", version="v")
     status = Status("enabled", leases={"perturbation": held})
     header = {"mono_unix_offset_ns": 0, "simulated": True, "layout": "l"}
     found = provenance.of_recording(hello, status, header, "")

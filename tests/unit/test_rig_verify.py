@@ -13,6 +13,7 @@ from support.rig_verify import EMF, FREE, SHORT, nothing, verified
 from hapticd.cli.rig import steps
 from hapticd.core.environment import FilterParams
 from hapticd.core.errors import AnalysisError
+from hapticd.core.params import to_plain
 from hapticd.rig.result import Value
 from hapticd.rig.steps import reference_vectors as vectors
 from hapticd.rig.steps import verify
@@ -109,7 +110,7 @@ def test_ctrl_c_ends_the_force():
 
 def test_old_calibrations_are_findings_with_their_step():
     with Hand(**FREE) as hand:
-        servo = hand.bench.hello().servo | {"simulated": False}
+        servo = to_plain(hand.bench.hello().servo) | {"simulated": False}
         found = list(verify._calibrations(servo, datetime.date(2026, 1, 1)))
     assert {one.verdict for one in found} == {"refused"}
     assert found[0].remedy == "`hapticd rig encoder`"

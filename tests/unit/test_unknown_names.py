@@ -10,7 +10,6 @@ from benchmarks.guard_attack import shipped_judge
 from hapticd.console.asker import EXCITE, Asker
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, ConfigError, HapticdError
-from hapticd.core.params import to_plain
 from hapticd.protocol.commands import values_given
 from hapticd.protocol.limits import CommandLimits
 
@@ -34,7 +33,7 @@ def test_environment_takes_no_number_for_a_table() -> None:
 
 @pytest.mark.parametrize("change", STRANGE)
 def test_limits_know_every_name_that_they_are_asked_about(change: dict[str, Any]) -> None:
-    limits = CommandLimits.announced(to_plain(setup().servo))
+    limits = CommandLimits.announced(setup().servo)
     with pytest.raises(ConfigError, match="no limit is known of it; there are K, B, M"):
         limits.broken_by(change)
 

@@ -211,15 +211,15 @@ def _stale(where: StepOptions) -> str:
     except DaemonDown:
         return "no daemon runs"
     settings = load.load(where.config)
-    if scales := steps.not_read_yet(servo["device"], settings.device):
+    if scales := steps.not_read_yet(servo.device, settings.device):
         return f"the device file has a new {', '.join(scales)}"
-    read = servo["device_file_sha256"]
+    read = servo.device_file_sha256
     return "the device file has changed" if read not in ("", settings.device_file_sha256) else ""
 
 
 def _commissioning(where: StepOptions) -> bool:
     with connect(where.instance) as client:
-        return bool(client.hello().servo["device"]["commissioning"])
+        return client.hello().servo.device.commissioning
 
 
 def number(question: str) -> float:

@@ -10,9 +10,9 @@ What would break it: a way out of a step that leaves the device enabled.
 import datetime
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,7 +23,7 @@ from hapticd.cli.change import connect
 from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.zwidth.live import signals_end_with_force_off
 from hapticd.core.errors import ConfigError
-from hapticd.core.params import to_plain
+from hapticd.core.params import DeviceParams, ScaleParams
 
 with deferred_imports():
     from hapticd.client import client as clients
@@ -134,7 +134,7 @@ def perform(
     with ExitStack() as stack:
         stack.enter_context(signals_end_with_force_off())
         client = stack.enter_context(connect(options.instance))
-        _refuse_another(client.hello().servo["device"], settings)
+        _refuse_another(client.hello().servo.device, settings)
         try:
             result = measure(client, asking(options.yes))
         except KeyboardInterrupt:
@@ -143,13 +143,13 @@ def perform(
     return _written(result, settings, options.yes)
 
 
-def _refuse_another(running: "Mapping[str, Any]", settings: "load.Settings") -> None:
+def _refuse_another(running: DeviceParams, settings: "load.Settings") -> None:
     """ConfigError if the running daemon does not have the device file of `settings`: what one step
     has written, as the sign of the position, the next one builds upon.
     """
-    if running["serial"] != settings.device.serial:
+    if running.serial != settings.device.serial:
         raise ConfigError(
-            f"the daemon runs the device {running['serial']!r}, {settings.device_file} is of"
+            f"the daemon runs the device {running.serial!r}, {settings.device_file} is of"
             f" {settings.device.serial!r}; name its configuration with --config"
         )
     if scales := not_read_yet(running, settings.device):
@@ -159,17 +159,19 @@ def _refuse_another(running: "Mapping[str, Any]", settings: "load.Settings") -> 
         )
 
 
-def not_read_yet(running: "Mapping[str, Any]", device: "device_files.DeviceFile") -> list[str]:
+def not_read_yet(running: DeviceParams, device: "device_files.DeviceFile") -> list[str]:
     """Scales of `device` that are others than those of a running servo, whose parameters of the
-    device are `running`, as its hello says them.
+    device are `running`.
     """
-    written = to_plain(build.device_params(device))
-    scales = [name for name, one in written.items() if isinstance(one, dict) and "per_count" in one]
-    return [name for name in scales if _meaning(written[name]) != _meaning(running[name])]
+    written = build.device_params(device)
+    names = [one.name for one in fields(written)]
+    pairs = [(name, getattr(written, name), getattr(running, name)) for name in names]
+    scales = [pair for pair in pairs if hasattr(pair[1], "per_count")]
+    return [name for name, ours, theirs in scales if _meaning(ours) != _meaning(theirs)]
 
 
-def _meaning(scale: "Mapping[str, Any]") -> tuple[Any, ...]:
-    return tuple(scale[key] for key in ("sign", "per_count", "offset_count"))
+def _meaning(scale: ScaleParams) -> tuple[Any, ...]:
+    return scale.sign, scale.per_count, scale.offset_count
 
 
 def _written(

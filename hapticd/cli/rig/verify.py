@@ -9,6 +9,7 @@ from hapticd.cli import terminal
 from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import steps
 from hapticd.core.errors import ConfigError
+from hapticd.core.params import to_plain
 
 with deferred_imports():
     from hapticd.client import client as clients
@@ -62,7 +63,7 @@ def verify(
     subjects: list[certificate.Subject] = []
 
     def measure(client: "clients.Client", ask: "hands.Ask") -> "results.StepResult":
-        servo = client.hello().servo
+        servo = to_plain(client.hello().servo)
         refuse_another_file(servo["device_file_sha256"], settings)
         board = experiment.identity_of(client, experiment.collect(client, LOOK_S).records)
         rights = client.status().servo.get("realtime", {})

@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 from hapticd.cli import change, terminal
 from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.zwidth import common
-from hapticd.core.environment import Environment
-from hapticd.core.params import from_plain
 from hapticd.core.units import US_PER_S
 
 with deferred_imports():
@@ -48,18 +46,17 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
     stack.enter_context(signals_end_with_force_off())
     client = stack.enter_context(change.connect(instance))
     servo = client.hello().servo
-    name = servo["device"]["name"]
+    name = servo.device.name
     model = scenes.scene_of_device(name)
     if model is not None:
-        own = from_plain(Environment, servo["environment"])
         filtered = replace(
             model.environment,
-            velocity_filter=own.velocity_filter,
-            acceleration_filter=own.acceleration_filter,
+            velocity_filter=servo.environment.velocity_filter,
+            acceleration_filter=servo.environment.acceleration_filter,
         )
         model = replace(model, environment=filtered)
-    skew_s = float(servo["device"]["probe_skew_us"]) / US_PER_S
-    return Rig(client, instance, name, servo["simulated"], skew_s, model)
+    skew_s = servo.device.probe_skew_us / US_PER_S
+    return Rig(client, instance, name, servo.simulated, skew_s, model)
 
 
 def announce(

@@ -252,8 +252,7 @@ def narrowed(bench: Client, tripped_s: float) -> Iterator[Silence]:
 @contextmanager
 def some_damping(bench: Client) -> Iterator[None]:
     """Active damping on; what is switched on for this is switched off, at its old level."""
-    device = bench.hello().servo["device"]
-    least = COUNTS * float(device["active_damping"]["per_count"])
+    least = COUNTS * bench.hello().servo.device.active_damping.per_count
     asked = collect(bench, AFTER_S).records["active_damping_asked_ns_per_m"][-1]
     if asked >= least:
         yield

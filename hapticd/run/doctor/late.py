@@ -3,8 +3,7 @@ some are late. Each cause has its remedy.
 """
 
 from hapticd.mailbox.layout import LateCause
-from hapticd.protocol.answers import Status
-from hapticd.protocol.room import Room
+from hapticd.protocol.answers import Room, Status
 from hapticd.run.doctor.checks import CheckResult, ok, warn
 
 __all__ = ["judge", "judge_room"]

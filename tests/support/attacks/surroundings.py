@@ -143,7 +143,7 @@ def _no_room_for_flight(folder: Path) -> None:
 
         def told() -> bool:
             events = daemon.client.status().events
-            return any("could not be written" in one.get("text", "") for one in events)
+            return any("could not be written" in one.text for one in events)
 
         until(told, "it is told that the flight could not be written")
         resource.prlimit(gateway, resource.RLIMIT_FSIZE, before)
