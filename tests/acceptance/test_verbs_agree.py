@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from examples.weir2008 import run
+from examples.weir2008.paper import HIGH_PASS
 from hapticd.settings.scene import load_scene
-from hapticd.studies.weir2008 import run
-from hapticd.studies.weir2008.paper import HIGH_PASS
 from hapticd.zwidth import search
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map
