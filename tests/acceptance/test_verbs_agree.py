@@ -91,7 +91,7 @@ def told_of(verdict):
 
 @pytest.fixture
 def short_trials(monkeypatch):
-    """`reproduce` makes trials of SECONDS; its conditions are kept, so what others asked is
+    """The reproduction makes trials of SECONDS; its conditions are kept, so what others asked is
     forgotten.
     """
     monkeypatch.setattr(run, "SECONDS", SECONDS)
