@@ -117,7 +117,7 @@ bench: deps-bench $(VENV)/bench.stamp
 REPRODUCTION := build/reproduction$(if $(filter --quick,$(ARGS)),-quick)
 
 reproduce: $(VENV)/lab.stamp
-	@$(BIN)/hapticd zwidth reproduce --out $(REPRODUCTION) $(ARGS)
+	@$(BIN)/python -m examples.weir2008 --out $(REPRODUCTION) $(ARGS)
 
 reproduction-docs: reproduce
 	$(BIN)/python docs/reproduce.py $(REPRODUCTION)

@@ -6,7 +6,7 @@ the bent one has a damping that the environment changes by up to 0.55 N s/m. A g
 needs 290,000 and 180,000 trials.
 
 weir2008, undamped and damped, trials of 90 s with noise: against a grid of 2,002 that is simulated
-twice (`hapticd.studies.weir2008.future_work`).
+twice (`examples.weir2008.future_work`).
 """
 
 from collections.abc import Iterator
@@ -15,12 +15,12 @@ import numpy as np
 
 from benchmarks import targets
 from benchmarks.figures import Figure, compared, refused
+from examples.weir2008.future_work import SearchCheck, compared_with_grid
+from examples.weir2008.paper import LEVELS
 from hapticd.model.loop import derivatives, held_force_model
 from hapticd.settings.scene import load_scene
 from hapticd.signal.search import Search, first_trials, next_trials, predicted_passive
 from hapticd.signal.surrogate import Box, Observation
-from hapticd.studies.weir2008.future_work import SearchCheck, compared_with_grid
-from hapticd.studies.weir2008.paper import LEVELS
 from hapticd.zwidth.outcomes import Conditions
 from hapticd.zwidth.scenes import noise
 

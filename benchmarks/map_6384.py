@@ -17,10 +17,10 @@ from benchmarks.engine_c import Yard
 from benchmarks.engine_scene import Lanes
 from benchmarks.figures import Figure, compared
 from benchmarks.spa_c import SpectraYard
+from examples.weir2008.run import AXES
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose
 from hapticd.settings.scene import load_scene
-from hapticd.studies.weir2008.run import AXES
 from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
 from hapticd.zwidth.map import MapParams, plan_map, run_map

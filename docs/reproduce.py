@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pages.reproduction import filled
 
-from hapticd.studies.weir2008.table import from_json
+from examples.weir2008.table import from_json
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "reproduction.md"
@@ -23,7 +23,7 @@ COLOURS = 128
 
 
 def refresh(run: Path) -> None:
-    """From a run folder of `hapticd zwidth reproduce`."""
+    """From a run folder of `python -m examples.weir2008`."""
     summary = json.loads((run / "table.json").read_text())
     if summary["quick"]:
         raise SystemExit(f"{run}: predicted with --quick; the page tells of trials: run it without")

@@ -23,13 +23,13 @@ from pathlib import Path
 import numpy as np
 from pages.markdown import replaced, table
 
+from examples.weir2008.paper import LEVELS, MAIN, PAPER
+from examples.weir2008.run import conditions
 from hapticd.core.arrays import Flags, Floats
 from hapticd.model.blueprint import StateVariable
 from hapticd.model.model import Array, Model, Output, Outputs, frozen
 from hapticd.signal.envelope import accepted
 from hapticd.signal.verdict import judge
-from hapticd.studies.weir2008.paper import LEVELS, MAIN, PAPER
-from hapticd.studies.weir2008.run import conditions
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import ORIGIN, predicted_limit
 from hapticd.zwidth.scenes import SATURATED, Display

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from pages.markdown import replaced, table
 
+from examples.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from examples.weir2008.run import conditions
 from hapticd.core.arrays import Floats
 from hapticd.settings.toml import shipped
-from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
-from hapticd.studies.weir2008.run import conditions
 from hapticd.zwidth.engine.batch import simulate
 from hapticd.zwidth.limits import predicted_limit
 from hapticd.zwidth.outcomes import Point

@@ -12,9 +12,9 @@ What would break it: a mark for a row that is not there; it is refused.
 import re
 from collections.abc import Iterable
 
+from examples.weir2008.page import parts, table_part
+from examples.weir2008.rows import PaperRow, by_quantity
 from hapticd.core.errors import ConfigError
-from hapticd.studies.weir2008.page import parts, table_part
-from hapticd.studies.weir2008.rows import PaperRow, by_quantity
 
 TABLE = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 NUMBER = re.compile(

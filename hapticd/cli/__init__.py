@@ -16,8 +16,7 @@
     system      config, doctor, install-system
     keys        keys
     sim         sim run, explain, effects, ceiling; accuracy; sim_board: sim-board
-    zwidth/     zwidth predict, trial, limits, map, search, walls, import, report, compare,
-                reproduce
+    zwidth/     zwidth predict, trial, limits, map, search, walls, import, report, compare
 
 stdout is data and stderr is talk. `--json` gives one object (or one per line for a stream), also
 when a command fails. Colour only on a terminal and without NO_COLOR. Every HapticdError becomes one

@@ -34,6 +34,8 @@ from hapticd.client.blocks import Records
 from hapticd.core.errors import CommandError, ConfigError
 from hapticd.protocol.answers import Receipt
 
+__all__ = ["Condition", "Table", "blocks", "joined", "pairs", "sweep"]
+
 ENABLED = "enabled"  # the state of a receipt in which force acts
 IN_FORCE = ("K", "B", "M", "active_damping")
 TICKS = ("revision", "first_tick", "ramp_end_tick")

@@ -26,10 +26,6 @@ how heat spoils the resistance compensation:
     T'   = (R(T) (F / K)^2 R_th - (T - T_ambient)) / tau
     dR   = R(T) - R_compensated            the residual that stays in the velocity estimate
 
-The paper's Eq. 3 gives the crowbar damping K_m^2 / R = 1.7e-4 Nms/rad. It prints 3.7e-5 Ns/m for it
-at the endpoint, which would need a lever of 2.14 m; with the lever of some 10 mm that fits the
-device it is 1.70 Ns/m. R and K_m themselves are not printed: R is assumed and K_m follows.
-
 Shaped damping is a filter between the velocity estimate and the multiplier of the damping circuit:
 
     Z_added(s) = b H(s),   H(s) = s / (s + w_l) * w_h / (s + w_h)     either factor may be left out
@@ -95,8 +91,6 @@ __all__ = [
     "WindingTemperature",
     "WorkspaceEnds",
     "copper_ohm",
-    "crowbar_nms_per_rad",
-    "lever_of_crowbar_m",
     "sample_timing",
 ]
 
@@ -542,16 +536,6 @@ def shaped(plan: Blueprint, estimate: Form) -> Form:
 def copper_ohm(resistance_ohm: float, reference_c: float, temperature_c: float) -> float:
     """Resistance [ohm] at `temperature_c` of copper that has `resistance_ohm` at `reference_c`."""
     return resistance_ohm * (1.0 + COPPER_PER_K * (temperature_c - reference_c))
-
-
-def crowbar_nms_per_rad(torque_constant_nm_per_a: float, resistance_ohm: float) -> float:
-    """Damping [Nms/rad] of a shorted motor, K_m^2 / R (Weir 2008, Eq. 3)."""
-    return torque_constant_nm_per_a**2 / resistance_ohm
-
-
-def lever_of_crowbar_m(crowbar_nms: float, crowbar_ns: float) -> float:
-    """The lever radius [m] that would make both of the paper's crowbar figures true."""
-    return sqrt(crowbar_nms / crowbar_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

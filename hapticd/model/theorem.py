@@ -46,7 +46,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.core.arrays import Complexes, Flags, Floats, Integers
-from hapticd.core.errors import AnalysisError
 from hapticd.model.angles import angles_of, least_between, vertices
 from hapticd.model.loop import (
     PAPER_FILTERS,
@@ -70,7 +69,6 @@ __all__ = [
     "lifted_worst",
     "open_loop",
     "outside_circles",
-    "paper_equation_2",
     "required_damping",
 ]
 
@@ -110,34 +108,6 @@ def required_damping(
     worst = np.argmax(needed, axis=1)
     most = needed[np.arange(len(kbm)), worst]
     return np.maximum(most, 0.0), _ANGLES[worst] * rate_hz / (2.0 * np.pi)
-
-
-def paper_equation_2(
-    stiffness_n_per_m: float,
-    virtual_damping_ns_per_m: float,  # virtual damping B
-    physical_ns_per_m: float,  # b, what the device itself has
-    rate_hz: float = 1000.0,
-) -> bool:
-    """Whether Eq. 2 of Weir, Colgate and Peshkin (2008) as printed holds: b > K T / 2 + B, for
-    unfiltered velocity, no delay and no virtual mass.
-
-    AnalysisError for B < 0: there the theorem behind it reads b > K T / 2 + |B|, while Eq. 2 would
-    ask for less; and for K < 0, which no damping makes passive.
-    """
-    if stiffness_n_per_m < 0.0:
-        raise AnalysisError(
-            f"Eq. 2 does not hold for K = {stiffness_n_per_m:g} N/m: it would relax for a negative"
-            " stiffness, which is active at low frequencies under any damping; render K >= 0"
-        )
-    if virtual_damping_ns_per_m < 0.0:
-        needed = stiffness_n_per_m / (2.0 * rate_hz) - virtual_damping_ns_per_m
-        raise AnalysisError(
-            f"Eq. 2 does not hold for B = {virtual_damping_ns_per_m:g} N s/m: printed as"
-            " b > KT/2 + B it would relax for negative virtual damping, the theorem asks for"
-            " b > KT/2 - B cos wT,"
-            f" here {needed:g} N s/m at 0 Hz; use required_damping"
-        )
-    return physical_ns_per_m > stiffness_n_per_m / (2.0 * rate_hz) + virtual_damping_ns_per_m
 
 
 @dataclass(frozen=True, eq=False)

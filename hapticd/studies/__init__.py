@@ -1,5 +1,4 @@
-"""Studies of one scene: what accuracy costs, which effects a question needs, and single runs; and
-the paper measured again (`weir2008`).
+"""Studies of one scene: what accuracy costs, which effects a question needs, and single runs.
 
 A study asks about the simulation itself, not about a display: how many sub-steps, which precision,
 what length of a trial and which effects an answer needs. Every study is a procedure of a frozen
@@ -11,5 +10,4 @@ plan: `plan_...` checks what is asked, `run_...` simulates and returns numbers.
     scene       plan_scene, run_scene: a scene with active damping and without; ceiling: the largest
                 active damping that is stable; compare_integrators: explicit methods on its device
     report      figures and tables of these
-    weir2008    Weir, Colgate and Peshkin (2008), measured again with the bench
 """

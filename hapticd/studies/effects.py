@@ -162,14 +162,10 @@ class PeakFound(NamedTuple):
     inside: float  # 1: inside the band, 0: at its end
 
 
-def peak(params: EffectsParams, scene: Scene, method: str, mass_kg: float | None = None) -> Floats:
-    """The numbers of the `PeakFound` (3,).
-
-    `mass_kg` < 0 is what is rendered; by default near the limit of the whole scene.
-    """
+def peak(params: EffectsParams, scene: Scene, method: str) -> Floats:
+    """The numbers of the `PeakFound` (3,), with a mass near the limit of the whole scene."""
     f = frequencies(PEAK_HZ, count=1000)
-    rendered = peak_mass_kg(params) if mass_kg is None else mass_kg
-    size = np.abs(impedance(params, scene, (0.0, 0.0, rendered), f, method))
+    size = np.abs(impedance(params, scene, (0.0, 0.0, peak_mass_kg(params)), f, method))
     rising = np.diff(size) > 0.0
     inner = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
     highest = int(inner[np.argmax(size[inner])]) if inner.size else int(np.argmax(size))

@@ -9,7 +9,6 @@ What would break it: an error of 0 on a logarithmic axis. Those that are none ar
 others and called exact; a change that is out of range is drawn at the end of its axis.
 """
 
-from collections.abc import Iterable
 from itertools import cycle
 from math import inf, isinf, isnan, nan
 from typing import Any
@@ -412,7 +411,7 @@ def effects_table(result: EffectsResult) -> Table:
         *((f"without {row.effect}", row) for row in result.rows),
         ("proposal", result.proposal),
     ]
-    cells: Iterable[list[Cell]] = (
+    cells: list[list[Cell]] = [
         [
             name,
             *(row.numbers.get(each, nan) for each in names),
@@ -421,7 +420,7 @@ def effects_table(result: EffectsResult) -> Table:
             duration(row.cost_s),
         ]
         for name, row in rows
-    )
+    ]
     return table(["scene", *names, "change", "method", "engine, per simulated s"], cells)
 
 
@@ -544,11 +543,7 @@ def accuracy_words(result: AccuracyResult) -> list[str]:
             f" {shown(default.total)} {result.unit}, {shown(default.step)} {result.unit} of it by"
             " the sub-step."
         ),
-        *(
-            _cheapest(result, sweep)
-            for sweep in SWEEPS
-            if sweep in {row.sweep for row in result.rows}
-        ),
+        *(_cheapest(result, sweep) for sweep in SWEEPS if result.sweep(sweep)),
     ]
 
 
@@ -615,8 +610,10 @@ def _draw_sweep(result: AccuracyResult, sweep: str, axis: Axes) -> None:
         for place, label in zip(places, labels, strict=True):
             axis.annotate(label, place, xytext=(4, 6), textcoords="offset points", fontsize="small")
     for place, row in zip(places, rows, strict=True):
-        for look in (look for asked, look in ((row.default, DEFAULT), (row.knee, KNEE)) if asked):
-            axis.plot(*place, **look)
+        if row.default:
+            axis.plot(*place, **DEFAULT)
+        if row.knee:
+            axis.plot(*place, **KNEE)
     if sweep == "sub-steps":
         _draw_step_errors(result, rows, axis)
     axis.set(

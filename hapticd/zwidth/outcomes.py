@@ -62,6 +62,7 @@ __all__ = [
     "kept_frequencies",
     "outcomes_of",
     "points_of",
+    "run_trials",
 ]
 
 TOGETHER = LANES["f32"]  # trials that the engine does at once

@@ -5,8 +5,8 @@ device's is AC-coupled at 0.1 Hz.
 import numpy as np
 from support.analysis_predict_recorded import LEVEL, RIVAL, WHITE, both
 
+from examples.weir2008.run import POINTS, conditions
 from hapticd.model.predict import DEFAULT_BAND_HZ, frequencies
-from hapticd.studies.weir2008.run import POINTS, conditions
 
 
 @LEVEL

@@ -14,13 +14,13 @@ import pytest
 from support.analysis_devices import rigid
 from support.coupled_hands import HANDS, LEVEL, ROUNDING, called
 
+from examples.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from examples.weir2008.run import POINTS, SCENES, conditions
 from hapticd.model.coupled import coupled_radius, coupled_stable, destabilising_hand, held_by, reach
 from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import PAPER_FILTERS, port_states, pulse_transfer
 from hapticd.model.predict import predict, with_equivalent_damping
 from hapticd.model.theorem import lifted_passive, lifted_system
-from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
-from hapticd.studies.weir2008.run import POINTS, SCENES, conditions
 
 DEVICES = [
     (name, level)

@@ -36,7 +36,6 @@ READ_BY_THE_PROGRAM = {
     "firmware_iface": "hapticd/_data/firmware_iface",
     "systemd": "hapticd/_data/systemd",
     "hapticd/console/static": "hapticd/console/static",
-    "hapticd/studies/weir2008": "hapticd/studies/weir2008",
     "hapticd/zwidth/report": "hapticd/zwidth/report",
 }
 IN_THE_SOURCES_ALONE = {"hardware", "pico"}  # the circuit, and the firmware of one chip

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from examples.weir2008 import run
+from examples.weir2008.paper import HIGH_PASS
 from hapticd.settings.scene import load_scene
-from hapticd.studies.weir2008 import run
-from hapticd.studies.weir2008.paper import HIGH_PASS
 from hapticd.zwidth import search
 from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
 from hapticd.zwidth.map import MapParams, plan_map, run_map
@@ -91,7 +91,7 @@ def told_of(verdict):
 
 @pytest.fixture
 def short_trials(monkeypatch):
-    """`reproduce` makes trials of SECONDS; its conditions are kept, so what others asked is
+    """The reproduction makes trials of SECONDS; its conditions are kept, so what others asked is
     forgotten.
     """
     monkeypatch.setattr(run, "SECONDS", SECONDS)

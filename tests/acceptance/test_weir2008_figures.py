@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support import reproduced
 
+from examples.weir2008.figures import drawn
+from examples.weir2008.run import ReproduceResult
 from hapticd.signal.envelope import Edge
-from hapticd.studies.weir2008.figures import drawn
-from hapticd.studies.weir2008.run import ReproduceResult
 from hapticd.zwidth.report.envelope import NOBODY, Drawn, weighty
 
 

@@ -5,8 +5,8 @@ from math import isfinite
 import pytest
 from support.reproduced import future_work_by_prediction
 
-from hapticd.studies.weir2008.future_page import future_sections as sections
-from hapticd.studies.weir2008.future_page import restored
+from examples.weir2008.future_page import future_sections as sections
+from examples.weir2008.future_page import restored
 from hapticd.zwidth.report import style
 
 

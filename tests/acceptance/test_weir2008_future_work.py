@@ -10,13 +10,8 @@ import pytest
 from support.measured_scenes import DRY, scene
 from support.reproduced import future_work_by_prediction
 
-from hapticd.core.errors import AnalysisError
-from hapticd.model.effects import Masses, Motor, Viscous
-from hapticd.model.predict import predict
-from hapticd.model.step import held_force_response
-from hapticd.model.theorem import lifted_margin, lifted_system, paper_equation_2
-from hapticd.studies.weir2008 import future_work
-from hapticd.studies.weir2008.future_work import (
+from examples.weir2008 import future_work
+from examples.weir2008.future_work import (
     GRID,
     LOW_HZ,
     Bench,
@@ -34,7 +29,13 @@ from hapticd.studies.weir2008.future_work import (
     shown_hz,
     sizes,
 )
-from hapticd.studies.weir2008.run import AXES, FINE
+from examples.weir2008.paper import paper_equation_2
+from examples.weir2008.run import AXES, FINE
+from hapticd.core.errors import AnalysisError
+from hapticd.model.effects import Masses, Motor, Viscous
+from hapticd.model.predict import predict
+from hapticd.model.step import held_force_response
+from hapticd.model.theorem import lifted_margin, lifted_system
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.limits import REACH
 from hapticd.zwidth.outcomes import Conditions, Outcome, kept_frequencies

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from examples.weir2008 import future_work
+from examples.weir2008.future_work import SearchCheck, compared_with_grid
 from hapticd.settings.scene import load_scene
 from hapticd.signal.passive_set import grid
-from hapticd.studies.weir2008 import future_work
-from hapticd.studies.weir2008.future_work import SearchCheck, compared_with_grid
 from hapticd.zwidth.map import MapParams, plan_map
 from hapticd.zwidth.outcomes import Conditions
 from hapticd.zwidth.scenes import noise

@@ -1,4 +1,4 @@
-"""What `reproduce` leaves behind: table, report, figures and the documentation's page; all or
+"""What the reproduction leaves behind: table, report, figures and the documentation's page; all or
 nothing when it is interrupted.
 """
 
@@ -12,10 +12,12 @@ import pytest
 from support import reproduced
 from support.tree import ROOT
 
-from hapticd.cli.app import main
-from hapticd.studies.weir2008.page import Drawing, Section, keep, page, parts, sections, terminal
-from hapticd.studies.weir2008.rows import PaperRow, rows
-from hapticd.studies.weir2008.run import SCENES, ReproduceResult
+from examples.weir2008 import future_work, run
+from examples.weir2008 import page as pages
+from examples.weir2008.__main__ import main
+from examples.weir2008.page import Drawing, Section, keep, page, parts, sections, terminal
+from examples.weir2008.rows import PaperRow, rows
+from examples.weir2008.run import SCENES, ReproduceResult
 
 DOCS = ROOT / "docs"
 AXIS_LIMITS = {"K_max": "N/m", "B_max": "Ns/m", "M_min": "kg"}
@@ -27,9 +29,7 @@ FIGURES = {"fig03", "fig04", "fig07", "fig08", "fig09", "fig10", "fig11", "limit
 
 @pytest.fixture
 def flown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The verb finds the run already done."""
-    from hapticd.studies.weir2008 import future_work, run
-
+    """The program finds the run already done."""
     monkeypatch.setattr(run, "run_reproduce", lambda plan, tell: reproduced.by_prediction())
     monkeypatch.setattr(
         future_work, "run_future_work", lambda plan, tell: reproduced.future_work_by_prediction()
@@ -50,11 +50,11 @@ def found(quick: ReproduceResult) -> tuple[PaperRow, ...]:
 
 
 @pytest.mark.usefixtures("flown")
-def test_verb_writes_report_table_and_figures(
+def test_program_writes_report_table_and_figures(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("matplotlib")
-    assert main(["zwidth", "reproduce", "--quick", "--json", "--out", str(tmp_path)]) == 0
+    assert main(["--quick", "--json", "--out", str(tmp_path)]) == 0
     told = json.loads(capsys.readouterr().out)
     wanted = {f"{name}.{kind}" for name in FIGURES for kind in ("png", "svg", "pdf")} | {
         "REPORT.md",
@@ -80,7 +80,7 @@ def test_verb_writes_report_table_and_figures(
 
 @pytest.mark.usefixtures("flown")
 def test_json_names_axis_limits_as_agreed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["zwidth", "reproduce", "--quick", "--json"]) == 0
+    assert main(["--quick", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["quick"] is True
     assert "files" not in told
@@ -107,8 +107,6 @@ def test_interrupted_drawing_leaves_the_run_before(
     quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("matplotlib")
-    from hapticd.zwidth.report import style
-
     (tmp_path / "table.json").write_text("before")
     saved: list[str] = []
 
@@ -118,7 +116,7 @@ def test_interrupted_drawing_leaves_the_run_before(
         saved.append(name)
         (folder / f"{name}.png").write_text("drawn")
 
-    monkeypatch.setattr(style, "save", save)
+    monkeypatch.setattr(pages, "save", save)
     with pytest.raises(KeyboardInterrupt):
         keep(sections(quick), tmp_path, {})
     assert saved
@@ -129,13 +127,11 @@ def test_interrupted_drawing_leaves_the_run_before(
 def test_smaller_run_leaves_no_figure_of_the_run_before(
     quick: ReproduceResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapticd.zwidth.report import style
-
     def save(figure: object, folder: Path, name: str) -> None:
         for kind in ("png", "svg", "pdf"):
             (folder / f"{name}.{kind}").write_text("drawn")
 
-    monkeypatch.setattr(style, "save", save)
+    monkeypatch.setattr(pages, "save", save)
     told = {"quick": True, "seeds": 1, "provenance": {"libraries": {}, "date": "", "hapticd": ""}}
     one, *more = (replace(section, drawings=()) for section in sections(quick))
     drawn = [Drawing(name, "caption", lambda width_mm: None) for name in ("fig02", "fig03")]  # type: ignore[arg-type,return-value]

@@ -11,10 +11,10 @@ import pytest
 from support import reproduced
 from support.tree import ROOT
 
-from hapticd.studies.weir2008.paper import MAIN, PAPER
-from hapticd.studies.weir2008.rows import PaperRow, arithmetic, by_quantity, rows
-from hapticd.studies.weir2008.run import SCENES, ReproduceResult
-from hapticd.studies.weir2008.table import from_json
+from examples.weir2008.paper import MAIN, PAPER
+from examples.weir2008.rows import PaperRow, arithmetic, by_quantity, rows
+from examples.weir2008.run import SCENES, ReproduceResult
+from examples.weir2008.table import from_json
 
 DOCS = ROOT / "docs"
 

@@ -10,10 +10,10 @@ import pytest
 from support.stand_in import StandIn
 from support.tree import ROOT
 
-from hapticd.studies.weir2008 import run
-from hapticd.studies.weir2008.paper import FIG_7, LEVELS, LITERAL, MAIN, PAPER
-from hapticd.studies.weir2008.rows import by_quantity, rows
-from hapticd.studies.weir2008.run import (  # fmt: skip
+from examples.weir2008 import run
+from examples.weir2008.paper import FIG_7, LEVELS, LITERAL, MAIN, PAPER
+from examples.weir2008.rows import by_quantity, rows
+from examples.weir2008.run import (  # fmt: skip
     FINE,
     POINTS,
     ReproducePlan,

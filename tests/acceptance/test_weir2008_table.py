@@ -6,10 +6,10 @@ import re
 import pytest
 from support import reproduced
 
-from hapticd.studies.weir2008.page import parts
-from hapticd.studies.weir2008.rows import PaperRow, rows
-from hapticd.studies.weir2008.run import SCENES, ReproduceResult
-from hapticd.studies.weir2008.table import as_json, from_json, markdown, notes, paper_table
+from examples.weir2008.page import parts
+from examples.weir2008.rows import PaperRow, rows
+from examples.weir2008.run import SCENES, ReproduceResult
+from examples.weir2008.table import as_json, from_json, markdown, notes, paper_table
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 
 import hapticd
+from examples.weir2008 import run
+from examples.weir2008.run import SCENES, SECONDS, conditions
 from hapticd.cli.zwidth import common
-from hapticd.studies.weir2008.run import SCENES, SECONDS, conditions
 from hapticd.zwidth.store import fingerprint
 
 PACKAGE = Path(hapticd.__file__).parent
+REPRODUCTION = Path(run.__file__).parent
 ONLY = {  # what may be called from where: {called: {module: functions}}
     "judge": {"signal.assess": {"_judged"}},
     "assess": {
@@ -111,6 +113,7 @@ def _names(tree: ast.Module, module: str, name: str, home: str) -> tuple[set[str
 @pytest.mark.parametrize("name", ONLY)
 def test_one_implementation(name: str) -> None:
     assert users(PACKAGE, name, HOME[name]) == ONLY[name]
+    assert users(REPRODUCTION, name, HOME[name]) == {}
 
 
 PLANTED = {
@@ -142,15 +145,15 @@ def test_nobody_simulates_for_spectra_beside_the_bench() -> None:
     them.
     """
     asking = {
-        ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
-        for package in ("zwidth", "studies")
-        for file in (PACKAGE / package).rglob("*.py")
+        file.relative_to(PACKAGE.parent)
+        for folder in (PACKAGE / "zwidth", PACKAGE / "studies", REPRODUCTION)
+        for file in folder.rglob("*.py")
         for call in ast.walk(_parsed(file))
         if isinstance(call, ast.Call)
         for given in (*call.args, *(keyword.value for keyword in call.keywords))
         if isinstance(given, ast.Constant) and given.value == "spectra"
     }
-    assert asking == {"zwidth.outcomes"}
+    assert asking == {Path("hapticd/zwidth/outcomes.py")}
 
 
 @pytest.mark.parametrize("device", SCENES)

@@ -7,10 +7,10 @@ import pytest
 from support.analysis_devices import display
 from support.analysis_predict_recorded import LEVEL, RIVAL, WHITE, both
 
+from examples.weir2008.paper import LEVELS, MAIN
+from examples.weir2008.run import EDGES_HZ, POINTS, TOP_HZ, conditions
 from hapticd.model.effects import VelocityHighpass
 from hapticd.model.predict import predict, predicted_impedance
-from hapticd.studies.weir2008.paper import LEVELS, MAIN
-from hapticd.studies.weir2008.run import EDGES_HZ, POINTS, TOP_HZ, conditions
 from hapticd.zwidth.limits import predicted_limit
 
 

@@ -102,13 +102,6 @@ def test_impedance_is_written_for_other_programs(
             ),
         ),
         (
-            "table.json",
-            (
-                "the paper, reproduced, with its figures in REPORT.md; make it again: `hapticd"
-                " zwidth reproduce --out {}`"
-            ),
-        ),
-        (
             "anything",
             (
                 "no run folder: it has no run.json; name a simulated device, a scene, or the folder"

@@ -16,12 +16,12 @@ import pytest
 from support.analysis_devices import rigid
 from support.coupled_hands import HANDS, LEVEL, ROUNDING, called
 
+from examples.weir2008.paper import ADDED_NS_PER_M, MAIN
+from examples.weir2008.run import conditions
 from hapticd.core.errors import AnalysisError
 from hapticd.model.coupled import Hand, coupled_radius, coupled_stable, held_by
 from hapticd.model.loop import responses, spectral_radius
 from hapticd.model.theorem import lifted_system
-from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, MAIN
-from hapticd.studies.weir2008.run import conditions
 
 
 def test_random_hands_are_positive_real():

@@ -198,7 +198,7 @@ def test_every_module_that_is_named_anywhere_exists() -> None:
     pages = [ROOT / "README.md", ROOT / "pyproject.toml", ROOT / "Makefile"]
     for folder, pattern in (
         ("docs", "**/*.md"), ("docs", "pages/*.py"), ("hapticd", "**/*.py"), ("tests", "*.py"),
-        ("benchmarks", "*.py"), ("examples", "*"), ("config", "**/*.toml"), ("systemd", "*"),
+        ("benchmarks", "*.py"), ("examples", "**/*"), ("config", "**/*.toml"), ("systemd", "*"),
     ):  # fmt: skip
         pages += sorted(ROOT.joinpath(folder).glob(pattern))
     missing = [

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.tree import ROOT
 
+from examples.weir2008.paper import MAIN
+from examples.weir2008.run import conditions
 from hapticd.model.predict import predicted_impedance
-from hapticd.studies.weir2008.paper import MAIN
-from hapticd.studies.weir2008.run import conditions
 
 PAGE = ROOT / "docs" / "reproduction.md"
 FREE = (0.0, 0.0, 0.0)

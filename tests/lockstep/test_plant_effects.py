@@ -19,8 +19,6 @@ from hapticd.model.effects import (
     ShapedDamping,
     WindingTemperature,
     copper_ohm,
-    crowbar_nms_per_rad,
-    lever_of_crowbar_m,
 )
 from hapticd.model.stability import explain
 from hapticd.settings.scene import load_scene
@@ -235,16 +233,6 @@ def test_scene_names_it_with_corner_and_reason():
     assert note.time_constants_s == (pytest.approx(1 / (tau * 10.0)),)
     assert note.parameters[0] == ("highpass_hz", 10.0, "Hz", "inferred")
     assert "above a corner" in note.why
-
-
-def test_crowbar_figures_of_the_paper():
-    """Eq. 3: 1.7e-4 Nms/rad; its 3.7e-5 Ns/m would need a lever of 2.14 m, and 10 mm gives 1.70
-    Ns/m.
-    """
-    crowbar = crowbar_nms_per_rad(0.016492422502470644, 1.6)
-    assert crowbar == pytest.approx(1.7e-4, rel=1e-12)
-    assert lever_of_crowbar_m(1.7e-4, 3.7e-5) == pytest.approx(2.1435, abs=1e-4)
-    assert crowbar / 0.01**2 == pytest.approx(1.70, rel=1e-12)
 
 
 def test_forty_kelvin_are_sixteen_percent():

@@ -1,4 +1,4 @@
-"""What `reproduce` leaves behind: table, report, figures and the documentation's page; all or
+"""What the reproduction leaves behind: table, report, figures and the documentation's page; all or
 nothing when it is interrupted.
 """
 
@@ -12,12 +12,12 @@ from types import ModuleType
 import pytest
 from support.tree import ROOT
 
-from hapticd.cli.app import main
-from hapticd.cli.zwidth import report as verb
+from examples.weir2008 import __main__ as program
+from examples.weir2008 import run
+from examples.weir2008.page import keep
+from examples.weir2008.rows import PaperRow
+from examples.weir2008.table import from_json
 from hapticd.core.errors import ConfigError
-from hapticd.studies.weir2008.page import keep
-from hapticd.studies.weir2008.rows import PaperRow
-from hapticd.studies.weir2008.table import from_json
 
 DOCS = ROOT / "docs"
 
@@ -38,13 +38,11 @@ def pages() -> ModuleType:
 def test_interrupted_run_keeps_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from hapticd.studies.weir2008 import run
-
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(run, "run_reproduce", interrupted)
-    assert main(["zwidth", "reproduce", "--out", str(tmp_path / "x")]) == 130
+    assert program.main(["--out", str(tmp_path / "x")]) == 130
     assert "interrupted: nothing of this run was kept" in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
@@ -60,7 +58,7 @@ def test_make_keeps_quick_runs_apart(words: str, folder: str) -> None:
         text=True,
         check=True,
     )
-    assert f"zwidth reproduce --out {folder} {words}\n" in planned.stdout
+    assert f"python -m examples.weir2008 --out {folder} {words}\n" in planned.stdout
 
 
 def test_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
@@ -75,11 +73,36 @@ def test_log_is_told_every_ten_seconds(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = iter((0.0, 0.0, 3.0, 9.9, 10.0, 10.0))
-    monkeypatch.setattr(verb, "monotonic", lambda: next(now_s))
-    with verb.watched() as tell:
+    monkeypatch.setattr(program, "monotonic", lambda: next(now_s))
+    with program.watched() as tell:
         for done in range(4):
             tell("flying", done, 4)
     assert capsys.readouterr().err.splitlines() == ["flying, 0 of 4", "flying, 3 of 4"]
+
+
+@pytest.mark.parametrize("words", ["--seeds 1", "--seeds many", "--figure-width 3", "--quic"])
+def test_mistyped_option_is_a_usage_error(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ending:
+        program.main([*words.split(), "--json"])
+    assert ending.value.code == 2
+    told = capsys.readouterr()
+    error = json.loads(told.out)["error"]
+    assert error["code"] == "usage"
+    assert error["message"] in told.err
+
+
+def test_error_is_one_line_with_its_exit_code_and_an_object(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise ConfigError("no such scene")
+
+    monkeypatch.setattr(run, "run_reproduce", refused)
+    assert program.main(["--json"]) == ConfigError.exit_code
+    told = capsys.readouterr()
+    assert told.err == "weir2008: no such scene\n"
+    error = {"code": "ConfigError", "message": "no such scene", "detail": None}
+    assert json.loads(told.out) == {"ok": False, "error": error}
 
 
 # --- the documentation ----------------------------------------------------------------------------

@@ -4,10 +4,10 @@ device's is AC-coupled at 0.1 Hz.
 
 import pytest
 
+from examples.weir2008.paper import LEVELS
+from examples.weir2008.run import conditions
 from hapticd.model.linearise import Perturbation
 from hapticd.model.predict import DEFAULT_BAND_HZ, predict
-from hapticd.studies.weir2008.paper import LEVELS
-from hapticd.studies.weir2008.run import conditions
 
 WHITE = Perturbation()
 RIVAL = "weir2008_probe_hp"

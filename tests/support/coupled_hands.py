@@ -11,10 +11,10 @@ display.
 
 import pytest
 
+from examples.weir2008.paper import LEVELS
+from examples.weir2008.run import POINTS, conditions
 from hapticd.model.loop import spectral_radius
 from hapticd.model.theorem import lifted_passive, lifted_system
-from hapticd.studies.weir2008.paper import LEVELS
-from hapticd.studies.weir2008.run import POINTS, conditions
 from support.passive_hands import random_hands
 
 HANDS = random_hands(1000)

@@ -4,9 +4,9 @@ from functools import cache
 
 import pytest
 
-from hapticd.studies.weir2008 import future_work
-from hapticd.studies.weir2008.future_work import FutureWorkResult, plan_future_work, run_future_work
-from hapticd.studies.weir2008.run import ReproduceResult, plan_reproduce, run_reproduce
+from examples.weir2008 import future_work
+from examples.weir2008.future_work import FutureWorkResult, plan_future_work, run_future_work
+from examples.weir2008.run import ReproduceResult, plan_reproduce, run_reproduce
 
 
 @cache

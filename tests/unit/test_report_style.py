@@ -18,7 +18,6 @@ from hapticd.zwidth.report.style import (
     hertz_axis,
     legend_handles,
     level_styles,
-    mean_interval,
     not_judged,
     plain_axis,
     styled,
@@ -121,14 +120,6 @@ def test_added_damping_is_blue_and_none_is_dashed():
     colours = [look["color"] for look in level_styles((0.0, 0.87, 1.74, 3.5))]
     assert len(set(colours)) == 4
     assert not set(colours) & {colour for _, colour in PARTS}
-
-
-def test_interval_of_few_seeds_is_by_students_t():
-    """t of 97.5 %: 12.7062 with one degree of freedom, 4.30265 with two, 2.36462 with seven."""
-    assert mean_interval(1) == 0.0
-    assert mean_interval(2) * np.sqrt(2.0) == pytest.approx(12.7062, rel=1e-4)
-    assert mean_interval(3) * np.sqrt(3.0) == pytest.approx(4.30265, rel=1e-4)
-    assert mean_interval(8) * np.sqrt(8.0) == pytest.approx(2.36462, rel=1e-4)
 
 
 def test_tint_is_opaque_and_light():

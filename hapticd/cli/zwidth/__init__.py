@@ -20,7 +20,6 @@ VERBS: dict[str, terminal.Verb] = {
     "export": export.command,
     "report": report.report,
     "compare": compare.command,
-    "reproduce": report.reproduce,
 }
 
 for name, verb in VERBS.items():

@@ -1,13 +1,8 @@
-"""Every figure of a device or of a kept run; and the paper again, on three devices."""
+"""Every figure of a device or of a kept run."""
 
 import json
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
-from time import monotonic
 from typing import Annotated, Any
 
 import typer
@@ -26,7 +21,6 @@ with deferred_imports():
     from hapticd.model import scene as model_scene
     from hapticd.recording import certificate
     from hapticd.signal import verdict
-    from hapticd.studies.weir2008 import future_page, future_work, page, run, table
     from hapticd.zwidth import limits as axis_limits
     from hapticd.zwidth import map as maps
     from hapticd.zwidth import portable, scenes, simulated, sources, store
@@ -40,7 +34,6 @@ What = Annotated[
         metavar="DEVICE|RUN", help="A simulated device or scene, or the folder of a trial or a map."
     ),
 ]
-LINE_S = 10.0  # between two lines of progress where stderr is no terminal
 
 
 @dataclass(frozen=True)
@@ -89,11 +82,6 @@ def _named(what: str) -> "model_scene.Scene":
 
 
 def _instead(folder: Path) -> str:
-    if (folder / page.TABLE_JSON).is_file():
-        return (
-            "the paper, reproduced, with its figures in REPORT.md; make it again: `hapticd zwidth"
-            f" reproduce --out {folder}`"
-        )
     if (folder / "trials.jsonl").is_file():
         return (
             "an unfinished run, whose trials are kept; repeat the command that began it with"
@@ -202,75 +190,3 @@ def _own_trial(
     plan = trials.plan_trial(trials.TrialParams(asked, scene))
     result = trials.run_trial(plan, simulated.engine_source(scene))
     return draw_trial(result, folder, width_mm)
-
-
-def reproduce(
-    quick: Annotated[
-        bool,
-        typer.Option(
-            "--quick",
-            help="Prediction alone: seconds instead of minutes, without scatter and Fig. 2.",
-        ),
-    ] = False,
-    seeds: Annotated[
-        int,
-        typer.Option(
-            "--seeds", metavar="N", min=2, max=64, help="Noise realisations behind each limit."
-        ),
-    ] = 8,
-    out: common.Out = None,
-    figure_width: terminal.FigureWidth = None,
-    as_json: terminal.Json = False,
-) -> None:
-    """Weir, Colgate and Peshkin 2008 on simulated devices: limits, ratios, equations and Figs. 2-4
-    and 7-11 beside the paper's, and what the paper left to future work.
-
-    Writes REPORT.md, the table (JSON, CSV, Markdown) and the figures (PNG, SVG, PDF); with --json
-    only if --out names a folder. Ctrl-C is safe: the folder holds the files of one run, or none.
-    """
-    terminal.need_engine(out is not None or not as_json)
-    plan = run.plan_reproduce(quick, seeds)
-    files = []
-    further = future_work.plan_future_work(quick)
-    with common.interruptible(), watched() as tell:
-        found = [
-            *page.sections(run.run_reproduce(plan, tell)),
-            *future_page.future_sections(future_work.run_future_work(further, tell)),
-        ]
-        rows = table.as_json(row for section in found for row in section.rows)
-        content: dict[str, Any] = {
-            "quick": quick,
-            "seeds": len(plan.seeds),
-            "table": rows,
-            "provenance": common.provenance_now(),
-        }
-        if out is not None or not as_json:
-            files = page.keep(found, common.folder(out, "reproduce"), content, tell, figure_width)
-    if as_json:
-        if files:
-            content["files"] = [str(file) for file in files]
-        terminal.data_json(content)
-        return
-    terminal.data(page.terminal(found))
-    terminal.data("\n".join(["", "kept", *(f"  {file}" for file in files)]))
-
-
-@contextmanager
-def watched() -> "Iterator[store.Progress]":
-    """The bar; where stderr is no terminal, a line every ten seconds.
-
-    So no log is silent for minutes.
-    """
-    last_s = -inf
-
-    def line(what: str, done: int, total: int) -> None:
-        nonlocal last_s
-        if monotonic() >= last_s + LINE_S:
-            last_s = monotonic()
-            terminal.talk(f"{what}, {done} of {total}")
-
-    if not sys.stderr.isatty():
-        yield line
-        return
-    with progress() as tell:
-        yield tell

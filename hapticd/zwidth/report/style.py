@@ -7,7 +7,6 @@ marks mean.
     dotted               predicted, black or in the colour of what it predicts; a hollow mark is
                          predicted too
     grey area            not judged
-    bracket at the foot  the frequencies that a number was averaged over
     orange, green, sky, forest, purple   K, B > 0, M > 0, B < 0, M < 0
     disc, cross, triangle                a trial passes, fails, escapes
 
@@ -23,7 +22,7 @@ What would break it: a figure that chooses colours of its own, or one that is dr
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from math import log10, sqrt
+from math import log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +32,6 @@ from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
-from hapticd.signal.verdict import student_quantile
 from hapticd.zwidth.report import paper
 from hapticd.zwidth.report.paper import PANEL_IN, Panels
 from hapticd.zwidth.store import FIGURE_KINDS
@@ -70,13 +68,11 @@ __all__ = [
     "Look",
     "axes",
     "draw_band",
-    "draw_bracket",
     "hertz_axis",
     "legend_handles",
     "level_label",
     "level_styles",
     "mark",
-    "mean_interval",
     "mosaic",
     "patch",
     "plain_axis",
@@ -281,13 +277,6 @@ def level_label(level: float) -> str:
     return f"with {level:g} N s/m of active damping" if level else "without active damping"
 
 
-def mean_interval(count: int) -> float:
-    """Half an interval of 95 % of a mean of `count` values, over their standard deviation:
-    Student's t; 0 for a single one.
-    """
-    return student_quantile(PROBABILITY, count - 1) / sqrt(count) if count > 1 else 0.0
-
-
 def tint(colour: str, share: float = 0.14) -> str:
     """That colour, opaque and light: areas that overlap stay what they are, and never look grey."""
     parts = (int(colour[at : at + 2], 16) for at in (1, 3, 5))
@@ -348,15 +337,3 @@ def not_judged(axes: Iterable["Axes"], band_hz: tuple[float, float]) -> Any:
         for begin, end in ((LOWEST_HZ, band_hz[0]), (band_hz[1], HIGHEST_HZ)):
             axis.axvspan(begin, end, color=NOT_JUDGED, linewidth=0, zorder=0)
     return patch("not judged", NOT_JUDGED)
-
-
-def draw_bracket(axis: Axes, band_hz: tuple[float, float], height: float = 0.03) -> None:
-    """A bracket at that share of the height of the axes under the frequencies that are averaged,
-    where their range shows them.
-    """
-    low, high = axis.get_xlim()
-    ends = max(low, band_hz[0]), min(high, band_hz[1])
-    bracket: Look = {"color": BLACK, "linewidth": 1.0, "marker": "|", "markersize": 7}
-    axis.plot(
-        ends, (height, height), transform=axis.get_xaxis_transform(), clip_on=False, **bracket
-    )

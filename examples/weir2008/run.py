@@ -31,6 +31,15 @@ from math import isnan, nan
 
 import numpy as np
 
+from examples.weir2008.paper import (
+    ADDED_NS_PER_M,
+    FIG_4,
+    FIG_7,
+    HIGH_PASS,
+    LEVELS,
+    LITERAL,
+    MAIN,
+)
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
@@ -40,15 +49,6 @@ from hapticd.signal.envelope import Envelope, accepted, of_predicted
 from hapticd.signal.impedance import Impedance, impedance
 from hapticd.signal.passive_set import grid
 from hapticd.signal.spectra import DEFAULT_LAG
-from hapticd.studies.weir2008.paper import (
-    ADDED_NS_PER_M,
-    FIG_4,
-    FIG_7,
-    HIGH_PASS,
-    LEVELS,
-    LITERAL,
-    MAIN,
-)
 from hapticd.zwidth.executors import pool_of
 from hapticd.zwidth.limits import (
     ORIGIN,

@@ -12,7 +12,7 @@ from dataclasses import fields
 from math import isfinite, nan
 from typing import Any
 
-from hapticd.studies.weir2008.rows import PRINTED, PaperRow, by_quantity
+from examples.weir2008.rows import PRINTED, PaperRow, by_quantity
 from hapticd.zwidth.report.table import Table, shown, table
 from hapticd.zwidth.store import to_json
 

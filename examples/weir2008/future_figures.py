@@ -15,11 +15,11 @@ is predicted.
 """
 
 from collections.abc import Sequence
+from math import sqrt
 from typing import Any
 
-from hapticd.core.arrays import Floats
-from hapticd.signal.envelope import Edge
-from hapticd.studies.weir2008.future_work import (
+from examples.weir2008.figures import draw_bracket
+from examples.weir2008.future_work import (
     LOW_HZ,
     Bounds,
     Corner,
@@ -29,8 +29,11 @@ from hapticd.studies.weir2008.future_work import (
     mean_sd,
     shown_hz,
 )
-from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
-from hapticd.studies.weir2008.run import SECONDS
+from examples.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
+from examples.weir2008.run import SECONDS
+from hapticd.core.arrays import Floats
+from hapticd.signal.envelope import Edge
+from hapticd.signal.verdict import student_quantile
 from hapticd.zwidth.report.envelope import keys, strip, weightiest
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
@@ -50,11 +53,9 @@ from hapticd.zwidth.report.style import (
     Look,
     axes,
     draw_band,
-    draw_bracket,
     hertz_axis,
     legend_handles,
     mark,
-    mean_interval,
     plain_axis,
     simulated,
 )
@@ -77,6 +78,7 @@ DISC: Look = {"color": BLACK, "marker": "o"}
 BY_TRIALS = f"by trials, {INTERVAL}"
 BAND = f"{LOW_HZ[0]:g}-{LOW_HZ[1]:g} Hz"
 CORNERS_HZ = (0.4, 600.0)
+PROBABILITY = 0.975  # each side of an interval of 95 %
 
 
 def _subtitle(result: FutureWorkResult, more: str = "") -> str:
@@ -86,6 +88,13 @@ def _subtitle(result: FutureWorkResult, more: str = "") -> str:
     seeds = result.plan.seeds
     count = f", {len(seeds)} seeds" if seeds else ""
     return f"{simulated(MAIN, SECONDS if seeds else 0.0, more)}{count}"
+
+
+def mean_interval(count: int) -> float:
+    """Half an interval of 95 % of a mean of `count` values, over their standard deviation:
+    Student's t; 0 for a single one.
+    """
+    return student_quantile(PROBABILITY, count - 1) / sqrt(count) if count > 1 else 0.0
 
 
 def _ends(axis: Axes) -> None:

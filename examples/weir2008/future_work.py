@@ -51,16 +51,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from examples.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN, paper_equation_2
+from examples.weir2008.run import AXES, FINE, Limit, conditions, limits_of, predicted_set
 from hapticd.core.arrays import Flags, Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.model.effects import ShapedDamping
-from hapticd.model.theorem import lifted_margin, lifted_passive, lifted_system, paper_equation_2
+from hapticd.model.theorem import lifted_margin, lifted_passive, lifted_system
 from hapticd.signal.compare import mean_over_ln_f
 from hapticd.signal.envelope import Edge
 from hapticd.signal.passive_set import grid, open_ends, passive_set, volume
 from hapticd.signal.search import predicted_passive
-from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
-from hapticd.studies.weir2008.run import AXES, FINE, Limit, conditions, limits_of, predicted_set
 from hapticd.zwidth.limits import ORIGIN, REACH, LimitsParams, plan_limits, predicted_limit
 from hapticd.zwidth.map import Axes, MapParams, plan_map, run_map
 from hapticd.zwidth.outcomes import (

@@ -18,23 +18,23 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.core.arrays import Floats
-from hapticd.studies.weir2008.future_figures import (
+from examples.weir2008.future_figures import (
     edge_figure,
     free_figure,
     levels_figure,
     shape_figure,
 )
-from hapticd.studies.weir2008.future_work import (
+from examples.weir2008.future_work import (
     TRIED_LEVELS,
     FutureWorkResult,
     SearchCheck,
     mean_sd,
     shown_hz,
 )
-from hapticd.studies.weir2008.page import Drawing, Section
-from hapticd.studies.weir2008.paper import ADDED_NS_PER_M, MAIN, MODES, NAMES, SECTIONS
-from hapticd.studies.weir2008.rows import BY_TRIALS, PREDICTED, Found, Measured, told
+from examples.weir2008.page import Drawing, Section
+from examples.weir2008.paper import ADDED_NS_PER_M, MAIN, MODES, NAMES, SECTIONS
+from examples.weir2008.rows import BY_TRIALS, PREDICTED, Found, Measured, told
+from hapticd.core.arrays import Floats
 from hapticd.zwidth.report.passive_set import search_figure
 
 __all__ = ["future_sections"]

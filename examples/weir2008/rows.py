@@ -24,19 +24,12 @@ in docs/reproduction.md ask for them.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from math import hypot, isfinite, isnan, nan
+from math import hypot, isfinite, isnan, nan, sqrt
 from typing import Any, Literal
 
 import numpy as np
 
-from hapticd.core.arrays import Complexes, Floats
-from hapticd.core.units import COPPER_PER_K
-from hapticd.model.effects import Motor, crowbar_nms_per_rad, lever_of_crowbar_m
-from hapticd.model.predict import predicted_impedance
-from hapticd.model.theorem import required_damping
-from hapticd.settings.scene import load_scene
-from hapticd.signal.impedance import Impedance
-from hapticd.studies.weir2008.paper import (
+from examples.weir2008.paper import (
     ADDED_NS_PER_M,
     FIG_4,
     LEVELS,
@@ -50,7 +43,7 @@ from hapticd.studies.weir2008.paper import (
     SECTIONS,
     WARMER_K,
 )
-from hapticd.studies.weir2008.run import (
+from examples.weir2008.run import (
     SCENES,
     WINDOW_HZ,
     GridResult,
@@ -58,6 +51,13 @@ from hapticd.studies.weir2008.run import (
     SingleTrials,
     conditions,
 )
+from hapticd.core.arrays import Complexes, Floats
+from hapticd.core.units import COPPER_PER_K
+from hapticd.model.effects import Motor
+from hapticd.model.predict import predicted_impedance
+from hapticd.model.theorem import required_damping
+from hapticd.settings.scene import load_scene
+from hapticd.signal.impedance import Impedance
 from hapticd.zwidth.walls import WallResult
 
 Kind = Literal["calibrated", "independent", "arithmetic"]
@@ -189,6 +189,20 @@ def arithmetic(
         "copper_40_K": Measured(100.0 * COPPER_PER_K * WARMER_K),
     }
     return tuple(told("arithmetic", PRINTED, found))
+
+
+def crowbar_nms_per_rad(torque_constant_nm_per_a: float, resistance_ohm: float) -> float:
+    """Damping [Nms/rad] of a shorted motor, K_m^2 / R (Weir 2008, Eq. 3)."""
+    return torque_constant_nm_per_a**2 / resistance_ohm
+
+
+def lever_of_crowbar_m(crowbar_nms: float, crowbar_ns: float) -> float:
+    """The lever radius [m] that would make both of the paper's crowbar figures true.
+
+    Eq. 3 gives 1.7e-4 Nms/rad. The paper prints 3.7e-5 Ns/m for it at the endpoint, which would
+    need a lever of 2.14 m; with the lever of some 10 mm that fits the device it is 1.70 Ns/m.
+    """
+    return sqrt(crowbar_nms / crowbar_ns)
 
 
 # --- limits ---------------------------------------------------------------------------------------

@@ -17,6 +17,8 @@ pictures, so nothing but its words and printed numbers is taken.
 import tomllib
 from pathlib import Path
 
+from hapticd.core.errors import AnalysisError
+
 MAIN = "weir2008"
 HIGH_PASS = "weir2008_probe_hp"
 LITERAL = "weir2008_literal"
@@ -39,3 +41,31 @@ NUMBERS = {
 }
 # the six limits, section 5
 PAPER = {f"{name}_{mode}": NUMBERS[f"{name}_{mode}"] for mode in MODES.values() for name in NAMES}
+
+
+def paper_equation_2(
+    stiffness_n_per_m: float,
+    virtual_damping_ns_per_m: float,  # virtual damping B
+    physical_ns_per_m: float,  # b, what the device itself has
+    rate_hz: float = 1000.0,
+) -> bool:
+    """Whether Eq. 2 of Weir, Colgate and Peshkin (2008) as printed holds: b > K T / 2 + B, for
+    unfiltered velocity, no delay and no virtual mass.
+
+    AnalysisError for B < 0: there the theorem behind it reads b > K T / 2 + |B|, while Eq. 2 would
+    ask for less; and for K < 0, which no damping makes passive.
+    """
+    if stiffness_n_per_m < 0.0:
+        raise AnalysisError(
+            f"Eq. 2 does not hold for K = {stiffness_n_per_m:g} N/m: it would relax for a negative"
+            " stiffness, which is active at low frequencies under any damping; render K >= 0"
+        )
+    if virtual_damping_ns_per_m < 0.0:
+        needed = stiffness_n_per_m / (2.0 * rate_hz) - virtual_damping_ns_per_m
+        raise AnalysisError(
+            f"Eq. 2 does not hold for B = {virtual_damping_ns_per_m:g} N s/m: printed as"
+            " b > KT/2 + B it would relax for negative virtual damping, the theorem asks for"
+            " b > KT/2 - B cos wT,"
+            f" here {needed:g} N s/m at 0 Hz; use required_damping"
+        )
+    return physical_ns_per_m > stiffness_n_per_m / (2.0 * rate_hz) + virtual_damping_ns_per_m

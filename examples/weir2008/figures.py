@@ -9,7 +9,8 @@
 
 `page` gives each its number, caption and file name. Envelopes and impedances are drawn as those of
 every device are (`zwidth.report.envelope`, `zwidth.report.trial`), with the paper's titles.
-Colours and line styles are those of `zwidth.report.style`; all figures are drawn within `styled`.
+Colours and line styles are those of `zwidth.report.style`; all figures are drawn within `styled`. A
+bracket at the foot spans the frequencies that a number was averaged over.
 
 What would break it: two envelopes that are compared on axes of unlike range; IMPEDANCE_RANGE is
 one for all of them.
@@ -20,10 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.signal.passive_set import open_ends, passive_set
-from hapticd.studies.weir2008.paper import FIG_4, FIG_7, LEVELS, MAIN, MODES, NAMES, PAPER
-from hapticd.studies.weir2008.rows import MIDDLE_HZ, TOLERANCE, compared, predicted
-from hapticd.studies.weir2008.run import (
+from examples.weir2008.paper import FIG_4, FIG_7, LEVELS, MAIN, MODES, NAMES, PAPER
+from examples.weir2008.rows import MIDDLE_HZ, TOLERANCE, compared, predicted
+from examples.weir2008.run import (
     AXES,
     EDGE_SEEDS,
     EDGES_HZ,
@@ -35,6 +35,7 @@ from hapticd.studies.weir2008.run import (
     Peak,
     ReproduceResult,
 )
+from hapticd.signal.passive_set import open_ends, passive_set
 from hapticd.zwidth.report.envelope import SHOWN_HZ, Drawn, envelopes_figure
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.passive_set import draw_predicted
@@ -50,7 +51,6 @@ from hapticd.zwidth.report.style import (
     Figure,
     Look,
     axes,
-    draw_bracket,
     hertz_axis,
     legend_handles,
     level_label,
@@ -191,6 +191,18 @@ def _peak(axis: Axes, peak: Peak) -> None:
         ha="center",
         fontsize="small",
         arrowprops={"arrowstyle": "-|>", "color": BLACK, "linewidth": 0.8},
+    )
+
+
+def draw_bracket(axis: Axes, band_hz: tuple[float, float], height: float = 0.03) -> None:
+    """A bracket at that share of the height of the axes under the frequencies that are averaged,
+    where their range shows them.
+    """
+    low, high = axis.get_xlim()
+    ends = max(low, band_hz[0]), min(high, band_hz[1])
+    bracket: Look = {"color": BLACK, "linewidth": 1.0, "marker": "|", "markersize": 7}
+    axis.plot(
+        ends, (height, height), transform=axis.get_xaxis_transform(), clip_on=False, **bracket
     )
 
 

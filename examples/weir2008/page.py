@@ -22,8 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from hapticd.core.errors import ConfigError
-from hapticd.studies.weir2008.figures import (  # fmt: skip
+from examples.weir2008.figures import (  # fmt: skip
     LABELS,
     edges_figure,
     envelope_figure,
@@ -31,13 +30,13 @@ from hapticd.studies.weir2008.figures import (  # fmt: skip
     passive_figure,
     single_figure,
 )
-from hapticd.studies.weir2008.paper import SECTIONS
-from hapticd.studies.weir2008.rows import PaperRow, rows
-from hapticd.studies.weir2008.run import ReproduceResult
-from hapticd.studies.weir2008.table import as_json, markdown, notes, paper_table, readings_table
-from hapticd.zwidth.report import style
+from examples.weir2008.paper import SECTIONS
+from examples.weir2008.rows import PaperRow, rows
+from examples.weir2008.run import ReproduceResult
+from examples.weir2008.table import as_json, markdown, notes, paper_table, readings_table
+from hapticd.core.errors import ConfigError
 from hapticd.zwidth.report.passive_set import walls_figure
-from hapticd.zwidth.report.style import Figure
+from hapticd.zwidth.report.style import Figure, save, styled
 from hapticd.zwidth.report.table import Table, text
 from hapticd.zwidth.store import FIGURE_KINDS, Progress, Steps, silent
 
@@ -237,8 +236,8 @@ def _draw(
     steps = Steps(tell, len(drawings))
     for drawing in drawings:
         steps.next(f"drawing {drawing.name}")
-        with style.styled():
-            style.save(drawing.draw(width_mm=width_mm), folder, drawing.name)
+        with styled():
+            save(drawing.draw(width_mm=width_mm), folder, drawing.name)
     steps.end()
 
 

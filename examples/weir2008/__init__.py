@@ -12,7 +12,8 @@ future_work     section 6 of the paper: negative B, shaped damping, levels, dire
 future_figures  its figures
 future_page     its rows and its sections of REPORT.md
 
-A script calls `plan_reproduce` and `run_reproduce` of `run`, and `rows.rows`, or, for section 6,
-`future_work.plan_future_work` and `future_work.run_future_work`; `page.keep` writes the folder.
-Only the command line imports this package: it uses the bench as any script may.
+`python -m examples.weir2008` does it all. A script calls `plan_reproduce` and `run_reproduce` of
+`run`, and `rows.rows`, or, for section 6, `future_work.plan_future_work` and
+`future_work.run_future_work`; `page.keep` writes the folder. Of hapticd only public names are used,
+those in the `__all__` of its modules (docs/adr/0033-paper-outside-the-package.md).
 """

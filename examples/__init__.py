@@ -1,0 +1,1 @@
+"""Programs that use hapticd as any laboratory may; README.md lists them."""
