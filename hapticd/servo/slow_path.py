@@ -48,15 +48,14 @@ from hapticd.servo.plan import (
     STATUS,
     WAVE_COMMAND,
     Answer,
-    FlatPlan,
     Plan,
     Request,
     Sample,
     ServoState,
     advance_added,
     coefficients_of,
+    environment_of,
     fault_request,
-    flat_plan,
     tick_constants,
     with_origin,
 )
@@ -148,20 +147,19 @@ class SlowPath:
             x = self._samples.position_m(plan, encoder) if usable else None
             plan, held_back = eased(plan, settled, x, law, coefficients, tick, self._params)
             flags |= held_back
-        ready = self._flat(plan, tick)
-        flags |= _pending_flags(plan, ready.wake_tick, tick)
         if not usable and (plan.state not in GRANTED or plan.unauthorised):
             held = (*self._fading(plan, tick), former)
-        settled = tick_constants(plan, ready, coefficients, out_flags(plan, tick), host)
-        flags |= settled.flags
+        params = self._params
+        environment = self._environment(plan, tick)
+        sent_flags = out_flags(plan, tick)
+        settled = tick_constants(plan, tick, params, environment, coefficients, sent_flags, host)
+        flags |= settled.flags | _pending_flags(plan, settled.wake_tick, tick)
         return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
-    def _flat(self, plan: Plan, tick: int) -> FlatPlan:
-        params = self._params
-        flat = flat_plan(plan, tick, params, params.soft_ends, params.force_limit_n)
-        if plan.state is not State.HOMING:
-            return flat
-        return flat._replace(environment=pushing(plan.homing.force_n, self._homing_limit_n))
+    def _environment(self, plan: Plan, tick: int) -> LawInputs:
+        if plan.state is State.HOMING:
+            return pushing(plan.homing.force_n, self._homing_limit_n)
+        return environment_of(plan, tick, self._params.soft_ends, self._params.force_limit_n)
 
     def _fading(self, plan: Plan, tick: int) -> tuple[int, float]:
         """Torque count and force [N] of what is left where there is no sample to believe."""
