@@ -125,7 +125,11 @@ class ServoMailbox:
     def count(self, name: str, amount: int = 1) -> None:
         """Add `amount` to counter `name` (layout.COUNTERS)."""
         self._counts[name] += amount
-        self.words[_COUNTER[name]] = self._counts[name]
+        self.show(name, self._counts[name])
+
+    def show(self, name: str, count: int) -> None:
+        """Show counter `name`, which is counted elsewhere, as `count`."""
+        self.words[_COUNTER[name]] = count
 
     def answer(
         self,

@@ -34,7 +34,6 @@ import fcntl
 import os
 import stat
 from pathlib import Path
-from typing import NamedTuple
 
 from hapticd.core.errors import MailboxError
 from hapticd.mailbox import files
@@ -132,27 +131,22 @@ def press_stop(folder: Path, actor: int = ACTOR_STOP_WORD) -> None:
     """
     path = folder / files.STOP
     number = actor if _is_client(actor) else UNNAMED
-    while not (pressed := _pressed(path, number)).current:
-        pass  # the servo took another press back in between, which it does once a tick at most
-    if not pressed.held:
+    current = held = False
+    while not current:  # the servo takes other presses back, once a tick at most
+        current, held = _pressed(path, number)
+    if not held:
         raise MailboxError(
             f"{path}: its servo has ended, and the board stopped with it; start one with `hapticd"
             " run`"
         )
 
 
-class _Pressed(NamedTuple):
-    """What became of one press."""
-
-    current: bool  # what was written still has the name
-    held: bool  # by a living servo
-
-
 def _is_client(actor: int) -> bool:
     return FIRST_CLIENT <= actor <= LAST_CLIENT
 
 
-def _pressed(path: Path, number: int) -> _Pressed:
+def _pressed(path: Path, number: int) -> tuple[bool, bool]:
+    """Press once: whether what was written still has the name, and a living servo holds it."""
     descriptor = _opened(path, os.O_RDWR)
     try:
         word = number.to_bytes(8, "little")
@@ -160,7 +154,7 @@ def _pressed(path: Path, number: int) -> _Pressed:
         alone = os.pread(descriptor, READ_BYTES, 0) in (NOT_PRESSED, word)
         os.pwrite(descriptor, word if alone else UNNAMED.to_bytes(8, "little"), 0)
         held = files.is_locked(descriptor)
-        return _Pressed(_is_there(path, descriptor), held)
+        return _is_there(path, descriptor), held
     except OSError as error:
         raise MailboxError(f"{path}: {error.strerror}; the stop was not written") from error
     finally:

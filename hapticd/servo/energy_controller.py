@@ -32,7 +32,7 @@ credit above the device's true damping.
 """
 
 from math import ceil, exp, inf, tau
-from typing import Final, NamedTuple
+from typing import Final
 
 from hapticd.core.params import ServoParams
 from hapticd.mailbox.layout import STRENGTH_VALUES, Value, following
@@ -46,14 +46,6 @@ STEP: Final = 0.025  # of it: what may leak before the next halving
 SHOWS_TICKS: Final = 3  # from a step to what the board makes of it, at a delay of two periods
 
 
-class Lag(NamedTuple):
-    """Of a period's mean force behind a first-order low-pass: shares of what it is made of."""
-
-    before: float  # of the mean of the period before
-    newest: float  # of the force commanded for this period
-    last: float  # of that of the period before
-
-
 def is_on(params: ServoParams) -> bool:
     """Whether the configuration asks for it and the ledger has a bound."""
     return params.safety.energy_controller and (params.device.physical_damping_ns_per_m is not None)
@@ -64,15 +56,18 @@ def budget_j(params: ServoParams) -> float:
     return SHARE * params.device.energy_limit_j if is_on(params) else inf
 
 
-def lag(params: ServoParams) -> Lag | None:
-    """How the force lags behind its command on this device, as far as it has to be known."""
+def lag(params: ServoParams) -> tuple[float, float, float] | None:
+    """How the force lags behind its command on this device, as far as it has to be known: shares of
+    a period's mean force that are the mean of the period before, the force commanded for this
+    period, and that of the period before.
+    """
     corner_hz = params.device.force_smoothing_hz
     if not is_on(params) or not corner_hz > 0.0:
         return None
     angle = tau * corner_hz / params.realtime.rate_hz
     kept = exp(-angle)
     mean = (1.0 - kept) / angle
-    return Lag(kept, 1.0 - mean, mean - kept)
+    return kept, 1.0 - mean, mean - kept
 
 
 def controlled(

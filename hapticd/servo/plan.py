@@ -587,8 +587,10 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
     law, ledger, origin, signs, held, host = others
     before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)
     whole = Plan(**renewed)
-    made = (origin, host, whole.wave, *watch(flags), standing_flags(whole), whole)
-    settled = TickConstants(*before, *made, whole.winding.dac_count)
+    looks = watch(flags)
+    of_plan = standing_flags(whole)
+    dac_count = whole.winding.dac_count
+    settled = TickConstants(*before, origin, host, whole.wave, *looks, of_plan, whole, dac_count)
     return settled, law, ledger, held, Signs(*signs)
 
 

@@ -51,20 +51,6 @@ class Port(Protocol):
 BOUNCE_NS = (50 * NS_PER_US, 500 * NS_PER_US)  # between two edges of a contact that bounces
 
 
-class Contact(NamedTuple):
-    """An edge of the emergency stop's contact."""
-
-    at_ns: int
-    pressed: bool
-
-
-class StuckEncoder(NamedTuple):
-    """The newest tick at which the encoder was stuck, and the count that it reads."""
-
-    tick: int
-    encoder: int
-
-
 class Injector:
     """The board of `params` with its injections. Raises ConfigError on an unknown kind."""
 
@@ -82,9 +68,11 @@ class Injector:
         self._waiting: deque[tuple[int, bytes]] = deque()  # (due, IN packet), oldest first
         self._piling_until_ns = 0
         self._hung_until_ns = 0
-        self._stuck = StuckEncoder(-1, 0)
+        self._stuck_tick = -1  # the newest one at which the encoder was stuck
+        self._stuck_encoder = 0
         self._bounce_ns = round(params.emergency_stop_bounce_ms * NS_PER_MS)
-        self._contacts: list[Contact] = []  # what the emergency stop is about to do, in order
+        # what the emergency stop is about to do, in order: (when, pressed)
+        self._contacts: list[tuple[int, bool]] = []
 
     def power_up(self) -> None:
         self.forget()
@@ -163,24 +151,25 @@ class Injector:
         edges = (*self._bouncing(t_ns, True), *self._bouncing(until_ns, False))
         self._contacts = sorted((*self._contacts, *edges))
 
-    def _bouncing(self, t_ns: int, pressed: bool) -> list[Contact]:
+    def _bouncing(self, t_ns: int, pressed: bool) -> list[tuple[int, bool]]:
         """A contact that ends as `pressed`, after it was both in turn for a while."""
         until_ns = t_ns + self._bounce_ns
-        edges: list[Contact] = []
+        edges: list[tuple[int, bool]] = []
         while t_ns < until_ns:
-            edges.append(Contact(t_ns, pressed if not len(edges) % 2 else not pressed))
+            edges.append((t_ns, pressed if not len(edges) % 2 else not pressed))
             t_ns += self.random.randrange(*BOUNCE_NS)
-        return [*edges, Contact(until_ns, pressed)]
+        return [*edges, (until_ns, pressed)]
 
     def _switch(self, t_ns: int) -> None:
-        while self._contacts and self._contacts[0].at_ns <= t_ns:
+        while self._contacts and self._contacts[0][0] <= t_ns:
             self.board.press_stop(*self._contacts.pop(0))
 
     def stuck_at(self, encoder: int) -> int:
         """What an encoder reads that has stuck: its count at the first tick of the fault."""
-        ongoing = self._stuck.tick == self.tick - 1
-        self._stuck = StuckEncoder(self.tick, self._stuck.encoder if ongoing else encoder)
-        return self._stuck.encoder
+        if self._stuck_tick != self.tick - 1:
+            self._stuck_encoder = encoder
+        self._stuck_tick = self.tick
+        return self._stuck_encoder
 
     def _pile_up(self, t_ns: int) -> None:
         until_ns = self._piling_until_ns
