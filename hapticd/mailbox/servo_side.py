@@ -205,15 +205,16 @@ class ServoMailbox:
 
 
 def _keep_last(folder: Path) -> None:
-    """The ring of a servo that has ended becomes the last one, if it holds any record: the ring of
-    one that only waited for its board replaces none.
+    """The ring of a servo that has ended becomes the last one, for the flight recorder, if it holds
+    any record: the ring of one that only waited for its board replaces none.
     """
+    ring = folder / files.TELEMETRY
     try:
-        with open(folder / files.TELEMETRY, "rb") as ring:
-            head = ring.read(8 * (layout.TELEMETRY_HEAD_WORD + 1))[-8:]
+        with ring.open("rb") as file:
+            head = file.read(8 * (layout.TELEMETRY_HEAD_WORD + 1))[-8:]
+        if any(head):
+            ring.replace(folder / files.LAST_TELEMETRY)
+        else:
+            ring.unlink()
     except OSError:
-        return
-    if any(head):
-        files.keep_last(folder)
-    else:
-        files.remove(folder, files.TELEMETRY)
+        pass  # what stays is replaced at the next start

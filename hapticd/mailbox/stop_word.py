@@ -33,6 +33,8 @@ tmpfs and ext4 do not), or a group that may write the folder.
 import fcntl
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hapticd.core.errors import MailboxError
@@ -147,18 +149,16 @@ def _is_client(actor: int) -> bool:
 
 def _pressed(path: Path, number: int) -> tuple[bool, bool]:
     """Press once: whether what was written still has the name, and a living servo holds it."""
-    descriptor = _opened(path, os.O_RDWR)
-    try:
-        word = number.to_bytes(8, "little")
-        # the servo may not have read another's press yet: then it is of both, and so of neither
-        alone = os.pread(descriptor, READ_BYTES, 0) in (NOT_PRESSED, word)
-        os.pwrite(descriptor, word if alone else UNNAMED.to_bytes(8, "little"), 0)
-        held = files.is_locked(descriptor)
-        return _is_there(path, descriptor), held
-    except OSError as error:
-        raise MailboxError(f"{path}: {error.strerror}; the stop was not written") from error
-    finally:
-        os.close(descriptor)
+    word = number.to_bytes(8, "little")
+    with _opened(path, os.O_RDWR) as descriptor:
+        try:
+            # the servo may not have read another's press yet: then it is of both, so of neither
+            alone = os.pread(descriptor, READ_BYTES, 0) in (NOT_PRESSED, word)
+            os.pwrite(descriptor, word if alone else UNNAMED.to_bytes(8, "little"), 0)
+            held = files.is_locked(descriptor)
+            return _is_there(path, descriptor), held
+        except OSError as error:
+            raise MailboxError(f"{path}: {error.strerror}; the stop was not written") from error
 
 
 def _is_there(path: Path, descriptor: int) -> bool:
@@ -171,29 +171,20 @@ def _is_there(path: Path, descriptor: int) -> bool:
 
 def stop_taken(folder: Path) -> bool:
     """Whether the servo of `folder` has taken a press back: obeyed it, and no force acts."""
-    try:
-        descriptor = _opened(folder / files.STOP, os.O_RDONLY)
-    except MailboxError:
-        return False
-    try:
+    with suppress(MailboxError), _opened(folder / files.STOP, os.O_RDONLY) as descriptor:
         return os.pread(descriptor, READ_BYTES, 0) == NOT_PRESSED
-    finally:
-        os.close(descriptor)
+    return False
 
 
 def servo_lives(folder: Path) -> bool:
     """Whether a servo holds the stop word of `folder`."""
-    try:
-        descriptor = _opened(folder / files.STOP, os.O_RDONLY)
-    except MailboxError:
-        return False
-    try:
+    with suppress(MailboxError), _opened(folder / files.STOP, os.O_RDONLY) as descriptor:
         return files.is_locked(descriptor)
-    finally:
-        os.close(descriptor)
+    return False
 
 
-def _opened(path: Path, access: int) -> int:
+@contextmanager
+def _opened(path: Path, access: int) -> Iterator[int]:
     """Descriptor of the stop word `path`, opened without waiting whatever it is."""
     try:
         # a pipe of that name would wait for its other end
@@ -206,7 +197,9 @@ def _opened(path: Path, access: int) -> int:
         raise MailboxError(
             f"{path}: {error.strerror}; its owner and the service's group may press it"
         ) from error
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise MailboxError(f"{path} is no file; remove it, the next servo makes it again")
+        yield descriptor
+    finally:
         os.close(descriptor)
-        raise MailboxError(f"{path} is no file; remove it, the next servo makes it again")
-    return descriptor

@@ -48,7 +48,7 @@ def simulated_backend(
     `on_slip(ns)` is called with the time that a paused host cost the simulation.
     """
     # imported here: a servo of a real board loads no simulator
-    from hapticd.sim.transport import make_backend
+    from hapticd.sim.backend import make_backend
 
     return make_backend(params, clock, on_slip)
 

@@ -13,14 +13,13 @@ from types import SimpleNamespace
 from typing import Literal
 
 from hapticd.sim.board import MANUFACTURER, PRODUCT, SERIAL
-from hapticd.usb.frames import PACKET_BYTES, USB_PRODUCT_ID, USB_VENDOR_ID
+from hapticd.usb.frames import PACKET_BYTES, USB_PRODUCT_ID, USB_VENDOR_ID, VENDOR_CLASS
 
 Transfer = Literal["bulk", "interrupt"]
 
 OUT_ADDRESS = 0x01
 IN_ADDRESS = 0x81
 FULL_SPEED = 2
-VENDOR_CLASS = 0xFF
 # bmAttributes, bInterval
 _ATTRIBUTES: dict[Transfer, tuple[int, int]] = {"bulk": (2, 0), "interrupt": (3, 1)}
 

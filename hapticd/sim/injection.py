@@ -14,7 +14,7 @@ import errno
 from collections import deque
 from collections.abc import Callable
 from random import Random
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import BoardParams
@@ -35,17 +35,6 @@ class TransferFault(Exception):
         super().__init__(number)
         self.number = number
         self.away_s = away_s
-
-
-class Port(Protocol):
-    """What is at the other end of the cable: a BoardModel, or an Injector around it."""
-
-    def power_up(self) -> None: ...
-    def on_out(self, data: memoryview, t_ns: int) -> None: ...
-    def poll_in(self, t_ns: int) -> bytes | None: ...
-    def next_in_ns(self) -> int | None: ...
-    def advance(self, t_ns: int) -> None: ...
-    def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None: ...
 
 
 BOUNCE_NS = (50 * NS_PER_US, 500 * NS_PER_US)  # between two edges of a contact that bounces
@@ -205,6 +194,10 @@ class Injector:
         self.healing = [item for item in self.healing if t_ns < item[0]]
 
 
+# what is at the other end of the cable
+Port = BoardModel | Injector
+
+
 def check_kind(kind: str, where: str) -> None:
     """Return if the board knows injections of this `kind`, else ConfigError that says `where`."""
     if kind not in KINDS:
@@ -212,7 +205,7 @@ def check_kind(kind: str, where: str) -> None:
         raise ConfigError(f"{where}: injection kind {kind!r} is unknown; use one of {known}")
 
 
-def with_injections(board: BoardModel, params: BoardParams) -> BoardModel | Injector:
+def with_injections(board: BoardModel, params: BoardParams) -> Port:
     """`board` itself when there is nothing to inject."""
     return Injector(board, params) if params.injections else board
 

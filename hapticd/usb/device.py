@@ -103,10 +103,6 @@ class Device:
         self.events = PinEvents()
         self._phase_us: int | None = None  # asked for; None: as the board has it
         self._phase_life = 0  # of the board, in which it was asked for
-        self._begin: Callable[[], None]
-        self.receive: Callable[[], Received]
-        self.send: Callable[..., bool]
-        self.rehearse: Callable[[], Head]
         self._begin, self.receive, self.send, self.rehearse = _exchange(self)
 
     def connect(self) -> HelloFrame:

@@ -20,6 +20,7 @@ from typing import NamedTuple
 __all__ = [
     "CRC",
     "CRC_INITIAL",
+    "ENGLISH_US",
     "EVENT_DEPTH",
     "EVENT_FRAMES",
     "FIFO_DEPTH",
@@ -41,6 +42,9 @@ __all__ = [
     "PROTOCOL_HASH",
     "USB_PRODUCT_ID",
     "USB_VENDOR_ID",
+    "VENDOR_CLASS",
+    "VENDOR_IN",
+    "VENDOR_OUT",
     "Capability",
     "HelloFrame",
     "OutFlag",
@@ -68,9 +72,7 @@ CRC_POLYNOMIAL = 0x1021
 CRC_INITIAL = 0xFFFF
 
 OUT = struct.Struct("<HBBhHhBB6h6sH")
-OUT_HEAD = struct.Struct("<HBBhHhBB")  # the first 12 bytes of OUT: all before the samples
-OUT_BARE = struct.Struct("<HxBhHhxx")  # the same bytes where axis and count are 0
-OUT_SAMPLES = struct.Struct("<6h")
+OUT_BARE = struct.Struct("<HxBhHhxx")  # all before the samples, where axis and count are 0
 IN = struct.Struct("<HHBBHIihhhhBBhI10hHHHHBBH")
 IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all before the pairs
 IN_PAIRS = struct.Struct("<10h")
@@ -93,6 +95,13 @@ assert (OUT.size, IN.size, HELLO.size) == (OUT_BYTES, IN_BYTES, HELLO_BYTES)
 assert IN_SEALED.size == IN_BYTES
 assert IN_OFFSETS["event_code"] == IN_HEAD.size + IN_PAIRS.size
 assert IN_OFFSETS["event_code"] + IN_TAIL.size + CRC.size == IN_BYTES
+
+
+# bmRequestType of requests to the board, class of its interface
+VENDOR_IN = 0xC0
+VENDOR_OUT = 0x40
+VENDOR_CLASS = 0xFF
+ENGLISH_US = 0x0409  # language of its strings
 
 
 class Request(IntEnum):

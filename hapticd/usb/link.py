@@ -40,7 +40,7 @@ from hapticd.core.errors import (
 from hapticd.core.params import UsbParams
 from hapticd.usb.base import Link
 from hapticd.usb.flight import End, InFlight, OutFailed, Transfers
-from hapticd.usb.frames import Request
+from hapticd.usb.frames import ENGLISH_US, VENDOR_CLASS, VENDOR_IN, VENDOR_OUT, Request
 
 __all__ = ["UsbLink"]
 
@@ -99,14 +99,9 @@ def link_error(action: str, error: Exception, remedies: Mapping[int, str] = NO_O
     )
 
 
-VENDOR_CLASS = 0xFF
-# bmRequestType, recipient device
-VENDOR_IN = 0xC0
-VENDOR_OUT = 0x40
 CONTROL_TIMEOUT_MS = 100  # three bus transactions, never within a tick
 FRAME_TRANSFERS = (usb.util.ENDPOINT_TYPE_BULK, usb.util.ENDPOINT_TYPE_INTR)
 DEVICE_ERRORS = (usb.core.USBError, NotImplementedError)  # libusb's "not supported" is no USBError
-ENGLISH_US = 0x0409
 
 
 def system_backend() -> Any:
