@@ -126,7 +126,8 @@ def budgeted(
     energy_j = ramp_energy.added(was, now)
     _, flags = with_flag(plan, step.plan)
     if ramp_energy.too_much(plan, energy_j, here.tick, rate_hz, budget_j):
-        waiting = ramp_energy.paused(plan, before, here.last_tick, here.tick, now.wall > was.wall)
+        wall_gains = now[ramp_energy.WALL] > was[ramp_energy.WALL]
+        waiting = ramp_energy.paused(plan, before, here.last_tick, here.tick, wall_gains)
         step = stepped(waiting, before, here, params)
         flags = with_flag(waiting, step.plan)[1] | int(Flag.PAUSED)
         energy_j = ramp_energy.added(was, ramp_energy.stored(step.environment, here.x, here.v))

@@ -86,17 +86,14 @@ def controlled(
     if ceiling > (plan.active_damping_asked if plan.active_damping_on else 0.0):
         more = changed(plan, now, (Value.ACTIVE_DAMPING,))
         return more._replace(active_damping_asked=ceiling, active_damping_on=True)
-    leaked = leaked_since(plan.control, now, bound) / params.device.energy_limit_j
+    # since the last step, beyond what is left of the excess of then
+    left_j = plan.control.excess_j * bound.kept ** (tick - plan.control.tick)
+    leaked = (excess_j - left_j) / params.device.energy_limit_j
     untried = plan.control.places == (Value.ACTIVE_DAMPING,)
     waiting = not untried and tick - plan.control.tick < shows_ticks(params)
     if waiting or leaked <= (2.0 if untried else 1.0) * STEP:
         return plan
     return halved(plan, now, last_tick)
-
-
-def leaked_since(last: Control, now: Control, bound: Bounds) -> float:
-    """Energy [J] that leaked since the last step, beyond what is left of the excess of then."""
-    return now.excess_j - last.excess_j * bound.kept ** (now.tick - last.tick)
 
 
 def shows_ticks(params: ServoParams) -> int:

@@ -482,7 +482,8 @@ def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: f
     """
     gain = plan.gain.value(tick)
     at = plan.values
-    bias = _bias(plan, tick)
+    # no law's force: the push of a homing that was stopped, on its way out
+    bias = plan.fade.value(tick) if plan.state in LATCHED and plan.gain.start == 0.0 else 0.0
     return (
         gain * at[Value.STIFFNESS].value(tick),
         gain * at[Value.VIRTUAL_DAMPING].value(tick),
@@ -498,11 +499,6 @@ def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: f
         gain * workspace.stiffness_n_per_m,
         *(gain * at[one.slot].value(tick) for one in FURTHER),
     )
-
-
-def _bias(plan: Plan, tick: int) -> float:
-    """Force [N] that is not the law's: the push of a homing that was stopped, on its way out."""
-    return plan.fade.value(tick) if plan.state in LATCHED and plan.gain.start == 0.0 else 0.0
 
 
 def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:

@@ -43,7 +43,7 @@ from hapticd.sim.descriptors import (
     interface_descriptor,
 )
 from hapticd.sim.errors import usb_error
-from hapticd.sim.flight import Endpoints, Flight
+from hapticd.sim.flight import Flight
 from hapticd.sim.injection import Port, TransferFault, with_injections
 from hapticd.usb.frames import VENDOR_OUT
 
@@ -339,8 +339,8 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def transfers(self, out_endpoint: int, in_endpoint: int) -> Flight:
         """One OUT and one IN of the claimed board, submitted and reaped (`usb.flight`)."""
         assert self.device is not None
-        ends = Endpoints(out_endpoint, in_endpoint)
-        self._flight = Flight(self, self._port, self.device, ends, self._bus, self._clock)
+        ends = out_endpoint, in_endpoint
+        self._flight = Flight(self, self._port, self.device, *ends, self._bus, self._clock)
         return self._flight
 
 

@@ -54,9 +54,9 @@ class Injector:
         self._injections = params.injections
         self._until = [0] * len(params.injections)
         self._in_faults: list[tuple[InFault, float]] = []
-        self._waiting: deque[tuple[int, bytes]] = deque()  # (due, IN packet), oldest first
-        self._piling_until_ns = 0
-        self._hung_until_ns = 0
+        self.waiting: deque[tuple[int, bytes]] = deque()  # (due, IN packet), oldest first
+        self.piling_until_ns = 0  # IN packets until then wait, and come all together
+        self.hung_until_ns = 0  # the firmware answers nothing; what it puts out stays as it is
         self._stuck_tick = -1  # the newest one at which the encoder was stuck
         self._stuck_encoder = 0
         self._bounce_ns = round(params.emergency_stop_bounce_ms * NS_PER_MS)
@@ -71,18 +71,18 @@ class Injector:
 
     def forget(self) -> None:
         """What was on its way is lost."""
-        self._waiting.clear()
-        self._piling_until_ns = 0
-        self._hung_until_ns = 0
+        self.waiting.clear()
+        self.piling_until_ns = 0
+        self.hung_until_ns = 0
 
     def on_out(self, data: memoryview, t_ns: int) -> None:
         self._heal(t_ns)
-        if self._piling_until_ns:
+        if self.piling_until_ns:
             self._pile_up(t_ns)
         packet = self._struck(data, t_ns)
         if self._contacts:
             self._switch(t_ns)
-        if t_ns < self._hung_until_ns:
+        if t_ns < self.hung_until_ns:
             raise TransferFault(errno.ETIMEDOUT)
         if packet is None:
             return
@@ -92,12 +92,12 @@ class Injector:
             self.postpone_ns = 0
 
     def poll_in(self, t_ns: int) -> bytes | None:
-        if self._piling_until_ns:
+        if self.piling_until_ns:
             self._pile_up(t_ns)
         if self._contacts:
             self._switch(t_ns)
-        if self._waiting:
-            return self._waiting.popleft()[1] if self._waiting[0][0] <= t_ns else None
+        if self.waiting:
+            return self.waiting.popleft()[1] if self.waiting[0][0] <= t_ns else None
         latched_ns = self.board.next_in_ns()
         frame = self.board.poll_in(t_ns)
         if frame is not None and self._in_faults:
@@ -109,12 +109,12 @@ class Injector:
         return frame
 
     def next_in_ns(self) -> int | None:
-        return self._waiting[0][0] if self._waiting else self.board.next_in_ns()
+        return self.waiting[0][0] if self.waiting else self.board.next_in_ns()
 
     def advance(self, t_ns: int) -> None:
         """Play the board up to `t_ns` without a transfer."""
         self._heal(t_ns)
-        if self._piling_until_ns:
+        if self.piling_until_ns:
             self._pile_up(t_ns)
         if self._contacts:
             self._switch(t_ns)
@@ -122,18 +122,6 @@ class Injector:
 
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
         return self.board.control(request_type, request, value, length)
-
-    def hold(self, due_ns: int, packet: bytes) -> None:
-        """The next IN packet is this one, from `due_ns` on."""
-        self._waiting.append((due_ns, packet))
-
-    def pile(self, until_ns: int) -> None:
-        """Every IN packet until then waits, and all of them come together."""
-        self._piling_until_ns = until_ns
-
-    def hang(self, until_ns: int) -> None:
-        """The firmware answers nothing until then; what it puts out stays as it is."""
-        self._hung_until_ns = until_ns
 
     def press(self, t_ns: int, until_ns: int) -> None:
         """The emergency stop is pressed at `t_ns` and released at `until_ns`."""
@@ -161,13 +149,13 @@ class Injector:
         return self._stuck_encoder
 
     def _pile_up(self, t_ns: int) -> None:
-        until_ns = self._piling_until_ns
+        until_ns = self.piling_until_ns
         latest_ns = min(t_ns, until_ns)
         while (latched_ns := self.board.next_in_ns()) is not None and latched_ns <= latest_ns:
             if (packet := self.board.poll_in(latched_ns)) is not None:
-                self._waiting.append((until_ns, packet))
+                self.waiting.append((until_ns, packet))
         if t_ns >= until_ns:
-            self._piling_until_ns = 0
+            self.piling_until_ns = 0
 
     def _struck(self, data: memoryview, t_ns: int) -> memoryview | None:
         tick = self.tick
@@ -274,11 +262,11 @@ def _restarted(injector: Injector, packet: memoryview, value: float, t_ns: int) 
 
 
 def _hung(injector: Injector, packet: memoryview, value: float, t_ns: int) -> None:
-    injector.hang(t_ns + round(value * NS_PER_S))
+    injector.hung_until_ns = t_ns + round(value * NS_PER_S)
 
 
 def _hung_unwatched(injector: Injector, packet: memoryview, value: float, t_ns: int) -> None:
-    injector.hang(t_ns + round(value * NS_PER_S))
+    injector.hung_until_ns = t_ns + round(value * NS_PER_S)
     injector.board.stop_watchdog()
 
 
@@ -308,22 +296,22 @@ def _damped(injector: Injector, packet: memoryview, value: float, t_ns: int) -> 
 
 
 def _delayed(injector: Injector, packet: bytes, value: float, t_ns: int) -> None:
-    injector.hold(t_ns + round(value * NS_PER_S), packet)
+    injector.waiting.append((t_ns + round(value * NS_PER_S), packet))
 
 
 def _piled(injector: Injector, packet: bytes, value: float, t_ns: int) -> None:
     due_ns = t_ns + round(value * NS_PER_S)
-    injector.hold(due_ns, packet)
-    injector.pile(due_ns)
+    injector.waiting.append((due_ns, packet))
+    injector.piling_until_ns = due_ns
 
 
 def _duplicated(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
-    injector.hold(t_ns, packet)
+    injector.waiting.append((t_ns, packet))
     return packet
 
 
 def _with_nothing_behind(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
-    injector.hold(t_ns, b"")
+    injector.waiting.append((t_ns, b""))
     return packet
 
 
