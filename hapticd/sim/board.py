@@ -41,15 +41,8 @@ from hapticd.sim.axis import (
 )
 from hapticd.sim.events import EventPins, PinEvent
 from hapticd.usb import codec, frames
-from hapticd.usb.frames import (
-    ENGLISH_US,
-    VENDOR_IN,
-    VENDOR_OUT,
-    Capability,
-    HelloFrame,
-    Request,
-    StatusBit,
-)
+from hapticd.usb.base import ENGLISH_US, VENDOR_IN, VENDOR_OUT
+from hapticd.usb.frames import Capability, HelloFrame, Request, StatusBit
 
 __all__ = ["make_board"]
 

@@ -18,7 +18,6 @@ from typing import NamedTuple
 __all__ = [
     "CRC",
     "CRC_INITIAL",
-    "ENGLISH_US",
     "EVENT_DEPTH",
     "EVENT_FRAMES",
     "FIFO_DEPTH",
@@ -40,9 +39,6 @@ __all__ = [
     "PROTOCOL_HASH",
     "USB_PRODUCT_ID",
     "USB_VENDOR_ID",
-    "VENDOR_CLASS",
-    "VENDOR_IN",
-    "VENDOR_OUT",
     "Capability",
     "HelloFrame",
     "OutFlag",
@@ -93,13 +89,6 @@ assert (OUT.size, IN.size, HELLO.size) == (OUT_BYTES, IN_BYTES, HELLO_BYTES)
 assert IN_SEALED.size == IN_BYTES
 assert IN_OFFSETS["event_code"] == IN_HEAD.size + IN_PAIRS.size
 assert IN_OFFSETS["event_code"] + IN_TAIL.size + CRC.size == IN_BYTES
-
-
-# bmRequestType of requests to the board, class of its interface
-VENDOR_IN = 0xC0
-VENDOR_OUT = 0x40
-VENDOR_CLASS = 0xFF
-ENGLISH_US = 0x0409  # language of its strings
 
 
 class Request(IntEnum):

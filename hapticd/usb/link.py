@@ -38,9 +38,9 @@ from hapticd.core.errors import (
     LinkTimeout,
 )
 from hapticd.core.params import UsbParams
-from hapticd.usb.base import Link
+from hapticd.usb.base import ENGLISH_US, VENDOR_CLASS, VENDOR_IN, VENDOR_OUT, Link
 from hapticd.usb.flight import End, InFlight, OutFailed, Transfers
-from hapticd.usb.frames import ENGLISH_US, VENDOR_CLASS, VENDOR_IN, VENDOR_OUT, Request
+from hapticd.usb.frames import Request
 
 __all__ = ["UsbLink"]
 
