@@ -8,14 +8,11 @@ device that is plugged again has a new address, and for one more enumeration aft
 dead device is still listed. A read waits until the IN is latched, in wall time and in virtual time
 alike, and always comes to an end.
 
-A `DistantBackend` is at the end of a bus that takes its time. One transfer goes after the other, as
-libusb's synchronous calls do it: a write is submitted, reaches the board, and returns when its
-caller has been woken. A read takes the packet that waits, or the next one as soon as it is latched
-and the controller asks for it; meanwhile what the board latches waits in the board, queued or
-replaced. In virtual time the clock moves, live it passes. The bus is either `sim.bus.FixedBus`, a
-time for each direction (`out_transport_us`, `in_transport_us`: 0.33 ms a pair at the median in a
-Linux kernel, 0.48 ms at the 99th percentile), or the model `FullSpeedBus`. Transfers in flight take
-the same bus (`sim.flight`).
+A `DistantBackend` is at the end of a bus (`sim.bus`) that takes its time. One transfer goes after
+the other, as libusb's synchronous calls do it: a write is submitted, reaches the board, and returns
+when its caller has been woken. A read takes the packet that waits, or the next one as soon as it is
+latched and the controller asks for it; meanwhile what the board latches waits in the board, queued
+or replaced. Transfers in flight take the same bus (`sim.flight`).
 
 What would break it: a second thread (there is no lock in the tick's way), a time-out shorter than
 the transport (the packet is delivered all the same, late, as libusb does when its timer fires

@@ -14,7 +14,7 @@ import errno
 from collections import deque
 from collections.abc import Callable
 from random import Random
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import BoardParams
@@ -203,20 +203,15 @@ OutFault = Callable[[Injector, memoryview, float, int], memoryview | None]  # OU
 InFault = Callable[[Injector, bytes, float, int], bytes | None]
 
 
-class OutKind(NamedTuple):
-    """A fault that strikes an OUT, or the board at that moment."""
+Act = TypeVar("Act", OutFault, InFault)
 
-    act: OutFault
+
+class Kind(NamedTuple, Generic[Act]):
+    """A fault that strikes an OUT, or the board at that moment, or the IN that answers an OUT."""
+
+    act: Act
     what: str  # happens
     value: str = ""  # what the value means, and its unit
-
-
-class InKind(NamedTuple):
-    """A fault that strikes the IN that answers an OUT."""
-
-    act: InFault
-    what: str
-    value: str = ""
 
 
 def _flipped(data: bytes | memoryview, random: Random) -> bytes:
@@ -354,92 +349,92 @@ def _saturated(injector: Injector, packet: bytes, value: float, t_ns: int) -> by
 MANY_COUNTS = 1_000_000
 CAUSE = "how long the cause lasts [s]; the fault stays until CLEAR_FAULT"
 HANGS = "the board hangs: outputs stay as they are, OUT is not accepted"
-OUT_FAULTS: dict[str, OutKind] = {
-    "drop_out": OutKind(
+OUT_FAULTS: dict[str, Kind[OutFault]] = {
+    "drop_out": Kind(
         lambda injector, packet, value, t_ns: None, "OUT is lost; the host believes it was sent"
     ),
-    "corrupt_out": OutKind(_corrupted_out, "one random bit of OUT flips: the board refuses it"),
-    "stall_out": OutKind(_stalled, "the OUT endpoint halts until clear_halt"),
-    "io_error": OutKind(_disturbed, "EIO once, as under electrical interference"),
-    "unplug": OutKind(_unplugged, "EIO, then ENODEV, then plugged in again", "time away [s]"),
-    "late": OutKind(_latched_late, "the board latches its reply late", "by how much [s]"),
-    "amplifier_fault": OutKind(
+    "corrupt_out": Kind(_corrupted_out, "one random bit of OUT flips: the board refuses it"),
+    "stall_out": Kind(_stalled, "the OUT endpoint halts until clear_halt"),
+    "io_error": Kind(_disturbed, "EIO once, as under electrical interference"),
+    "unplug": Kind(_unplugged, "EIO, then ENODEV, then plugged in again", "time away [s]"),
+    "late": Kind(_latched_late, "the board latches its reply late", "by how much [s]"),
+    "amplifier_fault": Kind(
         _board_fault(StatusBit.AMPLIFIER_FAULT), "the board reports an amplifier fault", CAUSE
     ),
-    "encoder_fault": OutKind(
+    "encoder_fault": Kind(
         _board_fault(StatusBit.ENCODER_FAULT), "the board reports an encoder fault", CAUSE
     ),
-    "over_temperature": OutKind(
+    "over_temperature": Kind(
         _board_fault(StatusBit.OVER_TEMPERATURE), "the board reports a hot winding", CAUSE
     ),
-    "emergency_stop": OutKind(
+    "emergency_stop": Kind(
         _pressed, "the hard-wired emergency stop is pressed and released", "for how long [s]"
     ),
-    "amplifier_stuck": OutKind(
+    "amplifier_stuck": Kind(
         _amplifier(lambda force_n, value: value),
         "the amplifier puts out one force, whatever is commanded, as long as it has authority",
         "that force [N]",
     ),
-    "amplifier_limited": OutKind(
+    "amplifier_limited": Kind(
         _amplifier(lambda force_n, value: max(-value, min(value, force_n))),
         "the amplifier gives less than is commanded",
         "the most that it gives [N]",
     ),
-    "amplifier_gain": OutKind(
+    "amplifier_gain": Kind(
         _amplifier(lambda force_n, value: force_n * value),
         "the amplifier has another gain, or the other polarity",
         "force over commanded force",
     ),
-    "active_damping_gain": OutKind(
+    "active_damping_gain": Kind(
         _damped,
         "the damping circuit damps less, or more, than is commanded",
         "damping over commanded damping",
     ),
-    "event_code": OutKind(
+    "event_code": Kind(
         _event,
         "the code at the event pins changes, and stays; no fault",
         "the code (0 to 65535)",
     ),
-    "restart": OutKind(
+    "restart": Kind(
         _restarted,
         "the firmware starts anew without leaving the bus; the device moves on",
         "board time at which it begins anew [s]",
     ),
-    "hang": OutKind(_hung, f"{HANGS}; its watchdog works", "for how long [s]"),
-    "hang_unwatched": OutKind(
+    "hang": Kind(_hung, f"{HANGS}; its watchdog works", "for how long [s]"),
+    "hang_unwatched": Kind(
         _hung_unwatched, f"{HANGS}; its watchdog does not work", "for how long [s]"
     ),
 }
 
-IN_FAULTS: dict[str, InKind] = {
-    "drop_in": InKind(
+IN_FAULTS: dict[str, Kind[InFault]] = {
+    "drop_in": Kind(
         lambda injector, packet, value, t_ns: None, "IN is lost; the board believes it was read"
     ),
-    "delay_in": InKind(_delayed, "IN is delivered late", "after its latch [s]"),
-    "burst_in": InKind(
+    "delay_in": Kind(_delayed, "IN is delivered late", "after its latch [s]"),
+    "burst_in": Kind(
         _piled,
         "this IN and those after it pile up on the way, then come all together",
         "for how long [s]",
     ),
-    "duplicate_in": InKind(_duplicated, "IN is delivered twice"),
-    "zero_length_in": InKind(_with_nothing_behind, "a packet of zero length comes behind IN"),
-    "corrupt_in": InKind(_corrupted_in, "one random bit of IN flips"),
-    "stall_in": InKind(_stalled, "the IN endpoint halts until clear_halt"),
-    "babble": InKind(_lengthened, "IN is longer than a packet", "bytes too many (1)"),
-    "short_in": InKind(_shortened, "IN is cut short", "bytes that are left (31)"),
-    "encoder_jump": InKind(
+    "duplicate_in": Kind(_duplicated, "IN is delivered twice"),
+    "zero_length_in": Kind(_with_nothing_behind, "a packet of zero length comes behind IN"),
+    "corrupt_in": Kind(_corrupted_in, "one random bit of IN flips"),
+    "stall_in": Kind(_stalled, "the IN endpoint halts until clear_halt"),
+    "babble": Kind(_lengthened, "IN is longer than a packet", "bytes too many (1)"),
+    "short_in": Kind(_shortened, "IN is cut short", "bytes that are left (31)"),
+    "encoder_jump": Kind(
         _encoder(lambda injector, encoder, value: encoder + (round(value) or MANY_COUNTS)),
         "the encoder is off",
         "counts (1,000,000)",
     ),
-    "encoder_burst": InKind(
+    "encoder_burst": Kind(
         _encoder(_scattered), "the encoder is off by random counts", "most counts (1,000,000)"
     ),
-    "encoder_stuck": InKind(
+    "encoder_stuck": Kind(
         _encoder(lambda injector, encoder, value: injector.stuck_at(encoder)),
         "the encoder reads the count of the first of these ticks",
     ),
-    "sensor_extreme": InKind(
+    "sensor_extreme": Kind(
         _saturated, "current, voltage, velocity and temperature are extreme", "counts (32767)"
     ),
 }
