@@ -50,7 +50,7 @@ with tempfile.TemporaryDirectory() as built:
         print(f"{source}: {found.lines_percent:g} % of lines, {missed}", flush=True)
 
 python = fig7_trial(BoardModel, SECONDS)
-with mock.patch("hapticd.sim.transport.make_board", firmware):
+with mock.patch("hapticd.sim.backend.make_board", firmware):
     compiled = fig7_trial(FirmwareBoard, SECONDS)
 assert python.verdict == compiled.verdict
 assert np.array_equal(python.recorded.force_n, compiled.recorded.force_n)

@@ -52,9 +52,14 @@ from hapticd.console.probing import Probing
 from hapticd.console.recorder import Recorder
 from hapticd.console.visitors import STOP_PATH, Visitors
 from hapticd.console.watch import Watch
-from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.mailbox.daemons import read_report, require_trusted, untrusted_daemon_folder
-from hapticd.mailbox.files import CONSOLE
+from hapticd.core.errors import ConfigError, HapticdError, MailboxError
+from hapticd.mailbox.daemons import (
+    read_json,
+    read_report,
+    require_trusted,
+    untrusted_daemon_folder,
+)
+from hapticd.mailbox.files import CONSOLE, write_whole
 from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, servo_lives
 
 __all__ = ["serve"]
@@ -195,20 +200,15 @@ def _number(text: str) -> int:
 
 def port_before(place: Path) -> int | None:
     """Port of the console before, by the file `place`; None: there was none."""
-    try:
-        port = json.loads(place.read_text())["port"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    port = read_json(place).get("port")
     return port if isinstance(port, int) and 0 < port < 1 << 16 else None
 
 
 def note(place: Path, url: str, port: int) -> None:
     """Say in the file `place` where this process serves."""
     content = json.dumps({"url": url, "port": port, "pid": os.getpid()})
-    fresh = place.with_suffix(".new")
-    with suppress(OSError):
-        fresh.write_text(content)
-        fresh.replace(place)
+    with suppress(MailboxError):
+        write_whole(place, content)
 
 
 class _Server(uvicorn.Server):

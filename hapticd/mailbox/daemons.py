@@ -32,6 +32,7 @@ __all__ = [
     "down",
     "instance_of",
     "living_report",
+    "read_json",
     "read_report",
     "require_trusted",
     "runtime_folders",
@@ -174,15 +175,20 @@ def instance_of(folder: Path) -> str:
     )
 
 
-def read_report(folder: Path) -> dict[str, Any]:
-    """servo.report in `folder`; empty if it cannot be read."""
+def read_json(path: Path) -> dict[str, Any]:
+    """The table in the file `path`; empty if it cannot be read."""
     import json
 
     try:
-        content = json.loads((folder / files.REPORT).read_text())
+        content = json.loads(path.read_text())
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    """servo.report in `folder`; empty if it cannot be read."""
+    return read_json(folder / files.REPORT)
 
 
 class Report:
@@ -214,13 +220,9 @@ def console_place(folder: Path) -> dict[str, Any] | None:
     """Where the operators' page of the daemon in `folder` is: {url, port, pid}; None without one
     that is alive.
     """
-    import json
-
-    try:
-        found = json.loads((folder / files.CONSOLE).read_text())
-        return dict(found) if os.path.exists(f"/proc/{int(found['pid'])}") else None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+    found = read_json(folder / files.CONSOLE)
+    pid = found.get("pid")
+    return found if isinstance(pid, int) and os.path.exists(f"/proc/{pid}") else None
 
 
 def gateway_lives(folder: Path) -> bool:

@@ -18,7 +18,7 @@ import mmap
 import os
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hapticd.core.errors import MailboxError
@@ -220,20 +220,8 @@ def remove(folder: Path, *names: str) -> None:
     the next start.
     """
     for name in names:
-        try:
+        with suppress(OSError):
             (folder / name).unlink(missing_ok=True)
-        except OSError:
-            pass
-
-
-def keep_last(folder: Path) -> None:
-    """The telemetry ring of a servo that has ended becomes the last one, for the flight
-    recorder; if it can.
-    """
-    try:
-        (folder / TELEMETRY).replace(folder / LAST_TELEMETRY)
-    except OSError:
-        pass
 
 
 def create_map(path: Path, size: int) -> mmap.mmap:

@@ -125,7 +125,11 @@ class ServoMailbox:
     def count(self, name: str, amount: int = 1) -> None:
         """Add `amount` to counter `name` (layout.COUNTERS)."""
         self._counts[name] += amount
-        self.words[_COUNTER[name]] = self._counts[name]
+        self.show(name, self._counts[name])
+
+    def show(self, name: str, count: int) -> None:
+        """Show counter `name`, which is counted elsewhere, as `count`."""
+        self.words[_COUNTER[name]] = count
 
     def answer(
         self,
@@ -201,15 +205,16 @@ class ServoMailbox:
 
 
 def _keep_last(folder: Path) -> None:
-    """The ring of a servo that has ended becomes the last one, if it holds any record: the ring of
-    one that only waited for its board replaces none.
+    """The ring of a servo that has ended becomes the last one, for the flight recorder, if it holds
+    any record: the ring of one that only waited for its board replaces none.
     """
+    ring = folder / files.TELEMETRY
     try:
-        with open(folder / files.TELEMETRY, "rb") as ring:
-            head = ring.read(8 * (layout.TELEMETRY_HEAD_WORD + 1))[-8:]
+        with ring.open("rb") as file:
+            head = file.read(8 * (layout.TELEMETRY_HEAD_WORD + 1))[-8:]
+        if any(head):
+            ring.replace(folder / files.LAST_TELEMETRY)
+        else:
+            ring.unlink()
     except OSError:
-        return
-    if any(head):
-        files.keep_last(folder)
-    else:
-        files.remove(folder, files.TELEMETRY)
+        pass  # what stays is replaced at the next start

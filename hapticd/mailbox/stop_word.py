@@ -33,8 +33,9 @@ tmpfs and ext4 do not), or a group that may write the folder.
 import fcntl
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import NamedTuple
 
 from hapticd.core.errors import MailboxError
 from hapticd.mailbox import files
@@ -132,39 +133,32 @@ def press_stop(folder: Path, actor: int = ACTOR_STOP_WORD) -> None:
     """
     path = folder / files.STOP
     number = actor if _is_client(actor) else UNNAMED
-    while not (pressed := _pressed(path, number)).current:
-        pass  # the servo took another press back in between, which it does once a tick at most
-    if not pressed.held:
+    current = held = False
+    while not current:  # the servo takes other presses back, once a tick at most
+        current, held = _pressed(path, number)
+    if not held:
         raise MailboxError(
             f"{path}: its servo has ended, and the board stopped with it; start one with `hapticd"
             " run`"
         )
 
 
-class _Pressed(NamedTuple):
-    """What became of one press."""
-
-    current: bool  # what was written still has the name
-    held: bool  # by a living servo
-
-
 def _is_client(actor: int) -> bool:
     return FIRST_CLIENT <= actor <= LAST_CLIENT
 
 
-def _pressed(path: Path, number: int) -> _Pressed:
-    descriptor = _opened(path, os.O_RDWR)
-    try:
-        word = number.to_bytes(8, "little")
-        # the servo may not have read another's press yet: then it is of both, and so of neither
-        alone = os.pread(descriptor, READ_BYTES, 0) in (NOT_PRESSED, word)
-        os.pwrite(descriptor, word if alone else UNNAMED.to_bytes(8, "little"), 0)
-        held = files.is_locked(descriptor)
-        return _Pressed(_is_there(path, descriptor), held)
-    except OSError as error:
-        raise MailboxError(f"{path}: {error.strerror}; the stop was not written") from error
-    finally:
-        os.close(descriptor)
+def _pressed(path: Path, number: int) -> tuple[bool, bool]:
+    """Press once: whether what was written still has the name, and a living servo holds it."""
+    word = number.to_bytes(8, "little")
+    with _opened(path, os.O_RDWR) as descriptor:
+        try:
+            # the servo may not have read another's press yet: then it is of both, so of neither
+            alone = os.pread(descriptor, READ_BYTES, 0) in (NOT_PRESSED, word)
+            os.pwrite(descriptor, word if alone else UNNAMED.to_bytes(8, "little"), 0)
+            held = files.is_locked(descriptor)
+            return _is_there(path, descriptor), held
+        except OSError as error:
+            raise MailboxError(f"{path}: {error.strerror}; the stop was not written") from error
 
 
 def _is_there(path: Path, descriptor: int) -> bool:
@@ -177,29 +171,20 @@ def _is_there(path: Path, descriptor: int) -> bool:
 
 def stop_taken(folder: Path) -> bool:
     """Whether the servo of `folder` has taken a press back: obeyed it, and no force acts."""
-    try:
-        descriptor = _opened(folder / files.STOP, os.O_RDONLY)
-    except MailboxError:
-        return False
-    try:
+    with suppress(MailboxError), _opened(folder / files.STOP, os.O_RDONLY) as descriptor:
         return os.pread(descriptor, READ_BYTES, 0) == NOT_PRESSED
-    finally:
-        os.close(descriptor)
+    return False
 
 
 def servo_lives(folder: Path) -> bool:
     """Whether a servo holds the stop word of `folder`."""
-    try:
-        descriptor = _opened(folder / files.STOP, os.O_RDONLY)
-    except MailboxError:
-        return False
-    try:
+    with suppress(MailboxError), _opened(folder / files.STOP, os.O_RDONLY) as descriptor:
         return files.is_locked(descriptor)
-    finally:
-        os.close(descriptor)
+    return False
 
 
-def _opened(path: Path, access: int) -> int:
+@contextmanager
+def _opened(path: Path, access: int) -> Iterator[int]:
     """Descriptor of the stop word `path`, opened without waiting whatever it is."""
     try:
         # a pipe of that name would wait for its other end
@@ -212,7 +197,9 @@ def _opened(path: Path, access: int) -> int:
         raise MailboxError(
             f"{path}: {error.strerror}; its owner and the service's group may press it"
         ) from error
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+    try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise MailboxError(f"{path} is no file; remove it, the next servo makes it again")
+        yield descriptor
+    finally:
         os.close(descriptor)
-        raise MailboxError(f"{path} is no file; remove it, the next servo makes it again")
-    return descriptor

@@ -66,7 +66,7 @@ class LockStepClient(Client):
         if cmd in ("hello", "get", "status"):
             known = self._known()
             if cmd == "status":
-                known["servo"] = self.stack.loop.board.report()
+                known["servo"] = self.stack.loop.connection.check.report()
             return {"state": known["state"], "result": known}
         given = {name: value for name, value in fields.items() if value is not None}
         request = ADAPTER.validate_python({"cmd": cmd, **given})

@@ -30,7 +30,8 @@ from hapticd.mailbox import files, layout
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.run.watchdog import start_feeder
 from hapticd.servo import host
-from hapticd.servo.loop import ServoLoop, spinning_wait
+from hapticd.servo.loop import ServoLoop
+from hapticd.servo.wait import spinning_wait
 from hapticd.usb.device import Device
 from hapticd.usb.link import UsbLink
 from hapticd.usb.search import BoardSearch
@@ -47,7 +48,7 @@ def simulated_backend(
     `on_slip(ns)` is called with the time that a paused host cost the simulation.
     """
     # imported here: a servo of a real board loads no simulator
-    from hapticd.sim.transport import make_backend
+    from hapticd.sim.backend import make_backend
 
     return make_backend(params, clock, on_slip)
 
@@ -134,15 +135,15 @@ class Servo:
         self.loop.stopping = self.stopping
         start_feeder(mailbox.folder)  # before the real-time rights, which it must not inherit
         try:
-            found = self.loop.board.report()
-            for one in self.loop.board.differences:
+            check = self.loop.connection.check
+            for one in check.differences:
                 startup_message(f"not the board of the device file: {one}")
-            for reason in (self.loop.board.uncompensated, self.loop.board.unsampled):
+            for reason in (check.uncompensated, check.unsampled):
                 if reason:
                     startup_message(reason)
             rights = host.prepare(params.realtime)
             plain = {name: one._asdict() for name, one in rights.items()}
-            mailbox.report({"realtime": plain, **self._about(), **found})
+            mailbox.report({"realtime": plain, **self._about(), **check.report()})
             mailbox.publish()
             notify("READY=1", f"STATUS={served}")
             self.loop.restart_clock()

@@ -2,7 +2,9 @@
 the layers below.
 
     host        prepare, relax: real-time rights, and what the operating system granted
-    loop        ServoLoop: the only `while`; spinning_wait, virtual_wait, first_deadline
+    loop        ServoLoop: the only `while`
+    wait, rehearsal        how it waits for a deadline, and warms the caches meanwhile
+    connection  BoardConnection: a board that is lost, looked for, or has started anew
     step        initial_state, make_step: one tick as a function, the fast path
     slow_path   the slow path of a tick: commands, ramps, homing
     causes      what is wrong with a sample, as the number of a fault

@@ -146,14 +146,12 @@ def enter(
     return _origin_kept(entered, now)
 
 
-class Ramps(NamedTuple):
-    """How the force comes into a state, or goes."""
-
-    gain: Ramp  # of the law
-    fade: Ramp  # of the force that was sent last, N, for ticks without a sample
-
-
-def _ramps_into(plan: Plan, state: State, now: CommandContext, params: ServoParams) -> Ramps:
+def _ramps_into(
+    plan: Plan, state: State, now: CommandContext, params: ServoParams
+) -> tuple[Ramp, Ramp]:
+    """How the force comes into a state, or goes: ramps of the law's gain, and of the force that was
+    sent last [N], for ticks without a sample.
+    """
     rate_hz = params.realtime.rate_hz
     limits = params.safety
     gain = constant(0.0)
@@ -168,7 +166,7 @@ def _ramps_into(plan: Plan, state: State, now: CommandContext, params: ServoPara
     if state in LATCHED and plan.state in LATCHED:  # what fades already is not renewed
         gain = plan.gain
         fade = plan.fade
-    return Ramps(gain, fade)
+    return gain, fade
 
 
 def _origin_kept(entered: Plan, now: CommandContext) -> Plan:

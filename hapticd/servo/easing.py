@@ -33,13 +33,8 @@ from hapticd.servo.plan import Plan, TickConstants, environment_of
 from hapticd.servo.safety import LATCHED, State
 
 HALVINGS = 40  # of the way of one tick: from the whole range of any value to nothing felt
-
-
-class RateLimited(NamedTuple):
-    """A plan whose parameters went as far as they may in this tick."""
-
-    plan: Plan
-    flags: int  # of the record: EASED, PAUSED
+# a plan whose parameters went as far as they may, and flags of the record: EASED, PAUSED
+RateLimited = tuple[Plan, int]
 
 
 class Step(NamedTuple):
@@ -84,7 +79,7 @@ def eased(
         held = on_the_way(plan, before, last_tick, tick, 0.0) if fading else plan
         return with_flag(plan, held)
     if plan.state is not State.ENABLED or plan.gain.value(tick) < before.gain.value(last_tick):
-        return RateLimited(plan, 0)
+        return plan, 0
     if x is None:
         return with_flag(plan, on_the_way(plan, before, last_tick, tick, 0.0))
     was = settled.environment
@@ -98,7 +93,7 @@ def eased(
 
 def with_flag(plan: Plan, slower: Plan) -> RateLimited:
     """`slower`, which is `plan` itself where nothing was held back."""
-    return RateLimited(slower, 0 if slower is plan else int(Flag.EASED))
+    return slower, 0 if slower is plan else int(Flag.EASED)
 
 
 def stepped(plan: Plan, before: Plan, here: StepContext, params: ServoParams) -> Step:
@@ -131,13 +126,14 @@ def budgeted(
     energy_j = ramp_energy.added(was, now)
     _, flags = with_flag(plan, step.plan)
     if ramp_energy.too_much(plan, energy_j, here.tick, rate_hz, budget_j):
-        waiting = ramp_energy.paused(plan, before, here.last_tick, here.tick, now.wall > was.wall)
+        wall_gains = now[ramp_energy.WALL] > was[ramp_energy.WALL]
+        waiting = ramp_energy.paused(plan, before, here.last_tick, here.tick, wall_gains)
         step = stepped(waiting, before, here, params)
-        flags = with_flag(waiting, step.plan).flags | int(Flag.PAUSED)
+        flags = with_flag(waiting, step.plan)[1] | int(Flag.PAUSED)
         energy_j = ramp_energy.added(was, ramp_energy.stored(step.environment, here.x, here.v))
     if not energy_j > 0.0:
-        return RateLimited(step.plan, flags)
-    return RateLimited(ramp_energy.booked(step.plan, energy_j, here.tick, rate_hz), flags)
+        return step.plan, flags
+    return ramp_energy.booked(step.plan, energy_j, here.tick, rate_hz), flags
 
 
 def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float) -> Plan:

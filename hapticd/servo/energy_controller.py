@@ -32,7 +32,7 @@ credit above the device's true damping.
 """
 
 from math import ceil, exp, inf, tau
-from typing import Final, NamedTuple
+from typing import Final
 
 from hapticd.core.params import ServoParams
 from hapticd.mailbox.layout import STRENGTH_VALUES, Value, following
@@ -46,14 +46,6 @@ STEP: Final = 0.025  # of it: what may leak before the next halving
 SHOWS_TICKS: Final = 3  # from a step to what the board makes of it, at a delay of two periods
 
 
-class Lag(NamedTuple):
-    """Of a period's mean force behind a first-order low-pass: shares of what it is made of."""
-
-    before: float  # of the mean of the period before
-    newest: float  # of the force commanded for this period
-    last: float  # of that of the period before
-
-
 def is_on(params: ServoParams) -> bool:
     """Whether the configuration asks for it and the ledger has a bound."""
     return params.safety.energy_controller and (params.device.physical_damping_ns_per_m is not None)
@@ -64,15 +56,18 @@ def budget_j(params: ServoParams) -> float:
     return SHARE * params.device.energy_limit_j if is_on(params) else inf
 
 
-def lag(params: ServoParams) -> Lag | None:
-    """How the force lags behind its command on this device, as far as it has to be known."""
+def lag(params: ServoParams) -> tuple[float, float, float] | None:
+    """How the force lags behind its command on this device, as far as it has to be known: shares of
+    a period's mean force that are the mean of the period before, the force commanded for this
+    period, and that of the period before.
+    """
     corner_hz = params.device.force_smoothing_hz
     if not is_on(params) or not corner_hz > 0.0:
         return None
     angle = tau * corner_hz / params.realtime.rate_hz
     kept = exp(-angle)
     mean = (1.0 - kept) / angle
-    return Lag(kept, 1.0 - mean, mean - kept)
+    return kept, 1.0 - mean, mean - kept
 
 
 def controlled(
@@ -91,17 +86,14 @@ def controlled(
     if ceiling > (plan.active_damping_asked if plan.active_damping_on else 0.0):
         more = changed(plan, now, (Value.ACTIVE_DAMPING,))
         return more._replace(active_damping_asked=ceiling, active_damping_on=True)
-    leaked = leaked_since(plan.control, now, bound) / params.device.energy_limit_j
+    # since the last step, beyond what is left of the excess of then
+    left_j = plan.control.excess_j * bound.kept ** (tick - plan.control.tick)
+    leaked = (excess_j - left_j) / params.device.energy_limit_j
     untried = plan.control.places == (Value.ACTIVE_DAMPING,)
     waiting = not untried and tick - plan.control.tick < shows_ticks(params)
     if waiting or leaked <= (2.0 if untried else 1.0) * STEP:
         return plan
     return halved(plan, now, last_tick)
-
-
-def leaked_since(last: Control, now: Control, bound: Bounds) -> float:
-    """Energy [J] that leaked since the last step, beyond what is left of the excess of then."""
-    return now.excess_j - last.excess_j * bound.kept ** (now.tick - last.tick)
 
 
 def shows_ticks(params: ServoParams) -> int:

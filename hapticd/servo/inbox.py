@@ -21,7 +21,6 @@ in between is lost), a level that is not of the newest frame.
 """
 
 import math
-from typing import NamedTuple
 
 from hapticd.core.errors import LinkError
 from hapticd.core.faults import BY_CODE
@@ -109,20 +108,6 @@ CLEAR_TICKS = 3  # until a frame shows what CLEAR_FAULT did
 _NO_VALUES = (0.0,) * COMMAND_VALUES
 
 
-class LostSlots(NamedTuple):
-    """What the host missed at once."""
-
-    at_ns: int
-    slots: int
-
-
-class DeferredReset(NamedTuple):
-    """A reset that waits for the board's answer."""
-
-    tick: int
-    request: Request
-
-
 class Inbox:
     """Collects requests. Ask it when the ring or the stop word is not empty, while it is
     `waiting`, or a waveform plays.
@@ -135,8 +120,9 @@ class Inbox:
         self._mailbox = mailbox
         self._device = device
         self._streamer = streamer
-        self._lost: list[LostSlots] = []
-        self._deferred: list[DeferredReset] = []
+        self._lost: list[tuple[int, int]] = []  # when, and how many slots the host missed at once
+        # resets that wait for the board's answer, each until that tick
+        self._deferred: list[tuple[int, Request]] = []
         self.waiting = False  # something of our own is due or near: `requests` must be asked
         self.unlooked = False  # the loop has to look at the board before force
         self._leaving = False
@@ -184,7 +170,7 @@ class Inbox:
     def lost_slots(self, now_ns: int, slots: int) -> None:
         """The host has missed `slots` ticks."""
         if not self._params.simulated:
-            self._lost.append(LostSlots(now_ns, slots))
+            self._lost.append((now_ns, slots))
             self.waiting = True
 
     def _ask_board(self, found: list[Request], tick: int) -> list[Request]:
@@ -193,9 +179,7 @@ class Inbox:
         except LinkError:
             return found  # the fault bit stays and the reset is refused
         self._deferred += [
-            DeferredReset(tick + CLEAR_TICKS, request)
-            for request in found
-            if request[KIND] == Command.RESET
+            (tick + CLEAR_TICKS, request) for request in found if request[KIND] == Command.RESET
         ]
         return [request for request in found if request[KIND] != Command.RESET]
 
@@ -203,14 +187,14 @@ class Inbox:
         """Resets that have waited long enough; before a stop all of them, since none may undo a
         later stop.
         """
-        due = [item for item in self._deferred if stopping or item.tick <= tick]
+        due = [item for item in self._deferred if stopping or item[0] <= tick]
         self._deferred = [item for item in self._deferred if item not in due]
         return [request for _, request in due]
 
     def _too_many_lost(self, plan: Plan) -> bool:
-        newest_ns = self._lost[-1].at_ns if self._lost else 0
-        self._lost = [item for item in self._lost if newest_ns - item.at_ns < NS_PER_S]
-        lost = sum(item.slots for item in self._lost)
+        newest_ns = self._lost[-1][0] if self._lost else 0
+        self._lost = [item for item in self._lost if newest_ns - item[0] < NS_PER_S]
+        lost = sum(slots for _, slots in self._lost)
         if plan.state not in GRANTED:
             self._lost.clear()
         return lost > self._params.safety.lost_slots_limit

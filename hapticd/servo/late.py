@@ -67,14 +67,9 @@ class Ticked(NamedTuple):
     late_cause: int  # of the tick before
 
 
-class LateTick(NamedTuple):
-    """What the next record says of a late tick."""
-
-    cause: int  # LateCause
-    late_ns: int  # from its next deadline to its end
-
-
-ON_TIME = LateTick(LateCause.NONE, 0)
+# what the next record says of a tick: LateCause, and how long after its next deadline it ended [ns]
+LateTick = tuple[int, int]
+ON_TIME: LateTick = (LateCause.NONE, 0)
 
 
 def cause_of(

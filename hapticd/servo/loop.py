@@ -1,4 +1,4 @@
-"""The only loop of the servo, and how it waits for the next tick.
+"""The only loop of the servo.
 
     wait -> receive -> commands -> step -> send -> record -> next deadline
 
@@ -9,13 +9,6 @@ entered once are specialised only after it has gone round a loop that ends in an
 (a seventh of a tick); a float stands before the integer it is multiplied by, because otherwise the
 integer is asked first; and no call has more than 30 arguments, which would go by way of a list.
 
-Waiting live: sleep to `spin` before the deadline, then spin on the clock. The kernel wakes a
-sleeper 10-60 us late; the spin makes the tick start within 0.1 us for 10 % of a core at 1 kHz and
-warms the caches. Deadlines lie half a period off the millisecond, where the scheduler's own tick
-does not fall. In a millisecond of sleep the caches go cold and a tick costs twice what it costs
-hot; a rehearsal of the tick on dummy data at the start of the spin warms them. Waiting in virtual
-time: move the clock.
-
 A late tick drops whole slots and never catches up; late events and lost slots are counted apart,
 those of the first second (`grace`) on their own. Ticks are numbered one after the other; the time
 that `step` is given is the slot, which counts the lost ones too, so a ramp of 20 ms ends after 20
@@ -24,100 +17,49 @@ on: records say so, the force is 0, and the board is looked for with back-off. T
 `stopping` is set or `ticks` are done; `finish` fades what acts and lets the board go.
 
 What would break it: a name of `run` that a closure shares (it becomes a cell, slower at every use),
-something slow before the record is published, a rehearsal that has an effect.
+something slow before the record is published.
 """
 
 import os
-import time
-from collections.abc import Callable
-from math import nan
-from typing import Any, NamedTuple
 
 from hapticd.core.clock import Clock
-from hapticd.core.errors import LinkError, LinkLost, MailboxError
+from hapticd.core.errors import LinkLost
 from hapticd.core.params import ServoParams
-from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S, round_half_up
+from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S, round_half_up
 from hapticd.mailbox import layout
 from hapticd.mailbox.files import plain_store
 from hapticd.mailbox.layout import Flag
 from hapticd.mailbox.servo_side import ServoMailbox
 from hapticd.mailbox.stop_word import NOT_PRESSED, READ_BYTES
-from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
+from hapticd.servo.connection import BoardConnection
 from hapticd.servo.inbox import Inbox, Streamer
-from hapticd.servo.late import ON_TIME, LateTick, LateTicks
+from hapticd.servo.late import ON_TIME, LateTicks
 from hapticd.servo.plan import (
     GATEWAY_ALIVE,
     LINK_UP,
-    NO_TEMPERATURE,
     SETTLED,
     WAVE_COMMAND,
     Answer,
     Request,
+    ServoState,
     flatten,
     in_slots,
 )
+from hapticd.servo.rehearsal import rehearsal
 from hapticd.servo.step import initial_state, make_step
-from hapticd.servo.watchdog_trial import WITHHELD
-from hapticd.usb.base import backoff_s
+from hapticd.servo.wait import Wait, first_deadline
+from hapticd.servo.watchdog_trial import WITHHELD, listens
 from hapticd.usb.codec import (
-    HEAD_ENCODER,
-    HEAD_STATUS,
-    HEAD_TEMPERATURE,
-    I16_HIGHEST,
-    I16_LOWEST,
     NO_SAMPLES,
 )
 from hapticd.usb.device import NO_HEAD, SEED, UNKNOWN_US, Device, Head
 from hapticd.usb.events import NO_CODE, NO_TIME_US
 from hapticd.usb.frames import OutFlag
-from hapticd.usb.search import BoardSearch, Tell
+from hapticd.usb.search import Tell
 
-__all__ = ["ServoLoop", "Wait", "first_deadline", "spinning_wait", "virtual_wait"]
+__all__ = ["ServoLoop"]
 
-Wait = Callable[[int, Callable[[], object]], int]
 MISSED = -1  # arrival of a tick without a sample, before it is known for how long
-REHEARSAL_NS = 30_000  # room that a rehearsal needs before the deadline
-
-
-def spinning_wait(spin_ns: int, period_ns: int) -> Wait:
-    """`wait(deadline_ns, rehearse)` -> monotonic ns at or after it. The spin is at most 0.4
-    periods: a core must breathe.
-    """
-    margin_ns = min(spin_ns, int(0.4 * period_ns))
-    clock = time.monotonic_ns
-    sleep = time.sleep
-    per_ns = 1.0 / NS_PER_S
-
-    def wait(deadline_ns: int, rehearse: Callable[[], object]) -> int:
-        ahead = deadline_ns - margin_ns - clock()
-        if ahead > 0:
-            sleep(ahead * per_ns)
-        if deadline_ns - clock() > REHEARSAL_NS:
-            rehearse()
-        now = clock()
-        while now < deadline_ns:
-            now = clock()
-        return now
-
-    return wait
-
-
-def virtual_wait(clock: Clock) -> Wait:
-    """`wait` on a clock that jumps."""
-
-    def wait(deadline_ns: int, _rehearse: Callable[[], object]) -> int:
-        clock.sleep_until_ns(deadline_ns)
-        return clock.now_ns()
-
-    return wait
-
-
-def first_deadline(now_ns: int, period_ns: int) -> int:
-    """A deadline a few periods ahead, half a period off the millisecond."""
-    return (now_ns // NS_PER_MS + 3) * NS_PER_MS + period_ns // 2
-
-
-_COUNTER = {name: layout.COUNTER_WORD + index for index, name in enumerate(layout.COUNTERS)}
 _TALLY = {
     "missing_in": "missing",
     "bad_in": "bad",
@@ -128,24 +70,13 @@ _TALLY = {
     "write_errors": "write_errors",
     "board_lives": "lives",
 }
-_FIFO_CLEAR = int(OutFlag.FIFO_CLEAR)
 _ENABLE = int(OutFlag.ENABLE)
 ENDING_TICKS = 4  # beside its ramp: from the last command to a frame without authority
 _LONGEST_NS = (1 << 31) - 1  # that a stage of a record can hold: 2.1 s
 _NOTHING_US = 1 << 30  # above every delay: none was seen yet
-_HEALTHY = LINK_UP | GATEWAY_ALIVE
 _U32 = (1 << 32) - 1
-_BLANK = [one.unpack(bytes(one.size)) for one in (layout.STEPPED, layout.MEASURED)]
-LISTEN_S = 8e-3
 _LATE = int(Flag.LATE)
 _WRITE_FAILED = int(Flag.WRITE_FAILED)
-
-
-class OverdueDeadline(NamedTuple):
-    """A tick without a sample."""
-
-    arrival: int  # minus the periods without one, this one included
-    pausing: bool  # the next tick does not read
 
 
 class ServoLoop:
@@ -171,11 +102,7 @@ class ServoLoop:
         self.streamer = Streamer(mailbox.waveform, params)
         self.inbox = Inbox(params, mailbox, device, self.streamer)
         self.tick = 0
-        self.linked = device.hello is not None
-        self.board = check_board(device, params, clock)
-        self._note_look()
-        self._looks = 0  # at this board that failed, one after the other
-        self._look_ns = 0  # no look before that
+        self.connection = BoardConnection(params, device, mailbox, clock, self.inbox, tell)
         self.stopping = False
         self._lost_slots = 0
         self._late_ticks = LateTicks(mailbox.ring, self.period_ns, device)
@@ -187,8 +114,6 @@ class ServoLoop:
         self._least_us = _NOTHING_US  # delays of the running 256 ticks
         self._most_us = 0
         self._stepped_ns = clock.now_ns()  # when the last OUT was ready
-        self._board_search = BoardSearch(device, self._told)
-        self._tell = tell
         self._started_ns = clock.now_ns()
         self.deadline_ns = first_deadline(self._started_ns, self.period_ns)
 
@@ -215,7 +140,7 @@ class ServoLoop:
         behind = layout.STEPPED.size
         size = layout.RECORD.size
         places = layout.RING_RECORDS
-        rehearse = self._rehearsal()
+        rehearse = rehearsal(device, self.step, mailbox, self._now)
         receive = device.receive
         send = device.send
         events = device.events
@@ -224,12 +149,14 @@ class ServoLoop:
         clock = self.clock.now_ns
         in_bytes = device.in_buffer.tobytes
         out_bytes = device.out_buffer.tobytes
-        (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = self._sensor_lines()
+        connection = self.connection
+        (temperature, t0), (current, c0), (voltage, v0), (emf, e0) = connection.sensor_lines()
         timeout_ns = int(self.params.safety.gateway_timeout_s * NS_PER_S)
         period_ns = self.period_ns
         late_ticks = self._late_ticks
         late_cause, late_ns = late_ticks.told
-        periods_per_us = self.params.realtime.rate_hz / US_PER_S
+        rate_hz = self.params.realtime.rate_hz
+        periods_per_us = rate_hz / US_PER_S
         damping = self.params.device.active_damping
         damping_slope = damping.to_value(1.0) - damping.to_value(0.0)
         damping_start = damping.to_value(0.0)
@@ -240,7 +167,7 @@ class ServoLoop:
         pausing = self._pausing
         alive_until_ns = 0
         board_us = 0
-        linked = _HEALTHY | self.board.host  # host flags while all is well
+        linked = connection.host  # host flags while all is well
         publish_ns = late_ticks.publish_ns
         last = None if ticks is None else self.tick + ticks
 
@@ -252,7 +179,7 @@ class ServoLoop:
                 self._stepped_ns = stepped
                 self._pausing = pausing
                 late_ticks.publish_ns = publish_ns
-                late_ticks.told = LateTick(late_cause, late_ns)
+                late_ticks.told = (late_cause, late_ns)
                 break
             deadline = self.deadline_ns
             next_deadline = deadline + period_ns
@@ -270,21 +197,25 @@ class ServoLoop:
             start = wait(deadline, rehearse)
             if pausing:
                 arrival = MISSED
-            elif self.linked:
+            elif connection.linked:
                 try:
                     arrival, board_us, delay_us, head = receive()
                 except LinkLost:
-                    arrival = self._unlink(start)
+                    connection.lose(start)
+                    arrival = MISSED
             else:
-                arrival = self._search(start)
-                linked = _HEALTHY | self.board.host
-                (temperature, t0), *_ = self._sensor_lines()
+                arrival = MISSED
+                if connection.look_for(start):
+                    self.restart_clock()
+                linked = connection.host
+                (temperature, t0), *_ = connection.sensor_lines()
             got = clock()
             if arrival:
                 if arrival < 0:
                     arrival, pausing = self._overdue(tick, slot, got - start)
                 elif arrival == SEED:
-                    linked = self._seeded()
+                    connection.seed()
+                    linked = connection.host
             (
                 _,
                 echo,
@@ -316,8 +247,10 @@ class ServoLoop:
             if pressed or words[head_word] != mailbox.taken or inbox.waiting or streamer.playing:
                 slow = False
                 if inbox.unlooked:
-                    slow = self._look()
-                    linked = _HEALTHY | self.board.host
+                    slow = connection.look_again(self.state[SETTLED].out_flags, self.period_ns)
+                    linked = connection.host
+                    if slow:
+                        self.restart_clock()
                 if not slow:  # else the board's watchdog wants a frame first
                     commands = inbox.requests(tick, head, self.state[SETTLED])
                     mailbox.note(tick, commands)
@@ -329,7 +262,7 @@ class ServoLoop:
                     beat_ns + timeout_ns if -timeout_ns < start - beat_ns < timeout_ns else 0
                 )
             host = linked if alive_until_ns else linked & ~GATEWAY_ALIVE
-            if not self.linked:
+            if not connection.linked:
                 host &= ~LINK_UP
             state, output = step(
                 self.state,
@@ -365,8 +298,8 @@ class ServoLoop:
                     least_us = delay_us
             stepped = clock()
             if out_flags & WITHHELD:
-                pausing = not self._listens(slot)  # no frame will answer
-            elif self.linked:
+                pausing = not listens(settled.plan, slot, rate_hz)  # no frame will answer
+            elif connection.linked:
                 try:
                     if not send(
                         out_flags,
@@ -378,7 +311,7 @@ class ServoLoop:
                     ):
                         flags |= _WRITE_FAILED
                 except LinkLost:
-                    self._unlink(start)
+                    connection.lose(start)
             sent = clock()
 
             wake_ns = start - deadline
@@ -450,7 +383,7 @@ class ServoLoop:
                 self._answer(answers)
             if not tick & 255:
                 self._tally()
-                linked = _HEALTHY | self.board.host
+                linked = connection.host
                 self._delay_spread_us = max(0, most_us - least_us)
                 least_us = _NOTHING_US
                 most_us = 0
@@ -462,47 +395,14 @@ class ServoLoop:
                 publish_ns = min(publish_ns, _LONGEST_NS)
                 late_cause, late_ns = self._late(end, publish_ns)
 
-    def _rehearsal(self) -> Callable[[], None]:
-        """The tick to no effect. No closure of `run`: what it shares with one costs a tick more
-        than a local.
-        """
-        device = self.device
-        step = self.step
-        words = self.mailbox.words
-        stop_word = self.mailbox.stop_word.descriptor
-        pack_stepped = layout.STEPPED.pack_into
-        pack_measured = layout.MEASURED.pack_into
-        behind = layout.STEPPED.size
-        stepped, measured = _BLANK
-        ring = self.mailbox.ring
-        in_bytes = device.in_buffer.tobytes
-        size = layout.RECORD.size
-        places = layout.RING_RECORDS
-
-        def rehearse() -> None:
-            head = device.rehearse()
-            sample = (head[HEAD_ENCODER], head[HEAD_STATUS], head[HEAD_TEMPERATURE])
-            settled = self.state[SETTLED]
-            # not the slow path: cold it takes longer than the spin
-            if self.slot < settled.wake_tick:
-                step(self.state, (), (*sample, 0, settled.host, 0, 0.0, 0, 0), self.slot)
-            _ = (
-                os.pread(stop_word, READ_BYTES, 0),
-                words[layout.COMMAND_HEAD_WORD],
-                words[layout.GATEWAY_BEAT_WORD],
-                in_bytes(),
-            )
-            # the oldest record, which the tick replaces anyway
-            place = layout.TELEMETRY_OFFSET + self.tick % places * size
-            pack_stepped(ring, place, *stepped)
-            pack_measured(ring, place + behind, *measured)
-
-        return rehearse
-
     @property
     def slot(self) -> int:
         """The time of the next tick in periods, since the first one."""
         return self.tick + self.dropped
+
+    def _now(self) -> tuple[ServoState, int, int]:
+        """State, tick and slot of the next tick, for its rehearsal."""
+        return self.state, self.tick, self.slot
 
     def restart_clock(self) -> None:
         """Begin anew with deadlines from now on, after something slow that was no tick."""
@@ -525,23 +425,7 @@ class ServoLoop:
                 if not self.state[SETTLED].out_flags & _ENABLE:
                     break
         finally:  # whatever it was that ended us
-            self._let_go()
-
-    def _let_go(self) -> None:
-        force = self.params.device.force
-        settled = self.state[SETTLED]
-        try:
-            if self.linked:
-                self.device.link.drain()  # that of the last tick: this one is the last
-                self.device.send(
-                    _FIFO_CLEAR,
-                    force.to_count(0.0, I16_LOWEST, I16_HIGHEST),
-                    settled.damping_count,
-                    settled.resistance_count,
-                )
-        except LinkError:
-            pass  # it is gone; its watchdog does the same
-        self.device.close()
+            self.connection.let_go(self.state[SETTLED])
 
     def _answer(self, answers: tuple[Answer, ...]) -> None:
         for seq, result, fault, revision, ticks, values in answers:
@@ -554,51 +438,17 @@ class ServoLoop:
         """Bring the device's counts to the counters that others read; leave the state for a
         replay if it was asked for.
         """
-        words = self.mailbox.words
-        words[_COUNTER["ticks"]] = self.tick
+        self.mailbox.show("ticks", self.tick)
         self._late_ticks.learn(self.tick)
         for name, key in _TALLY.items():
-            words[_COUNTER[name]] = self.device.counts[key]
+            self.mailbox.show(name, self.device.counts[key])
         self.mailbox.renew()
         if self.mailbox.checkpoint_due:
             self.mailbox.checkpoint(self.tick + 1, flatten(self.state))
 
-    def _seeded(self) -> int:
-        """The first frame of a link, or of a board that has started anew without leaving the bus:
-        it may have been flashed. The host flags while all is well.
-        """
-        self._note_look()
-        if self.inbox.unlooked:
-            self.board = self.board.barred(STARTED_ANEW)
-        return _HEALTHY | self.board.host
-
-    def _note_look(self) -> None:
-        """Take down whether the board has been looked at since it started."""
-        self.inbox.unlooked = self.board.lives != self.device.counts["lives"]
-        self.inbox.waiting |= self.inbox.unlooked
-
-    def _look(self) -> bool:
-        """Look at the board, unless force acts: each request may take 100 ms. What fails is tried
-        again. Whether it took longer than a tick.
-        """
-        began_ns = self.clock.now_ns()
-        acts = self.state[SETTLED].out_flags & (_ENABLE | WITHHELD)
-        if acts or not self.linked or began_ns < self._look_ns:
-            return False
-        self.board = check_again(self.device, self.params, self.clock, self.board)
-        now_ns = self.clock.now_ns()
-        self._note_look()
-        self._looks = self._looks + 1 if self.inbox.unlooked else 0
-        self._look_ns = now_ns + int(backoff_s(self._looks) * NS_PER_S) if self._looks else 0
-        self._report(self.board.report())
-        slow = now_ns - began_ns > self.period_ns
-        if slow:
-            self.restart_clock()
-        return slow
-
-    def _late(self, end_ns: int, publish_ns: int) -> LateTick:
-        """Find the cause and drop the slots that have passed until then: nothing of it may hold
-        up the next tick.
+    def _late(self, end_ns: int, publish_ns: int) -> tuple[int, int]:
+        """Find the cause of a late tick and drop the slots that have passed until then: nothing of
+        it may hold up the next tick. LateCause, and how late it was [ns].
         """
         by_intent = self.state[SETTLED].out_flags & WITHHELD  # it listens in vain
         late_ns = min(end_ns - self.deadline_ns, _LONGEST_NS)
@@ -615,10 +465,11 @@ class ServoLoop:
         if not grace:
             self._lost_slots = self._lost_slots + dropped & _U32
             self.inbox.lost_slots(now_ns, dropped)
-        return LateTick(cause, late_ns)
+        return cause, late_ns
 
-    def _overdue(self, tick: int, slot: int, read_ns: int) -> OverdueDeadline:
-        """How long there has been no sample, and whether the next tick does without a read.
+    def _overdue(self, tick: int, slot: int, read_ns: int) -> tuple[int, bool]:
+        """Arrival of a tick without a sample: minus the periods without one, this one included; and
+        whether the next tick does without a read.
 
         A read that waits in vain costs its time-out (at least 1 ms, and libusb takes 1.6). The
         first one is repeated at once, for a single lost frame is followed by the next; after that
@@ -629,59 +480,5 @@ class ServoLoop:
             self._fresh_slot = slot - 1
         self._missed_tick = tick
         waited = 2 * read_ns > self.period_ns
-        return OverdueDeadline(self._fresh_slot - slot, self.linked and waited and not first)
-
-    def _listens(self, slot: int) -> bool:
-        """Whether the next tick of a silence reads, in vain: a lost link is noticed, and a
-        simulated board is played. The last ones do not: behind them comes the board's answer.
-        """
-        left = self.state[SETTLED].plan.silent_until - slot
-        every = round_half_up(LISTEN_S * self.params.realtime.rate_hz)
-        return left % (every + 1) == every
-
-    def _unlink(self, now_ns: int) -> int:
-        """The board is gone: release it and look for it later. The arrival of this tick."""
-        self.linked = False
-        self.device.close()
-        self._board_search.begin(now_ns)
-        return MISSED
-
-    def _search(self, now_ns: int) -> int:
-        """A tick without a board: look for it once its time has come. The arrival of this tick."""
-        hello = self._board_search.look(now_ns)
-        if hello is not None:
-            self._relink(hello.serial)
-        return MISSED
-
-    def _told(self, reason: str) -> None:
-        """Why the board is not back, "" once it is; said where others read it."""
-        self._report({"waiting_for": reason})
-        self._tell(reason)
-
-    def _report(self, news: dict[str, Any]) -> None:
-        try:
-            self.mailbox.report(self.mailbox.last_report | news)
-        except MailboxError:
-            pass  # no room for the report: the counters say that a board came back
-
-    def _relink(self, serial: str) -> None:
-        """The board answers again; its filters start anew with the next frame and the state
-        stays latched.
-        """
-        self.linked = True
-        self.mailbox.count("reconnects")
-        self.board = check_board(self.device, self.params, self.clock)
-        self._note_look()
-        self._report({"reconnected": serial, **self.board.report()})
-        self.restart_clock()
-
-    def _sensor_lines(self) -> tuple[tuple[float, float], ...]:
-        """Slope and intercept of value = count * slope + intercept: temperature, current, voltage,
-        back-EMF velocity. NaN where the board does not measure.
-        """
-        device = self.params.device
-        scales = (device.temperature, device.current, device.voltage, device.emf_velocity)
-        heat, *others = (
-            (scale.to_value(1.0) - scale.to_value(0.0), scale.to_value(0.0)) for scale in scales
-        )
-        return (0.0, nan) if self.board.host & NO_TEMPERATURE else heat, *others
+        linked = self.connection.linked
+        return self._fresh_slot - slot, linked and waited and not first

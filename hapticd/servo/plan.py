@@ -4,7 +4,7 @@
 A Plan is everything that changes by commands, ramps and transitions, and not by the sample. It is
 immutable; `with_values` gives the next one for a change of settings, `commands.obey` for any
 command. Ramps carry their own start tick, so a parameter that is set twice goes on from where it
-is. `flat_plan` makes of it the flat values that one tick needs, and until when they hold.
+is. `tick_constants` makes of it what one tick needs, and until when that holds.
 
 A tick passes on a ServoState. What changes with every sample in it is a plain tuple, which CPython
 takes apart and builds at the speed of C; what only `slow_path` changes is one frozen object with
@@ -154,6 +154,7 @@ def initial_plan(params: ServoParams) -> Plan:
     """Disabled, everything as configured, active damping off."""
     environment = params.environment
     start = environment.row()
+    table = params.device.resistance  # before the first look at the winding
     return Plan(
         state=State.DISABLED,
         since_tick=0,
@@ -174,7 +175,7 @@ def initial_plan(params: ServoParams) -> Plan:
         added_entry=0.0,
         scheduled=(),
         limit_cycle_faults=params.safety.limit_cycle_faults,
-        winding=winding_at_start(params),
+        winding=Winding() if table is None else unheated(table),
     )
 
 
@@ -184,12 +185,6 @@ def boxed(place: Value, value: float, params: ServoParams) -> float:
         return value
     limit = COMMISSIONING_LIMITS[place]
     return max(limit.low, min(limit.high, value))
-
-
-def winding_at_start(params: ServoParams) -> Winding:
-    """What is known of the winding before the first look at it."""
-    table = params.device.resistance
-    return Winding() if table is None else unheated(table)
 
 
 def with_origin(plan: Plan, encoder: int) -> Plan:
@@ -379,27 +374,13 @@ ATTENTION = int(StatusBit.WATCHDOG | StatusBit.OVER_TEMPERATURE) | BOARD_FAULT
 AUTHORITY = int(StatusBit.ENABLED)
 
 
-class EventWatch(NamedTuple):
-    """What the status of a board is compared with."""
-
-    watched: int  # bits that count
-    calm: int  # their values while nothing is wrong
-
-
-def watch(flags: int) -> EventWatch:
-    """What to look at in the answer to an OUT frame with `flags`: authority where it was asked."""
+def watch(flags: int) -> tuple[int, int]:
+    """Status bits that count in the answer to an OUT frame with `flags`, and what they are while
+    nothing is wrong: authority where it was asked.
+    """
     if flags & OutFlag.ENABLE:
-        return EventWatch(ATTENTION | AUTHORITY, AUTHORITY)
-    return EventWatch(ATTENTION, 0)
-
-
-class FlatPlan(NamedTuple):
-    """What a tick needs of a plan, and how long it holds."""
-
-    wake_tick: int  # look at the plan again at this tick
-    environment: LawInputs  # the law's numbers
-    damping_count: int
-    blob: bytes  # layout.PLAN, for the record
+        return ATTENTION | AUTHORITY, AUTHORITY
+    return ATTENTION, 0
 
 
 def added_target(plan: Plan, tick: int, params: ServoParams) -> float:
@@ -432,14 +413,21 @@ def damping_count(level: float, params: ServoParams) -> int:
     )
 
 
-def flat_plan(
-    plan: Plan, tick: int, params: ServoParams, workspace: WorkspaceParams, limit_n: float
-) -> FlatPlan:
-    """The flat form of `plan` at `tick`."""
+def tick_constants(
+    plan: Plan,
+    tick: int,
+    params: ServoParams,
+    environment: LawInputs,
+    coefficients: Coefficients,
+    flags: int,
+    host: int,
+) -> TickConstants:
+    """What the ticks from `tick` on need of `plan`, which renders `environment`, with `flags` in
+    their OUT frames.
+    """
     gain = plan.gain.value(tick)
     at = {place: ramp.value(tick) for place, ramp in plan.values.items()}
     count = damping_count(plan.added, params)
-    added = params.device.active_damping.to_value(count)
     blob = layout.PLAN.pack(
         plan.revision,
         plan.state,
@@ -453,7 +441,7 @@ def flat_plan(
         at[Value.VIRTUAL_DAMPING],
         at[Value.MASS],
         added_target(plan, tick, params),
-        added,
+        params.device.active_damping.to_value(count),
         at[Value.WALL_STIFFNESS],
         at[Value.WALL_POSITION],
         *(at[one.slot] for one in FURTHER),
@@ -462,29 +450,19 @@ def flat_plan(
         plan.environment_revision,
         plan.winding.dac_count,
     )
-    environment = environment_of(plan, tick, workspace, limit_n)
-    return FlatPlan(wake_tick(plan, tick, params), environment, count, blob)
-
-
-def tick_constants(
-    plan: Plan, flat: FlatPlan, coefficients: Coefficients, flags: int, host: int
-) -> TickConstants:
-    """What the ticks from now on need of `plan`, whose flat form is `flat`, with `flags` in their
-    OUT frames.
-    """
-    looks = watch(flags)
+    watched, calm = watch(flags)
     return TickConstants(
-        wake_tick=flat.wake_tick,
-        environment=flat.environment,
+        wake_tick=wake_tick(plan, tick, params),
+        environment=environment,
         coefficients=coefficients,
         out_flags=flags,
-        damping_count=flat.damping_count,
-        blob=flat.blob,
+        damping_count=count,
+        blob=blob,
         origin=plan.origin,
         host=host,
         wave=plan.wave,
-        watched=looks.watched,
-        calm=looks.calm,
+        watched=watched,
+        calm=calm,
         flags=standing_flags(plan),
         plan=plan,
         resistance_count=plan.winding.dac_count,
@@ -504,7 +482,8 @@ def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: f
     """
     gain = plan.gain.value(tick)
     at = plan.values
-    bias = _bias(plan, tick)
+    # no law's force: the push of a homing that was stopped, on its way out
+    bias = plan.fade.value(tick) if plan.state in LATCHED and plan.gain.start == 0.0 else 0.0
     return (
         gain * at[Value.STIFFNESS].value(tick),
         gain * at[Value.VIRTUAL_DAMPING].value(tick),
@@ -520,11 +499,6 @@ def environment_of(plan: Plan, tick: int, workspace: WorkspaceParams, limit_n: f
         gain * workspace.stiffness_n_per_m,
         *(gain * at[one.slot].value(tick) for one in FURTHER),
     )
-
-
-def _bias(plan: Plan, tick: int) -> float:
-    """Force [N] that is not the law's: the push of a homing that was stopped, on its way out."""
-    return plan.fade.value(tick) if plan.state in LATCHED and plan.gain.start == 0.0 else 0.0
 
 
 def wake_tick(plan: Plan, tick: int, params: ServoParams) -> int:
@@ -556,7 +530,6 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
     """`state` as tuples, numbers and text."""
     settled, law, ledger, held, signs = state
     plan = settled.plan
-    s = settled
     plain = plan._asdict() | {
         "state": int(plan.state),
         "gain": tuple(plan.gain),
@@ -572,8 +545,21 @@ def flatten(state: ServoState) -> tuple[Any, ...]:
         "control": tuple(plan.control),
         "push": tuple(plan.push),
     }
-    before = s.wake_tick, s.environment, s.coefficients, s.out_flags, s.damping_count, s.blob.hex()
-    return (*before, law, ledger, s.origin, tuple(signs), held, s.host, tuple(plain.values()))
+    return (
+        settled.wake_tick,
+        settled.environment,
+        settled.coefficients,
+        settled.out_flags,
+        settled.damping_count,
+        settled.blob.hex(),
+        law,
+        ledger,
+        settled.origin,
+        tuple(signs),
+        held,
+        settled.host,
+        tuple(plain.values()),
+    )
 
 
 def unflatten(plain: Sequence[Any]) -> ServoState:
@@ -598,9 +584,9 @@ def unflatten(plain: Sequence[Any]) -> ServoState:
     before = wake, environment, coefficients, flags, damping, bytes.fromhex(blob)
     whole = Plan(**renewed)
     looks = watch(flags)
-    flags = standing_flags(whole)
+    of_plan = standing_flags(whole)
     dac_count = whole.winding.dac_count
-    settled = TickConstants(*before, origin, host, whole.wave, *looks, flags, whole, dac_count)
+    settled = TickConstants(*before, origin, host, whole.wave, *looks, of_plan, whole, dac_count)
     return settled, law, ledger, held, Signs(*signs)
 
 

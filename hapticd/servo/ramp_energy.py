@@ -32,7 +32,7 @@ acts and parameters move past `eased`.
 """
 
 from math import prod
-from typing import Final, NamedTuple
+from typing import Final
 
 from hapticd.core.environment import FURTHER
 from hapticd.mailbox.layout import Value
@@ -43,22 +43,8 @@ from hapticd.servo.plan import Booking, Plan
 SHARES: Final = 20  # of a second: 21 bookings at most, in a checkpoint too
 DAMPINGS = frozenset({Value.VIRTUAL_DAMPING, Value.WALL_VIRTUAL_DAMPING})  # store nothing
 GAIN: Final = -1  # no place of a command
+WALL: Final = 1  # place among the elements that store energy
 MOVES = frozenset({Value.WALL_POSITION, Value.WALL_SIDE})
-
-
-class Stored(NamedTuple):
-    """Energy [J] in the elements of an environment."""
-
-    spring: float
-    wall: float
-    ends: float
-    mass: float
-    further: tuple[float, ...]  # of springs
-
-    @property
-    def parts(self) -> tuple[float, ...]:
-        """Of each element."""
-        return (self.spring, self.wall, self.ends, self.mass, *self.further)
 
 
 def spring_energy(stiffness: float, deflection: float, limit: float, power: int = 1) -> float:
@@ -74,17 +60,19 @@ def spring_energy(stiffness: float, deflection: float, limit: float, power: int 
     return clamped if stiffness > 0.0 else -clamped
 
 
-def stored(environment: LawInputs, x: float, v: float) -> Stored:
-    """What the elements of `environment` store at `x` [m] and `v` [m/s]."""
+def stored(environment: LawInputs, x: float, v: float) -> tuple[float, ...]:
+    """Energy [J] that the elements of `environment` store at `x` [m] and `v` [m/s]: spring, WALL,
+    ends, mass, further springs.
+    """
     stiffness, _, mass, _, limit, wall_k, _, wall_x, side, lower, upper, end_k, *more = environment
     depth = max(0.0, (x - wall_x) * side)
     beyond = max(0.0, x - upper, lower - x)
-    return Stored(
-        spring=spring_energy(stiffness, x, limit),
-        wall=spring_energy(wall_k, depth, limit),
-        ends=spring_energy(end_k, beyond, limit),
-        mass=0.5 * mass * v * v,
-        further=tuple(
+    return (
+        spring_energy(stiffness, x, limit),
+        spring_energy(wall_k, depth, limit),
+        spring_energy(end_k, beyond, limit),
+        0.5 * mass * v * v,
+        *(
             spring_energy(value, x, limit, one.power)
             for one, value in zip(FURTHER, more, strict=True)
             if one.power
@@ -92,9 +80,9 @@ def stored(environment: LawInputs, x: float, v: float) -> Stored:
     )
 
 
-def added(before: Stored, after: Stored) -> float:
+def added(before: tuple[float, ...], after: tuple[float, ...]) -> float:
     """Energy [J] that the elements gained from one to the other, without what others lost."""
-    pairs = zip(before.parts, after.parts, strict=True)
+    pairs = zip(before, after, strict=True)
     return sum([new - old for old, new in pairs if new > old])
 
 

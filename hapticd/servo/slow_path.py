@@ -48,15 +48,14 @@ from hapticd.servo.plan import (
     STATUS,
     WAVE_COMMAND,
     Answer,
-    FlatPlan,
     Plan,
     Request,
     Sample,
     ServoState,
     advance_added,
     coefficients_of,
+    environment_of,
     fault_request,
-    flat_plan,
     tick_constants,
     with_origin,
 )
@@ -148,20 +147,22 @@ class SlowPath:
             x = self._samples.position_m(plan, encoder) if usable else None
             plan, held_back = eased(plan, settled, x, law, coefficients, tick, self._params)
             flags |= held_back
-        ready = self._flat(plan, tick)
-        flags |= _pending_flags(plan, ready.wake_tick, tick)
         if not usable and (plan.state not in GRANTED or plan.unauthorised):
             held = (*self._fading(plan, tick), former)
-        settled = tick_constants(plan, ready, coefficients, out_flags(plan, tick), host)
-        flags |= settled.flags
+        params = self._params
+        environment = self._environment(plan, tick)
+        sent_flags = out_flags(plan, tick)
+        settled = tick_constants(plan, tick, params, environment, coefficients, sent_flags, host)
+        flags |= settled.flags | _pending_flags(plan, settled.wake_tick, tick)
         return (settled, law, ledger, held, CALM if signs.alarm else signs), usable, answers, flags
 
-    def _flat(self, plan: Plan, tick: int) -> FlatPlan:
-        params = self._params
-        flat = flat_plan(plan, tick, params, params.soft_ends, params.force_limit_n)
-        if plan.state is not State.HOMING:
-            return flat
-        return flat._replace(environment=pushing(plan.homing.force_n, self._homing_limit_n))
+    def _environment(self, plan: Plan, tick: int) -> LawInputs:
+        """The law's numbers: of `plan`, while it homes for its push alone."""
+        if plan.state is State.HOMING:
+            numbers = 0.0, 0.0, 0.0, plan.homing.force_n, self._homing_limit_n
+            nothing = 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0  # no wall, and the ends out of reach
+            return (*numbers, *nothing, *(0.0 for _ in FURTHER))
+        return environment_of(plan, tick, self._params.soft_ends, self._params.force_limit_n)
 
     def _fading(self, plan: Plan, tick: int) -> tuple[int, float]:
         """Torque count and force [N] of what is left where there is no sample to believe."""
@@ -210,13 +211,6 @@ class SlowPath:
             0.0, 1.0, tick, round_half_up(self._params.safety.enable_ramp_s * self._rate_hz)
         )
 
-    def _overdue(self, plan: Plan, tick: int) -> bool:
-        """Whether homing has searched longer than the device allows."""
-        return (
-            plan.state is State.HOMING
-            and tick - plan.since_tick > self._home.timeout_s * self._rate_hz
-        )
-
     def _searched(
         self, plan: Plan, sample: Sample, now: CommandContext
     ) -> tuple[Plan, list[Answer]]:
@@ -260,7 +254,8 @@ class SlowPath:
     ) -> tuple[Plan, tuple[Answer, ...]]:
         found = self._causes.newly_lost(plan, sample, now.tick) or self._alarming(plan, alarm)
         found = found or push_ended(plan.push, now.tick, self._params)
-        if not found and self._overdue(plan, now.tick):
+        longest = self._home.timeout_s * self._rate_hz
+        if not found and plan.state is State.HOMING and now.tick - plan.since_tick > longest:
             found = BY_CODE["home_failed"].number
         events: tuple[Request, ...] = (fault_request(found),) if found else ()
         answers: list[Answer] = []
@@ -334,12 +329,6 @@ def bar(host: int) -> Result | None:
     if host & DEVICE_DIFFERS:
         return Result.REFUSED_DEVICE
     return Result.REFUSED_RATE if host & RATE_NOT_HELD else None
-
-
-def pushing(force_n: float, limit_n: float) -> LawInputs:
-    """The law's numbers for a force alone."""
-    numbers = 0.0, 0.0, 0.0, force_n, limit_n, 0.0, 0.0, 0.0, 0.0, -1e3, 1e3, 0.0
-    return (*numbers, *(0.0 for _ in FURTHER))
 
 
 def out_flags(plan: Plan, tick: int) -> int:

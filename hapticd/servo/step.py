@@ -34,8 +34,8 @@ from hapticd.servo.plan import (
     Sample,
     ServoState,
     coefficients_of,
+    environment_of,
     fault_request,
-    flat_plan,
     initial_plan,
     tick_constants,
 )
@@ -66,10 +66,10 @@ def initial_state(params: ServoParams, tick: int = 0) -> ServoState:
     """
     plan = initial_plan(params)._replace(origin=round_half_up(params.device.position.offset_count))
     coefficients = coefficients_of(plan, params.realtime.rate_hz)
-    now = flat_plan(plan, tick, params, params.soft_ends, 0.0)
+    environment = environment_of(plan, tick, params.soft_ends, params.force_limit_n)
     count = params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST)
     held = (count, 0.0, (at_rest(0.0), EMPTY))
-    settled = tick_constants(plan, now, coefficients, 0, LINK_UP)
+    settled = tick_constants(plan, tick, params, environment, coefficients, 0, LINK_UP)
     return settled, at_rest(0.0), EMPTY, held, CALM
 
 

@@ -22,12 +22,21 @@ from hapticd.servo.safety import State
 from hapticd.usb.frames import OutFlag
 
 ENABLE = int(OutFlag.ENABLE)
+LISTEN_S = 8e-3
 WITHHELD = 0x100  # among the flags of an OUT frame, which have eight bits: there is none
 
 
 def flags_of(plan: Plan, tick: int) -> int:
     """Flags of the OUT frame of a silent servo."""
     return WITHHELD if tick < plan.silent_until else ENABLE
+
+
+def listens(plan: Plan, slot: int, rate_hz: float) -> bool:
+    """Whether the tick after `slot` of a silence reads, in vain: a lost link is noticed, and a
+    simulated board is played. The last ones do not: behind them comes the board's answer.
+    """
+    every = round_half_up(LISTEN_S * rate_hz)
+    return (plan.silent_until - slot) % (every + 1) == every
 
 
 def begun(

@@ -8,21 +8,30 @@ device that is plugged again has a new address, and for one more enumeration aft
 dead device is still listed. A read waits until the IN is latched, in wall time and in virtual time
 alike, and always comes to an end.
 
-What would break it: a second thread (there is no lock in the tick's way).
+A `DistantBackend` is at the end of a bus (`sim.bus`) that takes its time. One transfer goes after
+the other, as libusb's synchronous calls do it: a write is submitted, reaches the board, and returns
+when its caller has been woken. A read takes the packet that waits, or the next one as soon as it is
+latched and the controller asks for it; meanwhile what the board latches waits in the board, queued
+or replaced. Transfers in flight take the same bus (`sim.flight`).
+
+What would break it: a second thread (there is no lock in the tick's way), a time-out shorter than
+the transport (the packet is delivered all the same, late, as libusb does when its timer fires
+late).
 """
 
 import errno
 from array import array
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import NamedTuple, NoReturn
 
 import usb.backend
 
 from hapticd.core.clock import Clock, MonotonicClock
+from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US
-from hapticd.sim.board import VENDOR_OUT
-from hapticd.sim.bus import Bus, FixedBus
+from hapticd.sim.board import make_board
+from hapticd.sim.bus import Bus, FixedBus, FullSpeedBus
 from hapticd.sim.descriptors import (
     Transfer,
     configuration_descriptor,
@@ -31,10 +40,11 @@ from hapticd.sim.descriptors import (
     interface_descriptor,
 )
 from hapticd.sim.errors import usb_error
-from hapticd.sim.flight import Endpoints, Flight
-from hapticd.sim.injection import Port, TransferFault
+from hapticd.sim.flight import Flight
+from hapticd.sim.injection import Port, TransferFault, with_injections
+from hapticd.usb.base import VENDOR_OUT
 
-__all__ = ["SimulatedBackend"]
+__all__ = ["SimulatedBackend", "make_backend"]
 
 SPIN_NS = 60 * NS_PER_US  # a sleep of the machine is coarser than this
 ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the simulated board gives up
@@ -326,8 +336,8 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def transfers(self, out_endpoint: int, in_endpoint: int) -> Flight:
         """One OUT and one IN of the claimed board, submitted and reaped (`usb.flight`)."""
         assert self.device is not None
-        ends = Endpoints(out_endpoint, in_endpoint)
-        self._flight = Flight(self, self._port, self.device, ends, self._bus, self._clock)
+        ends = out_endpoint, in_endpoint
+        self._flight = Flight(self, self._port, self.device, *ends, self._bus, self._clock)
         return self._flight
 
 
@@ -340,3 +350,64 @@ def _alive(device: PluggedDevice) -> PluggedDevice:
 def _release(handle: Handle) -> None:
     if handle.device.owner is handle:
         handle.device.owner = None
+
+
+class DistantBackend(SimulatedBackend):
+    """A SimulatedBackend whose transfers take the time of its bus."""
+
+    def ctrl_transfer(
+        self,
+        handle: Handle,
+        request_type: int,
+        request: int,
+        value: int,
+        index: int,
+        data: "array[int]",
+        timeout_ms: int,
+    ) -> int:
+        self.wait_until(self._bus.control_ns(self._clock.now_ns()))
+        return super().ctrl_transfer(handle, request_type, request, value, index, data, timeout_ms)
+
+    def bulk_write(
+        self, handle: Handle, endpoint: int, interface: int, data: "array[int]", timeout_ms: int
+    ) -> int:
+        bus = self._bus
+        passed = bus.out(bus.submitted_ns(self._clock.now_ns()), len(data))
+        self.wait_until(passed.board_ns)
+        count = super().bulk_write(handle, endpoint, interface, data, timeout_ms)
+        self.wait_until(bus.woken_ns(passed.host_ns))
+        return count
+
+    def bulk_read(
+        self, handle: Handle, endpoint: int, interface: int, buffer: "array[int]", timeout_ms: int
+    ) -> int:
+        bus = self._bus
+        asked_ns = bus.submitted_ns(self._clock.now_ns())
+        self.wait_until(asked_ns)
+        count = super().bulk_read(handle, endpoint, interface, buffer, timeout_ms)
+        polled_ns = bus.polled_ns(asked_ns, self._clock.now_ns())
+        self.wait_until(bus.woken_ns(bus.received_ns(polled_ns)))
+        return count
+
+    intr_write = bulk_write
+    intr_read = bulk_read
+
+
+def make_backend(
+    params: BoardParams, clock: Clock, on_slip: Callable[[int], None] | None = None
+) -> SimulatedBackend:
+    """The backend at which the board of `params` is plugged in. ConfigError if they describe none.
+
+    `on_slip(ns)` is called with the time that a paused host cost the simulation.
+    """
+    port = with_injections(make_board(params, on_slip), params)
+    unready = Unready(params.rights_s, params.hello_s, params.boot_loader_s)
+    if params.bus is not None:
+        bus = FullSpeedBus(params.bus, params.seed)
+        transfer: Transfer = "interrupt" if params.bus.transfer == "interrupt" else "bulk"
+        return DistantBackend(port, clock, transfer, unready, bus)
+    if not params.out_transport_us and not params.in_transport_us:
+        return SimulatedBackend(port, clock, unready=unready)
+    out_ns = round(params.out_transport_us * NS_PER_US)
+    fixed = FixedBus(out_ns, round(params.in_transport_us * NS_PER_US))
+    return DistantBackend(port, clock, unready=unready, bus=fixed)

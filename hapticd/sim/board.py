@@ -41,6 +41,7 @@ from hapticd.sim.axis import (
 )
 from hapticd.sim.events import EventPins, PinEvent
 from hapticd.usb import codec, frames
+from hapticd.usb.base import ENGLISH_US, VENDOR_IN, VENDOR_OUT
 from hapticd.usb.frames import Capability, HelloFrame, Request, StatusBit
 
 __all__ = ["make_board"]
@@ -410,12 +411,9 @@ def _check(params: BoardParams) -> None:
             )
 
 
-VENDOR_IN = 0xC0
-VENDOR_OUT = 0x40
 STANDARD_IN = 0x80
 GET_DESCRIPTOR = 0x06
 STRING = 0x03
-ENGLISH_US = 0x0409
 # string indices
 MANUFACTURER = 1
 PRODUCT = 2

@@ -29,7 +29,7 @@ that serves bulk by microframes only.
 
 from math import ceil
 from random import Random
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from hapticd.core.params import BusParams
 from hapticd.core.units import NS_PER_MS, NS_PER_US
@@ -67,60 +67,46 @@ class TransferTime(NamedTuple):
     host_ns: int
 
 
-class Bus(Protocol):
-    """How long transfers take. Each method but `polled_ns` is called once a transfer, in the
-    order of time.
-    """
-
-    def submitted_ns(self, t_ns: int) -> int:
-        """When a submission that begins at `t_ns` returns."""
-
-    def out(self, t_ns: int, size: int) -> TransferTime:
-        """An OUT of `size` bytes that was submitted by `t_ns`."""
-
-    def polled_ns(self, asked_ns: int, ready_ns: int) -> int:
-        """When the controller takes an IN that was submitted by `asked_ns` and lies in the board
-        from `ready_ns` on.
-        """
-
-    def received_ns(self, polled_ns: int) -> int:
-        """When the host's kernel has the IN that was taken then."""
-
-    def woken_ns(self, t_ns: int) -> int:
-        """When a thread runs that waited for what was completed at `t_ns`."""
-
-    def control_ns(self, t_ns: int) -> int:
-        """When a control transfer returns that begins at `t_ns`."""
-
-
 class FixedBus:
-    """A bus that takes the same time for every transfer of a direction."""
+    """A bus that takes the same time for every transfer of a direction. Each method but `polled_ns`
+    is called once a transfer, in the order of time.
+    """
 
     def __init__(self, out_ns: int = 0, in_ns: int = 0) -> None:
         self._out_ns = out_ns
         self._in_ns = in_ns
 
     def submitted_ns(self, t_ns: int) -> int:
+        """When a submission that begins at `t_ns` returns."""
         return t_ns
 
     def out(self, t_ns: int, size: int) -> TransferTime:
+        """An OUT of `size` bytes that was submitted by `t_ns`."""
         return TransferTime(t_ns + self._out_ns, t_ns + self._out_ns)
 
     def polled_ns(self, asked_ns: int, ready_ns: int) -> int:
+        """When the controller takes an IN that was submitted by `asked_ns` and lies in the board
+        from `ready_ns` on.
+        """
         return ready_ns if ready_ns > asked_ns else asked_ns
 
     def received_ns(self, polled_ns: int) -> int:
+        """When the host's kernel has the IN that was taken then."""
         return polled_ns + self._in_ns
 
     def woken_ns(self, t_ns: int) -> int:
+        """When a thread runs that waited for what was completed at `t_ns`."""
         return t_ns
 
     def control_ns(self, t_ns: int) -> int:
+        """When a control transfer returns that begins at `t_ns`."""
         return t_ns + self._out_ns + self._in_ns
 
 
 class FullSpeedBus:
-    """The bus of `params`, in one of the many histories that they allow, by `seed`."""
+    """The bus of `params`, in one of the many histories that they allow, by `seed`; its methods are
+    those of a FixedBus.
+    """
 
     def __init__(self, params: BusParams, seed: int = 1) -> None:
         self._params = params
@@ -206,3 +192,6 @@ class FullSpeedBus:
     def _cost_ns(self, mean_us: float) -> int:
         varies = (1.0 - FIXED) * self._random.expovariate(1.0)
         return round((FIXED + varies) * mean_us * NS_PER_US)
+
+
+Bus = FixedBus | FullSpeedBus

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Literal
 
 from hapticd.sim.board import MANUFACTURER, PRODUCT, SERIAL
+from hapticd.usb.base import VENDOR_CLASS
 from hapticd.usb.frames import PACKET_BYTES, USB_PRODUCT_ID, USB_VENDOR_ID
 
 Transfer = Literal["bulk", "interrupt"]
@@ -20,7 +21,6 @@ Transfer = Literal["bulk", "interrupt"]
 OUT_ADDRESS = 0x01
 IN_ADDRESS = 0x81
 FULL_SPEED = 2
-VENDOR_CLASS = 0xFF
 # bmAttributes, bInterval
 _ATTRIBUTES: dict[Transfer, tuple[int, int]] = {"bulk": (2, 0), "interrupt": (3, 1)}
 

@@ -15,7 +15,7 @@ owners of one board.
 
 import errno
 from array import array
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from hapticd.core.clock import Clock
 from hapticd.sim.bus import Bus
@@ -29,13 +29,6 @@ PENDING = -1  # in place of the number of bytes
 EVER_NS = 1 << 62
 
 
-class Endpoints(NamedTuple):
-    """Their addresses."""
-
-    out: int
-    into: int
-
-
 class Flight:
     """One OUT and one IN at most of `device`, the board behind `port`."""
 
@@ -44,14 +37,16 @@ class Flight:
         backend: "SimulatedBackend",
         port: Port,
         device: "PluggedDevice",
-        ends: Endpoints,
+        out_endpoint: int,
+        in_endpoint: int,
         bus: Bus,
         clock: Clock,
     ) -> None:
         self._backend = backend
         self._port = port
         self._device = device
-        self._ends = ends
+        self._out_endpoint = out_endpoint
+        self._in_endpoint = in_endpoint
         self._bus = bus
         self._clock = clock
         self._out: bytes | None = None  # on its way, not in the board yet
@@ -67,7 +62,7 @@ class Flight:
     def submit_out(self, data: "array[int]") -> None:
         """Send `data`. ENODEV."""
         now_ns = self._submitted_ns()
-        if self._ends.out in self._device.halted:
+        if self._out_endpoint in self._device.halted:
             self._out_done_ns = now_ns
             self._out_failure = usb_error(errno.EPIPE)
             return
@@ -81,7 +76,7 @@ class Flight:
         now_ns = self._submitted_ns()
         self._asked_ns = now_ns
         self._in_done_ns = EVER_NS
-        if self._ends.into in self._device.halted:
+        if self._in_endpoint in self._device.halted:
             self._in_failure = usb_error(errno.EPIPE)
             self._in_done_ns = now_ns
 
@@ -190,7 +185,7 @@ class Flight:
                 self._refused = True
                 self._arrives_ns = t_ns + 1
                 return
-            self._out_failure = self._backend.failure(fault, self._device, self._ends.out)
+            self._out_failure = self._backend.failure(fault, self._device, self._out_endpoint)
         self._out = None
         self._out_done_ns = max(self._out_done_ns, t_ns)
 
@@ -206,6 +201,6 @@ class Flight:
             try:
                 self._packet = self._port.poll_in(polled_ns)
             except TransferFault as fault:
-                self._in_failure = self._backend.failure(fault, self._device, self._ends.into)
+                self._in_failure = self._backend.failure(fault, self._device, self._in_endpoint)
             if self._packet is not None or self._in_failure is not None:
                 self._in_done_ns = self._bus.received_ns(polled_ns)

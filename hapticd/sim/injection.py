@@ -14,7 +14,7 @@ import errno
 from collections import deque
 from collections.abc import Callable
 from random import Random
-from typing import NamedTuple, Protocol
+from typing import Generic, NamedTuple, TypeVar
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import BoardParams
@@ -37,32 +37,7 @@ class TransferFault(Exception):
         self.away_s = away_s
 
 
-class Port(Protocol):
-    """What is at the other end of the cable: a BoardModel, or an Injector around it."""
-
-    def power_up(self) -> None: ...
-    def on_out(self, data: memoryview, t_ns: int) -> None: ...
-    def poll_in(self, t_ns: int) -> bytes | None: ...
-    def next_in_ns(self) -> int | None: ...
-    def advance(self, t_ns: int) -> None: ...
-    def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None: ...
-
-
 BOUNCE_NS = (50 * NS_PER_US, 500 * NS_PER_US)  # between two edges of a contact that bounces
-
-
-class Contact(NamedTuple):
-    """An edge of the emergency stop's contact."""
-
-    at_ns: int
-    pressed: bool
-
-
-class StuckEncoder(NamedTuple):
-    """The newest tick at which the encoder was stuck, and the count that it reads."""
-
-    tick: int
-    encoder: int
 
 
 class Injector:
@@ -79,12 +54,14 @@ class Injector:
         self._injections = params.injections
         self._until = [0] * len(params.injections)
         self._in_faults: list[tuple[InFault, float]] = []
-        self._waiting: deque[tuple[int, bytes]] = deque()  # (due, IN packet), oldest first
-        self._piling_until_ns = 0
-        self._hung_until_ns = 0
-        self._stuck = StuckEncoder(-1, 0)
+        self.waiting: deque[tuple[int, bytes]] = deque()  # (due, IN packet), oldest first
+        self.piling_until_ns = 0  # IN packets until then wait, and come all together
+        self.hung_until_ns = 0  # the firmware answers nothing; what it puts out stays as it is
+        self._stuck_tick = -1  # the newest one at which the encoder was stuck
+        self._stuck_encoder = 0
         self._bounce_ns = round(params.emergency_stop_bounce_ms * NS_PER_MS)
-        self._contacts: list[Contact] = []  # what the emergency stop is about to do, in order
+        # what the emergency stop is about to do, in order: (when, pressed)
+        self._contacts: list[tuple[int, bool]] = []
 
     def power_up(self) -> None:
         self.forget()
@@ -94,18 +71,18 @@ class Injector:
 
     def forget(self) -> None:
         """What was on its way is lost."""
-        self._waiting.clear()
-        self._piling_until_ns = 0
-        self._hung_until_ns = 0
+        self.waiting.clear()
+        self.piling_until_ns = 0
+        self.hung_until_ns = 0
 
     def on_out(self, data: memoryview, t_ns: int) -> None:
         self._heal(t_ns)
-        if self._piling_until_ns:
+        if self.piling_until_ns:
             self._pile_up(t_ns)
         packet = self._struck(data, t_ns)
         if self._contacts:
             self._switch(t_ns)
-        if t_ns < self._hung_until_ns:
+        if t_ns < self.hung_until_ns:
             raise TransferFault(errno.ETIMEDOUT)
         if packet is None:
             return
@@ -115,12 +92,12 @@ class Injector:
             self.postpone_ns = 0
 
     def poll_in(self, t_ns: int) -> bytes | None:
-        if self._piling_until_ns:
+        if self.piling_until_ns:
             self._pile_up(t_ns)
         if self._contacts:
             self._switch(t_ns)
-        if self._waiting:
-            return self._waiting.popleft()[1] if self._waiting[0][0] <= t_ns else None
+        if self.waiting:
+            return self.waiting.popleft()[1] if self.waiting[0][0] <= t_ns else None
         latched_ns = self.board.next_in_ns()
         frame = self.board.poll_in(t_ns)
         if frame is not None and self._in_faults:
@@ -132,12 +109,12 @@ class Injector:
         return frame
 
     def next_in_ns(self) -> int | None:
-        return self._waiting[0][0] if self._waiting else self.board.next_in_ns()
+        return self.waiting[0][0] if self.waiting else self.board.next_in_ns()
 
     def advance(self, t_ns: int) -> None:
         """Play the board up to `t_ns` without a transfer."""
         self._heal(t_ns)
-        if self._piling_until_ns:
+        if self.piling_until_ns:
             self._pile_up(t_ns)
         if self._contacts:
             self._switch(t_ns)
@@ -146,50 +123,39 @@ class Injector:
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
         return self.board.control(request_type, request, value, length)
 
-    def hold(self, due_ns: int, packet: bytes) -> None:
-        """The next IN packet is this one, from `due_ns` on."""
-        self._waiting.append((due_ns, packet))
-
-    def pile(self, until_ns: int) -> None:
-        """Every IN packet until then waits, and all of them come together."""
-        self._piling_until_ns = until_ns
-
-    def hang(self, until_ns: int) -> None:
-        """The firmware answers nothing until then; what it puts out stays as it is."""
-        self._hung_until_ns = until_ns
-
     def press(self, t_ns: int, until_ns: int) -> None:
         """The emergency stop is pressed at `t_ns` and released at `until_ns`."""
         edges = (*self._bouncing(t_ns, True), *self._bouncing(until_ns, False))
         self._contacts = sorted((*self._contacts, *edges))
 
-    def _bouncing(self, t_ns: int, pressed: bool) -> list[Contact]:
+    def _bouncing(self, t_ns: int, pressed: bool) -> list[tuple[int, bool]]:
         """A contact that ends as `pressed`, after it was both in turn for a while."""
         until_ns = t_ns + self._bounce_ns
-        edges: list[Contact] = []
+        edges: list[tuple[int, bool]] = []
         while t_ns < until_ns:
-            edges.append(Contact(t_ns, pressed if not len(edges) % 2 else not pressed))
+            edges.append((t_ns, pressed if not len(edges) % 2 else not pressed))
             t_ns += self.random.randrange(*BOUNCE_NS)
-        return [*edges, Contact(until_ns, pressed)]
+        return [*edges, (until_ns, pressed)]
 
     def _switch(self, t_ns: int) -> None:
-        while self._contacts and self._contacts[0].at_ns <= t_ns:
+        while self._contacts and self._contacts[0][0] <= t_ns:
             self.board.press_stop(*self._contacts.pop(0))
 
     def stuck_at(self, encoder: int) -> int:
         """What an encoder reads that has stuck: its count at the first tick of the fault."""
-        ongoing = self._stuck.tick == self.tick - 1
-        self._stuck = StuckEncoder(self.tick, self._stuck.encoder if ongoing else encoder)
-        return self._stuck.encoder
+        if self._stuck_tick != self.tick - 1:
+            self._stuck_encoder = encoder
+        self._stuck_tick = self.tick
+        return self._stuck_encoder
 
     def _pile_up(self, t_ns: int) -> None:
-        until_ns = self._piling_until_ns
+        until_ns = self.piling_until_ns
         latest_ns = min(t_ns, until_ns)
         while (latched_ns := self.board.next_in_ns()) is not None and latched_ns <= latest_ns:
             if (packet := self.board.poll_in(latched_ns)) is not None:
-                self._waiting.append((until_ns, packet))
+                self.waiting.append((until_ns, packet))
         if t_ns >= until_ns:
-            self._piling_until_ns = 0
+            self.piling_until_ns = 0
 
     def _struck(self, data: memoryview, t_ns: int) -> memoryview | None:
         tick = self.tick
@@ -216,6 +182,10 @@ class Injector:
         self.healing = [item for item in self.healing if t_ns < item[0]]
 
 
+# what is at the other end of the cable
+Port = BoardModel | Injector
+
+
 def check_kind(kind: str, where: str) -> None:
     """Return if the board knows injections of this `kind`, else ConfigError that says `where`."""
     if kind not in KINDS:
@@ -223,7 +193,7 @@ def check_kind(kind: str, where: str) -> None:
         raise ConfigError(f"{where}: injection kind {kind!r} is unknown; use one of {known}")
 
 
-def with_injections(board: BoardModel, params: BoardParams) -> BoardModel | Injector:
+def with_injections(board: BoardModel, params: BoardParams) -> Port:
     """`board` itself when there is nothing to inject."""
     return Injector(board, params) if params.injections else board
 
@@ -233,20 +203,15 @@ OutFault = Callable[[Injector, memoryview, float, int], memoryview | None]  # OU
 InFault = Callable[[Injector, bytes, float, int], bytes | None]
 
 
-class OutKind(NamedTuple):
-    """A fault that strikes an OUT, or the board at that moment."""
+Act = TypeVar("Act", OutFault, InFault)
 
-    act: OutFault
+
+class Kind(NamedTuple, Generic[Act]):
+    """A fault that strikes an OUT, or the board at that moment, or the IN that answers an OUT."""
+
+    act: Act
     what: str  # happens
     value: str = ""  # what the value means, and its unit
-
-
-class InKind(NamedTuple):
-    """A fault that strikes the IN that answers an OUT."""
-
-    act: InFault
-    what: str
-    value: str = ""
 
 
 def _flipped(data: bytes | memoryview, random: Random) -> bytes:
@@ -292,11 +257,11 @@ def _restarted(injector: Injector, packet: memoryview, value: float, t_ns: int) 
 
 
 def _hung(injector: Injector, packet: memoryview, value: float, t_ns: int) -> None:
-    injector.hang(t_ns + round(value * NS_PER_S))
+    injector.hung_until_ns = t_ns + round(value * NS_PER_S)
 
 
 def _hung_unwatched(injector: Injector, packet: memoryview, value: float, t_ns: int) -> None:
-    injector.hang(t_ns + round(value * NS_PER_S))
+    injector.hung_until_ns = t_ns + round(value * NS_PER_S)
     injector.board.stop_watchdog()
 
 
@@ -326,22 +291,22 @@ def _damped(injector: Injector, packet: memoryview, value: float, t_ns: int) -> 
 
 
 def _delayed(injector: Injector, packet: bytes, value: float, t_ns: int) -> None:
-    injector.hold(t_ns + round(value * NS_PER_S), packet)
+    injector.waiting.append((t_ns + round(value * NS_PER_S), packet))
 
 
 def _piled(injector: Injector, packet: bytes, value: float, t_ns: int) -> None:
     due_ns = t_ns + round(value * NS_PER_S)
-    injector.hold(due_ns, packet)
-    injector.pile(due_ns)
+    injector.waiting.append((due_ns, packet))
+    injector.piling_until_ns = due_ns
 
 
 def _duplicated(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
-    injector.hold(t_ns, packet)
+    injector.waiting.append((t_ns, packet))
     return packet
 
 
 def _with_nothing_behind(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
-    injector.hold(t_ns, b"")
+    injector.waiting.append((t_ns, b""))
     return packet
 
 
@@ -384,92 +349,92 @@ def _saturated(injector: Injector, packet: bytes, value: float, t_ns: int) -> by
 MANY_COUNTS = 1_000_000
 CAUSE = "how long the cause lasts [s]; the fault stays until CLEAR_FAULT"
 HANGS = "the board hangs: outputs stay as they are, OUT is not accepted"
-OUT_FAULTS: dict[str, OutKind] = {
-    "drop_out": OutKind(
+OUT_FAULTS: dict[str, Kind[OutFault]] = {
+    "drop_out": Kind(
         lambda injector, packet, value, t_ns: None, "OUT is lost; the host believes it was sent"
     ),
-    "corrupt_out": OutKind(_corrupted_out, "one random bit of OUT flips: the board refuses it"),
-    "stall_out": OutKind(_stalled, "the OUT endpoint halts until clear_halt"),
-    "io_error": OutKind(_disturbed, "EIO once, as under electrical interference"),
-    "unplug": OutKind(_unplugged, "EIO, then ENODEV, then plugged in again", "time away [s]"),
-    "late": OutKind(_latched_late, "the board latches its reply late", "by how much [s]"),
-    "amplifier_fault": OutKind(
+    "corrupt_out": Kind(_corrupted_out, "one random bit of OUT flips: the board refuses it"),
+    "stall_out": Kind(_stalled, "the OUT endpoint halts until clear_halt"),
+    "io_error": Kind(_disturbed, "EIO once, as under electrical interference"),
+    "unplug": Kind(_unplugged, "EIO, then ENODEV, then plugged in again", "time away [s]"),
+    "late": Kind(_latched_late, "the board latches its reply late", "by how much [s]"),
+    "amplifier_fault": Kind(
         _board_fault(StatusBit.AMPLIFIER_FAULT), "the board reports an amplifier fault", CAUSE
     ),
-    "encoder_fault": OutKind(
+    "encoder_fault": Kind(
         _board_fault(StatusBit.ENCODER_FAULT), "the board reports an encoder fault", CAUSE
     ),
-    "over_temperature": OutKind(
+    "over_temperature": Kind(
         _board_fault(StatusBit.OVER_TEMPERATURE), "the board reports a hot winding", CAUSE
     ),
-    "emergency_stop": OutKind(
+    "emergency_stop": Kind(
         _pressed, "the hard-wired emergency stop is pressed and released", "for how long [s]"
     ),
-    "amplifier_stuck": OutKind(
+    "amplifier_stuck": Kind(
         _amplifier(lambda force_n, value: value),
         "the amplifier puts out one force, whatever is commanded, as long as it has authority",
         "that force [N]",
     ),
-    "amplifier_limited": OutKind(
+    "amplifier_limited": Kind(
         _amplifier(lambda force_n, value: max(-value, min(value, force_n))),
         "the amplifier gives less than is commanded",
         "the most that it gives [N]",
     ),
-    "amplifier_gain": OutKind(
+    "amplifier_gain": Kind(
         _amplifier(lambda force_n, value: force_n * value),
         "the amplifier has another gain, or the other polarity",
         "force over commanded force",
     ),
-    "active_damping_gain": OutKind(
+    "active_damping_gain": Kind(
         _damped,
         "the damping circuit damps less, or more, than is commanded",
         "damping over commanded damping",
     ),
-    "event_code": OutKind(
+    "event_code": Kind(
         _event,
         "the code at the event pins changes, and stays; no fault",
         "the code (0 to 65535)",
     ),
-    "restart": OutKind(
+    "restart": Kind(
         _restarted,
         "the firmware starts anew without leaving the bus; the device moves on",
         "board time at which it begins anew [s]",
     ),
-    "hang": OutKind(_hung, f"{HANGS}; its watchdog works", "for how long [s]"),
-    "hang_unwatched": OutKind(
+    "hang": Kind(_hung, f"{HANGS}; its watchdog works", "for how long [s]"),
+    "hang_unwatched": Kind(
         _hung_unwatched, f"{HANGS}; its watchdog does not work", "for how long [s]"
     ),
 }
 
-IN_FAULTS: dict[str, InKind] = {
-    "drop_in": InKind(
+IN_FAULTS: dict[str, Kind[InFault]] = {
+    "drop_in": Kind(
         lambda injector, packet, value, t_ns: None, "IN is lost; the board believes it was read"
     ),
-    "delay_in": InKind(_delayed, "IN is delivered late", "after its latch [s]"),
-    "burst_in": InKind(
+    "delay_in": Kind(_delayed, "IN is delivered late", "after its latch [s]"),
+    "burst_in": Kind(
         _piled,
         "this IN and those after it pile up on the way, then come all together",
         "for how long [s]",
     ),
-    "duplicate_in": InKind(_duplicated, "IN is delivered twice"),
-    "zero_length_in": InKind(_with_nothing_behind, "a packet of zero length comes behind IN"),
-    "corrupt_in": InKind(_corrupted_in, "one random bit of IN flips"),
-    "stall_in": InKind(_stalled, "the IN endpoint halts until clear_halt"),
-    "babble": InKind(_lengthened, "IN is longer than a packet", "bytes too many (1)"),
-    "short_in": InKind(_shortened, "IN is cut short", "bytes that are left (31)"),
-    "encoder_jump": InKind(
+    "duplicate_in": Kind(_duplicated, "IN is delivered twice"),
+    "zero_length_in": Kind(_with_nothing_behind, "a packet of zero length comes behind IN"),
+    "corrupt_in": Kind(_corrupted_in, "one random bit of IN flips"),
+    "stall_in": Kind(_stalled, "the IN endpoint halts until clear_halt"),
+    "babble": Kind(_lengthened, "IN is longer than a packet", "bytes too many (1)"),
+    "short_in": Kind(_shortened, "IN is cut short", "bytes that are left (31)"),
+    "encoder_jump": Kind(
         _encoder(lambda injector, encoder, value: encoder + (round(value) or MANY_COUNTS)),
         "the encoder is off",
         "counts (1,000,000)",
     ),
-    "encoder_burst": InKind(
+    "encoder_burst": Kind(
         _encoder(_scattered), "the encoder is off by random counts", "most counts (1,000,000)"
     ),
-    "encoder_stuck": InKind(
+    "encoder_stuck": Kind(
         _encoder(lambda injector, encoder, value: injector.stuck_at(encoder)),
         "the encoder reads the count of the first of these ticks",
     ),
-    "sensor_extreme": InKind(
+    "sensor_extreme": Kind(
         _saturated, "current, voltage, velocity and temperature are extreme", "counts (32767)"
     ),
 }

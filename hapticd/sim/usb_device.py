@@ -19,9 +19,10 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.params import BoardParams
 from hapticd.core.units import NS_PER_S
 from hapticd.sim import descriptors
-from hapticd.sim.board import GET_DESCRIPTOR, STRING, VENDOR_OUT
+from hapticd.sim.board import GET_DESCRIPTOR, STRING
 from hapticd.sim.descriptors import Transfer
 from hapticd.sim.injection import Port, TransferFault
+from hapticd.usb.base import VENDOR_OUT
 from hapticd.usb.frames import PACKET_BYTES
 
 __all__ = ["UsbDevice", "check_traits"]
@@ -53,14 +54,6 @@ class Setup(NamedTuple):
     @classmethod
     def of(cls, data: bytes) -> "Setup":
         return cls(*struct.unpack("<BBHHH", data))
-
-
-class Unplugged(Exception):
-    """The plug is pulled under a transfer, and cannot be put in again for `away_s`."""
-
-    def __init__(self, away_s: float) -> None:
-        super().__init__(away_s)
-        self.away_s = away_s
 
 
 class UsbDevice:
@@ -135,10 +128,7 @@ class UsbDevice:
         return answers.get(setup.request)
 
     def write(self, endpoint: int, data: memoryview, t_ns: int) -> bool:
-        """An OUT transfer of any length arrives; False: nobody takes it (NAK).
-
-        TransferFault, Unplugged.
-        """
+        """An OUT transfer of any length arrives; False: nobody takes it (NAK). TransferFault."""
         self._check(endpoint)
         try:
             for start in range(0, len(data) or 1, PACKET_BYTES):
@@ -151,7 +141,7 @@ class UsbDevice:
     def read(self, endpoint: int, room: int, t_ns: int) -> bytes | None:
         """The IN packet that is there for a host that waits; None: none yet (NAK).
 
-        TransferFault, Unplugged.
+        TransferFault.
         """
         self._check(endpoint)
         try:
@@ -173,9 +163,8 @@ class UsbDevice:
             return
         if fault.number == errno.EPIPE:
             self._halted.add(endpoint)
-        if fault.away_s is not None:
-            raise Unplugged(fault.away_s) from fault
-        raise TransferFault(errno.EPROTO if fault.number == errno.EIO else fault.number) from fault
+        number = errno.EPROTO if fault.number == errno.EIO else fault.number
+        raise TransferFault(number, fault.away_s) from fault
 
 
 def check_traits(params: BoardParams) -> None:

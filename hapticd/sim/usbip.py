@@ -34,7 +34,8 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.sim import descriptors
 from hapticd.sim.injection import TransferFault
-from hapticd.sim.usb_device import IN_BIT, Setup, Unplugged, UsbDevice
+from hapticd.sim.usb_device import IN_BIT, Setup, UsbDevice
+from hapticd.usb.base import VENDOR_CLASS
 
 __all__ = ["BUS_ID", "UsbipServer"]
 
@@ -207,8 +208,8 @@ class UsbipServer:
         """`act`, and the end of this connection where it has one."""
         try:
             act(peer)
-        except Unplugged as pulled:
-            self._away_until_ns = self._clock.now_ns() + round(pulled.away_s * NS_PER_S)
+        except TransferFault as pulled:
+            self._away_until_ns = self._clock.now_ns() + round((pulled.away_s or 0) * NS_PER_S)
             self._drop(peer)
         except PeerClosed:
             self._drop(peer)
@@ -232,7 +233,7 @@ class UsbipServer:
             return False
         _version, code, _status = OPERATION.unpack_from(peer.received)
         if code == OP_REQ_DEVLIST:
-            one = INTERFACE.pack(descriptors.VENDOR_CLASS, 0, 0, 0)
+            one = INTERFACE.pack(VENDOR_CLASS, 0, 0, 0)
             head = OPERATION.pack(VERSION, OP_REP_DEVLIST, DONE)
             peer.send(head, COUNT.pack(1), self._about(), one)
             raise PeerClosed
@@ -336,11 +337,10 @@ class UsbipServer:
 
 @contextmanager
 def _reported(peer: Peer, number: int) -> Iterator[None]:
-    """A transfer that fails in here ends with its errno, one under a pulled plug with EPROTO."""
+    """A transfer that fails in here ends with its errno; a pulled plug is told further."""
     try:
         yield
     except TransferFault as fault:
         peer.answer(number, -fault.number, 0)
-    except Unplugged:
-        peer.answer(number, -errno.EPROTO, 0)
-        raise
+        if fault.away_s is not None:
+            raise

@@ -8,7 +8,12 @@ from array import array
 
 from hapticd.usb.frames import Request
 
-__all__ = ["backoff_s"]
+__all__ = ["ENGLISH_US", "VENDOR_CLASS", "VENDOR_IN", "VENDOR_OUT", "backoff_s"]
+
+VENDOR_CLASS = 0xFF  # of the board's interface
+VENDOR_IN = 0xC0  # bmRequestType of requests to it
+VENDOR_OUT = 0x40
+ENGLISH_US = 0x0409  # language of its strings
 
 
 class Link(ABC):

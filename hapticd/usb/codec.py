@@ -242,17 +242,11 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
     their fields: the caller has clamped them, struct.error otherwise.
     """
     body = memoryview(buffer)[: frames.OUT_BYTES - frames.CRC.size]
-    fill = frames.OUT_HEAD.pack_into
-    fill_samples = frames.OUT_SAMPLES.pack_into
+    fill = frames.OUT.pack_into
     seal = frames.CRC.pack_into
     check = crc_hqx
     initial = frames.CRC_INITIAL
     offset = len(body)
-    behind = frames.OUT_HEAD.size
-    none = NO_SAMPLES
-    left = 0
-    # clears samples and the reserved bytes behind them, once: `pack` leaves the latter alone
-    frames.OUT.pack_into(buffer, 0, *(0,) * 8, *none, b"", 0)
 
     def pack(
         seq: int,
@@ -261,14 +255,9 @@ def out_packer(buffer: "array[int]") -> Callable[..., None]:
         damping: int,
         resistance: int,
         count: int = 0,
-        samples: Sequence[int] = none,
+        samples: Sequence[int] = NO_SAMPLES,
     ) -> None:
-        nonlocal left
-        fill(buffer, 0, seq, 0, flags, torque, damping, resistance, count, 0)
-        if count or left:
-            # also once after the last samples, to put zeros in their place
-            fill_samples(buffer, behind, *samples)
-            left = count
+        fill(buffer, 0, seq, 0, flags, torque, damping, resistance, count, 0, *samples, b"", 0)
         seal(buffer, offset, check(body, initial))
 
     return pack

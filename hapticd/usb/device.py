@@ -33,7 +33,6 @@ from array import array
 from binascii import crc_hqx
 from collections.abc import Callable, Sequence
 from math import ceil, floor
-from typing import NamedTuple
 
 from hapticd.core.errors import LinkStalled, LinkTimeout
 from hapticd.core.units import US_PER_S
@@ -74,13 +73,6 @@ MOST_LAG = session.SEQ_MASK // 2  # an OUT further back than that was sent ahead
 NO_HEAD: Head = (0,) * codec.HEAD_FIELDS
 
 
-class SamplePhase(NamedTuple):
-    """What a board was asked for, and in which of its lives."""
-
-    life: int
-    phase_us: int
-
-
 class Device:
     """The board as the servo sees it.
 
@@ -109,11 +101,8 @@ class Device:
         self.counts = dict.fromkeys(kinds, 0)
         self.hello: HelloFrame | None = None
         self.events = PinEvents()
-        self._phase: SamplePhase | None = None  # None: as the board has it
-        self._begin: Callable[[], None]
-        self.receive: Callable[[], Received]
-        self.send: Callable[..., bool]
-        self.rehearse: Callable[[], Head]
+        self._phase_us: int | None = None  # asked for; None: as the board has it
+        self._phase_life = 0  # of the board, in which it was asked for
         self._begin, self.receive, self.send, self.rehearse = _exchange(self)
 
     def connect(self) -> HelloFrame:
@@ -123,7 +112,7 @@ class Device:
         """
         self.link.open()
         hello = self.greet()
-        self._phase = None
+        self._phase_us = None
         self.begin()
         return hello
 
@@ -144,14 +133,14 @@ class Device:
 
     def set_phase(self, phase_us: float) -> None:
         """Ask the board to latch each IN `phase_us` after its OUT; it has to be able to."""
-        phase = SamplePhase(self.counts["lives"], round(phase_us))
-        self.link.request(Request.SAMPLE_PHASE, value=phase.phase_us)
-        self._phase = phase
+        self.link.request(Request.SAMPLE_PHASE, value=round(phase_us))
+        self._phase_us = round(phase_us)
+        self._phase_life = self.counts["lives"]
 
     def keep_phase(self) -> None:
         """Ask again if the board has started anew and forgotten it. LinkError."""
-        if self._phase is not None and self._phase.life != self.counts["lives"]:
-            self.set_phase(self._phase.phase_us)
+        if self._phase_us is not None and self._phase_life != self.counts["lives"]:
+            self.set_phase(self._phase_us)
 
     def clear_fault(self) -> None:
         """Ask the board to forget latched faults whose cause is gone."""
@@ -191,8 +180,6 @@ def _exchange(
     # whole, as board time is
     shortest = ceil(0.5 * period_us)
     longest = floor(1.5 * period_us)
-    incoming = session.SequenceCounter()
-    outgoing = session.SequenceCounter()
     head = NO_HEAD
     board_us = 0
     # by the low byte of the sequence number of an OUT: board time of the sample behind it
@@ -213,8 +200,6 @@ def _exchange(
         missing = 0
         seeding = True
         sampled[:] = [NO_SAMPLE_US] * codec.TORQUE_SEQUENCES
-        incoming.restart()
-        outgoing.restart()
 
     def absent(kind: str) -> Received:
         nonlocal missing
@@ -279,13 +264,8 @@ def _exchange(
             begin()
         if not seeding:
             latched = session.unwrap(board_us, latched, BOARD_TIME_BITS)
-            # the straight line of `receive` does not tell the counters: they catch up here
-            incoming.newest = head[HEAD_SEQ]
-            outgoing.newest = head[HEAD_ECHO]
-        _, gap = incoming.observe(found[HEAD_SEQ])
-        _, unseen = outgoing.observe(found[HEAD_ECHO])
-        counts["gap"] += gap
-        counts["unseen"] += unseen
+            counts["gap"] += session.lost_between(head[HEAD_SEQ], found[HEAD_SEQ])
+            counts["unseen"] += session.lost_between(head[HEAD_ECHO], found[HEAD_ECHO])
         lost = SEED if seeding else max(0, round((latched - board_us) / period_us) - 1)
         head = found
         board_us = latched

@@ -8,11 +8,9 @@ space and the line that carries the result do not, so the header can be explaine
 formatted anew without forcing anyone to flash a board.
 
 What would break it: a field added here and not in the header, or a changed header with the old
-PROTOCOL_HASH (the tests compute it anew).
+PROTOCOL_HASH (`tests/unit/test_wire_header.py` computes it anew).
 """
 
-import hashlib
-import re
 import struct
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
@@ -68,9 +66,7 @@ CRC_POLYNOMIAL = 0x1021
 CRC_INITIAL = 0xFFFF
 
 OUT = struct.Struct("<HBBhHhBB6h6sH")
-OUT_HEAD = struct.Struct("<HBBhHhBB")  # the first 12 bytes of OUT: all before the samples
-OUT_BARE = struct.Struct("<HxBhHhxx")  # the same bytes where axis and count are 0
-OUT_SAMPLES = struct.Struct("<6h")
+OUT_BARE = struct.Struct("<HxBhHhxx")  # all before the samples, where axis and count are 0
 IN = struct.Struct("<HHBBHIihhhhBBhI10hHHHHBBH")
 IN_HEAD = struct.Struct("<HHBBHIihhhhBBhI")  # the first 32 bytes of IN: all before the pairs
 IN_PAIRS = struct.Struct("<10h")
@@ -208,22 +204,3 @@ class HelloFrame(NamedTuple):
     def firmware(self) -> str:
         """`firmware_version` as people write it, like 1.0."""
         return f"{self.firmware_version >> 8}.{self.firmware_version & 0xFF}"
-
-
-_COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
-_HASH_LINE = re.compile(r"^[ \t]*#[ \t]*define[ \t]+HAPTICD_PROTOCOL_HASH\b[^\n]*$", re.MULTILINE)
-_WHITE_SPACE = re.compile(r"[ \t\n\r\v\f]+")
-
-
-def declarations(text: str) -> str:
-    """The header `text` without comments, the HAPTICD_PROTOCOL_HASH line and white space, in
-    that order.
-    """
-    return _WHITE_SPACE.sub("", _HASH_LINE.sub("", _COMMENT.sub("", text)))
-
-
-def protocol_hash(text: str) -> bytes:
-    """First 8 bytes of SHA-256 over the declarations of the header `text`; what
-    `frames.PROTOCOL_HASH` must be.
-    """
-    return hashlib.sha256(declarations(text).encode("ascii")).digest()[: len(PROTOCOL_HASH)]

@@ -24,7 +24,7 @@ fires late, and a device that outlives its context by more than one look.
 import errno
 from array import array
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import usb.core
 import usb.util
@@ -38,18 +38,11 @@ from hapticd.core.errors import (
     LinkTimeout,
 )
 from hapticd.core.params import UsbParams
-from hapticd.usb.base import Link
+from hapticd.usb.base import ENGLISH_US, VENDOR_CLASS, VENDOR_IN, VENDOR_OUT, Link
 from hapticd.usb.flight import End, InFlight, OutFailed, Transfers
 from hapticd.usb.frames import Request
 
 __all__ = ["UsbLink"]
-
-
-class Failure(NamedTuple):
-    """What an errno means and what to do about it."""
-
-    kind: type[LinkError]
-    remedy: str
 
 
 _AGAIN = "it is opened again when it comes back; check plug, cable and hub"
@@ -63,19 +56,21 @@ _PUT_ASIDE = (
 )
 _OWNER = "another program has claimed the board: stop it and try again"
 
-FAILURES: dict[int | None, Failure] = {
-    errno.ETIMEDOUT: Failure(LinkTimeout, "the tick goes on without the frame"),
-    errno.EPIPE: Failure(LinkStalled, "the halt is cleared once"),
-    errno.EOVERFLOW: Failure(
-        LinkStalled, "more than a packet came; the halt is cleared once, check the board's firmware"
+# what an errno means, and what to do about it
+FAILURES: dict[int | None, tuple[type[LinkError], str]] = {
+    errno.ETIMEDOUT: (LinkTimeout, "the tick goes on without the frame"),
+    errno.EPIPE: (LinkStalled, "the halt is cleared once"),
+    errno.EOVERFLOW: (
+        LinkStalled,
+        "more than a packet came; the halt is cleared once, check the board's firmware",
     ),
-    errno.EIO: Failure(LinkLost, _AGAIN),
-    errno.ENODEV: Failure(LinkLost, _AGAIN),
-    errno.ENOENT: Failure(LinkAccess, _PUT_ASIDE),
-    errno.EACCES: Failure(LinkAccess, _RIGHTS),
-    errno.EBUSY: Failure(LinkAccess, _OWNER),
+    errno.EIO: (LinkLost, _AGAIN),
+    errno.ENODEV: (LinkLost, _AGAIN),
+    errno.ENOENT: (LinkAccess, _PUT_ASIDE),
+    errno.EACCES: (LinkAccess, _RIGHTS),
+    errno.EBUSY: (LinkAccess, _OWNER),
 }
-OTHERWISE = Failure(LinkLost, _AGAIN)
+OTHERWISE = (LinkLost, _AGAIN)
 NO_OTHERS: Mapping[int, str] = {}
 
 
@@ -99,14 +94,9 @@ def link_error(action: str, error: Exception, remedies: Mapping[int, str] = NO_O
     )
 
 
-VENDOR_CLASS = 0xFF
-# bmRequestType, recipient device
-VENDOR_IN = 0xC0
-VENDOR_OUT = 0x40
 CONTROL_TIMEOUT_MS = 100  # three bus transactions, never within a tick
 FRAME_TRANSFERS = (usb.util.ENDPOINT_TYPE_BULK, usb.util.ENDPOINT_TYPE_INTR)
 DEVICE_ERRORS = (usb.core.USBError, NotImplementedError)  # libusb's "not supported" is no USBError
-ENGLISH_US = 0x0409
 
 
 def system_backend() -> Any:
@@ -124,14 +114,6 @@ def system_backend() -> Any:
     if backend is None:
         raise ConfigError("libusb 1.0 is there but cannot be loaded; reinstall libusb-1.0-0")
     return backend
-
-
-def with_own_context(backend: Any) -> Any:
-    """A backend over the library of `backend` that lists the devices which are there now.
-
-    USBError if libusb cannot make another context.
-    """
-    return type(backend)(backend.lib)
 
 
 class UsbLink(Link):
@@ -234,7 +216,8 @@ class UsbLink(Link):
         ids = {"idVendor": params.vendor_id, "idProduct": params.product_id}
         try:
             if self._system is not None:
-                self._backend = with_own_context(self._system)
+                # a context of its own: it lists the devices which are there now
+                self._backend = type(self._system)(self._system.lib)
             # a list, since pyusb's generator raises only where it is walked
             found = list(usb.core.find(find_all=True, backend=self._backend, **ids))
         except DEVICE_ERRORS as error:

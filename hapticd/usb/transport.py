@@ -62,14 +62,6 @@ class Transport(NamedTuple):
     in_flight: bool  # an OUT and an IN may be under way while the servo computes
 
 
-class Held(NamedTuple):
-    """What a measurement gave."""
-
-    pair_us: float
-    phase: float
-    rate_hz: float
-
-
 def settle_transport(device: Device, clock: Clock) -> Transport:
     """Measure the bus of a greeted `device` and set the phase of its board.
 
@@ -91,26 +83,26 @@ def settle_transport(device: Device, clock: Clock) -> Transport:
     return Transport(pair_us, phase, (1.0 - phase) * period_us, rate_hz, in_flight)
 
 
-def _in_turn(device: Device, clock: Clock, settable: bool) -> Held:
-    """By the median of pairs without torque."""
+def _in_turn(device: Device, clock: Clock, settable: bool) -> tuple[float, float, float]:
+    """Time of a pair [us], phase and rate that is held [Hz], by the median of pairs."""
     period_us = device.period_us
     pair_us = median(_pairs_us(device, clock))
     needed_us = SLOWEST_OVER_MEDIAN * pair_us + STEP_US
     if not settable:
-        return Held(pair_us, USUAL_PHASE, US_PER_S / needed_us * (1.0 - USUAL_PHASE))
+        return pair_us, USUAL_PHASE, US_PER_S / needed_us * (1.0 - USUAL_PHASE)
     phase = min(USUAL_PHASE, max(0, floor(PHASES * (1.0 - needed_us / period_us))) / PHASES)
     device.set_phase(phase * period_us)
-    return Held(pair_us, phase, US_PER_S / needed_us)
+    return pair_us, phase, US_PER_S / needed_us
 
 
-def _in_flight(device: Device, clock: Clock, settable: bool) -> Held:
-    """By trying phases, from later ones to earlier, until the answers come in time."""
+def _in_flight(device: Device, clock: Clock, settable: bool) -> tuple[float, float, float]:
+    """The same by trying phases, from later ones to earlier, until the answers come in time."""
     period_us = device.period_us
     if not settable:
         round_us = _round_us(device, clock)
         pair_us = round_us - USUAL_PHASE * period_us
         held_hz = US_PER_S / (pair_us + STEP_US) * (1.0 - USUAL_PHASE)
-        return Held(pair_us, USUAL_PHASE, held_hz)
+        return pair_us, USUAL_PHASE, held_hz
     device.set_phase(0.0)
     round_us = _round_us(device, clock)
     first = floor(PHASES * (1.0 - (round_us + STEP_US) / period_us)) + 2
@@ -124,7 +116,7 @@ def _in_flight(device: Device, clock: Clock, settable: bool) -> Held:
     else:
         device.set_phase(0.0)
     pair_us = round_us - phase * period_us
-    return Held(pair_us, phase, US_PER_S / (pair_us + STEP_US))
+    return pair_us, phase, US_PER_S / (pair_us + STEP_US)
 
 
 def _round_us(device: Device, clock: Clock) -> float:

@@ -7,7 +7,8 @@ claims and transfers by descriptor, so libusb never reaps what it has not submit
     SUBMITURB        starts one transfer; the bytes of an OUT are copied
     REAPURBNDELAY    gives a transfer that is done, in the order of their ends; the bytes of an IN
                      are copied now
-    ppoll            sleeps until one is done, where a tick has to wait for a late IN
+    select           sleeps until one is done (then the node can be written), where a tick has to
+                     wait for a late IN
     DISCARDURB       takes one back; only `cancel` does it
 
 Structures and buffers are made once, so no call of a tick makes anything that lasts; `fcntl.ioctl`
@@ -24,6 +25,7 @@ import os
 import time
 from array import array
 from collections.abc import Callable
+from select import select
 
 import usb.core
 
@@ -34,7 +36,6 @@ from hapticd.usb.frames import PACKET_BYTES
 PENDING = -1
 BULK = 3  # USBDEVFS_URB_TYPE_*
 INTERRUPT = 1
-POLLOUT = 4  # a transfer is done
 # of a transfer's end; every other one is a transaction that failed on the wire
 KEPT = frozenset((errno.EPIPE, errno.EOVERFLOW, errno.ENODEV))
 GONE = frozenset((errno.ESHUTDOWN, errno.ENODEV))
@@ -59,18 +60,6 @@ class _Urb(ctypes.Structure):
     )
 
 
-class _PollFd(ctypes.Structure):
-    _fields_ = (
-        ("fd", ctypes.c_int),
-        ("events", ctypes.c_short),
-        ("revents", ctypes.c_short),
-    )
-
-
-class _Timespec(ctypes.Structure):
-    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
-
-
 def _request(direction: int, number: int, size: int) -> int:
     """_IOC of <asm-generic/ioctl.h>, for usbfs."""
     return direction << 30 | size << 16 | ord("U") << 8 | number
@@ -84,8 +73,7 @@ REAP = _request(1, 13, _POINTER)
 CLAIM = _request(2, 15, _UINT)
 CLEAR_HALT = _request(2, 21, _UINT)
 
-_libc = ctypes.CDLL(None, use_errno=True)
-_ioctl: Callable[..., int] = _libc.ioctl
+_ioctl: Callable[..., int] = ctypes.CDLL(None, use_errno=True).ioctl
 _ioctl.argtypes = (ctypes.c_int, ctypes.c_ulong, ctypes.c_void_p)  # type: ignore[attr-defined]
 
 
@@ -113,12 +101,10 @@ class UsbfsTransfers:
         self._in = _Transfer(into)
         self._slot = ctypes.c_void_p()
         self._slot_address = ctypes.addressof(self._slot)
-        self._wait = _Timespec()
         try:
             self._fd = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         except OSError as error:
             raise _error(error.errno or errno.EIO) from error
-        self._poll = _PollFd(self._fd, POLLOUT, 0)
         try:
             self._ask(CLAIM, interface)
         except usb.core.USBError:
@@ -184,14 +170,8 @@ class UsbfsTransfers:
             deadline_ns = deadline_ns or now_ns + wait_ns
             if now_ns >= deadline_ns:
                 return False
-            self._sleep(deadline_ns - now_ns)
+            select((), (self._fd,), (), (deadline_ns - now_ns) / NS_PER_S)
         return True
-
-    def _sleep(self, wait_ns: int) -> None:
-        """Until a transfer is done, `wait_ns` at most."""
-        wait = self._wait
-        wait.seconds, wait.nanoseconds = divmod(wait_ns, NS_PER_S)
-        _libc.ppoll(ctypes.byref(self._poll), 1, ctypes.byref(wait), None)
 
     def _ask(self, request: int, number: int) -> None:
         """A request of usbfs about an interface or an endpoint."""

@@ -26,7 +26,7 @@ def test_board_without_the_dac_gets_0_and_loses_what_theory_says():
     assert deviation_pct(moments) > 15.0
     with LockStep(*device(("resistance",))) as stack:
         ticks = np.frombuffer(stack.run(500), dtype=RECORD)
-        assert "has no resistance DAC" in stack.loop.board.report()["uncompensated"]
+        assert "has no resistance DAC" in stack.loop.connection.check.report()["uncompensated"]
     assert set(ticks["resistance_count"]) == {0}
     assert {codec.decode_out(bytes(one)).resistance for one in ticks["out_frame"]} == {0}
 

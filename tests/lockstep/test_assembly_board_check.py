@@ -32,7 +32,7 @@ def flown(servo, board, ticks=5):
     with LockStep(servo, board) as stack:
         stack.run(5)
         answer = stack.do(Command.ENABLE)
-        return answer.result, stack.loop.board.report(), as_records(stack.run(ticks))
+        return answer.result, stack.loop.connection.check.report(), as_records(stack.run(ticks))
 
 
 # --- the hello against the device file ------------------------------------------------------------
@@ -151,7 +151,7 @@ def test_index_that_homing_needs_has_to_be_there():
     with LockStep(servo_params(device=device), board_params()) as stack:
         stack.run(5)
         assert stack.do(Command.HOME).result is Result.REFUSED_DEVICE
-        assert "capability index" in stack.loop.board.report()["differences"][0]
+        assert "capability index" in stack.loop.connection.check.report()["differences"][0]
 
 
 def flashed(stack, place, value):
@@ -272,7 +272,7 @@ def test_phase_leaves_room_for_the_measured_pair(usb, pair_ms, depth):
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         stack.do(Command.SET, {Value.STIFFNESS: 200.0, Value.VIRTUAL_DAMPING: 3.0})
         ticks = as_records(stack.run(3000))
-        found = stack.loop.board.report()["transport"]
+        found = stack.loop.connection.check.report()["transport"]
     phase = HELD[usb, pair_ms]
     assert ticks["lost_slots"][-1] == 0
     assert set(ticks["state"]) == {State.ENABLED}
@@ -289,7 +289,7 @@ def test_phase_leaves_room_for_the_measured_pair(usb, pair_ms, depth):
 def test_without_a_bus_the_phase_stays_and_no_frame_is_sent(usb):
     with LockStep(servo_params(usb=usb), board_params()) as stack:
         ticks = as_records(stack.run(40))
-        found = stack.loop.board.report()["transport"]
+        found = stack.loop.connection.check.report()["transport"]
     assert found == {
         "pair_us": 0.0,
         "sample_phase": 0.875,
@@ -343,7 +343,7 @@ def test_samples_of_the_probe_that_are_lost_at_a_low_rate_are_told(rate_hz, lost
     """At 500 Hz three eighths of them, as the indices of those that came show."""
     servo = servo_params(realtime=RealtimeParams(mode="off", rate_hz=rate_hz))
     with LockStep(servo, board_params(rate_hz=rate_hz)) as stack:
-        told = stack.loop.board.report()["unsampled"]
+        told = stack.loop.connection.check.report()["unsampled"]
         frames = [
             codec.decode_in(bytes(one)) for one in as_records(stack.run(400))["in_frame"][20:]
         ]

@@ -509,7 +509,7 @@ def test_replug_without_room_for_the_report_goes_on(monkeypatch):
         stack.run(100)
         monkeypatch.setattr(stack.mailbox, "report", no_room)
         stack.run(2000)
-        assert stack.loop.linked
+        assert stack.loop.connection.linked
         assert stack.gateway.counters()["reconnects"] == 1
 
 

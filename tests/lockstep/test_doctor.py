@@ -28,7 +28,7 @@ from hapticd.run.doctor.machine import (
     cores_in,
 )
 from hapticd.run.doctor.requirements import Requirements, requirements
-from hapticd.servo.loop import virtual_wait
+from hapticd.servo.wait import virtual_wait
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 

@@ -78,7 +78,7 @@ SECONDS = 8.0
 @pytest.fixture(autouse=True)
 def firmware(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every board is run by the compiled firmware."""
-    monkeypatch.setattr("hapticd.sim.transport.make_board", FirmwareBoard)
+    monkeypatch.setattr("hapticd.sim.backend.make_board", FirmwareBoard)
     for module in (test_sim_board, test_sim_axis):
         monkeypatch.setattr(module, "BoardModel", FirmwareBoard)
 

@@ -271,7 +271,7 @@ def test_reconnect_that_is_refused_is_told_and_tried_again(
 ) -> None:
     with LockStep(servo_params(), board_params()) as stack:
         told: list[str] = []
-        stack.loop._tell = told.append
+        stack.loop.connection.tell = told.append
         stack.run(100)
         refuse(stack.backend)
         stack.backend.unplug(away_s=0.2)
@@ -283,12 +283,12 @@ def test_reconnect_that_is_refused_is_told_and_tried_again(
         # at most: the dead device that is listed once more, nothing, what it is refused for
         assert len(told) <= 4
         assert all(before != after for before, after in pairwise(told))
-        assert not stack.loop.linked
+        assert not stack.loop.connection.linked
         stack.backend.access_denied = stack.backend.kernel_driver = False
         stack.backend.unready = READY
         stack.backend.unplug(away_s=0.2)
         stack.run(3000)
-        assert stack.loop.linked
+        assert stack.loop.connection.linked
         assert told[-1] == stack.gateway.report()["waiting_for"] == ""
         assert stack.gateway.report()["reconnected"] == "SIM0001"
         assert stack.gateway.counters()["reconnects"] == 1
@@ -303,7 +303,7 @@ def test_servo_survives_a_report_that_cannot_be_written(monkeypatch: pytest.Monk
         monkeypatch.setattr(stack.mailbox, "report", no_room)
         stack.backend.unplug(away_s=0.2)
         stack.run(2000)
-        assert stack.loop.linked
+        assert stack.loop.connection.linked
 
 
 # --- where it is told -----------------------------------------------------------------------------

@@ -493,7 +493,7 @@ def test_every_known_errno_has_its_class():
         13: LinkAccess,
         16: LinkAccess,
     }
-    assert {number: row.kind for number, row in FAILURES.items()} == kinds
+    assert {number: kind for number, (kind, _) in FAILURES.items()} == kinds
     for number, kind in kinds.items():
         assert type(link_error("try", usb_error(number))) is kind
 

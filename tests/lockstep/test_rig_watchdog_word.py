@@ -22,7 +22,7 @@ def test_the_finding_says_whose_word_it_is(monkeypatch, honest):
     if not honest:
         monkeypatch.setattr(Axis, "_cut_torque", lambda axis: None)
     with LockStepClient(servo_params(), board_params(watchdog_ms=20.0)) as bench:
-        found = try_watchdog(bench, bench.stack.loop.board.report()["board"])
+        found = try_watchdog(bench, bench.stack.loop.connection.check.report()["board"])
     assert {one.verdict for one in found.findings} == {"ok"}
     assert found.findings[0].what.endswith(f"ms without frames, {SAID}")
 

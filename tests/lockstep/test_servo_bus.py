@@ -63,7 +63,7 @@ def test_a_slow_bus_is_barred_though_its_first_measurement_fails(monkeypatch, ki
         assert stack.do(Command.ENABLE).result in (Result.REFUSED_DEVICE, Result.REFUSED_RATE)
         stack.run(3000)
         assert stack.do(Command.ENABLE).result is Result.REFUSED_RATE
-        assert stack.loop.board.report()["transport"]["rate_hz"] == 820.0
+        assert stack.loop.connection.check.report()["transport"]["rate_hz"] == 820.0
         assert State.ENABLED not in set(as_records(b"".join(stack.blocks))["state"])
 
 
@@ -74,7 +74,7 @@ def test_a_bus_that_is_fast_enough_is_used_after_the_next_measurement(monkeypatc
         stack.run(3000)
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         ticks = as_records(stack.run(2000))
-        assert stack.loop.board.report()["differences"] == []
+        assert stack.loop.connection.check.report()["differences"] == []
     assert set(ticks["state"]) == {State.ENABLED}
     assert ticks["lost_slots"][-1] == 0
     assert set(ticks["delay_us"][10:]) == {625}
@@ -87,7 +87,7 @@ def test_a_bus_that_is_never_measured_makes_no_force(monkeypatch, kind):
         for _ in range(8):
             stack.run(500)
             assert stack.do(Command.ENABLE).result is Result.REFUSED_DEVICE
-        (reason,) = stack.loop.board.report()["differences"]
+        (reason,) = stack.loop.connection.check.report()["differences"]
     assert f"cannot request {kind.name}" in reason
 
 

@@ -246,6 +246,8 @@ def test_what_damping_and_cuts_do_not_end_is_still_a_fault():
 def test_lag_of_the_force_is_booked_as_it_is():
     """A force that goes on and off behind 31.8 Hz: mean of each period against integration."""
     found = lag(flight(True, lag_hz=SMOOTHED_HZ).params)
+    assert found is not None
+    of_before, of_newest, of_last = found
     commands = np.repeat([0.0, 3.0, -2.0, 1.0], 7)
     parts = 2000
     corner = math.tau * SMOOTHED_HZ
@@ -258,7 +260,7 @@ def test_lag_of_the_force_is_booked_as_it_is():
             after = command + (force - command) * math.exp(-corner * T / parts)
             sums += 0.5 * (force + after) / parts
             force = after
-        mean = found.before * mean + found.newest * command + found.last * last
+        mean = of_before * mean + of_newest * command + of_last * last
         last = command
         assert mean == pytest.approx(sums, abs=1e-6)
 

@@ -136,7 +136,7 @@ def test_a_board_that_is_found_to_differ_under_force_is_a_fault():
         stack.do(Command.SET, {Value.STIFFNESS: 100.0})
         assert stack.do(Command.ENABLE).result is Result.APPLIED
         stack.run(600)
-        stack.loop.board = stack.loop.board.barred("somebody said so")
+        stack.loop.connection.check = stack.loop.connection.check.barred("somebody said so")
         ticks = as_records(stack.run(600))
         assert ticks["state"][-1] == State.FAULT
         assert ticks["fault"][-1] == BY_CODE["device_differs"].number

@@ -32,8 +32,8 @@ from hapticd.model.effects import (
 from hapticd.model.step import SUBSTEPS_PER_TICK, Plant, make_plant
 from hapticd.model.tables import board_fields
 from hapticd.sim.axis import Axis, Probe, i16_count
+from hapticd.sim.backend import make_backend
 from hapticd.sim.board import VENDOR_IN, BoardModel, hello
-from hapticd.sim.transport import make_backend
 from hapticd.usb import codec
 from hapticd.usb.frames import Request
 

@@ -123,7 +123,7 @@ def flown(
     servo = replace(servo, safety=replace(servo.safety, enable_ramp_s=ENABLE_S))
     with plants(in_ngspice) as make:
         monkeypatch.setattr(firmware_board, "make_plant", make)
-        monkeypatch.setattr("hapticd.sim.transport.make_board", firmware_board.FirmwareBoard)
+        monkeypatch.setattr("hapticd.sim.backend.make_board", firmware_board.FirmwareBoard)
         with LockStep(servo, board) as stack:
             stack.run(5)
             stack.do(Command.ENABLE)

@@ -17,7 +17,7 @@ from pathlib import Path
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.units import NS_PER_MS, NS_PER_US
 from hapticd.sim.injection import TransferFault
-from hapticd.sim.usb_device import Setup, Unplugged
+from hapticd.sim.usb_device import Setup
 from hapticd.sim.usbip import UsbipServer
 from support.pico_chip import PicoChip, Verb
 from support.pico_firmware import pico_params, start_chip
@@ -64,7 +64,7 @@ class PicoUsb:
         self._offset_ns -= max(0.0, behind_ns - MOST_BEHIND_NS)
         rig.advance(t_ns + self._offset_ns)
         if rig.chip.state.unplugs != self._unplugs:
-            raise Unplugged(0.0)
+            raise TransferFault(errno.EPROTO, 0.0)
 
     def next_in_ns(self) -> int | None:
         return round(self._board().now_ns - self._offset_ns) + POLL_NS if self._reading else None
@@ -105,7 +105,7 @@ class PicoUsb:
     def _ended(self, status: int, data: bytes) -> bytes:
         """What came, or why nothing did."""
         if status == -errno.ESHUTDOWN:
-            raise Unplugged(0.0)
+            raise TransferFault(errno.EPROTO, 0.0)
         if status:
             raise TransferFault(-status)
         return data

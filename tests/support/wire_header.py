@@ -2,6 +2,7 @@
 compiler.
 """
 
+import hashlib
 import re
 import subprocess
 from pathlib import Path
@@ -69,3 +70,22 @@ def run(program: Path, text: str = "") -> str:
     return subprocess.run(
         [str(program)], input=text, capture_output=True, text=True, check=True
     ).stdout
+
+
+_COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+_HASH_LINE = re.compile(r"^[ \t]*#[ \t]*define[ \t]+HAPTICD_PROTOCOL_HASH\b[^\n]*$", re.MULTILINE)
+_WHITE_SPACE = re.compile(r"[ \t\n\r\v\f]+")
+
+
+def declarations(text: str) -> str:
+    """The header `text` without comments, the HAPTICD_PROTOCOL_HASH line and white space, in that
+    order: what counts for its fingerprint.
+    """
+    return _WHITE_SPACE.sub("", _HASH_LINE.sub("", _COMMENT.sub("", text)))
+
+
+def protocol_hash(text: str) -> bytes:
+    """First 8 bytes of SHA-256 over the declarations of the header `text`; what
+    `frames.PROTOCOL_HASH` must be.
+    """
+    return hashlib.sha256(declarations(text).encode("ascii")).digest()[:8]

@@ -9,8 +9,7 @@ from support.boards import ENABLE, LATCH_NS, TICK_NS, board_params, out_packet
 
 from hapticd.core.clock import VirtualClock
 from hapticd.core.params import InjectionParams
-from hapticd.sim.backend import SimulatedBackend
-from hapticd.sim.transport import DistantBackend, make_backend
+from hapticd.sim.backend import DistantBackend, SimulatedBackend, make_backend
 from hapticd.usb import codec
 
 OUT = 0x01

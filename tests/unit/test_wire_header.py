@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 from support import wire_header as header
+from support.wire_header import protocol_hash
 
 from hapticd.usb import frames
-from hapticd.usb.frames import protocol_hash
 
 ENUMS = {
     "REQUEST": frames.Request,

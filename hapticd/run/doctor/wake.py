@@ -21,7 +21,7 @@ from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.run.doctor.checks import CheckResult, fail, ok, warn
 from hapticd.run.doctor.requirements import Requirements
 from hapticd.servo import host
-from hapticd.servo.loop import Wait, first_deadline, spinning_wait
+from hapticd.servo.wait import Wait, first_deadline, spinning_wait
 
 __all__ = ["judge", "measure"]
 

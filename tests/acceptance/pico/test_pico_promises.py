@@ -153,7 +153,7 @@ def image(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Every board is run by the image, and its chip has nothing to complain of."""
     for module in (test_sim_board, test_sim_axis):
         monkeypatch.setattr(module, "BoardModel", Promising)
-    monkeypatch.setattr("hapticd.sim.transport.make_board", LockStepped)
+    monkeypatch.setattr("hapticd.sim.backend.make_board", LockStepped)
     yield
     boards = [Promising.made.pop() for _ in list(Promising.made)]
     complaints = [board.chip.complaints() for board in boards]

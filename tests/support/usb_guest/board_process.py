@@ -26,7 +26,7 @@ from hapticd.settings.build import board_params
 from hapticd.settings.load import load
 from hapticd.sim.board import make_board
 from hapticd.sim.injection import Port, TransferFault, with_injections
-from hapticd.sim.usb_device import Unplugged, UsbDevice
+from hapticd.sim.usb_device import UsbDevice
 from hapticd.sim.usbip import UsbipServer
 from hapticd.usb.frames import Request
 
@@ -55,7 +55,7 @@ class Faulty:
     def advance(self, t_ns: int) -> None:
         if self.pulled:
             self.pulled = False
-            raise Unplugged(0.0)
+            raise TransferFault(errno.EPROTO, 0.0)
         self.port.advance(t_ns)
 
     def next_in_ns(self) -> int | None:

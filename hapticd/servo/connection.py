@@ -1,0 +1,147 @@
+"""The connection to the board: lost, looked for and found again; and the look at a board that has
+started anew.
+
+A board that is gone is looked for with back-off (`usb.search`); once it answers it is checked as at
+the start (`servo.board_check`). One that has started anew without leaving the bus may have been
+flashed. It may make no force until it has been looked at again, which waits for a tick in which no
+force acts, since each of its requests may take 100 ms. What becomes of all that is written to
+servo.report.
+
+What would break it: a look in a tick that renders.
+"""
+
+from math import nan
+from typing import Any
+
+from hapticd.core.clock import Clock
+from hapticd.core.errors import LinkError, MailboxError
+from hapticd.core.params import ServoParams
+from hapticd.core.units import NS_PER_S
+from hapticd.mailbox.servo_side import ServoMailbox
+from hapticd.servo.board_check import STARTED_ANEW, check_again, check_board
+from hapticd.servo.inbox import Inbox
+from hapticd.servo.plan import GATEWAY_ALIVE, LINK_UP, NO_TEMPERATURE, TickConstants
+from hapticd.servo.watchdog_trial import ENABLE, WITHHELD
+from hapticd.usb.base import backoff_s
+from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
+from hapticd.usb.device import Device
+from hapticd.usb.frames import OutFlag
+from hapticd.usb.search import BoardSearch, Tell
+
+
+class BoardConnection:
+    """The board of `device`: `linked` while it is there, and what its last `check` found. `tell` is
+    given why it is not back, "" once it is.
+    """
+
+    def __init__(
+        self,
+        params: ServoParams,
+        device: Device,
+        mailbox: ServoMailbox,
+        clock: Clock,
+        inbox: Inbox,
+        tell: Tell,
+    ) -> None:
+        self._params = params
+        self._device = device
+        self._mailbox = mailbox
+        self._clock = clock
+        self._inbox = inbox
+        self.tell = tell
+        self._search = BoardSearch(device, self._told)
+        self._looks = 0  # at this board that failed, one after the other
+        self._look_ns = 0  # no look before that
+        self.linked = device.hello is not None
+        self.check = check_board(device, params, clock)
+        self._note_look()
+
+    @property
+    def host(self) -> int:
+        """The host flags while all is well."""
+        return LINK_UP | GATEWAY_ALIVE | self.check.host
+
+    def sensor_lines(self) -> tuple[tuple[float, float], ...]:
+        """Slope and intercept of value = count * slope + intercept: temperature, current, voltage,
+        back-EMF velocity. NaN where the board does not measure.
+        """
+        device = self._params.device
+        scales = (device.temperature, device.current, device.voltage, device.emf_velocity)
+        heat, *others = (
+            (scale.to_value(1.0) - scale.to_value(0.0), scale.to_value(0.0)) for scale in scales
+        )
+        return (0.0, nan) if self.check.host & NO_TEMPERATURE else heat, *others
+
+    def lose(self, now_ns: int) -> None:
+        """The board is gone: release it and look for it later."""
+        self.linked = False
+        self._device.close()
+        self._search.begin(now_ns)
+
+    def look_for(self, now_ns: int) -> bool:
+        """Look for the board once its time has come; whether it answers again. Its filters start
+        anew with the next frame and the state stays latched.
+        """
+        hello = self._search.look(now_ns)
+        if hello is None:
+            return False
+        self.linked = True
+        self._mailbox.count("reconnects")
+        self.check = check_board(self._device, self._params, self._clock)
+        self._note_look()
+        self._report({"reconnected": hello.serial, **self.check.report()})
+        return True
+
+    def seed(self) -> None:
+        """The first frame of a link, or of a board that has started anew without leaving the bus:
+        it may have been flashed.
+        """
+        self._note_look()
+        if self._inbox.unlooked:
+            self.check = self.check.barred(STARTED_ANEW)
+
+    def look_again(self, out_flags: int, period_ns: int) -> bool:
+        """Look at the board, unless force acts: each request may take 100 ms. What fails is tried
+        again. Whether it took longer than a tick; `out_flags` are those of the last one.
+        """
+        began_ns = self._clock.now_ns()
+        if out_flags & (ENABLE | WITHHELD) or not self.linked or began_ns < self._look_ns:
+            return False
+        self.check = check_again(self._device, self._params, self._clock, self.check)
+        now_ns = self._clock.now_ns()
+        self._note_look()
+        self._looks = self._looks + 1 if self._inbox.unlooked else 0
+        self._look_ns = now_ns + int(backoff_s(self._looks) * NS_PER_S) if self._looks else 0
+        self._report(self.check.report())
+        return now_ns - began_ns > period_ns
+
+    def let_go(self, settled: TickConstants) -> None:
+        """Send a frame without torque that leaves the damping as it is, and release the board: its
+        watchdog holds the damping and releases it, as after a crash.
+        """
+        zero = self._params.device.force.to_count(0.0, I16_LOWEST, I16_HIGHEST)
+        try:
+            if self.linked:
+                self._device.link.drain()  # that of the last tick: this one is the last
+                self._device.send(
+                    OutFlag.FIFO_CLEAR.value, zero, settled.damping_count, settled.resistance_count
+                )
+        except LinkError:
+            pass  # it is gone; its watchdog does the same
+        self._device.close()
+
+    def _note_look(self) -> None:
+        """Take down whether the board has been looked at since it started."""
+        self._inbox.unlooked = self.check.lives != self._device.counts["lives"]
+        self._inbox.waiting |= self._inbox.unlooked
+
+    def _told(self, reason: str) -> None:
+        """Why the board is not back, "" once it is; said where others read it."""
+        self._report({"waiting_for": reason})
+        self.tell(reason)
+
+    def _report(self, news: dict[str, Any]) -> None:
+        try:
+            self._mailbox.report(self._mailbox.last_report | news)
+        except MailboxError:
+            pass  # no room for the report: the counters say that a board came back
