@@ -95,8 +95,8 @@ class Guard:
         self._worker = worker
         self._worker_life = 0
         self.leases: Leases | None = None  # of the command server that it serves, once there is one
-        self._policy = params.policy
-        self.basis = params.basis
+        self._policy: str = params.policy
+        self.basis: str = params.basis
         self.margin_ns_per_m = params.margin_ns_per_m
         self.auto = False  # whether the guard chooses the level of active damping
         self._keeper = TermsKeeper(view, journal, self.terms)

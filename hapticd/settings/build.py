@@ -236,11 +236,10 @@ def guard_params(settings: Settings) -> GuardParams:
     asked = settings.config.guard
     device = settings.device
     cautious = not device.simulated and device.model is not None
-    measured = "" if asked.measured is None else str(_beside(settings, asked.measured))
     return GuardParams(
         policy=asked.policy or ("refuse" if cautious else "warn"),
         basis=asked.basis,
-        measured=measured,
+        measured="" if asked.measured is None else str(_beside(settings, asked.measured)),
         margin_ns_per_m=asked.margin_ns_per_m,
     )
 
