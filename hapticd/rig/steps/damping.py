@@ -181,7 +181,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     top = float(device["active_damping_limit_ns_per_m"])
     if top <= 0.0:
         why = "limits.active_damping_ns_per_m is 0: there is no active damping to measure"
-        return StepResult("damping", (), [Finding("active damping", "not done", why)])
+        return StepResult("damping", findings=[Finding("active damping", "not done", why)])
     ask(Request("let go", "let go of the handle in the middle of its travel; it is pushed"))
     with undamped(bench):
         await_rest(bench)
@@ -259,9 +259,12 @@ def _levels(rig: Pushing, top: float) -> Finding:
         known = fit_momentum(rig.rows, rig.a_per_count)
         loop = known.loop_per_ns_per_m
         if (loop + known.loop_half) * level < NEARLY:
-            what = f"the loop gain would come to {loop * level:.2g} at {level:.3g} N s/m"
-            greatest = f"{REFUSE / loop:.3g} N s/m is the greatest damping allowed"
-            return Finding(what, "warning", f"too much is compensated: {greatest}")
+            return Finding(
+                f"the loop gain would come to {loop * level:.2g} at {level:.3g} N s/m",
+                "warning",
+                f"too much is compensated: {REFUSE / loop:.3g} N s/m is the greatest damping"
+                " allowed",
+            )
         rig.bench.damping(level)
         collect(rig.bench, level / rig.slew + 0.1)
         if rig.noise() > quiet + QUIET_COUNTS:

@@ -273,8 +273,9 @@ def _no_dac(bench: Client) -> Finding | None:
     """That the board cannot be looked at so; None if it can."""
     if Capability.RESISTANCE & int(bench.status().servo.get("board", {}).get("capabilities", 0)):
         return None
-    remedy = "`hapticd rig damping` measures the residual resistance without it"
-    return Finding(NO_DAC, "not done", remedy)
+    return Finding(
+        NO_DAC, "not done", "`hapticd rig damping` measures the residual resistance without it"
+    )
 
 
 def residual(pieces: Sequence[Means], device: dict[str, Any], new: Records) -> Residual | None:

@@ -178,10 +178,9 @@ def _index(place_m: Floats, m_per_count: float, home: str) -> StepResult:
 
 
 def _at_rest(rest: Floats) -> Finding:
-    wide = float(np.ptp(rest))
     return checked(
-        f"{wide:g} counts peak to peak at rest",
-        wide <= QUIET_COUNTS,
+        f"{np.ptp(rest):g} counts peak to peak at rest",
+        bool(np.ptp(rest) <= QUIET_COUNTS),
         "let go of it and keep the table still; else look at shield and supply of the encoder",
     )
 
@@ -208,9 +207,8 @@ def _steps(steps: Floats, went: float) -> Finding:
     same = bool((np.sign(steps) == np.sign(went)).all()) and went != 0.0
     if same and (np.abs(steps) >= LEAST_COUNTS).all():
         return Finding("A to B goes the way of the motion before", "ok")
-    words = ", ".join(f"{step:g}" for step in steps)
     return Finding(
-        f"from A to B {words} counts",
+        f"from A to B {', '.join(f'{step:g}' for step in steps)} counts",
         "refused",
         "B lies to positive x of A, as the motion before: repeat the step",
     )

@@ -187,7 +187,7 @@ def parting(path: CommandPath, found: Balance) -> Finding:
     spread = NAMES.index("spread_us2")
     together = float(found.fit.covariance[lag, spread] / (found.fit.sd[lag] * found.fit.sd[spread]))
     parted = "no smoothing is told from delay, the lag is written as delay"
-    if path.parted:
+    if path.smoothing.value:
         parted = f"it is smoothed by {path.smoothing.value:.4g} us"
     return Finding(
         f"lag of a command {path.lag.value:.4g} us; lag and smoothing go together by"
@@ -257,7 +257,7 @@ def changes_of(
         "coulomb": {"rotor_n": max(0.0, mechanics.coulomb.rounded)},
         "delay": {"periods": round(path.delay.value / facts.period_us, 5)},
     }
-    if path.parted:
+    if path.smoothing.value:
         corner_hz = US_PER_S / (2.0 * pi * path.smoothing.value)
         tables["smoothing"] = {"corner_hz": float(f"{corner_hz:.6g}")}
     converters = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")

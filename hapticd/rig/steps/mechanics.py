@@ -68,8 +68,7 @@ class CommandPath(NamedTuple):
 
     lag: Value
     delay: Value
-    smoothing: Value
-    parted: bool  # whether there is a smoothing that is written
+    smoothing: Value  # 0: none is told from delay
 
 
 def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
@@ -166,8 +165,7 @@ def path_of(found: Balance, runs: Sequence[PerturbationRun], facts: Facts) -> Co
     low, middle, high = (
         min(most_us, sqrt(max(0.0, spread + side * spread_half))) for side in (-1, 0, 1)
     )
-    parted = low > 0.0 and middle > LEAST_SMOOTHING * facts.period_us
-    if not parted:
+    if low == 0.0 or middle <= LEAST_SMOOTHING * facts.period_us:
         low = middle = 0.0
     lag = Value.around("lag", handle.lag_us, "us", lag_half)
     least_us = max(least_us - TOLD_US, lag.low - high)
@@ -175,7 +173,6 @@ def path_of(found: Balance, runs: Sequence[PerturbationRun], facts: Facts) -> Co
         lag,
         Value("delay", handle.lag_us - middle, "us", min(least_us, lag.value), lag.high - low),
         Value("smoothing", middle, "us", low, high),
-        parted,
     )
 
 

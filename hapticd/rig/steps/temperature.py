@@ -211,5 +211,4 @@ def _sign(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any])
     """That of the file, or as the counts rise between two temperatures."""
     if len(stated.celsius) != 2:
         return int(scale["sign"])
-    rises = np.diff(readings.mean(axis=1))[0] * np.diff(stated.celsius)[0] > 0.0
-    return 1 if rises else -1
+    return 1 if np.diff(readings.mean(axis=1))[0] * np.diff(stated.celsius)[0] > 0.0 else -1
