@@ -1,6 +1,6 @@
 """The command line: each verb parses its words, calls one procedure, prints, and exits.
 
-    app         all verbs under one name; errors become exit codes
+    app         all verbs under one name, `help`; errors become exit codes
     terminal    options that verbs share, what is printed where, the progress bar, figures on disk
     change      a connection to the daemon, NAME=VALUE words, receipts
     numbers     numbers as people type them
@@ -11,7 +11,6 @@
     console     the operators' page
     guard       guard; lease: leases of the environment and the damping
     bridge      bridge lsl: telemetry for other tools
-    help        help VERB
     recording   record, rec, replay
     system      config, doctor, install-system
     keys        keys

@@ -37,7 +37,7 @@ SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, 
         "monitor": "monitor.monitor",
         "events": "monitor.events",
         "console": "console.console",
-        "help": "help.explain",
+        "help": "app.explain",
     },
     "Record": {
         "record": "recording.record",
@@ -121,6 +121,17 @@ def _asks(command: Any) -> bool:
     """Whether `command`, or a verb of that group, takes the name of a daemon."""
     own = any(parameter.name == "instance" for parameter in command.params)
     return own or any(map(_asks, getattr(command, "commands", {}).values()))
+
+
+def explain(
+    verb: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[VERB [SUBVERB]]", help="For example `set`, or `rec export`."),
+    ] = None,
+) -> None:
+    """Explain a verb, as its --help does; without a VERB list all of them."""
+    words = verb or []
+    command_line(*words[:1])(args=[*words, "--help"], prog_name="hapticd", standalone_mode=False)
 
 
 def main(arguments: Sequence[str]) -> int:

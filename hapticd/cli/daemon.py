@@ -128,8 +128,8 @@ def _ready_text(settings: "load.Settings", instance: str) -> str:
     config = settings.config
     which = "" if instance == terminal.INSTANCE else f" --instance {instance}"
     if device.simulated:
-        head = terminal.coloured(SIMULATED_BANNER, terminal.YELLOW)
-        head += "\n\nSIMULATED board: no force leaves this computer."
+        banner = terminal.coloured(SIMULATED_BANNER, terminal.YELLOW)
+        head = f"{banner}\n\nSIMULATED board: no force leaves this computer."
     else:
         board = f"REAL BOARD {device.serial}: {device.name}, up to {device.limits.force_n} N."
         head = terminal.coloured(board, terminal.RED)
@@ -241,12 +241,12 @@ def compensation_lines(known: Compensation | None) -> list[str]:
     if left_ohm is None:
         return [f"{compensated}; without a sensor what is left is not known"]
     side = "too little" if left_ohm >= 0.0 else "TOO MUCH"
-    left = f"{abs(left_ohm):.3g} ohm {side} (tolerance {known.tolerance_ohm:g} ohm)"
     here = "unknown" if known.loop_gain is None else f"{known.loop_gain:+.3g}"
-    gain = f"loop gain {here}, {known.loop_gain_at_ceiling:+.3g} at the highest active damping"
     return [
-        f"{compensated} of {known.winding_ohm:.4g} at {known.winding_c:.1f} degC: {left}",
-        f"{gain}; never below {known.least_loop_gain:g}, the circuit latches up at -1",
+        f"{compensated} of {known.winding_ohm:.4g} at {known.winding_c:.1f} degC:"
+        f" {abs(left_ohm):.3g} ohm {side} (tolerance {known.tolerance_ohm:g} ohm)",
+        f"loop gain {here}, {known.loop_gain_at_ceiling:+.3g} at the highest active damping; never"
+        f" below {known.least_loop_gain:g}, the circuit latches up at -1",
     ]
 
 
@@ -261,22 +261,22 @@ def _board_lines(report: dict[str, Any]) -> list[str]:
     if reason := report.get("unsampled"):
         lines.append(f"  probe     {terminal.coloured(reason, terminal.RED)}")
     if transport := report.get("transport"):
-        phase = f"IN latched {transport['sample_phase']:g} periods after OUT"
-        pair = f"a pair of transfers takes {transport['pair_us']:.0f} us"
-        held = f"force {transport['delay_us']:.0f} us after its sample, up to"
-        lines.append(f"  bus       {pair}, {phase}, {held} {transport['rate_hz']:g} Hz")
+        lines.append(
+            f"  bus       a pair of transfers takes {transport['pair_us']:.0f} us, IN latched"
+            f" {transport['sample_phase']:g} periods after OUT, force {transport['delay_us']:.0f}"
+            f" us after its sample, up to {transport['rate_hz']:g} Hz"
+        )
     return lines
 
 
 def _moving(found: Status) -> str:
-    position = f"x {1e3 * found.position_m:.4f} mm"
-    return f"{position}, force {found.force_n:.4f} N, tick {found.tick}"
+    return f"x {1e3 * found.position_m:.4f} mm, force {found.force_n:.4f} N, tick {found.tick}"
 
 
 def _timing(found: Status) -> str:
-    counters = found.counters
-    late = f"{counters.get('late_events', 0)} late, {counters.get('lost_slots', 0)} slots lost"
-    return f"{found.rate_hz:g} Hz, {late}, {counters.get('missing_in', 0)} frames missing"
+    names = ("late_events", "lost_slots", "missing_in")
+    late, lost, missing = (found.counters.get(name, 0) for name in names)
+    return f"{found.rate_hz:g} Hz, {late} late, {lost} slots lost, {missing} frames missing"
 
 
 def delay_words(found: Status) -> str:
@@ -284,10 +284,10 @@ def delay_words(found: Status) -> str:
     delay_us = found.delay_us
     if delay_us < 0:
         return "sample to force unknown: no frame has come"
-    periods = delay_us * found.rate_hz / US_PER_S
-    spread = f"spread {found.delay_spread_us} us"
-    age = f"frames {found.frame_age_us} us old when read"
-    return f"sample to force {delay_us} us ({periods:.3g} periods), {spread}; {age}"
+    return (
+        f"sample to force {delay_us} us ({delay_us * found.rate_hz / US_PER_S:.3g} periods), spread"
+        f" {found.delay_spread_us} us; frames {found.frame_age_us} us old when read"
+    )
 
 
 def delivered_words(found: Delivered | None) -> str:
@@ -296,17 +296,19 @@ def delivered_words(found: Delivered | None) -> str:
     commanded = f"of {known.commanded:.4g} N s/m commanded"
     if known.estimate_ns_per_m is None:
         return f"delivered {commanded}: {known.basis}"
-    between = f"{known.low:.3g} to {known.high:.3g}"
     share = "" if known.ratio is None else f" ({100 * known.ratio:.0f} %)"
     return (
-        f"delivered {known.estimate_ns_per_m:.3g} ({between}) {commanded}{share}, by {known.basis}"
+        f"delivered {known.estimate_ns_per_m:.3g} ({known.low:.3g} to {known.high:.3g})"
+        f" {commanded}{share}, by {known.basis}"
     )
 
 
 def _rendered(found: Status) -> str:
-    free = f"K {found.stiffness_n_per_m:g} N/m, B {found.virtual_damping_ns_per_m:g} N s/m"
-    active = f"active damping {found.active_damping_ns_per_m:.4g} N s/m"
-    return f"{free}, M {found.mass_kg:g} kg, {active}, gain {found.gain:.3g}"
+    return (
+        f"K {found.stiffness_n_per_m:g} N/m, B {found.virtual_damping_ns_per_m:g} N s/m,"
+        f" M {found.mass_kg:g} kg, active damping {found.active_damping_ns_per_m:.4g} N s/m,"
+        f" gain {found.gain:.3g}"
+    )
 
 
 def _percentiles(row: StageTimes) -> str:
@@ -362,12 +364,8 @@ def set_parameters(
     """
     if not what:
         raise typer.BadParameter("write what to set, as NAME=VALUE, for example K=100 B=1")
-    asked = changes(what)
-    change(
-        instance,
-        as_json,
-        lambda client: client.set(**asked, ramp_s=ramp_s, at_tick=at_tick, if_rev=if_rev),
-    )
+    asked = {**changes(what), "ramp_s": ramp_s, "at_tick": at_tick, "if_rev": if_rev}
+    change(instance, as_json, lambda client: client.set(**asked))
 
 
 def damping(
@@ -449,8 +447,10 @@ def dump(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     deadline = time.monotonic() + DUMP_PATIENCE_S
     while not path.exists():
         if time.monotonic() > deadline:
-            late = f"{path} was not written within {DUMP_PATIENCE_S:g} s"
-            raise HapticdError(f"{late}; `hapticd status` lists the last events")
+            raise HapticdError(
+                f"{path} was not written within {DUMP_PATIENCE_S:g} s; `hapticd status` lists the"
+                " last events"
+            )
         time.sleep(DUMP_POLL_S)
     terminal.show(found, [f"{path}: {found['records']} records"], as_json)
 
@@ -506,9 +506,8 @@ def load_waveform(
         )
     with connect(instance) as client:
         count = client.perturb_load(samples_n)
-    seconds = count / PROBE_RATE_HZ
-    line = f"{count} samples loaded, {seconds:.3f} s"
-    terminal.show({"samples": count, "seconds": seconds}, [line], as_json)
+    found = {"samples": count, "seconds": count / PROBE_RATE_HZ}
+    terminal.show(found, [f"{count} samples loaded, {found['seconds']:.3f} s"], as_json)
 
 
 @terminal.verb(perturb_app, "start")

@@ -81,9 +81,8 @@ def delay_lines(found: GuardStatus) -> list[str]:
     delays = found.delays
     if not delays or delays.counted_periods is None:
         return []
-    measured = delays.measured_p99_periods
+    measured, model = delays.measured_p99_periods, delays.model_periods
     known = "not known yet" if measured is None else f"{measured:g}"
-    model = delays.model_periods
     assumed = "" if model is None else f", the model assumes {model:g}"
     return [
         f"delay counted on: {delays.counted_periods:g} periods, {delays.counted}"

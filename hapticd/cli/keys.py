@@ -28,8 +28,10 @@ def server(folder: Folder, as_json: terminal.Json = False) -> None:
     """
     _show(keys.make_keys(folder), folder, as_json)
     if not as_json:
-        who = f"who may listen: `hapticd keys client {folder} NAME`"
-        terminal.talk(f"set gateway.curve_keys to {folder}; {who}")
+        terminal.talk(
+            f"set gateway.curve_keys to {folder}; who may listen: `hapticd keys client {folder}"
+            " NAME`"
+        )
 
 
 @terminal.verb(app, "client")
@@ -52,8 +54,9 @@ def client(
     files = keys.make_client(folder, name, out or Path())
     _show(files, folder, as_json)
     if not as_json:
-        brought = f"{files[1]} and {folder / 'server.key'}"
-        terminal.talk(f"bring {brought} to {name}, and delete the secret here")
+        terminal.talk(
+            f"bring {files[1]} and {folder / 'server.key'} to {name}, and delete the secret here"
+        )
 
 
 @terminal.verb(app, "try")

@@ -93,5 +93,7 @@ def lease_lines(leases: dict[str, LeaseHeld]) -> list[str]:
 
 def _line(what: str, held: LeaseHeld) -> str:
     off = "; guard and energy faults are off" if what == "measuring" else ""
-    left = f"{held.left_s:.1f} of {held.ttl_s:g} s left"
-    return f"{what}: {held.name} (actor {held.actor}), {left}, at its end {held.at_end}{off}"
+    return (
+        f"{what}: {held.name} (actor {held.actor}), {held.left_s:.1f} of {held.ttl_s:g} s left, at"
+        f" its end {held.at_end}{off}"
+    )

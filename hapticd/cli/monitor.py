@@ -255,10 +255,10 @@ def _print_line(view: View) -> None:
     if not view.fresh:
         terminal.data(f"{badge}NO DATA for {view.silent_s:.1f} s")
         return
-    x_mm = 1e3 * found["position_m"]
-    damping = found["active_damping_ns_per_m"]
-    moving = f"x {x_mm:.4f} mm  force {found['force_n']:.4f} N  damping {damping:.4g} N s/m"
-    terminal.data(f"{badge}{found['state']} {moving}")
+    terminal.data(
+        f"{badge}{found['state']} x {1e3 * found['position_m']:.4f} mm  force"
+        f" {found['force_n']:.4f} N  damping {found['active_damping_ns_per_m']:.4g} N s/m"
+    )
 
 
 def events(
@@ -293,5 +293,5 @@ def events(
 def _timed(told: dict[str, Any]) -> str:
     """An event with the time of day."""
     event = answer_of(Event, told)
-    at = datetime.fromtimestamp(event.timestamp).strftime("%H:%M:%S")
-    return f"{at} {event_words(event)}"
+    at = datetime.fromtimestamp(event.timestamp)
+    return f"{at:%H:%M:%S} {event_words(event)}"

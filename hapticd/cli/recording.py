@@ -35,8 +35,7 @@ ENDING = ".h5"
 def _recording_name(file: Path) -> Path:
     """`file` if a recording may be called that, else BadParameter."""
     if file.suffix != ENDING:
-        right = f"{file.stem}{ENDING}"
-        raise typer.BadParameter(f"{file}: a recording is called NAME{ENDING}: {right}")
+        raise typer.BadParameter(f"{file}: a recording is called NAME{ENDING}: {file.stem}{ENDING}")
     return file
 
 
@@ -79,18 +78,21 @@ def record(
 def finished_line(ended: str, summary: dict[str, Any]) -> str:
     """One line about a finished file."""
     simulated = "SIMULATED, " if summary["simulated"] else ""
-    missing = summary["missing"]["servo"]
-    size_mb = summary["bytes"] / 1e6
-    taken = f"{summary['seconds']:.3f} s, {summary['records']} records, {missing} missing"
-    taken += f", {lost} slots lost" if (lost := summary["lost_slots"]) else ""
-    taken += f", {dropped} bytes dropped" if (dropped := summary["dropped_bytes"]) else ""
-    return f"{summary['file']}: {ended}, {simulated}{taken}, {size_mb:.3g} MB"
+    lost = f", {summary['lost_slots']} slots lost" if summary["lost_slots"] else ""
+    dropped = f", {summary['dropped_bytes']} bytes dropped" if summary["dropped_bytes"] else ""
+    return (
+        f"{summary['file']}: {ended}, {simulated}{summary['seconds']:.3f} s,"
+        f" {summary['records']} records, {summary['missing']['servo']} missing{lost}{dropped},"
+        f" {summary['bytes'] / 1e6:.3g} MB"
+    )
 
 
 def _progress_words(progress: "recorder.RecordingProgress") -> str:
     missing = f", {progress.missing} MISSING" if progress.missing else ""
-    size_mb = progress.file_bytes / 1e6
-    return f"{progress.seconds:.1f} s, {progress.records} records{missing}, {size_mb:.1f} MB"
+    return (
+        f"{progress.seconds:.1f} s, {progress.records} records{missing},"
+        f" {progress.file_bytes / 1e6:.1f} MB"
+    )
 
 
 rec_app = typer.Typer(no_args_is_help=True, help="Finish, look at and convert recordings.")
@@ -137,10 +139,11 @@ def _info_lines(
     found: dict[str, Any], energy_j: dict[str, float], attributes: dict[str, Any]
 ) -> Iterator[str]:
     badge = terminal.coloured("SIMULATED  ", terminal.YELLOW) if found["simulated"] else ""
-    probe = found["probe_samples"]
     missing = found["missing"]
-    size = f"{found['seconds']:.3f} s, {found['records']} records, {probe} probe samples"
-    yield f"{badge}{size}, {found['lives']} servo life"
+    yield (
+        f"{badge}{found['seconds']:.3f} s, {found['records']} records, {found['probe_samples']}"
+        f" probe samples, {found['lives']} servo life"
+    )
     yield f"missing: {missing['servo']} records, {missing['probe']} probe samples"
     if lost := found["lost_slots"]:
         yield f"lost slots: {lost} periods without a tick, for the host came late"
@@ -159,8 +162,10 @@ def _energy_words(energy_j: dict[str, float]) -> str:
         for name, value in energy_j.items()
         if value and name not in beside
     ]
-    whole = f"{1e3 * energy_j['whole']:.3g} mJ ({', '.join(causes) or 'no motion under force'})"
-    return f"{whole}, unexplained {1e3 * energy_j['unexplained']:.3g} mJ"
+    return (
+        f"{1e3 * energy_j['whole']:.3g} mJ ({', '.join(causes) or 'no motion under force'}),"
+        f" unexplained {1e3 * energy_j['unexplained']:.3g} mJ"
+    )
 
 
 def _plain(value: Any) -> Any:
@@ -241,8 +246,10 @@ def replay(
         found["figures"] = _drawn(result, drawn, title, ", ".join(words), figure_width)
     terminal.show(found, _replay_lines(found), as_json)
     if not words and result.first_difference is not None:
-        why = "another version recorded it, or the file is damaged"
-        raise HapticdError(f"{file}: the replay differs from the recording; {why}")
+        raise HapticdError(
+            f"{file}: the replay differs from the recording; another version recorded it, or the"
+            " file is damaged"
+        )
 
 
 def _instead(words: list[str]) -> dict[Value, float]:
@@ -268,9 +275,10 @@ def _replay_verdict(found: dict[str, Any]) -> str:
     held = f"with {', '.join(found['held'])}"
     if found["first_force_tick"] is None:
         return f"{held} the force is the same"
-    difference_n = found["force_rms_n"]["difference"]
-    from_tick = f"from tick {found['first_force_tick']} on"
-    return f"{held} the force is another {from_tick}, by {difference_n:.4g} N rms"
+    return (
+        f"{held} the force is another from tick {found['first_force_tick']} on, by"
+        f" {found['force_rms_n']['difference']:.4g} N rms"
+    )
 
 
 def _replay_lines(found: dict[str, Any]) -> Iterator[str]:
@@ -278,14 +286,17 @@ def _replay_lines(found: dict[str, Any]) -> Iterator[str]:
     segments = "1 segment" if found["legs"] == 1 else f"{found['legs']} segments"
     yield f"{found['ticks']} ticks in {segments}, {speed}: {_replay_verdict(found)}"
     if left_out := found["left_out"]:
-        why = "a replay begins at the servo's first checkpoint, after the start and after a gap"
-        yield f"left out: {left_out} ticks; {why}"
+        yield (
+            f"left out: {left_out} ticks; a replay begins at the servo's first checkpoint, after"
+            " the start and after a gap"
+        )
     if (first := found["first_difference"]) and not found["held"]:
-        difference = f"{first['field']} was {first['recorded']}, is {first['replayed']}"
-        yield f"from tick {first['tick']}: {difference}"
+        yield (
+            f"from tick {first['tick']}: {first['field']} was {first['recorded']}, is"
+            f" {first['replayed']}"
+        )
     for name in ("recorded", "replayed"):
-        rms_n = found["force_rms_n"][name]
-        peak_n = found["force_peak_n"][name]
+        rms_n, peak_n = (found[size][name] for size in ("force_rms_n", "force_peak_n"))
         yield f"force {name:8}  rms {rms_n:.4g} N, peak {peak_n:.4g} N"
     if not any(found["force_peak_n"].values()):
         yield (

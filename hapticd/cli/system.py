@@ -28,10 +28,9 @@ with deferred_imports():
     from hapticd.recording import calibrations
     from hapticd.run import resolve
     from hapticd.run import system_files as service
-    from hapticd.run.doctor import checks, late, wake
+    from hapticd.run.doctor import checks, late, probes, wake
     from hapticd.run.doctor import machine as machines
     from hapticd.run.doctor import report as reports
-    from hapticd.run.doctor import requirements as needs
     from hapticd.settings import build, load, scene, tables
     from hapticd.settings import config as config_files
     from hapticd.settings import device as device_files
@@ -89,9 +88,12 @@ def _simulation_and_network_rules(config: "config_files.Config") -> Iterator["lo
 def _template_rules(device: "device_files.DeviceFile") -> Iterator["load.Mistake"]:
     """A device file that nobody has made a board's own."""
     if device.serial == TEMPLATE_SERIAL:
-        reason = "is the template's; copy it to devices/NAME.toml, and write your board's serial"
-        reason += " number, as `lsusb -v` says it"
-        yield load.Mistake(("serial",), repr(TEMPLATE_SERIAL), reason)
+        yield load.Mistake(
+            ("serial",),
+            repr(TEMPLATE_SERIAL),
+            "is the template's; copy it to devices/NAME.toml, and write your board's serial number,"
+            " as `lsusb -v` says it",
+        )
 
 
 @terminal.verb(config_app, "show")
@@ -186,7 +188,7 @@ def doctor(
     """Check rights, processor, kernel, USB, disk and folders, and measure how late this
     machine wakes. Changes nothing.
     """
-    asked = needs.requirements(load.load(config), instance)
+    asked = machines.requirements(load.load(config), instance)
     machine = machines.this_machine()
     status = _latest_status(instance)
     findings = [*checks.examine(machine, asked), *_timing(status)]
@@ -230,25 +232,26 @@ def _timing(status: dict[str, Any] | None) -> "list[checks.CheckResult]":
         return []
     known = answer_of(Status, status)
     words = delay_words(known)
-    delay = checks.ok("force delay", words)
+    delay = checks.CheckResult("force delay", probes.OK, words)
     if known.delay_us > US_PER_S / known.rate_hz:
         why = "a force that comes more than a period late makes stiff walls and damping active"
         fix = "look what else is on the board's bus, or at its sample phase"
-        delay = checks.warn("force delay", words, why, fix)
+        delay = checks.CheckResult("force delay", probes.WARN, words, why, fix)
     costs = timing_words(known.guard.timing if known.guard else None)
-    stiffness = [checks.ok("stiffness", costs)] if costs else []
+    stiffness = [checks.CheckResult("stiffness", probes.OK, costs)] if costs else []
     ticks = late.judge(known, late_words(known.late))
     return [delay, *stiffness, late.judge_room(known.room), ticks]
 
 
 def _wake(
-    seconds: float, asked: "needs.Requirements"
+    seconds: float, asked: "machines.Requirements"
 ) -> "tuple[checks.CheckResult, dict[str, Any]]":
     try:
         measured = wake.measure(seconds, asked.realtime.core)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         found = f"could not be measured: {error}"
-        return checks.fail("wake-up", found, "", "run it again on an idle machine"), {}
+        fix = "run it again on an idle machine"
+        return checks.CheckResult("wake-up", probes.FAIL, found, "", fix), {}
     return wake.judge(measured, asked), measured
 
 

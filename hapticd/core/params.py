@@ -54,6 +54,7 @@ __all__ = [
     "GatewaySetup",
     "GuardParams",
     "GuardSetup",
+    "GuardTable",
     "HandParams",
     "HeatingParams",
     "HomeParams",
@@ -684,13 +685,27 @@ class GatewayParams(TableParams):
 
 
 @dataclass(frozen=True, slots=True)
-class GuardParams:
-    """What the guard does with an environment that is not known to be passive, and how it knows."""
+class GuardTable(TableParams):
+    """What is done with an environment that is not known to be passive."""
 
-    policy: str = "warn"  # a Policy
-    basis: str = "theorem"  # a BasisName
-    measured: str = ""  # .zwidth file of the basis "measured"
-    margin_ns_per_m: float = 0.0  # that has to be left
+    policy: Policy | None = None
+    """Left out: `refuse` on hardware whose device file has a [model], else `warn`."""
+    basis: BasisName = "theorem"
+    """theorem: for any input and hand; predicted: with friction, at the amplitude of a trial;
+    measured: what the file `measured` says.
+    """
+    measured: str | None = None
+    """A .zwidth file of this device; beside this file if relative."""
+    margin_ns_per_m: Annotated[float, Constraints(ge=0, le=100)] = 0.0
+    """That has to be left for an environment to be allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class GuardParams(GuardTable):
+    """The same with what this device has where it was left out; no file is ""."""
+
+    policy: Policy = "warn"
+    measured: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,8 +46,8 @@ from hapticd.guard.status import VERDICT_NS, Guard
 from hapticd.guard.transition_planner import Stage
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
-from hapticd.protocol.commands import posting, receipt, refusal
 from hapticd.protocol.codec import INTERNAL_REQUEST
+from hapticd.protocol.commands import posting, receipt, refusal
 from hapticd.protocol.explanation import (
     Explanation,
     Outcome,

@@ -59,7 +59,7 @@ class ReplayResult:
             "left_out": self.left_out,
             "first_force_tick": self.first_force_tick,
             "bit_exact": first is None,
-            "first_difference": None if first is None else _named(first),
+            "first_difference": None if first is None else first._asdict(),
             "force_rms_n": {
                 "recorded": _rms(recorded),
                 "replayed": _rms(replayed),
@@ -91,16 +91,6 @@ def replay_recording(
     left_out = recording.rows["servo"] - len(recorded)
     first = difference(recorded, replayed)
     return ReplayResult(recorded, replayed, list(pairwise(edges)), first, left_out)
-
-
-def _named(first: Difference) -> dict[str, Any]:
-    """The first difference by its names in JSON."""
-    return {
-        "tick": first.tick,
-        "field": first.field,
-        "recorded": first.recorded,
-        "replayed": first.replayed,
-    }
 
 
 def _rms(values: NDArray[Any]) -> float:

@@ -17,6 +17,7 @@ import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -129,11 +130,8 @@ def page(said: Mapping[str, Any]) -> str:
     device = said["device"]
     badge = "SIMULATED: no force left the computer. " if device["simulated"] else ""
     values = [(one["name"], _interval(one)) for one in said["values"]]
-    found = [(one["verdict"], one["what"], one["remedy"]) for one in said["verified"]]
-    scales = [
-        (one["table"], one["measured_on"], one["serial"], one["source"])
-        for one in said["calibrations"]
-    ]
+    found = map(itemgetter("verdict", "what", "remedy"), said["verified"])
+    scales = map(itemgetter("table", "measured_on", "serial", "source"), said["calibrations"])
     parts = (
         f"<h1>Certificate of {_text(device['name'])}</h1>",
         f'<p class="verdict">{_text(badge)}{_text(said["verdict"])}, {_text(said["date"])}</p>',
@@ -149,9 +147,10 @@ def page(said: Mapping[str, Any]) -> str:
         "<p>It holds for this device file and this board. Whoever changes the file, the board, its"
         " firmware or the mechanics repeats <code>hapticd rig verify</code>.</p>",
     )
-    head = f"<meta charset='utf-8'><title>{_text(device['name'])}</title><style>{STYLE}</style>"
     return (
-        f"<!doctype html><html lang='en'><head>{head}</head><body>{''.join(parts)}</body></html>\n"
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>"
+        f"<title>{_text(device['name'])}</title><style>{STYLE}</style></head>"
+        f"<body>{''.join(parts)}</body></html>\n"
     )
 
 
@@ -179,15 +178,13 @@ def _about(said: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _interval(value: Mapping[str, Any]) -> str:
-    between = f"{value['low']:.4g} to {value['high']:.4g}"
-    return f"{value['value']:.4g} {value['unit']} ({between})"
+    return f"{value['value']:.4g} {value['unit']} ({value['low']:.4g} to {value['high']:.4g})"
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     def line(cells: Sequence[Any], tag: str) -> str:
         kind = " class='refused'" if cells and cells[0] == "refused" else ""
-        told = "".join(f"<{tag}>{_text(cell)}</{tag}>" for cell in cells)
-        return f"<tr{kind}>{told}</tr>"
+        return f"<tr{kind}>{''.join(f'<{tag}>{_text(cell)}</{tag}>' for cell in cells)}</tr>"
 
     top = line(head, "th") if head else ""
     return f"<table>{top}{''.join(line(row, 'td') for row in rows)}</table>"

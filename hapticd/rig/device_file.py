@@ -90,15 +90,17 @@ def write(
     }
     # a sign or an offset by itself says nothing of how the scale beside it is known
     for table in dict.fromkeys(one.table for one in asked if not _beside(one)):
-        known = set(keys_of(DeviceFile, tuple(table.split("."))))
         told = _of_effect(provenance) if table.startswith(_EFFECT) else provenance
-        for key in known & set(told):
+        for key in told.keys() & keys_of(DeviceFile, tuple(table.split("."))):
             values.setdefault((table, key), told[key])
-        halves = _half_widths(table, asked)
+        halves = {
+            one.key: one.half_width_95
+            for one in asked
+            if one.table == table and one.half_width_95 is not None
+        }
         if halves or "half_width_95" in before.get(table, {}):
             values[table, "half_width_95"] = halves
-    text = changed(path.read_bytes().decode("utf-8"), values)
-    return _replace(path.resolve(), text)
+    return _replace(path.resolve(), changed(path.read_bytes().decode("utf-8"), values))
 
 
 def refuse_shipped(path: Path) -> None:
@@ -116,14 +118,6 @@ def _beside(change: Change) -> bool:
 
 def _of_effect(provenance: Mapping[str, Stated]) -> dict[str, Stated]:
     return {**provenance, "source": "calibrated", "note": provenance["source"]}
-
-
-def _half_widths(table: str, changes: Iterable[Change]) -> dict[str, float]:
-    return {
-        one.key: one.half_width_95
-        for one in changes
-        if one.table == table and one.half_width_95 is not None
-    }
 
 
 def _replace(path: Path, text: str) -> DeviceFile:

@@ -144,10 +144,10 @@ def servo_rate_hz(bench: Client) -> float:
 
 def identity_of(bench: Client, records: Records) -> BoardIdentity:
     """The board of `bench`, which sent the frames of `records`."""
-    said = bench.status().servo.get("board", {})
+    said = {"serial": "", "firmware": "", **bench.status().servo.get("board", {})}
     came = records["in_frame"][records["arrival"] >= 0]
     life = codec.decode_in(bytes(came[-1])).life if len(came) else None
-    return BoardIdentity(str(said.get("serial", "")), str(said.get("firmware", "")), life)
+    return BoardIdentity(str(said["serial"]), str(said["firmware"]), life)
 
 
 # --- records --------------------------------------------------------------------------------------
@@ -166,7 +166,7 @@ def _blocks(bench: Client, *topics: str) -> Iterator[tuple[str, Block]]:
         if block.restarted:
             raise DaemonDown(f"servo or board restarted meanwhile; {AGAIN}")
         yield topic, block
-    raise DaemonDown(f"nothing came for 2 s; {AGAIN}")
+    raise DaemonDown(f"no telemetry for 2 s; {AGAIN}")
 
 
 def collect(bench: Client, seconds: float, begin: Callable[[], object] | None = None) -> TickSpan:
@@ -192,8 +192,8 @@ def collect(bench: Client, seconds: float, begin: Callable[[], object] | None = 
 def record(bench: Client, seconds: float, watch: Watch | None = None) -> Streams:
     """Ticks and samples for `seconds` of the probe; without `watch` nothing acts.
 
-    DaemonDown if nothing comes for 2 s; AnalysisError if this board has no probe, force ends, or
-    the handle leaves its travel.
+    DaemonDown if no telemetry comes for 2 s; AnalysisError if this board has no probe, force ends,
+    or the handle leaves its travel.
     """
     parts: dict[str, list[Records]] = {TICKS: [], PROBE: []}
     wanted = round(seconds * PROBE_RATE_HZ)
@@ -244,6 +244,15 @@ def ready(bench: Client) -> Iterator[None]:
         if bench.status().state == "enabled":
             bench.disable()
         bench.set(K=0.0, B=0.0, M=0.0, wall=FREE, ramp_s=0.0)
+
+
+@contextmanager
+def under_force(bench: Client) -> Iterator[None]:
+    """As `ready`; AnalysisError with the cause if force ended before it is left."""
+    with ready(bench):
+        yield
+        status = bench.status()
+    require_force(status)
 
 
 @contextmanager

@@ -53,8 +53,8 @@ class Value:
         return rounded(self.value, self.low, self.high)
 
     def __str__(self) -> str:
-        between = f"{self.low:.6g} to {self.high:.6g}"
-        return f"{self.name} {self.value:.6g} {self.unit} (95 %: {between})".replace("  ", " ")
+        value = f"{self.name} {self.value:.6g} {self.unit}".rstrip()
+        return f"{value} (95 %: {self.low:.6g} to {self.high:.6g})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +94,16 @@ class StepResult:
         if not self.settled:
             object.__setattr__(self, "changes", ())
 
+    def __add__(self, other: "StepResult") -> "StepResult":
+        """Both together, as a result of this step."""
+        return StepResult(
+            self.step,
+            (*self.values, *other.values),
+            (*self.findings, *other.findings),
+            (*self.changes, *other.changes),
+            {**self.arrays, **other.arrays},
+        )
+
     @property
     def settled(self) -> bool:
         """Whether nothing was refused."""
@@ -120,10 +130,11 @@ def checked(what: str, good: bool, remedy: str, otherwise: Verdict = "warning") 
     return Finding(what, "ok") if good else Finding(what, otherwise, remedy)
 
 
-def plausible(name: str, ratio: float, remedy: str) -> Finding:
-    """What is to be thought of a count of the channel `name` that is `ratio` times what the device
-    file says, with its sign; `remedy` where that cannot be meant: a mass in grams, another sensor.
+def plausible(name: str, per_count: float, scale: Mapping[str, Any], remedy: str) -> Finding:
+    """What is to be thought of `per_count`, with its sign, of the channel `name` whose scale in a
+    hello's device is `scale`; `remedy` where that cannot be meant: a mass in grams, another sensor.
     """
+    ratio = per_count / (int(scale["sign"]) * float(scale["per_count"]))
     what = f"{name}: a count is {ratio:.4g} of what the device file says"
     if not 1.0 / FACTOR <= abs(ratio) <= FACTOR:
         return Finding(what, "refused", remedy)

@@ -220,8 +220,9 @@ class Supervisor:
         self._served = served
         self._settings = settings
         self._instance = instance
-        names = [files.SERVO_JSON, files.BOARD_JSON][: 2 if settings.device.simulated else 1]
-        paths = [str(folder / name) for name in names]
+        paths = [str(folder / files.SERVO_JSON)]
+        if settings.device.simulated:
+            paths.append(str(folder / files.BOARD_JSON))
         self.servo = Child("servo", ["hapticd.run.servo_main", *paths], start, Restarts())
         self.gateway = Child(
             "gateway", ["hapticd.run.gateway_main", str(folder)], start, Restarts(None)
@@ -252,10 +253,8 @@ class Supervisor:
                 self._look(self.clock.now_ns())
                 self.clock.sleep_until_ns(self.clock.now_ns() + POLL_NS)
         finally:
-            self._end(self.servo)
-            self._end(self.gateway)
-            if self.console is not None:
-                self._end(self.console)
+            for child in filter(None, (self.servo, self.gateway, self.console)):
+                self._end(child)
             files.remove(self.folder, *resolve.WRITTEN, files.CONSOLE, files.GUARD_TERMS)
             files.release(self.folder, SUPERVISOR_LOCK, claim)
         self.tell(ProcessEvent("ended", "", "ended: no force, both processes gone"))
@@ -305,9 +304,8 @@ class Supervisor:
         if ready and not self.ready:
             self.tell(ProcessEvent("ready", "", "servo and gateway are ready"))
         elif not ready and self._impatient_ns is not None and now_ns >= self._impatient_ns:
-            missing = "the servo (is the board plugged in and switched on?)"
-            if self.servo.ready:
-                missing = "the gateway"
+            board = "the servo (is the board plugged in and switched on?)"
+            missing = "the gateway" if self.servo.ready else board
             self.tell(ProcessEvent("waiting", "", f"still waiting for {missing}"))
             self._impatient_ns = None
         self.ready = ready
@@ -324,16 +322,17 @@ class Supervisor:
             raise HapticdError(f"the {child.name} could not start ({how}); see its message above")
         child.start_at_ns = child.restarts.next_ns(now_ns)
         if child.start_at_ns is None:
-            within_s = WINDOW_NS // NS_PER_S
             raise HapticdError(
-                f"the {child.name} died {RESTARTS_MAX + 1} times within {within_s} s ({how} at"
-                " last); giving up"
+                f"the {child.name} died {RESTARTS_MAX + 1} times within {WINDOW_NS // NS_PER_S} s"
+                f" ({how} at last); giving up"
             )
-        wait_s = (child.start_at_ns - now_ns) / NS_PER_S
         count = f" of {child.restarts.most}" if child.restarts.most else ""
         outlook = "disabled" if child is self.servo else "the servo stays"
-        again = f"restart {child.restarts.used}{count} in {wait_s} s, {outlook}"
-        self.tell(ProcessEvent("restart", child.name, f"the {child.name} died ({how}); {again}"))
+        text = (
+            f"the {child.name} died ({how}); restart {child.restarts.used}{count} in"
+            f" {(child.start_at_ns - now_ns) / NS_PER_S} s, {outlook}"
+        )
+        self.tell(ProcessEvent("restart", child.name, text))
 
     def _serves_again(self, child: Child) -> bool:
         """Whether what it refuses is outside of its resolved files (keys, a port): these served."""

@@ -16,8 +16,8 @@ For scripts:
     inputs   regular(path): what somebody named, if it can be read without waiting
     toml     shipped(folder): files that travel with the package; read(file); did_you_mean
 
-`config`, `device` and `tables` are the tables themselves; `guard` writes guard.json; `parsed` reads
-a file in which something is wrong.
+`config` and `device` are the tables themselves, `tables` reads them and says what is wrong; `guard`
+writes guard.json.
 
 What would break it: a second place for a fact that the device file holds (limits and scales are
 checked against it, not repeated), or a value changed after validation (overrides are merged before

@@ -170,6 +170,11 @@ def board_of(
     the last fields of BoardParams.
     """
     scales = device_params(device)
+    moved = (
+        _composed(device, rate_hz, effects, exact_levels)
+        if device.plant is None
+        else device.plant.model_dump(exclude={"source"})
+    )
     return BoardParams(
         serial=device.serial,
         rate_hz=rate_hz,
@@ -184,14 +189,9 @@ def board_of(
         temperature_c_per_count=scales.temperature.per_count,
         force_limit_n=device.limits.force_n,
         trim_full_scale_ohm=_trim_ohm(device),
-        **(_rigid(device) if device.plant else _composed(device, rate_hz, effects, exact_levels)),
+        **moved,
         **firmware,
     )
-
-
-def _rigid(device: DeviceFile) -> dict[str, Any]:
-    assert device.plant is not None
-    return device.plant.model_dump(exclude={"source"})
 
 
 def _composed(
@@ -236,11 +236,10 @@ def guard_params(settings: Settings) -> GuardParams:
     asked = settings.config.guard
     device = settings.device
     cautious = not device.simulated and device.model is not None
-    measured = "" if asked.measured is None else str(_beside(settings, asked.measured))
     return GuardParams(
         policy=asked.policy or ("refuse" if cautious else "warn"),
         basis=asked.basis,
-        measured=measured,
+        measured="" if asked.measured is None else str(_beside(settings, asked.measured)),
         margin_ns_per_m=asked.margin_ns_per_m,
     )
 

@@ -19,12 +19,10 @@ from hapticd.core.environment import (
     WorkspaceParams,
 )
 from hapticd.core.params import (
-    BasisName,
     BoardTraits,
     GatewayParams,
-    GuardParams,
+    GuardTable,
     LeaseParams,
-    Policy,
     RealtimeParams,
     SafetyParams,
     ServoParams,
@@ -37,7 +35,6 @@ __all__ = ["Config"]
 _environment = Environment()
 _wall = WallParams()
 _ends = WorkspaceParams()
-_guard = GuardParams()
 _active_damping_ns_per_m: Any = ServoParams.__dataclass_fields__["active_damping_ns_per_m"].default
 
 Capability = Literal["probe", "temperature", "sample_phase", "resistance", "event"]
@@ -102,21 +99,6 @@ class EnvironmentTable(Rendered):
     acceleration_filter: Filter = _filter(_environment.acceleration_filter)
     wall: WallTable = WallTable()
     workspace: Workspace = Workspace()
-
-
-class GuardTable(TomlTable):
-    """What is done with an environment that is not known to be passive."""
-
-    policy: Policy | None = None
-    """Left out: `refuse` on hardware whose device file has a [model], else `warn`."""
-    basis: BasisName = "theorem"
-    """theorem: for any input and hand; predicted: with friction, at the amplitude of a trial;
-    measured: what the file `measured` says.
-    """
-    measured: str | None = None
-    """A .zwidth file of this device; beside this file if relative."""
-    margin_ns_per_m: float = Field(_guard.margin_ns_per_m, ge=0, le=100)
-    """That has to be left for an environment to be allowed."""
 
 
 @dataclass(frozen=True, slots=True)

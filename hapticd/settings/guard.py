@@ -34,6 +34,7 @@ from hapticd.settings.load import Settings
 __all__ = ["guard_setup"]
 
 AXES = ("K", "B", "M")  # as limits of a .zwidth file number them
+ENDS = ("K+", "B-", "B+", "M-", "M+")  # as MeasuredLevel has them
 
 
 def guard_setup(
@@ -178,13 +179,6 @@ def _levels(content: Mapping[str, Any]) -> tuple[MeasuredLevel, ...]:
         ends_of = found.setdefault(float(scan["active_damping_ns_per_m"]), {})
         ends_of[f"{AXES[scan['axis']]}{'-' if nearest < 0.0 else '+'}"] = nearest
     return tuple(
-        MeasuredLevel(
-            level,
-            ends.get("K+", 0.0),
-            ends.get("B-", 0.0),
-            ends.get("B+", 0.0),
-            ends.get("M-", 0.0),
-            ends.get("M+", 0.0),
-        )
+        MeasuredLevel(level, *(ends.get(end, 0.0) for end in ENDS))
         for level, ends in sorted(found.items())
     )

@@ -4,7 +4,7 @@ fields, and remember where every value came from.
 A configuration may only be stricter than its device, a device must agree with itself, and the
 effects that somebody asks for must exist and fit together. Everything that is wrong is said at
 once, one line each, with file, line, value, unit and limit: in both files, and also by the rules
-that do not rest on what is wrong already (`parsed`).
+that do not rest on what is wrong already (`tables.parsed`).
 
 What would break it: overrides merged after validation (they would go unchecked).
 """
@@ -16,9 +16,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
-
-from pydantic import ValidationError
+from typing import Any, NamedTuple
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import LONGEST_TIMEOUT_MS
@@ -33,8 +31,16 @@ from hapticd.settings.device import (
     DeviceModel,
     ResistanceTable,
 )
-from hapticd.settings.parsed import Parsed, concerns, parsed
-from hapticd.settings.tables import TomlTable, Where, config_error, dotted, leaves
+from hapticd.settings.tables import (
+    Parsed,
+    TomlTable,
+    Where,
+    concerns,
+    dotted,
+    leaves,
+    parsed,
+    validated,
+)
 from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
 from hapticd.usb.codec import I16_HIGHEST, I16_LOWEST
 
@@ -47,7 +53,6 @@ __all__ = [
     "find_device",
     "load",
     "load_device",
-    "validated",
 ]
 
 FILE_NAME = "hapticd.toml"
@@ -56,7 +61,6 @@ SYSTEM_FILE = Path("/etc/hapticd") / FILE_NAME
 SHORTEST_BACK_OFF = 8.0
 HIGHEST_CORNER = 0.45  # of the servo rate: the highest corner that a filter may have
 NEEDS = {"heating": "winding"}  # an effect that changes what another one adds
-T = TypeVar("T", bound=TomlTable)
 
 
 class Mistake(NamedTuple):
@@ -73,19 +77,6 @@ class MoreRules(NamedTuple):
 
     config: Callable[[Config], Iterable[Mistake]] = lambda _config: ()
     device: Callable[[DeviceFile], Iterable[Mistake]] = lambda _device: ()
-
-
-class _FoundDevice(NamedTuple):
-    """The device that a configuration names, as far as there is one."""
-
-    document: Document | None
-    parsed: Parsed[DeviceFile]
-
-    def where(self, path: KeyPath) -> str:
-        return self.document.where(path) if self.document else ""
-
-
-NO_DEVICE = _FoundDevice(None, Parsed(None, ""))
 
 
 @dataclass(frozen=True)
@@ -155,58 +146,50 @@ def load(
 
     config = parsed(Config, _merge(document.data, overrides), in_config)
     # only now: the configuration names the device, and the command line may name another
-    device = _device_of(config, document.path, in_config)
-    _refuse(config, device, in_config, also or MoreRules())
-    return _settings(config.sound, document, device, typed)
+    file, device = _device_of(config, document.path)
+    broken = _broken(config, device, also or MoreRules())
+    if lines := list(filter(None, (config.errors, device.errors, *broken))):
+        raise ConfigError("\n".join(lines))
+    assert file is not None
+    return _settings(config.sound, document, device.sound, file, typed)
 
 
-def _device_of(config: Parsed[Config], config_file: Path, in_config: Where) -> _FoundDevice:
+def _device_of(
+    config: Parsed[Config], config_file: Path
+) -> tuple[Document | None, Parsed[DeviceFile]]:
     """The device that `config` names; none where that name is wrong itself."""
     if config.table is None or concerns((("device",),), config.wrong):
-        return NO_DEVICE
+        return None, Parsed(None, config.where)
     try:
-        document = read(find_device(config.table.device, config_file, in_config(("device",))))
+        document = read(find_device(config.table.device, config_file, config.where(("device",))))
     except ConfigError as error:
-        return _FoundDevice(None, Parsed(None, str(error)))
-    return _FoundDevice(document, parsed(DeviceFile, document.data, document.where))
+        return None, Parsed(None, config.where, str(error))
+    return document, parsed(DeviceFile, document.data, document.where)
 
 
-def _refuse(
-    config: Parsed[Config], device: _FoundDevice, in_config: Where, also: MoreRules
-) -> None:
-    """Raise ConfigError with everything that is wrong, one line each."""
-    broken = _broken(config, device.parsed, in_config, device.where, also)
-    lines = [config.errors, device.parsed.errors, *broken]
-    if any(lines):
-        raise ConfigError("\n".join(filter(None, lines)))
-
-
-def _broken(
-    config: Parsed[Config],
-    device: Parsed[DeviceFile],
-    in_config: Where,
-    in_device: Where,
-    also: MoreRules,
-) -> Iterator[str]:
+def _broken(config: Parsed[Config], device: Parsed[DeviceFile], also: MoreRules) -> Iterator[str]:
     """A line for every broken rule that rests on nothing that is wrong in its file already."""
+    sound = None if device.errors else device.table
     if config.table is not None:
         mistakes = [*_config_rules(config.table), *also.config(config.table)]
-        if device.table is not None and not device.errors:
-            mistakes += _between_rules(config.table, device.table, in_device)
+        if sound is not None:
+            mistakes += _between_rules(config.table, sound, device.where)
         for one in mistakes:
             if not concerns((one.path, *one.rests_on), config.wrong):
-                yield _line(in_config, one)
-    if device.table is not None and not device.errors:
-        found = (*_device_rules(device.table), *model_rules(device.table))
-        yield from (_line(in_device, one) for one in (*found, *also.device(device.table)))
+                yield _line(config.where, one)
+    if sound is not None:
+        for one in (*_device_rules(sound), *model_rules(sound), *also.device(sound)):
+            yield _line(device.where, one)
 
 
 def _settings(
-    config: Config, document: Document, device: _FoundDevice, typed: Mapping[KeyPath, str]
+    config: Config,
+    document: Document,
+    device: DeviceFile,
+    file: Document,
+    typed: Mapping[KeyPath, str],
 ) -> Settings:
     """The settings with the origin of each value; `typed`: what the command line says."""
-    assert device.document is not None
-    file = device.document
 
     def config_origin(path: KeyPath) -> str:
         given = path in typed or document.value(path) is not None
@@ -215,11 +198,10 @@ def _settings(
     def device_origin(path: KeyPath) -> str:
         return file.where(path) if file.value(path) is not None else "default"
 
-    sound = device.parsed.sound
     origins = {dotted(path): config_origin(path) for path, _ in leaves(config.model_dump())}
-    for path, _ in leaves(sound.model_dump()):
+    for path, _ in leaves(device.model_dump()):
         origins[dotted(("device", *path))] = device_origin(path)
-    return Settings(config, sound, document.path, file.path, origins, file.sha256)
+    return Settings(config, device, document.path, file.path, origins, file.sha256)
 
 
 def load_device(path: Path) -> DeviceFile:
@@ -228,16 +210,8 @@ def load_device(path: Path) -> DeviceFile:
     """
     document = read(path)
     device = validated(DeviceFile, document.data, document.where)
-    report((document.where, _device_rules(device)), (document.where, model_rules(device)))
+    report((document.where, (*_device_rules(device), *model_rules(device))))
     return device
-
-
-def validated(model: type[T], data: dict[str, Any], where: Where) -> T:
-    """`data` as `model`. ConfigError with one line for everything wrong."""
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        raise config_error(error, model, where) from None
 
 
 def _merge(data: dict[str, Any], overrides: tuple[Override, ...]) -> dict[str, Any]:
@@ -333,11 +307,12 @@ def _limit_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterat
         yield from within(("safety", "force_limit_n"), safety.force_limit_n, "force_n")
     if safety.energy_controller and device.limits.physical_damping_ns_per_m is None:
         source = in_device(("limits",))
-        reason = (
+        yield Mistake(
+            ("safety", "energy_controller"),
+            True,
             f"needs `limits.physical_damping_ns_per_m` in the device file ({source}): without it no"
-            " leak is known; measure it or switch the controller off"
+            " leak is known; measure it or switch the controller off",
         )
-        yield Mistake(("safety", "energy_controller"), True, reason)
     for path, level in (
         (("active_damping_ns_per_m",), config.active_damping_ns_per_m),
         (("safety", "safe_active_damping_ns_per_m"), safety.safe_active_damping_ns_per_m),
@@ -362,8 +337,11 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
     yield from _temperature_rule(device)
     skew_us = device.probe_velocity.skew_us
     if device.simulated and skew_us:
-        reason = "must be 0: a simulated board samples both channels of the probe together"
-        yield Mistake(("probe_velocity", "skew_us"), skew_us, reason)
+        yield Mistake(
+            ("probe_velocity", "skew_us"),
+            skew_us,
+            "must be 0: a simulated board samples both channels of the probe together",
+        )
     yield from _order_rule(("travel",), "lower_m", "upper_m", device.travel)
     if device.simulated and plant is None and device.model is None:
         yield Mistake(("plant",), None, "is missing; a simulated board needs to know what it moves")
@@ -380,9 +358,12 @@ def _temperature_rule(device: DeviceFile) -> Iterator[Mistake]:
     most_c = scale.to_value(hottest - scale.sign)
     limit_c = device.limits.temperature_c
     if limit_c > most_c:
-        reason = f"must be at most {most_c:.6g} degC: its converter reads no more, so a hotter"
-        reason += " winding would be no fault; correct [temperature] or lower the limit"
-        yield Mistake(("limits", "temperature_c"), limit_c, reason)
+        yield Mistake(
+            ("limits", "temperature_c"),
+            limit_c,
+            f"must be at most {most_c:.6g} degC: its converter reads no more, so a hotter winding"
+            " would be no fault; correct [temperature] or lower the limit",
+        )
 
 
 def _home_rules(device: DeviceFile) -> Iterator[Mistake]:
@@ -392,8 +373,8 @@ def _home_rules(device: DeviceFile) -> Iterator[Mistake]:
     if home.back_off_m < shortest_m:
         reason = f"must be at least {shortest_m} m, {SHORTEST_BACK_OFF:g} times tolerance_m"
         yield Mistake(("home", "back_off_m"), home.back_off_m, reason)
-    limit_n = device.limits.force_n
-    yield from _at_most(("home", "force_n"), home.force_n, limit_n, ", the limit of the device")
+    why = ", the limit of the device"
+    yield from _at_most(("home", "force_n"), home.force_n, device.limits.force_n, why)
 
 
 def _resistance_rules(device: DeviceFile) -> Iterator[Mistake]:
@@ -406,9 +387,12 @@ def _resistance_rules(device: DeviceFile) -> Iterator[Mistake]:
         yield Mistake(("resistance",), None, reason)
     limit_c = device.limits.temperature_c
     if not table.ambient_low_c < table.ambient_high_c < limit_c:
-        reason = f"must lie between ambient_low_c = {table.ambient_low_c} degC and"
-        reason += f" limits.temperature_c = {limit_c} degC"
-        yield Mistake(("resistance", "ambient_high_c"), table.ambient_high_c, reason)
+        yield Mistake(
+            ("resistance", "ambient_high_c"),
+            table.ambient_high_c,
+            f"must lie between ambient_low_c = {table.ambient_low_c} degC and limits.temperature_c"
+            f" = {limit_c} degC",
+        )
         return
     yield from _compensation_rules(table, limit_c, device.limits.active_damping_ns_per_m)
 
@@ -420,24 +404,26 @@ def _compensation_rules(
     coldest_ohm = ohm(params, table.ambient_low_c)
     most_ohm = coldest_ohm - table.tolerance_ohm
     if table.base_ohm > most_ohm:
-        reason = f"must be at most {most_ohm:.4g} ohm, tolerance_ohm less than the winding has at"
-        reason += f" {table.ambient_low_c} degC: lower it, or ambient_low_c is too low"
-        yield Mistake(("resistance", "base_ohm"), table.base_ohm, reason)
+        yield Mistake(
+            ("resistance", "base_ohm"),
+            table.base_ohm,
+            f"must be at most {most_ohm:.4g} ohm, tolerance_ohm less than the winding has at"
+            f" {table.ambient_low_c} degC: lower it, or ambient_low_c is too low",
+        )
     least = (ohm(params, limit_c) - coldest_ohm) / table.time_constant_s
     if table.slew_ohm_per_s < least:
         reason = f"must be at least {least:.3g} ohm/s, as fast as the winding cools down"
         yield Mistake(("resistance", "slew_ohm_per_s"), table.slew_ohm_per_s, reason)
     found = loop_gain(params, least_residual_ohm(params, limit_c), active_damping_ns_per_m)
     if not found >= LEAST_LOOP_GAIN:
-        reason = (
+        yield Mistake(
+            ("resistance", "tolerance_ohm"),
+            table.tolerance_ohm,
             f"leaves a loop gain g dR / K^2 of {found:.3g} at {active_damping_ns_per_m} N s/m when"
+            f" the sensor reads too high; the limit is {LEAST_LOOP_GAIN}, the circuit latches up at"
+            " -1: raise it, lower model_error or limits.active_damping_ns_per_m, or narrow the"
+            " ambient",
         )
-        reason += f" the sensor reads too high; the limit is {LEAST_LOOP_GAIN}, the circuit"
-        reason += (
-            " latches up at -1: raise it, lower model_error or limits.active_damping_ns_per_m, or"
-        )
-        reason += " narrow the ambient"
-        yield Mistake(("resistance", "tolerance_ohm"), table.tolerance_ohm, reason)
 
 
 def _order_rule(
@@ -459,11 +445,14 @@ def _winding_rule(device: DeviceFile, model: DeviceModel) -> Iterator[Mistake]:
     per_level = cold_ohm * per_n * per_n  # a product becomes infinite where a power is an error
     highest = device.limits.active_damping_ns_per_m
     if per_level * highest < LEAST_LOOP_GAIN:
-        reason = f"leaves a loop gain g dR / K^2 of {per_level * highest:.3g} at limits."
-        reason += f"active_damping_ns_per_m = {highest} N s/m; the limit is {LEAST_LOOP_GAIN}, the"
-        reason += " circuit latches up at -1: lower it, or that limit to"
-        reason += f" {LEAST_LOOP_GAIN / per_level:.3g}"
-        yield Mistake(("model", "winding", "compensated_c"), winding.compensated_c, reason)
+        yield Mistake(
+            ("model", "winding", "compensated_c"),
+            winding.compensated_c,
+            f"leaves a loop gain g dR / K^2 of {per_level * highest:.3g} at"
+            f" limits.active_damping_ns_per_m = {highest} N s/m; the limit is {LEAST_LOOP_GAIN},"
+            " the circuit latches up at -1: lower it, or that limit to"
+            f" {LEAST_LOOP_GAIN / per_level:.3g}",
+        )
 
 
 def model_rules(device: DeviceFile) -> Iterator[Mistake]:
@@ -482,8 +471,11 @@ def model_rules(device: DeviceFile) -> Iterator[Mistake]:
                 hint = did_you_mean(name, list(type(table).model_fields))
                 yield Mistake(("model", key, "sources"), name, f"is no number of this table{hint}")
     if model.table("coupling") is not None and model.table("masses").slider_kg == 0.0:
-        reason = "must be more than 0.0 kg: [model.coupling] needs something to couple"
-        yield Mistake(("model", "masses", "slider_kg"), 0.0, reason)
+        yield Mistake(
+            ("model", "masses", "slider_kg"),
+            0.0,
+            "must be more than 0.0 kg: [model.coupling] needs something to couple",
+        )
     yield from _order_rule(("model", "ends"), "lower_m", "upper_m", model.table("ends"))
 
 
@@ -498,15 +490,18 @@ def chosen_rules(
         return
     for place, name in enumerate(names):
         if name not in BY_KEY:
-            known = list(BY_KEY)
-            reason = f"is no effect{did_you_mean(name, known)}; known: {', '.join(known)}"
-            yield Mistake(path, name, reason)
+            hint = did_you_mean(name, list(BY_KEY))
+            yield Mistake(path, name, f"is no effect{hint}; known: {', '.join(BY_KEY)}")
         elif name in ALWAYS:
             yield Mistake(path, name, "is always built; leave it out")
         elif name in names[:place]:
             yield Mistake(path, name, "is named twice")
         elif name not in FROM_SCALES and model.table(name) is None:
-            missing = f"device {device.name!r} has no table [model.{name}]"
-            yield Mistake(path, name, f"{missing}; add it or leave the effect out")
+            yield Mistake(
+                path,
+                name,
+                f"device {device.name!r} has no table [model.{name}]; add it or leave the effect"
+                " out",
+            )
         elif name in NEEDS and NEEDS[name] not in names:
             yield Mistake(path, name, f"needs the effect {NEEDS[name]!r}; add it")

@@ -27,8 +27,8 @@ from hapticd.model.scene import DampingStep, Excitation, Scene
 from hapticd.settings.build import converter_effects, environment_params
 from hapticd.settings.config import Config, EnvironmentTable
 from hapticd.settings.device import DeviceFile, effects_of
-from hapticd.settings.load import chosen_rules, find_device, model_rules, report, validated
-from hapticd.settings.tables import TomlTable, Where
+from hapticd.settings.load import chosen_rules, find_device, model_rules, report
+from hapticd.settings.tables import TomlTable, Where, validated
 from hapticd.settings.toml import Document, KeyPath, did_you_mean, read, shipped
 
 __all__ = ["build_scene", "load_files", "load_scene", "schema_text"]

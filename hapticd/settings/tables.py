@@ -1,18 +1,23 @@
-"""The base of every TOML table, and validation errors as sentences.
+"""The base of every TOML table, what a file says as its table, and its mistakes as sentences.
 
 A sentence names file:line, field = value with its unit, what is allowed, what was probably meant.
+
+Rules between keys need a table (`parsed`). So that they are looked at beside a misspelt key or a
+wrong number, what is wrong is taken out and stands as its default meanwhile; a rule counts only if
+nothing of that is near what it looks at (`concerns`).
 
 Tables are strict (no "100" for 100), closed (no unknown key), frozen, and refuse NaN and infinity.
 Units live in the names of fields; `core.units.unit_of` reads them for messages and for the JSON
 schema.
 
 What would break it: a pydantic release that renames its error types (`REASONS` would fall back to
-pydantic's own words).
+pydantic's own words); a rule whose limit comes from another table that it does not name.
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import is_dataclass
-from typing import Any, get_args, get_type_hints
+import copy
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, is_dataclass
+from typing import Any, Generic, TypeVar, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
@@ -21,7 +26,7 @@ from hapticd.core.errors import ConfigError
 from hapticd.core.units import unit_of
 from hapticd.settings.toml import KeyPath, did_you_mean
 
-__all__ = ["dotted", "keys_of", "leaves"]
+__all__ = ["dotted", "keys_of", "leaves", "validated"]
 
 Where = Callable[[KeyPath], str]  # file:line of a key
 
@@ -66,9 +71,73 @@ REASONS: Mapping[str, str] = {
 }
 
 
-def config_error(error: ValidationError, model: type[BaseModel], where: Where) -> ConfigError:
-    """Everything that is wrong, one line each. `where` tells file and line of a key."""
-    return ConfigError("\n".join(_line(detail, model, where) for detail in error.errors()))
+T = TypeVar("T", bound=TomlTable)
+
+
+@dataclass(frozen=True)
+class Parsed(Generic[T]):
+    """`table` without what is `wrong`; None where nothing sensible is left."""
+
+    table: T | None
+    where: Where
+    errors: str = ""  # a line for each mistake; empty: there is none
+    wrong: tuple[KeyPath, ...] = ()
+
+    @property
+    def sound(self) -> T:
+        """The table of a file. ConfigError with all mistakes if there is one."""
+        if self.errors or self.table is None:
+            raise ConfigError(self.errors)
+        return self.table
+
+
+def parsed(model: type[T], data: dict[str, Any], where: Where) -> Parsed[T]:
+    """`data` as `model`. `where` tells file and line of a key."""
+    try:
+        return Parsed(model.model_validate(data), where)
+    except ValidationError as error:
+        details = error.errors()
+    wrong = tuple(detail["loc"] for detail in details)
+    lines = "\n".join(_line(detail, model, where) for detail in details)
+    return Parsed(_rest(model, data, wrong), where, lines, wrong)
+
+
+def validated(model: type[T], data: dict[str, Any], where: Where) -> T:
+    """`data` as `model`. ConfigError with one line for everything wrong."""
+    return parsed(model, data, where).sound
+
+
+def _rest(model: type[T], data: dict[str, Any], wrong: Iterable[KeyPath]) -> T | None:
+    """`data` without what is `wrong`, as a table if it is one then."""
+    left = copy.deepcopy(data)
+    for path in wrong:
+        _take_out(left, path)
+    try:
+        return model.model_validate(left)
+    except ValidationError:
+        return None
+
+
+def _take_out(data: dict[str, Any], path: KeyPath) -> None:
+    """Remove what stands at `path`, or the whole list in which it stands."""
+    table: Any = data
+    for step, below in zip(path, (*path[1:], ""), strict=True):
+        if not isinstance(table, dict):
+            return
+        if step == path[-1] or isinstance(below, int):
+            table.pop(step, None)
+            return
+        table = table.get(step)
+
+
+def concerns(paths: Iterable[KeyPath], wrong: Iterable[KeyPath]) -> bool:
+    """Whether any of `wrong` stands at one of `paths`, above it, or in the same table beside it."""
+    tables = [path[:-1] or path for path in paths]
+    return any(
+        mistake[: len(table)] == table or table[: len(mistake)] == mistake
+        for table in tables
+        for mistake in wrong
+    )
 
 
 def dotted(path: KeyPath) -> str:

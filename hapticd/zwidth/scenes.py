@@ -29,7 +29,8 @@ from hapticd.model.predict import DEFAULT_BAND_HZ, Prediction, predict, recorded
 from hapticd.model.scene import Excitation, Scene
 from hapticd.settings.build import device_effects, rigid_effects
 from hapticd.settings.device import DeviceFile
-from hapticd.settings.load import find_config, find_device, validated
+from hapticd.settings.load import find_config, find_device
+from hapticd.settings.tables import validated
 from hapticd.settings.toml import Document, read, shipped
 from hapticd.signal.spectra import DEFAULT_LAG
 

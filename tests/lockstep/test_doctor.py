@@ -25,9 +25,10 @@ from hapticd.run.doctor.machine import (
     UNLIMITED,
     Build,
     Machine,
+    Requirements,
     cores_in,
+    requirements,
 )
-from hapticd.run.doctor.requirements import Requirements, requirements
 from hapticd.servo.wait import virtual_wait
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped

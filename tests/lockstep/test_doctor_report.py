@@ -116,7 +116,7 @@ def test_written_file_parses_and_has_no_secret_of_the_runtime_folder(
     client = ClientDouble()
     client.states = [STATUS]
     monkeypatch.setattr(system, "connect", lambda instance: client)
-    monkeypatch.setattr("hapticd.run.doctor.requirements.requirements", lambda *given: wanted)
+    monkeypatch.setattr("hapticd.run.doctor.machine.requirements", lambda *given: wanted)
     file = tmp_path / "report.json"
     assert main(["doctor", "--seconds", "0", "--report", str(file)]) == 0
     text = file.read_text()

@@ -122,7 +122,7 @@ def test_the_pull_of_a_sound_device_is_within_its_interval():
     found = fit_rigid_mass(runs_of(Truth()))
     pull = next(one for one in found.tests if one.name == "pull")
     assert abs(pull.size) <= 2.0 * pull.half
-    assert found.sd.shape == (RIGID,)
+    assert found.fit.sd.shape == (RIGID,)
     assert pull.critical > student_quantile(0.995, found.blocks - 1)
 
 

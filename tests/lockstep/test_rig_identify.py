@@ -7,7 +7,7 @@ from support.models import device_params, servo_params
 from support.rig_identify import bench, nothing
 
 from hapticd.core.errors import AnalysisError, CommandError
-from hapticd.rig.steps.identify import facts_of, measure, motor_table
+from hapticd.rig.steps.identify import facts_of, measure
 
 
 def test_signs_have_to_be_verified_first():
@@ -49,7 +49,6 @@ def test_whatever_ends_it_leaves_no_force(way):
 def test_the_lever_of_the_motor_is_written_with_its_torque():
     motor = {"motor_n_per_a": 1.65, "winding_ohm": 1.6, "motor_lever_m": 0.02}
     servo = servo_params(device=replace(device_params(), **motor))
-    facts = facts_of(asdict(servo))
-    written = motor_table(facts.motor)
+    written = facts_of(asdict(servo)).motor
     assert written["torque_constant_nm_per_a"] == pytest.approx(0.033)
     assert written["lever_m"] == 0.02

@@ -1,17 +1,16 @@
 """`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
 
-from dataclasses import asdict
 from datetime import date
 
 import numpy as np
 import pytest
-from support.models import COUNT_M, COUNT_N
+from support.models import COUNT_M, COUNT_N, device_params
 from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 from support.tree import ROOT
 
 from hapticd.core.errors import AnalysisError, CommandError, HapticdError
-from hapticd.core.params import ScaleParams, TouchParams
+from hapticd.core.params import ScaleParams, TouchParams, to_plain
 from hapticd.protocol.view import as_records
 from hapticd.rig.device_file import write
 from hapticd.rig.estimate import line
@@ -19,7 +18,6 @@ from hapticd.rig.experiment import push
 from hapticd.rig.steps.motor import (
     Masses,
     analyse,
-    force_limits,
     measure_gain,
     measure_sign,
 )
@@ -111,13 +109,13 @@ def readings(weights_n, scale=1.0, offset_n=0.0):
     return np.stack([forces + 0.02, forces - 0.02], axis=1)
 
 
-SCALE = {"per_count": COUNT_N, "sign": 1, "offset_count": 0.0}
+DEVICE = to_plain(device_params())
 
 
 def test_one_mass_typed_ten_times_wrong_is_refused():
     masses = Masses((0.0, 0.05, 0.1, 0.15))
     truth = 9.80665 * np.array([0.0, 0.05, 0.01, 0.15])
-    result = analyse(masses.weights_n, readings(truth), masses, SCALE)
+    result = analyse(masses.weights_n, readings(truth), masses, DEVICE)
     assert not result.settled
     assert not result.changes
     assert "typed wrong" in result.findings[0].remedy
@@ -125,7 +123,7 @@ def test_one_mass_typed_ten_times_wrong_is_refused():
 
 def test_all_masses_typed_ten_times_wrong_are_refused():
     masses = Masses((0.0, 0.5, 1.0))
-    result = analyse(masses.weights_n, readings(masses.weights_n / 10), masses, SCALE)
+    result = analyse(masses.weights_n, readings(masses.weights_n / 10), masses, DEVICE)
     assert not result.settled
     assert "kg" in result.findings[1].remedy
 
@@ -136,10 +134,9 @@ def test_a_weaker_motor_leaves_the_device_file_valid(tmp_path, home_n):
     text = (DEVICES / "example-board.toml").read_text()
     file.write_text(text.replace("force_n = 0.5 ", f"force_n = {home_n} "))
     device = device_params_of(load_device(file))
-    force = {**SCALE, "per_count": device.force.per_count}
     masses = Masses((0.0, 0.05, 0.1))
     told = readings(masses.weights_n, scale=0.7)
-    result = analyse(masses.weights_n, told, masses, force, force_limits(asdict(device)))
+    result = analyse(masses.weights_n, told, masses, to_plain(device))
     written = write(file, result.changes, "rig motor", date(2026, 11, 22))
     assert written.limits.force_n < 0.7 * device.force_limit_n
     assert written.home.force_n == min(home_n, written.limits.force_n)

@@ -115,7 +115,8 @@ def test_a_drift_is_told_in_kelvin_a_minute():
 
 @pytest.mark.parametrize("gain", [1.2, -0.8])
 def test_back_emf_is_known_by_the_encoder_though_it_comes_late(gain):
-    result = analyse(counts(20.0), KnownTemperatures((20.0,)), DEVICE, shaken(gain, offset=-12.0))
+    at_rest = analyse(counts(20.0), KnownTemperatures((20.0,)), DEVICE)
+    result = at_rest + analyse_back_emf(shaken(gain, offset=-12.0), DEVICE)
     assert result.settled
     values = told(result)
     full = values["emf_velocity.full_scale_m_per_s"]
@@ -145,7 +146,8 @@ def test_back_emf_lies_in_its_interval_nineteen_times_in_twenty():
     ],
 )
 def test_a_back_emf_that_tells_nothing_is_refused_by_name(ticks, name):
-    result = analyse(counts(20.0), KnownTemperatures((20.0,)), DEVICE, ticks)
+    at_rest = analyse(counts(20.0), KnownTemperatures((20.0,)), DEVICE)
+    result = at_rest + analyse_back_emf(ticks, DEVICE)
     (finding,) = refused(result)
     assert name in finding.remedy
     assert not result.changes

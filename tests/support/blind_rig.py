@@ -266,7 +266,7 @@ STEPS: dict[str, Callable[[BlindRig], StepResult]] = {
         rig.bench, rig.ask, temperature.KnownTemperatures((NOMINAL["ambient_c"],))
     ),
     "identify": lambda rig: identify.measure(rig.bench, rig.ask),
-    "verify": lambda rig: verify.measure(rig.bench, rig.ask),
+    "verify": lambda rig: verify.measure(rig.bench, rig.ask, verify.KnownParts()),
 }
 
 

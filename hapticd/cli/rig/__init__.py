@@ -3,27 +3,23 @@
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.rig import damping, guided, sensors, steps
-from hapticd.cli.rig.identify import identify
-from hapticd.cli.rig.motor import motor
-from hapticd.cli.rig.verify import verify
+from hapticd.cli.rig import guided, steps, verbs
 
 app = typer.Typer(
     invoke_without_command=True,
     help="First day at the rig: measure the device step by step, and write its device file.",
 )
-VERBS: dict[str, terminal.Verb] = {
-    "link": steps.link,
-    "encoder": steps.encoder,
-    "motor": motor,
-    "damping": damping.damping,
-    "trim": damping.trim,
-    "audit": damping.audit,
-    "probe": sensors.probe,
-    "temperature": sensors.temperature,
-    "identify": identify,
-    "verify": verify,
-}
 app.callback()(guided.guided)
-for name, verb in VERBS.items():
-    terminal.verb(app, name)(verb)
+for verb in (
+    steps.link,
+    verbs.encoder,
+    verbs.motor,
+    verbs.damping,
+    verbs.trim,
+    verbs.audit,
+    verbs.probe,
+    verbs.temperature,
+    verbs.identify,
+    verbs.verify,
+):
+    terminal.verb(app, verb.__name__)(verb)

@@ -18,11 +18,8 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.change import connect
 from hapticd.cli.deferred import deferred_imports
-from hapticd.cli.rig import damping, sensors, steps
-from hapticd.cli.rig.identify import identify
-from hapticd.cli.rig.motor import motor
+from hapticd.cli.rig import steps, verbs
 from hapticd.cli.rig.steps import StepOptions
-from hapticd.cli.rig.verify import verify
 from hapticd.core.errors import DaemonDown, HapticdError
 from hapticd.core.params import RIG_STEPS, to_plain
 
@@ -69,7 +66,7 @@ FIRST = (
         "sign, scale and noise, by hand",
         "position",
         ("distance from position A to B in m",),
-        lambda at, given: steps.encoder(given[0], options=at),
+        lambda at, given: verbs.encoder(given[0], options=at),
     ),
 )
 SIGN = Step(
@@ -77,7 +74,7 @@ SIGN = Step(
     "its sign, by pushes of 20 ms",
     "commissioning",
     (),
-    lambda at, _: motor(options=at),
+    lambda at, _: verbs.motor(options=at),
 )
 LATER = (
     Step(
@@ -85,42 +82,42 @@ LATER = (
         "its gain and offset, by five masses",
         "force",
         MASSES,
-        lambda at, given: motor(given, options=at),
+        lambda at, given: verbs.motor(given, options=at),
     ),
     Step(
         "damping",
         "its polarity and N s/m per count, by pushes and glides",
         "active_damping",
         (),
-        lambda at, _: damping.damping(at),
+        lambda at, _: verbs.damping(at),
     ),
     Step(
         "probe",
         "both channels, by shaking the handle without and with a mass",
         "probe_velocity",
         ("mass that is fixed to the handle in kg",),
-        lambda at, given: sensors.probe(given[0], options=at),
+        lambda at, given: verbs.probe(given[0], options=at),
     ),
     Step(
         "temperature",
         "the winding's sensor, and the back-EMF by hand",
         "temperature",
         ("temperature of the room in degC",),
-        lambda at, given: sensors.temperature(given, options=at),
+        lambda at, given: verbs.temperature(given, options=at),
     ),
     Step(
         "identify",
         "mass, friction and delay, by shaking the free handle",
         "model",
         (),
-        lambda at, _: identify(at),
+        lambda at, _: verbs.identify(at),
     ),
     Step(
         "verify",
         "known springs, dampers and masses, and the certificate",
         "",
         (),
-        lambda at, _: verify(options=at),
+        lambda at, _: verbs.verify(options=at),
     ),
 )
 
@@ -139,16 +136,11 @@ def guided(
         _offer(step, where)
     if _commissioning(where):
         if _offer(SIGN, where):
-            terminal.talk(RESTART if _verified(where) else NOT_VERIFIED)
+            terminal.talk(NOT_VERIFIED if build.commissioning(_device(where)) else RESTART)
         return
     for step in LATER:
         _offer(step, where)
     terminal.talk(DONE)
-
-
-def _verified(where: StepOptions) -> bool:
-    """Whether the device file says that the signs are verified, for its board."""
-    return not build.commissioning(_device(where))
 
 
 def _offer(step: Step, where: StepOptions) -> bool:
@@ -168,11 +160,13 @@ def _offer(step: Step, where: StepOptions) -> bool:
 
 def measured(table: str, device: "device_files.DeviceFile") -> str:
     """When `table` of `device` was measured by a step, and how old that is; "": never."""
-    date = _measured_on(table, device)
-    if date is None:
+    found = getattr(device, table) if table else None
+    if table == "model" and found is not None:
+        found = found.table("masses")
+    if found is None or found.measured_by not in RIG_STEPS or found.measured_on is None:
         return ""
-    days = (datetime.date.today() - date).days
-    return f"measured {date.isoformat()}, {f'{days} days ago' if days else 'today'}"
+    days = (datetime.date.today() - found.measured_on).days
+    return f"measured {found.measured_on.isoformat()}, {f'{days} days ago' if days else 'today'}"
 
 
 def in_doubt(table: str, device: "device_files.DeviceFile") -> str:
@@ -180,17 +174,6 @@ def in_doubt(table: str, device: "device_files.DeviceFile") -> str:
     servo = {"simulated": device.simulated, "device": to_plain(build.device_params(device))}
     found = calibrations.doubts(servo, datetime.date.today(), probed=True)
     return "; ".join(one.reason for one in found if one.table == table)
-
-
-def _measured_on(table: str, device: "device_files.DeviceFile") -> datetime.date | None:
-    """When a step measured `table` of `device`; None: never."""
-    found = getattr(device, table) if table else None
-    if table == "model" and found is not None:
-        found = found.table("masses")
-    if found is None or found.measured_by not in RIG_STEPS:
-        return None
-    day: datetime.date | None = found.measured_on
-    return day
 
 
 def _device(where: StepOptions) -> "device_files.DeviceFile":

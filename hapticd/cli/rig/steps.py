@@ -30,7 +30,6 @@ with deferred_imports():
     from hapticd.rig import device_file
     from hapticd.rig import hand as hands
     from hapticd.rig import result as results
-    from hapticd.rig.steps import encoder as encoder_step
     from hapticd.rig.steps import link as link_step
     from hapticd.settings import build, load
     from hapticd.settings import device as device_files
@@ -201,23 +200,3 @@ def link(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     """
     with connect(instance) as client:
         show(link_step.measure(client), as_json)
-
-
-def encoder(
-    distance: Annotated[
-        float, typer.Option("--distance", metavar="M", min=1e-4, help="From position A to B, in m.")
-    ],
-    tolerance: Annotated[
-        float,
-        typer.Option("--tolerance", metavar="M", min=0.0, help="Of that distance (95 %), in m."),
-    ] = 10e-6,
-    *,
-    options: StepOptions,
-) -> None:
-    """Sign, scale and noise of the encoder, by hand: no force is made.
-
-    The handle is moved to positive x, then between two positions a stated distance apart, and last
-    to where x = 0 shall be. Writes the table `position` of the device file.
-    """
-    apart = encoder_step.Distance(distance, tolerance)
-    run(options, lambda client, ask: encoder_step.measure(client, ask, apart))

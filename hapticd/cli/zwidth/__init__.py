@@ -3,7 +3,7 @@
 import typer
 
 from hapticd.cli import terminal
-from hapticd.cli.zwidth import compare, export, limits, map, predict, report, search, trial, walls
+from hapticd.cli.zwidth import limits, map, predict, report, search, trial, walls
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -17,9 +17,9 @@ VERBS: dict[str, terminal.Verb] = {
     "search": search.command,
     "walls": walls.command,
     "import": trial.import_record,
-    "export": export.command,
+    "export": report.export,
     "report": report.report,
-    "compare": compare.command,
+    "compare": report.compare,
 }
 
 for name, verb in VERBS.items():

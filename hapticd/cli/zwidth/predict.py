@@ -53,8 +53,10 @@ def command(
     )
     drive = shown.model.drive
     about: dict[str, Any] = {"simulated": True, "device": shown.scene.device}
-    environment = f"K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g"
-    lines = [f"SIMULATED {shown.scene.device}: {environment}, active damping {level:g} N s/m"]
+    lines = [
+        f"SIMULATED {shown.scene.device}: K {k:g} N/m, B {b:g} N s/m, M {1e3 * m:g} g, active"
+        f" damping {level:g} N s/m"
+    ]
     lines += [f"{name:11} {words}" for name, words in _lines(found, shown.perturbation)]
     if drive:
         about["amplifier_limit_n"] = drive.limit_n
@@ -65,8 +67,9 @@ def command(
 def _require_finite(values: dict[str, float]) -> None:
     for option, value in values.items():
         if not isfinite(value):
-            needed = f"a finite number of {UNITS[option]} is needed"
-            raise typer.BadParameter(f"{option} {value:g}: {needed}")
+            raise typer.BadParameter(
+                f"{option} {value:g}: a finite number of {UNITS[option]} is needed"
+            )
 
 
 def _lines(
@@ -92,11 +95,8 @@ def _verdict(found: "forecast.Forecast") -> str:
     if not found.passive:
         if prediction.margin_ns_per_m[0] < 0.0:
             return "not passive"
-        why = (
-            "a burst of motion does not die out"
-            if not prediction.calm[0]
-            else "the loop is unstable"
-        )
+        growing = "a burst of motion does not die out"
+        why = "the loop is unstable" if prediction.calm[0] else growing
         return f"not passive: Re Z >= 0 all over the band, but {why}"
     if found.theorem_passive:
         return "passive, for every input and in every passive hand"
@@ -131,8 +131,7 @@ def _friction(prediction: "predict.Prediction") -> str:
 
 
 def _amplitude(perturbation: "linearise.Perturbation") -> str:
-    density = perturbation.psd_n2_per_hz
-    band_hz = perturbation.band_hz
+    density, band_hz = perturbation.psd_n2_per_hz, perturbation.band_hz
     force_n = sqrt(density * band_hz)
     return f"for noise of {density:.3g} N^2/Hz up to {band_hz:g} Hz, {force_n:.2g} N rms"
 

@@ -1,9 +1,11 @@
-"""Every figure of a device or of a kept run."""
+"""What becomes of kept results: every figure of a device or of a run, displays beside each other,
+and Z(f) as a file of another tool.
+"""
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -21,11 +23,12 @@ with deferred_imports():
     from hapticd.model import scene as model_scene
     from hapticd.recording import certificate
     from hapticd.signal import verdict
+    from hapticd.zwidth import interchange, portable, scenes, simulated, sources, store
     from hapticd.zwidth import limits as axis_limits
     from hapticd.zwidth import map as maps
-    from hapticd.zwidth import portable, scenes, simulated, sources, store
     from hapticd.zwidth import trial as trials
-    from hapticd.zwidth.report import passive_set, style
+    from hapticd.zwidth.report import comparison, passive_set, style
+    from hapticd.zwidth.report import table as tables
 
 
 What = Annotated[
@@ -190,3 +193,98 @@ def _own_trial(
     plan = trials.plan_trial(trials.TrialParams(asked, scene))
     result = trials.run_trial(plan, simulated.engine_source(scene))
     return draw_trial(result, folder, width_mm)
+
+
+Files = Annotated[
+    list[Path],
+    typer.Argument(metavar="A.zwidth B.zwidth ...", help="As `hapticd zwidth report` writes them."),
+]
+
+
+def compare(
+    files: Files,
+    allow: Annotated[
+        str,
+        typer.Option(
+            "--allow",
+            metavar="NAME[,NAME...]",
+            help="Conditions that may be unlike; they are named with the result.",
+        ),
+    ] = "",
+    out: common.Out = None,
+    plot: common.Plot = True,
+    figure_width: terminal.FigureWidth = None,
+    as_json: terminal.Json = False,
+) -> None:
+    """The fair comparison of displays: envelopes and limits as they are, and divided by the mass
+    that moves, where a larger display is no better one.
+
+    Files of unlike conditions (band, judged frequencies, perturbation, length of a trial,
+    confidence) are refused, the unlike ones named; --allow judged_hz,seconds compares them all the
+    same, and says so.
+    """
+    found = portable.compare(files, [name for name in allow.split(",") if name])
+    folder = common.folder(out, "compare")
+    with common.drawing(folder):
+        figure = comparison.comparison_figure(found, figure_width) if plot else None
+        drawn = [str(path) for path in style.save(figure, folder, "compare")] if figure else []
+    lines = [
+        f"{display.name}: {verdict.Judged(*display.conditions.judged_hz).words}"
+        for display in found.displays
+    ]
+    lines += [tables.text(one) for one in comparison.comparison_tables(found)]
+    lines += [f"kept in {folder}", *drawn] if drawn else []
+    terminal.show({**_comparison_json(found), "figures": drawn}, lines, as_json)
+
+
+def _comparison_json(found: "portable.Comparison") -> dict[str, Any]:
+    displays = [
+        {
+            "name": display.name,
+            "conditions": store.to_json(display.conditions),
+            "levels": [
+                {
+                    "active_damping_ns_per_m": one.active_damping_ns_per_m,
+                    "limits": store.to_json(one.limits),
+                    "numbers": store.to_json(dict(one.numbers)),
+                }
+                for one in display.levels
+            ],
+        }
+        for display in found.displays
+    ]
+    return {"displays": displays, "unlike": list(found.unlike)}
+
+
+def export(
+    form: Annotated[
+        Literal["npz", "mat", "csv"],
+        typer.Argument(
+            metavar="npz|mat|csv",
+            help="For python-control, for `frd` of MATLAB or Octave, or comma-separated values.",
+        ),
+    ],
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", callback=terminal.there, help="The folder of a trial.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[OUT]", help="Else impedance-frd in the folder.", show_default=False
+        ),
+    ] = None,
+    as_json: terminal.Json = False,
+) -> None:
+    """Write the impedance of a trial with the interval of Re Z for python-control, MATLAB or a
+    table: `hapticd zwidth export npz RUN`.
+
+    The least Re Z of the band is the input feedforward passivity index that these tools compute.
+    """
+    kept = store.read_summary(run)
+    if kept["kind"] != "trial":
+        raise ConfigError(f"{run}: a run of kind {kept['kind']!r} has no impedance; name a trial's")
+    target = out or run / f"impedance-frd.{form}"
+    if target.exists():
+        raise ConfigError(f"{target} exists; name another file")
+    written = interchange.write_response(trials.kept_trial(run, kept, None), target, form)
+    terminal.show({"files": [str(written)]}, [str(written)], as_json)

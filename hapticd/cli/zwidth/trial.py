@@ -8,6 +8,7 @@ with the noise.
 """
 
 import sys
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from math import ceil
@@ -341,8 +342,7 @@ def _estimator(
     asked: TrialOptions, layout: "trials.MultisineLayout | None"
 ) -> "impedance.Estimator":
     """Multisines are judged from force to velocity unless the other way is asked for."""
-    by_force = asked.estimator == "h_force" or (layout is not None and not asked.estimator)
-    return "h_force" if by_force else "spa"
+    return asked.estimator or ("spa" if layout is None else "h_force")
 
 
 def _judged(
@@ -413,19 +413,19 @@ def _show(
     common.show_result(found, lines, folder, paths, results.as_json)
 
 
-def _lines(result: "trials.TrialResult") -> list[str]:
+def _lines(result: "trials.TrialResult") -> Iterator[str]:
     """What is printed of a trial: what was tried, the verdict, what it rests on."""
     badge = "SIMULATED " if result.recorded.simulated else ""
     what = common.environment_words(result.plan.params.trial)
-    lines = [f"{badge}{result.recorded.origin}: {what}"]
-    lines += [str(result.verdict), f"the interval covers {result.covers}"]
+    yield f"{badge}{result.recorded.origin}: {what}"
+    yield str(result.verdict)
+    yield f"the interval covers {result.covers}"
     if "alignment" in result.recorded.more:
-        lines.append(str(result.recorded.more["alignment"]))
+        yield str(result.recorded.more["alignment"])
     if result.recorded.ended:
-        lines.append(f"ended early: {result.recorded.ended}")
+        yield f"ended early: {result.recorded.ended}"
     if result.verdict.answer == "undecided":
-        lines.append(needed(result))
-    return lines
+        yield needed(result)
 
 
 def announced(
@@ -437,8 +437,10 @@ def announced(
     """What is about to be simulated or read, environment and all."""
     what = common.environment_words(trial)
     if recorded is not None:
-        size = f"{recorded.seconds:.4g} s at {recorded.rate_hz:.6g} Hz"
-        return f"reads {recorded.origin}, {size}, as recorded in {what}"
+        return (
+            f"reads {recorded.origin}, {recorded.seconds:.4g} s at {recorded.rate_hz:.6g} Hz, as"
+            f" recorded in {what}"
+        )
     device = f", device {scene.device} of scene {scene.name}" if scene else ""
     return f"simulates {what} by the {source}{device}"
 
@@ -449,14 +451,18 @@ def needed(result: "trials.TrialResult") -> str:
     layout = result.plan.params.multisine
     voiding = sorted({finding.code for finding in verdict.findings if finding.voids})
     if voiding:
-        found = " and ".join(voiding)
-        return f"no record, however long, can be judged with {found} in it: fix that first"
+        return (
+            f"no record, however long, can be judged with {' and '.join(voiding)} in it: fix that"
+            " first"
+        )
     if layout is None:
         return verdicts.needed(verdict.seconds_needed, verdict.seconds)
     more = verdict.seconds_needed / verdict.seconds
     if not more <= verdicts.FORESEEABLE:
-        many = f"many more than {layout.realisations} realisations would be needed"
-        return f"{many}; use noise (--excitation noise)"
+        return (
+            f"many more than {layout.realisations} realisations would be needed; use noise"
+            " (--excitation noise)"
+        )
     distorted = any(finding.code == "distortion" for finding in verdict.findings)
     remedy = "; where friction distorts, noise decides sooner" if distorted else ""
     count = verdicts.two_digits(ceil(layout.realisations * more))
@@ -509,8 +515,8 @@ def draw_trial(
     """The figures of the trial and of its admittance in `folder`; the files."""
     impedance = figures.trial_figure(result, sines, width_mm=width_mm)
     admittance = figures.trial_figure(result, sines, admittance=True, width_mm=width_mm)
-    paths = style.save(impedance, folder, "trial")
-    return [*paths, *style.save(admittance, folder, "trial_admittance")]
+    named = {"trial": impedance, "trial_admittance": admittance}
+    return [path for name, figure in named.items() for path in style.save(figure, folder, name)]
 
 
 def import_record(

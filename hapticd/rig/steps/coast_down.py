@@ -131,8 +131,7 @@ def row_of(records: Records, force: ScaleParams, m_per_count: float, rate_hz: fl
     damped = float(level[1:] @ np.diff(away))
     current = records["current_a"].astype(np.float64)
     charge = direction * float((current - current[:rest].mean()).sum()) * period_s
-    steady = damped / abs(went)
-    return Row(impulse, abs(went), seconds, damped, charge, steady, direction)
+    return Row(impulse, abs(went), seconds, damped, charge, damped / abs(went), direction)
 
 
 def quantised(force_n: Floats, scale: ScaleParams) -> Floats:
@@ -195,101 +194,82 @@ class Momentum:
     coulomb_n: float
     coulomb_half: float
     by_current: bool
-    loads_ns: Floats  # (n,) what friction took of each impulse
+    braked_ns: Floats  # (n,) what active damping took of each impulse
     beside: Floats  # (n,) share of each impulse that is left over
-
-    def impulses_of_damping(self, rows: Sequence[Row]) -> Floats:
-        """(n,) what is left of each impulse for the active damping."""
-        level = _column(rows, "level_ns_per_m")
-        taken = self.loads_ns * (1.0 + self.loop_per_ns_per_m * level)
-        return np.asarray(_column(rows, "impulse_ns") - taken)
 
 
 def fit_momentum(rows: Sequence[Row], a_per_count: float) -> Momentum:
     """The fit to `rows`, at least eight; some at level 0, and at two or more others for the loop
     gain, which is taken as 0 else.
     """
-    impulse = _column(rows, "impulse_ns")
-    damped = _column(rows, "damped_ns")
-    level = _column(rows, "level_ns_per_m")
-    friction = _friction(rows)
-    weight = _weights(rows, friction)
-    by_current = _current_tells(rows, a_per_count)
-    loads = _column(rows, "charge_as")[:, None] if by_current else friction
+    every = _columns(rows)
+    # of b0, Fc and G
+    friction = np.column_stack([every.way_m, every.seconds, -every.direction * every.seconds])
+    weight = _weights(every, friction)
+    by_current = _current_tells(every, a_per_count)
+    loads = every.charge_as[:, None] if by_current else friction
+    level = every.level_ns_per_m
     loops = len(np.unique(np.round(np.log2(level[level > 0.0])))) > 1
-    found = _fit(impulse, damped, loads, level, weight, loops)
+    found = _fit(every, loads, weight, loops)
     gain, *coefficients = found.values[: 1 + loads.shape[1]]
-    loop = float(found.values[-1]) if loops else 0.0
-    loop_half = float(found.halves[-1]) if loops else 0.0
-    took = (impulse - gain * damped) / (1.0 + loop * level)
-    mechanics = least_squares(friction, took, weight * (1.0 + loop * level), least=1.0)
+    loop, loop_half = (found.values[-1], found.halves[-1]) if loops else (0.0, 0.0)
+    weaker = 1.0 + loop * level
+    took = (every.impulse_ns - gain * every.damped_ns) / weaker
+    mechanics = least_squares(friction, took, weight * weaker, least=1.0)
     physical, coulomb_n, _ = mechanics.values.tolist()
     physical_half, coulomb_half, _ = mechanics.halves.tolist()
     # an error of all times of motion takes of friction, or adds to it; damping loses as much
-    seconds = _column(rows, "seconds")
-    mistimed_n = coulomb_n * TIMING_S / float(np.median(seconds))
-    slowness = float(np.median(seconds / _column(rows, "way_m")))
-    lost = loads @ np.array(coefficients)
-    left = impulse - gain * damped - lost * (1.0 + loop * level)
+    mistimed_n = coulomb_n * TIMING_S / float(np.median(every.seconds))
+    slowness = float(np.median(every.seconds / every.way_m))
+    braked = every.impulse_ns - loads @ np.array(coefficients) * weaker
     return Momentum(
         float(gain),
         float(found.halves[0]),
-        loop,
-        loop_half,
+        float(loop),
+        float(loop_half),
         float(coefficients[0]) if by_current else 0.0,
         physical,
         hypot(physical_half, mistimed_n * slowness),
         coulomb_n,
         hypot(coulomb_half, mistimed_n),
         by_current,
-        lost,
-        np.asarray(left / impulse),
+        braked,
+        (braked - gain * every.damped_ns) / every.impulse_ns,
     )
 
 
-def _column(rows: Sequence[Row], name: str) -> Floats:
-    """The field `name` of all rows (n,)."""
-    return np.array([getattr(row, name) for row in rows], np.float64)
+def _columns(rows: Sequence[Row]) -> Any:
+    """All rows as a record array (n,): by the names of their fields."""
+    return np.rec.array(list(rows), dtype=[(name, np.float64) for name in Row._fields])
 
 
-def _friction(rows: Sequence[Row]) -> Floats:
-    """Columns (n, 3) of b0, Fc and G."""
-    seconds = _column(rows, "seconds")
-    sides = _column(rows, "direction")
-    return np.column_stack([_column(rows, "way_m"), seconds, -sides * seconds])
-
-
-def _weights(rows: Sequence[Row], friction: Floats) -> Floats:
+def _weights(every: Any, friction: Floats) -> Floats:
     """One over what may be wrong in each impulse (n,)."""
-    impulse = _column(rows, "impulse_ns")
-    free = _column(rows, "damped_ns") < 0.05 * impulse
-    guess = np.linalg.lstsq(friction[free], impulse[free], rcond=None)[0]
-    return np.asarray(1.0 / np.hypot(TIMING_S * abs(float(guess[1])), MODEL * impulse))
+    free = every.damped_ns < 0.05 * every.impulse_ns
+    guess = np.linalg.lstsq(friction[free], every.impulse_ns[free], rcond=None)[0]
+    return np.asarray(1.0 / np.hypot(TIMING_S * abs(float(guess[1])), MODEL * every.impulse_ns))
 
 
-def _current_tells(rows: Sequence[Row], a_per_count: float) -> bool:
+def _current_tells(every: Any, a_per_count: float) -> bool:
     """Whether the current of pushes at level 0 is proportional to their impulse."""
-    impulse = _column(rows, "impulse_ns")
-    charge = _column(rows, "charge_as")
-    lasting = np.maximum(_column(rows, "seconds"), 1e-3)
-    if not (np.abs(charge) / lasting > LEAST_AMPERE_COUNTS * a_per_count).all():
+    mean_a = np.abs(every.charge_as) / np.maximum(every.seconds, 1e-3)
+    if not (mean_a > LEAST_AMPERE_COUNTS * a_per_count).all():
         return False
-    free = _column(rows, "damped_ns") < 1e-3 * impulse
-    ratio = impulse[free] / charge[free]
-    return bool(free.sum() >= 2 and np.ptp(ratio) <= 2.0 * EXPLAINED * abs(ratio.mean()))
+    free = every[every.damped_ns < 1e-3 * every.impulse_ns]
+    ratio = free.impulse_ns / free.charge_as
+    return bool(len(free) >= 2 and np.ptp(ratio) <= 2.0 * EXPLAINED * abs(ratio.mean()))
 
 
-def _fit(
-    impulse: Floats, damped: Floats, loads: Floats, level: Floats, weight: Floats, loops: bool
-) -> Fit:
+def _fit(every: Any, loads: Floats, weight: Floats, loops: bool) -> Fit:
     """J = k P + (loads a) (1 + g b): (k, a.., g), without g unless `loops`."""
 
     def columns_of(loop: Floats) -> Floats:
-        return np.column_stack([damped, loads * (1.0 + loop * level)[:, None]])
+        weaker = 1.0 + loop * every.level_ns_per_m
+        return np.column_stack([every.damped_ns, loads * weaker[:, None]])
 
     if not loops:
-        return least_squares(columns_of(np.zeros(1)), impulse, weight, least=1.0)
-    return separable(columns_of, impulse, np.zeros(1), LOOP_STEP, ITERATIONS, weight)
+        return least_squares(columns_of(np.zeros(1)), every.impulse_ns, weight, least=1.0)
+    return separable(columns_of, every.impulse_ns, np.zeros(1), LOOP_STEP, ITERATIONS, weight)
 
 
 def analyse(
@@ -323,53 +303,47 @@ def analyse(
         _together(found),
         _line(levels, gains / found.gain),
         _believable(found.gain),
-        _margin(found, top),
+        margin(found.loop_per_ns_per_m * top, top, "limits.active_damping_ns_per_m at most {:.3g}"),
     ]
     with_n = float(device["force"]["per_count"]) * I16_HIGHEST
-    resting = Change("active_damping", "with_force_full_scale_n", float(f"{with_n:.6g}"))
-    changes = [*_changes(gain, physical, top), resting]
+    changes = [
+        *_changes(gain, physical, top),
+        Change("active_damping", "with_force_full_scale_n", float(f"{with_n:.6g}")),
+    ]
     return StepResult("damping", values, said, changes, arrays or {})
 
 
-def _changes(gain: Value, physical: Value, top: float) -> list[Change]:
+def _changes(gain: Value, physical: Value, top: float) -> Iterator[Change]:
     """What is written, with the limit `top` [N s/m] of the device file."""
-    changes = [change_of(gain)]
+    yield change_of(gain)
     if gain.rounded < top:  # no more than the converter makes
-        changes.append(Change("limits", "active_damping_ns_per_m", gain.rounded))
+        yield Change("limits", "active_damping_ns_per_m", gain.rounded)
     if physical.low > 0.0:
         least = float(f"{LEAST_SHARE * physical.low:.2g}")
-        changes.append(Change("limits", "physical_damping_ns_per_m", least))
-    return changes
+        yield Change("limits", "physical_damping_ns_per_m", least)
 
 
 def by_level(rows: Sequence[Row], found: Momentum) -> tuple[Floats, Floats]:
     """The levels (k,) [N s/m, of the device file] of the rows, and the gain by each (k,)."""
-    left = found.impulses_of_damping(rows)
-    damped = np.array([row.damped_ns for row in rows])
-    level = np.array([row.level_ns_per_m for row in rows])
-    octave = np.full(len(rows), -np.inf)
-    np.log2(level, where=level > 0.0, out=octave)
-    steady = level >= 0.9 * LEVELS[0] * level.max()
-    groups = np.round(octave[steady])
-    each = [steady.nonzero()[0][groups == one] for one in np.unique(groups)]
-    levels = [float(level[at].mean()) for at in each]
+    level = _columns(rows).level_ns_per_m
+    steady = np.flatnonzero(level >= 0.9 * LEVELS[0] * level.max())
+    octave = np.round(np.log2(level[steady]))
+    each = [steady[octave == one] for one in np.unique(octave)]
+    damped = _columns(rows).damped_ns
     # of the line through the origin
-    gains = [float(damped[at] @ left[at] / (damped[at] @ damped[at])) for at in each]
-    return np.array(levels), np.array(gains)
+    gains = [damped[at] @ found.braked_ns[at] / (damped[at] @ damped[at]) for at in each]
+    return np.array([level[at].mean() for at in each]), np.array(gains)
 
 
 def _residual(found: Momentum, known_n_per_a: float, scales: float) -> Iterator[Value]:
     """What the compensation leaves of the winding, in ohm where the force of an ampere is known."""
     rho = found.loop_per_ns_per_m / found.gain
-    half = found.loop_half / abs(found.gain)
-    if found.by_current:
-        n_per_a = abs(found.n_per_a)
+    n_per_a = abs(found.n_per_a)
+    if n_per_a:
         yield Value.around("force per ampere", n_per_a, "N/A", hypot(scales, FLOOR) * n_per_a)
-    else:
-        half = hypot(half, BY_FRICTION * rho)
-    half = hypot(half, 2.0 * scales * rho)
-    if n_per_a := found.n_per_a or known_n_per_a:
-        ohm = n_per_a**2
+    model = 0.0 if n_per_a else BY_FRICTION * rho
+    half = hypot(found.loop_half / abs(found.gain), model, 2.0 * scales * rho)
+    if ohm := (n_per_a or known_n_per_a) ** 2:
         yield Value.around("residual resistance", ohm * rho, "ohm", ohm * half)
     else:
         yield Value.around("residual back-EMF", rho, "m/s per N", half)
@@ -389,38 +363,36 @@ def _together(found: Momentum) -> Finding:
 def _line(levels: Floats, shares: Floats) -> Finding:
     """How far each level lies beside the line."""
     if len(levels) < LEAST_LEVELS:
-        return Finding(
-            f"only {len(levels)} levels of damping were seen",
-            "refused",
-            "let go of the handle, leave it free to move, and repeat",
-        )
+        remedy = "let go of the handle, leave it free to move, and repeat"
+        return Finding(f"only {len(levels)} levels of damping were seen", "refused", remedy)
     told = ", ".join(
         f"{level:.3g}: {100.0 * (share - 1.0):+.2g} %"
         for level, share in zip(levels, shares, strict=True)
     )
-    remedy = (
+    return checked(
+        f"levels beside the line: {told}",
+        bool((np.abs(shares - 1.0) <= BESIDE).all()),
         "is the multiplier offset or at its end? Keep limits.active_damping_ns_per_m where it is"
-        " straight"
+        " straight",
     )
-    straight = bool((np.abs(shares - 1.0) <= BESIDE).all())
-    return checked(f"levels beside the line: {told}", straight, remedy)
 
 
 def _believable(gain: float) -> Finding:
-    remedy = "is full_scale_ns_per_m the hello's? Correct the device file, and repeat"
-    likely = 1.0 / FACTOR <= gain <= FACTOR
-    return checked(f"a commanded N s/m is {gain:.4g} N s/m", likely, remedy, "refused")
+    return checked(
+        f"a commanded N s/m is {gain:.4g} N s/m",
+        1.0 / FACTOR <= gain <= FACTOR,
+        "is full_scale_ns_per_m the hello's? Correct the device file, and repeat",
+        "refused",
+    )
 
 
-def _margin(found: Momentum, top: float) -> Finding:
-    """The loop gain of the residual resistance at the limit."""
-    loop = found.loop_per_ns_per_m * top
-    what = f"loop gain {loop:+.2g} at {top:.3g} N s/m"
-    if loop >= WARN:
-        return Finding(what, "ok")
-    greatest = REFUSE * top / loop
-    return Finding(
-        what,
+def margin(loop: float, top_ns_per_m: float, remedy: str) -> Finding:
+    """What to think of a `loop` gain of the residual resistance at the damping `top_ns_per_m`;
+    `remedy` has a place for the greatest damping that is allowed.
+    """
+    return checked(
+        f"loop gain {loop:+.2g} at {top_ns_per_m:.3g} N s/m",
+        loop >= WARN,
+        f"too much is compensated: {remedy.format(REFUSE * top_ns_per_m / min(loop, WARN))}",
         "refused" if loop < REFUSE else "warning",
-        f"too much is compensated: limits.active_damping_ns_per_m at most {greatest:.3g}",
     )

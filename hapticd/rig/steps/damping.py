@@ -19,7 +19,8 @@ What all pushes say together, and with which interval, is `coast_down` as well.
 What would break it: a hand on the handle (its push is no row, or lies beside the line).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -114,7 +115,7 @@ class Pushing:
     def stimulate(self, stimulus: Stimulus, trial: float = 0.0) -> float:
         """Push once, with the level `trial` [N s/m] on for ON_S; the way [m], with its sign."""
         force_n = self.side * stimulus.force_n
-        schedule = self._trial(trial)
+        schedule = partial(self._schedule, trial)
         found = push(self.bench, force_n, stimulus.seconds, self.after_s, schedule)
         require_force(self.bench.status())
         self.parts.append(found.records)
@@ -141,14 +142,12 @@ class Pushing:
             " handle, keep the table still, and repeat"
         )
 
-    def _trial(self, level: float) -> Callable[[int], None]:
-        def scheduled(begin: int) -> None:
-            if level:
-                off = begin + round(ON_S * self.rate_hz)
-                on = begin - round((LEAD_S + level / self.slew) * self.rate_hz)
-                self.bench.set(active_damping=level, at_tick=on, until_tick=off)
-
-        return scheduled
+    def _schedule(self, level: float, begin: int) -> None:
+        """Have a trial's `level` on around a push that begins at the tick `begin`."""
+        if level:
+            off = begin + round(ON_S * self.rate_hz)
+            on = begin - round((LEAD_S + level / self.slew) * self.rate_hz)
+            self.bench.set(active_damping=level, at_tick=on, until_tick=off)
 
     def _turn(self, at_m: float) -> None:
         """The next push goes to the other side, or back when the handle strayed."""
@@ -169,11 +168,8 @@ class Pushing:
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """The raw record: what was sent and seen of every push, and the rows made of it."""
         raw = {name: np.concatenate([part[name] for part in self.parts]) for name in RECORDED}
-        rows = {
-            f"row_{name}": np.array([getattr(row, name) for row in self.rows])
-            for name in Row._fields
-        }
-        return raw | rows
+        rows = zip(Row._fields, np.array(self.rows).reshape(-1, len(Row._fields)).T, strict=True)
+        return raw | {f"row_{name}": column for name, column in rows}
 
 
 def measure(bench: Client, ask: Ask) -> StepResult:
@@ -185,7 +181,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
     top = float(device["active_damping_limit_ns_per_m"])
     if top <= 0.0:
         why = "limits.active_damping_ns_per_m is 0: there is no active damping to measure"
-        return StepResult("damping", (), [Finding("active damping", "not done", why)])
+        return StepResult("damping", findings=[Finding("active damping", "not done", why)])
     ask(Request("let go", "let go of the handle in the middle of its travel; it is pushed"))
     with undamped(bench):
         await_rest(bench)
@@ -201,9 +197,8 @@ def _all_pushes(rig: Pushing, top: float) -> list[Finding]:
     """Without damping, at a small count for its polarity, then level by level."""
     stimulus = _first_pushes(rig)
     if stimulus is None:
-        what = f"{rig.most_n:.3g} N do not move the handle"
         remedy = "no authority: look at emergency stop, amplifier and motor, and let the handle go"
-        return [Finding(what, "refused", remedy)]
+        return [Finding(f"{rig.most_n:.3g} N do not move the handle", "refused", remedy)]
     polarity = _polarity(rig, stimulus, top)
     if polarity.verdict == "refused":
         return [polarity]
@@ -264,9 +259,12 @@ def _levels(rig: Pushing, top: float) -> Finding:
         known = fit_momentum(rig.rows, rig.a_per_count)
         loop = known.loop_per_ns_per_m
         if (loop + known.loop_half) * level < NEARLY:
-            what = f"the loop gain would come to {loop * level:.2g} at {level:.3g} N s/m"
-            greatest = f"{REFUSE / loop:.3g} N s/m is the greatest damping allowed"
-            return Finding(what, "warning", f"too much is compensated: {greatest}")
+            return Finding(
+                f"the loop gain would come to {loop * level:.2g} at {level:.3g} N s/m",
+                "warning",
+                f"too much is compensated: {REFUSE / loop:.3g} N s/m is the greatest damping"
+                " allowed",
+            )
         rig.bench.damping(level)
         collect(rig.bench, level / rig.slew + 0.1)
         if rig.noise() > quiet + QUIET_COUNTS:

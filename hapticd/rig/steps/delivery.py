@@ -32,7 +32,7 @@ position that are wrong, a board whose spring is not passive with that of SPRING
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from math import hypot, inf
+from math import hypot
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,7 +48,7 @@ from hapticd.rig.estimate import least_squares
 from hapticd.rig.experiment import begin_step, collect, rendering, require_force, undamped
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import Finding, StepResult, Value, checked
-from hapticd.rig.steps.coast_down import REFUSE, WARN
+from hapticd.rig.steps.coast_down import REFUSE, margin
 from hapticd.signal.delivered import CALIBRATION, LAG_S, SIMPSON, WINDOW, Estimate
 from hapticd.usb.frames import Capability
 
@@ -169,27 +169,27 @@ def measure_delivery(
         follows.take(piece)
     rate_hz = params.realtime.rate_hz
     means = joined([means_of(one, params.device.motor_n_per_a, rate_hz) for one in pieces])
-    found = (_damping(follows.estimate), _force(means, params))
-    values = [value for value, _ in found if value]
-    findings = [finding for _, finding in found]
-    return StepResult("audit", values, findings, arrays=raw_of(pieces))
+    recorded = StepResult("audit", arrays=raw_of(pieces))
+    return recorded + _damping(follows.estimate) + _force(means, params)
 
 
-def _damping(found: Estimate) -> tuple[Value | None, Finding]:
+def _unseen(what: str) -> StepResult:
+    return StepResult("audit", (), [Finding(what, "not done", "move the handle more, and repeat")])
+
+
+def _damping(found: Estimate) -> StepResult:
     """Delivered of commanded damping."""
     if found.estimate_ns_per_m is None or found.low is None or found.high is None:
-        what = f"active damping of {found.commanded:.3g} N s/m: {found.basis}"
-        return None, Finding(what, "not done", "move the handle more, and repeat")
+        return _unseen(f"active damping of {found.commanded:.3g} N s/m: {found.basis}")
     value = Value("delivered damping", found.estimate_ns_per_m, "N s/m", found.low, found.high)
     said = f"active damping: {found.estimate_ns_per_m:.3g} of {found.commanded:.3g} N s/m"
-    return value, _delivered(f"{said}, by {found.basis}", value, found.commanded)
+    return _delivered(f"{said}, by {found.basis}", value, found.commanded)
 
 
-def _force(means: Means, servo: ServoParams) -> tuple[Value | None, Finding]:
+def _force(means: Means, servo: ServoParams) -> StepResult:
     """Slope of the motor's force on the commanded one."""
     if float(means.force_n.std()) < LEAST_N:
-        what = "force: next to none was commanded"
-        return None, Finding(what, "not done", "move the handle more, and repeat")
+        return _unseen("force: next to none was commanded")
     ones = np.ones_like(means.force_n)
     columns = np.column_stack([means.force_n, means.velocity_m_per_s, ones])
     counted_n = servo.device.motor_n_per_a * servo.device.current.per_count
@@ -197,20 +197,17 @@ def _force(means: Means, servo: ServoParams) -> tuple[Value | None, Finding]:
     share = float(found.values[0])
     half = hypot(float(found.halves[0]), CALIBRATION * share)
     value = Value.around("delivered force", share, "of what is commanded", half)
-    return value, _delivered(f"force: {share:.3g} of what is commanded, by the current", value)
+    return _delivered(f"force: {share:.3g} of what is commanded, by the current", value)
 
 
-def _delivered(what: str, value: Value, commanded: float = 1.0) -> Finding:
-    """A finding for the interval of what is delivered over what is `commanded`."""
-    if value.high / commanded < LOW:
-        return Finding(
-            what, "warning", "too little: look at amplifier, supply and resistance compensation"
-        )
-    return checked(
-        what,
-        value.low / commanded <= HIGH,
-        "too much: look at the scales of current and force, and at the compensation",
-    )
+def _delivered(what: str, value: Value, commanded: float = 1.0) -> StepResult:
+    """The `value` of what is delivered, judged by its interval over what is `commanded`."""
+    enough = value.high / commanded >= LOW
+    remedy = "too much: look at the scales of current and force, and at the compensation"
+    if not enough:
+        remedy = "too little: look at amplifier, supply and resistance compensation"
+    finding = checked(what, enough and value.low / commanded <= HIGH, remedy)
+    return StepResult("audit", [value], [finding])
 
 
 class Residual(NamedTuple):
@@ -228,14 +225,10 @@ class Residual(NamedTuple):
         """Loop gain at the limit."""
         return self.rho * self.top_ns_per_m
 
-    @property
-    def greatest_ns_per_m(self) -> float:
-        """The greatest damping that keeps the loop gain above REFUSE."""
-        return REFUSE / self.rho if self.rho < 0.0 else inf
-
     def __str__(self) -> str:
-        greatest = self.greatest_ns_per_m
-        stable = "any damping is stable" if greatest == inf else f"allowed to {greatest:.3g} N s/m"
+        stable = "any damping is stable"
+        if self.rho < 0.0:
+            stable = f"allowed to {REFUSE / self.rho:.3g} N s/m"
         return (
             f"residual back-EMF {1e3 * self.rho:+.3g} +- {1e3 * self.half:.2g} mm/s per N,"
             f" {self.rho * self.n_per_a**2:+.3g} ohm; loop gain {self.loop:+.2g} at"
@@ -278,11 +271,11 @@ def measure_residual(
 
 def _no_dac(bench: Client) -> Finding | None:
     """That the board cannot be looked at so; None if it can."""
-    capabilities = int(bench.status().servo.get("board", {}).get("capabilities", 0))
-    if capabilities & Capability.RESISTANCE:
+    if Capability.RESISTANCE & int(bench.status().servo.get("board", {}).get("capabilities", 0)):
         return None
-    remedy = "`hapticd rig damping` measures the residual resistance without it"
-    return Finding(NO_DAC, "not done", remedy)
+    return Finding(
+        NO_DAC, "not done", "`hapticd rig damping` measures the residual resistance without it"
+    )
 
 
 def residual(pieces: Sequence[Means], device: dict[str, Any], new: Records) -> Residual | None:
@@ -321,16 +314,8 @@ def _last(found: Sequence[Residual]) -> tuple[list[Value], list[Finding]]:
         Value.around("residual back-EMF", last.rho, "m/s per N", last.half),
         Value.around("residual resistance", ohm * last.rho, "ohm", ohm * last.half),
     ]
-    return values, [_margin(last)]
-
-
-def _margin(last: Residual) -> Finding:
-    what = f"loop gain {last.loop:+.2g} at {last.top_ns_per_m:.3g} N s/m"
-    if last.loop >= WARN:
-        return Finding(what, "ok")
-    return Finding(
-        what,
-        "refused" if last.loop < REFUSE else "warning",
-        f"too much is compensated: the greatest allowed damping is {last.greatest_ns_per_m:.3g}"
-        " N s/m; lower resistance.base_ohm, or limits.active_damping_ns_per_m to that",
+    remedy = (
+        "the greatest allowed damping is {:.3g} N s/m; lower resistance.base_ohm, or"
+        " limits.active_damping_ns_per_m to that"
     )
+    return values, [margin(last.loop, last.top_ns_per_m, remedy)]

@@ -13,7 +13,7 @@ repetitions then differ, which is refused).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import hypot
 from typing import Any
 
@@ -92,7 +92,12 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
     if Capability.INDEX & int(bench.status().servo.get("capabilities", 0)):
         arrays["marks"] = np.array(marks) - float(np.median(here))
     found = analyse(arrays, distance, float(position["per_count"]), str(device["home"]["method"]))
-    return _doubting(found, int(position["sign"]))
+    sign = int(position["sign"])
+    if any(one.key == "sign" and one.value != sign for one in found.changes):
+        # which way the motor pushes is not known any more: what was verified counts no longer
+        unverified = Change("commissioning", "signs_verified", False)
+        return found + StepResult("encoder", changes=[unverified])
+    return found
 
 
 def _refuse(distance: Distance, travel: Mapping[str, float]) -> None:
@@ -102,16 +107,6 @@ def _refuse(distance: Distance, travel: Mapping[str, float]) -> None:
             f"{distance.metres:g} m from A to B, and the handle travels {room_m:g} m by the device"
             " file; is it in millimetres?"
         )
-
-
-def _doubting(found: StepResult, sign: int) -> StepResult:
-    """With another sign of position than the `sign` before, which way the motor pushes is not
-    known any more: what was verified counts no longer.
-    """
-    if any(one.key == "sign" and one.value != sign for one in found.changes):
-        unverified = Change("commissioning", "signs_verified", False)
-        return replace(found, changes=[*found.changes, unverified])
-    return found
 
 
 def counts_of(records: Records, position: Mapping[str, Any]) -> Floats:
@@ -147,15 +142,10 @@ def analyse(
     values.append(scale)
     findings.append(_believable(scale, m_per_count, distance))
     changes = [Change("position", "sign", 1 if went > 0.0 else -1), change_of(scale)]
-    if settled(findings) and "marks" in arrays:
-        place = np.sign(went) * scale.value * arrays["marks"]
-        findings.append(_index(place, scale.value))
-        if findings[-1].verdict == "ok":
-            mark = _mark(place, scale.value)
-            values.append(mark)
-            if home == "index":
-                changes.append(Change("home", "position_m", float(f"{mark.value:.6g}")))
-    return StepResult("encoder", values, findings, changes, arrays)
+    found = StepResult("encoder", values, findings, changes, arrays)
+    if not found.settled or "marks" not in arrays:
+        return found
+    return found + _index(np.sign(went) * scale.value * arrays["marks"], scale.value, home)
 
 
 def scale_of(steps: Floats, distance: Distance) -> Value:
@@ -167,32 +157,30 @@ def scale_of(steps: Floats, distance: Distance) -> Value:
     return Value.around("position.m_per_count", value, "m", relative * value)
 
 
-def _index(place_m: Floats, m_per_count: float) -> Finding:
-    """Whether the passages of the index mark, at `place_m` (k,), agree."""
+def _index(place_m: Floats, m_per_count: float, home: str) -> StepResult:
+    """Whether the passages of the index mark, at `place_m` (k,), agree, and where it lies then."""
     if not len(place_m):
-        return Finding(
-            "the index mark was not passed",
-            "warning",
-            "move the handle further, or use another way to home",
-        )
-    apart = float(np.ptp(place_m)) / m_per_count
-    return checked(
-        f"{len(place_m)} passages of the index mark, {apart:.2g} counts apart",
-        apart <= QUIET_COUNTS,
+        remedy = "move the handle further, or use another way to home"
+        missed = Finding("the index mark was not passed", "warning", remedy)
+        return StepResult("encoder", findings=[missed])
+    apart_m = float(np.ptp(place_m))
+    finding = checked(
+        f"{len(place_m)} passages of the index mark, {apart_m / m_per_count:.2g} counts apart",
+        apart_m / m_per_count <= QUIET_COUNTS,
         "counts are lost, or there are several marks: do not home by it",
     )
-
-
-def _mark(place_m: Floats, m_per_count: float) -> Value:
-    half = max(float(np.ptp(place_m)), m_per_count) / 2.0
-    return Value.around("home.position_m", float(np.median(place_m)), "m", half)
+    if finding.verdict != "ok":
+        return StepResult("encoder", findings=[finding])
+    half_m = max(apart_m, m_per_count) / 2.0
+    mark = Value.around("home.position_m", float(np.median(place_m)), "m", half_m)
+    changes = [Change("home", "position_m", float(f"{mark.value:.6g}"))] if home == "index" else []
+    return StepResult("encoder", [mark], [finding], changes)
 
 
 def _at_rest(rest: Floats) -> Finding:
-    wide = float(np.ptp(rest))
     return checked(
-        f"{wide:g} counts peak to peak at rest",
-        wide <= QUIET_COUNTS,
+        f"{np.ptp(rest):g} counts peak to peak at rest",
+        bool(np.ptp(rest) <= QUIET_COUNTS),
         "let go of it and keep the table still; else look at shield and supply of the encoder",
     )
 
@@ -219,9 +207,8 @@ def _steps(steps: Floats, went: float) -> Finding:
     same = bool((np.sign(steps) == np.sign(went)).all()) and went != 0.0
     if same and (np.abs(steps) >= LEAST_COUNTS).all():
         return Finding("A to B goes the way of the motion before", "ok")
-    words = ", ".join(f"{step:g}" for step in steps)
     return Finding(
-        f"from A to B {words} counts",
+        f"from A to B {', '.join(f'{step:g}' for step in steps)} counts",
         "refused",
         "B lies to positive x of A, as the motion before: repeat the step",
     )

@@ -124,11 +124,6 @@ class Balance:
     tests: tuple[Test, ...]
     clocks: tuple[Clock, ...]
 
-    @property
-    def sd(self) -> Floats:
-        """Standard deviations, in the order of NAMES."""
-        return self.fit.sd
-
     def half(self, name: str) -> float:
         """Half of the 95 % interval of the quantity `name`, by the blocks."""
         return float(self.fit.halves[NAMES.index(name)])

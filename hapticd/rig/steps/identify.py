@@ -15,7 +15,7 @@ stands for itself where it was told from delay.
 What would break it: a hand on the handle (its mass and damper are then the device's).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import hypot, isnan, nan, pi
 from typing import Any
 
@@ -36,7 +36,6 @@ from hapticd.rig.steps.mechanics import (
     CommandPath,
     Facts,
     Mechanics,
-    Motor,
     Scales,
     channels,
     friction_n,
@@ -88,13 +87,8 @@ def facts_of(servo: Mapping[str, Any]) -> Facts:
     device = servo["device"]
     names = ("force", "probe_torque", "position")
     scales = Scales(*(relative_half(device[name], nan) for name in names))
-    motor = Motor(
-        float(device["motor_n_per_a"]),
-        float(device["winding_ohm"]),
-        float(device["winding_reference_c"]),
-        float(device["motor_lever_m"]),
-    )
-    return Facts(US_PER_S / float(servo["realtime"]["rate_hz"]), scales, filters_of(servo), motor)
+    period_us = US_PER_S / float(servo["realtime"]["rate_hz"])
+    return Facts(period_us, scales, filters_of(servo), motor_table(device))
 
 
 def filters_of(servo: Mapping[str, Any]) -> tuple[FilterParams, FilterParams]:
@@ -132,7 +126,7 @@ def analyse(runs: Sequence[PerturbationRun], facts: Facts) -> StepResult:
     findings += [*scales_agree(found, facts), parting(path, found), *assumptions(found, facts)]
     resonance = resonance_of(found, mechanics.mass)
     values = (*mechanics, *resonance, path.lag, path.delay, path.smoothing, *channels(found))
-    changes = changes_of(found, mechanics, path, facts)
+    changes = tuple(changes_of(found, mechanics, path, facts))
     return StepResult("identify", values, findings, changes, arrays)
 
 
@@ -145,7 +139,7 @@ def _solved(runs: Sequence[PerturbationRun]) -> Balance:
     if not test.significant or test.size < SHOWS * rigid.handle.mass_kg:
         return rigid
     two = fit_two_masses(runs, rigid)
-    sd = float(two.sd[NAMES.index("slider_rad_s")])
+    sd = float(two.fit.sd[NAMES.index("slider_rad_s")])
     told = two.settled and two.handle.slider_rad_s > CERTAIN * sd
     share = two.handle.slider_kg / two.handle.mass_kg
     heavier = two.handle.whole_kg / rigid.handle.whole_kg - 1.0
@@ -170,45 +164,39 @@ def _moved(found: Balance) -> Finding:
     return Finding(what, "ok")
 
 
-def scales_agree(found: Balance, facts: Facts) -> list[Finding]:
+def scales_agree(found: Balance, facts: Facts) -> Iterator[Finding]:
     """Whether the scales of the device file agree with each other."""
     scales = facts.scales
-    findings = []
-    unknown = [name for name, half in vars(scales).items() if isnan(half)]
-    if unknown:
-        findings.append(
-            Finding(
-                f"no interval of {', '.join(unknown)}: {100 * UNKNOWN_SHARE:g} % is taken",
-                "warning",
-                "`hapticd rig` measures them first",
-            )
+    if unknown := [name for name, half in vars(scales).items() if isnan(half)]:
+        yield Finding(
+            f"no interval of {', '.join(unknown)}: {100 * UNKNOWN_SHARE:g} % is taken",
+            "warning",
+            "`hapticd rig` measures them first",
         )
-    off = found.handle.gain - 1.0
     allowed = hypot(known_half(scales.motor), known_half(scales.probe), found.half("gain"))
-    return [
-        *findings,
-        checked(
-            f"a newton of the motor is {found.handle.gain:.4g} N of the probe",
-            abs(off) <= 1.5 * allowed,
-            "repeat `rig motor` with masses, and `rig probe`: one of the two scales is wrong",
-        ),
-    ]
+    yield checked(
+        f"a newton of the motor is {found.handle.gain:.4g} N of the probe",
+        abs(found.handle.gain - 1.0) <= 1.5 * allowed,
+        "repeat `rig motor` with masses, and `rig probe`: one of the two scales is wrong",
+    )
 
 
 def parting(path: CommandPath, found: Balance) -> Finding:
     """How the lag is parted into delay and smoothing."""
     lag = NAMES.index("lag_us")
     spread = NAMES.index("spread_us2")
-    together = float(found.fit.covariance[lag, spread] / (found.sd[lag] * found.sd[spread]))
-    what = (
-        f"lag of a command {path.lag.value:.4g} us; lag and smoothing go together by {together:.2f}"
+    together = float(found.fit.covariance[lag, spread] / (found.fit.sd[lag] * found.fit.sd[spread]))
+    parted = "no smoothing is told from delay, the lag is written as delay"
+    if path.smoothing.value:
+        parted = f"it is smoothed by {path.smoothing.value:.4g} us"
+    return Finding(
+        f"lag of a command {path.lag.value:.4g} us; lag and smoothing go together by"
+        f" {together:.2f}; {parted}",
+        "ok",
     )
-    if path.parted:
-        return Finding(f"{what}; it is smoothed by {path.smoothing.value:.4g} us", "ok")
-    return Finding(f"{what}; no smoothing is told from delay, the lag is written as delay", "ok")
 
 
-def assumptions(found: Balance, facts: Facts) -> list[Finding]:
+def assumptions(found: Balance, facts: Facts) -> Iterator[Finding]:
     """Each assumption, and whether the residuals contradict it where it matters."""
     per_n = 1.0 / max(friction_n(found), 1e-9)
     speed = found.speed_m_per_s
@@ -219,24 +207,18 @@ def assumptions(found: Balance, facts: Facts) -> list[Finding]:
         "pull": per_n,
         "delay": 1.0 / facts.period_us,
     }
-    asked = [test for test in found.tests if not (test.name == "rigid" and found.handle.slider_kg)]
-    return [
-        *_yielding(found),
-        *(_assumed(test, per_unit[test.name] * test.size) for test in asked),
-    ]
-
-
-def _yielding(found: Balance) -> list[Finding]:
-    """That there are two masses, where there are."""
     handle = found.handle
-    if not handle.slider_kg:
-        return []
-    own_hz = handle.slider_rad_s / (2.0 * pi)
-    what = (
-        f"contradicted: one rigid mass: {1e3 * handle.slider_kg:.3g} g of it yield, by themselves"
-        f" at {own_hz:.4g} Hz with {handle.slider_ratio:.2g} of critical damping"
-    )
-    return [Finding(what, "ok", "the model has two masses and [model.coupling]")]
+    if handle.slider_kg:
+        yield Finding(
+            f"contradicted: one rigid mass: {1e3 * handle.slider_kg:.3g} g of it yield, by"
+            f" themselves at {handle.slider_rad_s / (2.0 * pi):.4g} Hz with"
+            f" {handle.slider_ratio:.2g} of critical damping",
+            "ok",
+            "the model has two masses and [model.coupling]",
+        )
+    for test in found.tests:
+        if not (test.name == "rigid" and handle.slider_kg):
+            yield _assumed(test, per_unit[test.name] * test.size)
 
 
 _WORDS = {
@@ -255,42 +237,43 @@ _WORDS = {
 
 def _assumed(test: Test, share: float) -> Finding:
     what, words, remedy = _WORDS[test.name]
-    said = (
-        f"{what}: {words.format(100.0 * abs(share))} (t {test.t:.1f}, {test.critical:.1f} at 1 %)"
+    holds = not test.significant or abs(share) <= MATTERS[test.name]
+    said = f"{what}: {words.format(100.0 * abs(share))}"
+    return checked(
+        f"{'' if holds else 'contradicted: '}{said} (t {test.t:.1f}, {test.critical:.1f} at 1 %)",
+        holds,
+        remedy,
     )
-    if test.significant and abs(share) > MATTERS[test.name]:
-        return Finding(f"contradicted: {said}", "warning", remedy)
-    return Finding(said, "ok")
 
 
 def changes_of(
     found: Balance, mechanics: Mechanics, path: CommandPath, facts: Facts
-) -> list[Change]:
+) -> Iterator[Change]:
     """What is written, table by table."""
-    tables: dict[str, dict[str, float | str]] = {
+    tables: dict[str, Mapping[str, float | str]] = {
         **_masses(found, mechanics.mass),
-        "motor": motor_table(facts.motor),
+        "motor": facts.motor,
         "viscous": {"rotor_ns_per_m": max(0.0, mechanics.viscous.rounded)},
         "coulomb": {"rotor_n": max(0.0, mechanics.coulomb.rounded)},
         "delay": {"periods": round(path.delay.value / facts.period_us, 5)},
     }
-    if path.parted:
+    if path.smoothing.value:
         corner_hz = US_PER_S / (2.0 * pi * path.smoothing.value)
         tables["smoothing"] = {"corner_hz": float(f"{corner_hz:.6g}")}
     converters = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
     names = tuple(name for name in tables if name not in ("masses", "motor"))
-    changes = [Change("model", "effects", (*names, *converters))]
+    yield Change("model", "effects", (*names, *converters))
     for table, numbers in tables.items():
-        changes += [Change(f"model.{table}", key, value) for key, value in numbers.items()]
-    return changes
+        for key, value in numbers.items():
+            yield Change(f"model.{table}", key, value)
 
 
-def _masses(found: Balance, mass: Value) -> dict[str, dict[str, float | str]]:
+def _masses(found: Balance, mass: Value) -> dict[str, Mapping[str, float | str]]:
     """Tables of what moves, with the transmission where it yields."""
     handle = found.handle
     if not handle.slider_kg:
         return {"masses": {"rotor_kg": mass.rounded, "slider_kg": 0.0}}
-    slider = mass.value * handle.slider_kg / (handle.mass_kg + handle.slider_kg)
+    slider = mass.value * handle.slider_kg / handle.whole_kg
     rate = handle.slider_rad_s
     damping = 2.0 * handle.slider_ratio * rate * slider
     return {
@@ -306,17 +289,19 @@ def _digits(value: float) -> float:
     return float(f"{value:.5g}")
 
 
-def motor_table(motor: Motor) -> dict[str, float | str]:
-    """Torque per ampere [N m/A] and its lever [m]. Where nobody measured them, numbers that say so:
-    the table has to stand, and nothing of it is predicted with.
+def motor_table(device: Mapping[str, Any]) -> dict[str, float | str]:
+    """[model.motor] for the hello's `device`: torque per ampere [N m/A] and its lever [m]. Where
+    they were not measured, numbers that say so: the table has to stand, and nothing of it is
+    predicted with.
     """
+    lever_m = float(device["motor_lever_m"])
     found: dict[str, float | str] = {
-        "torque_constant_nm_per_a": _digits(motor.n_per_a * motor.lever_m) or 1.0,
-        "lever_m": motor.lever_m,
-        "resistance_ohm": motor.ohm or 1.0,
-        "reference_c": motor.reference_c,
+        "torque_constant_nm_per_a": _digits(device["motor_n_per_a"] * lever_m) or 1.0,
+        "lever_m": lever_m,
+        "resistance_ohm": float(device["winding_ohm"]) or 1.0,
+        "reference_c": float(device["winding_reference_c"]),
     }
-    if not motor.n_per_a:
+    if not device["motor_n_per_a"]:
         note = "not measured: `hapticd rig motor` with a current; no prediction depends on it"
         found |= {"source": "inferred", "note": note}
     return found

@@ -102,21 +102,19 @@ def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
     span = collect(bench, seconds)
     after = bench.status()
     watched = try_watchdog(bench, after.servo.get("board", {}))
-    values = (*_values(span.records, after), *watched.values)
+    values = tuple(_values(span.records, after))
     counted = {name: count - before.get(name, 0) for name, count in after.counters.items()}
     findings = [
         *_timing(values, US_PER_S / float(servo["realtime"]["rate_hz"])),
         *_frames(counted, len(span.records)),
         *_features(after.servo),
-        *watched.findings,
     ]
     if span.lost:
         findings.append(
             Finding(f"{span.lost} ticks lost by telemetry", "warning", "repeat on a calm host")
         )
     arrays = {name: np.asarray(span.records[name]) for name in RECORDED}
-    arrays["silences"] = watched.arrays.get("silences", np.array([]))
-    return StepResult("link", values, findings, arrays=arrays)
+    return StepResult("link", values, findings, arrays=arrays) + watched
 
 
 def _values(records: Records, status: Status) -> Iterator[Value]:
@@ -223,10 +221,13 @@ def try_watchdog(bench: Client, board: Mapping[str, Any]) -> StepResult:
     stated_s = float(board.get("watchdog_ms", 0)) / MS_PER_S
     first_s = BEYOND * stated_s + MARGIN_S
     if not 0.0 < first_s <= LONGEST_SILENCE_S:
-        what = f"watchdog of the board: stated is {MS_PER_S * stated_s:g} ms"
         most_ms = MS_PER_S * (LONGEST_SILENCE_S - MARGIN_S) / BEYOND
-        remedy = f"not tried; up to {most_ms:.0f} ms can be, and 20 ms is usual"
-        return StepResult("watchdog", (), [Finding(what, "warning", remedy)])
+        untried = Finding(
+            f"watchdog of the board: stated is {MS_PER_S * stated_s:g} ms",
+            "warning",
+            f"not tried; up to {most_ms:.0f} ms can be, and 20 ms is usual",
+        )
+        return StepResult("watchdog", findings=[untried], arrays={"silences": np.array([])})
     with some_damping(bench):
         silences = [silence(bench, first_s)]
         if silences[0].tripped and not silences[0].authority:
@@ -301,8 +302,7 @@ def _analyse_silences(silences: list[Silence], stated_s: float, period_s: float)
         return StepResult("watchdog", (), [Finding(what, "refused", REMEDY)], arrays=arrays)
     high_s = min(one.seconds for one in silences if one.tripped)
     low_s = max((one.seconds for one in silences if not one.tripped), default=period_s)
-    low_ms = MS_PER_S * min(low_s, high_s)
-    high_ms = MS_PER_S * high_s
+    low_ms, high_ms = MS_PER_S * min(low_s, high_s), MS_PER_S * high_s
     value = Value("watchdog", (low_ms + high_ms) / 2, "ms", low_ms, high_ms)
     findings = [_time(value, MS_PER_S * stated_s, MS_PER_S * period_s), *_trip(silences)]
     return StepResult("watchdog", [value], findings, arrays=arrays)

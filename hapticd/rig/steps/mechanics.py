@@ -46,23 +46,13 @@ class Scales:
 
 
 @dataclass(frozen=True)
-class Motor:
-    """What the device file says of the motor."""
-
-    n_per_a: float  # force at the endpoint per ampere; 0: unknown
-    ohm: float  # of the winding, at `reference_c`; 0: unknown
-    reference_c: float
-    lever_m: float = 1.0  # radius that turns torque into force; 1: unknown
-
-
-@dataclass(frozen=True)
 class Facts:
     """What is known of the device before."""
 
     period_us: float
     scales: Scales
     filters: tuple[FilterParams, FilterParams]
-    motor: Motor
+    motor: Mapping[str, float | str]  # [model.motor] of the device file
 
 
 class Mechanics(NamedTuple):
@@ -78,8 +68,7 @@ class CommandPath(NamedTuple):
 
     lag: Value
     delay: Value
-    smoothing: Value
-    parted: bool  # whether there is a smoothing that is written
+    smoothing: Value  # 0: none is told from delay
 
 
 def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
@@ -98,8 +87,8 @@ def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
         half = hypot(own * scale, size * scale_half, size * motion_half if moves else 0.0)
         return Value.around(name, size, unit, half)
 
-    total_half = _together(found, {"mass_kg": 1.0, "slider_kg": float(handle.slider_kg > 0.0)})
-    mass_half = hypot(total_half, MASS_SHARE * handle.whole_kg)
+    total = {"mass_kg": 1.0, "slider_kg": float(handle.slider_kg > 0.0)}
+    mass_half = hypot(_together(found, total), MASS_SHARE * handle.whole_kg)
     viscous_half = hypot(found.half("viscous_ns_per_m"), shared)
     coulomb_half = hypot(found.half("coulomb_n"), shared_n)
     return Mechanics(
@@ -123,8 +112,7 @@ def resonance_of(found: Balance, mass: Value) -> list[Value]:
     scale = mass.value / handle.whole_kg
     slider = scale * handle.slider_kg
     slider_half = hypot(SPLIT_SHARE * slider, scale * found.half("slider_kg"))
-    own_hz = handle.slider_rad_s / (2.0 * pi)
-    hz = own_hz * sqrt(handle.whole_kg / handle.mass_kg)
+    hz = handle.slider_rad_s / (2.0 * pi) * sqrt(handle.whole_kg / handle.mass_kg)
     relative = {  # derivatives of its logarithm
         "mass_kg": 0.5 / handle.whole_kg - 0.5 / handle.mass_kg,
         "slider_kg": 0.5 / handle.whole_kg,
@@ -164,8 +152,7 @@ def path_of(found: Balance, runs: Sequence[PerturbationRun], facts: Facts) -> Co
     handle = found.handle
     lag_place = NAMES.index("lag_us")
     spread_place = NAMES.index("spread_us2")
-    stiffness = _stiffness(runs[-1])
-    doubt = 2.0 * MASS_SHARE * (handle.mass_kg + handle.slider_kg) / stiffness * US_PER_S**2
+    doubt = 2.0 * MASS_SHARE * handle.whole_kg / _stiffness(runs[-1]) * US_PER_S**2
     covariance = found.fit.covariance
     # how much the lag changes with a spread that is wrong [1/us]
     lag_by_spread = covariance[lag_place, spread_place] / covariance[spread_place, spread_place]
@@ -178,8 +165,7 @@ def path_of(found: Balance, runs: Sequence[PerturbationRun], facts: Facts) -> Co
     low, middle, high = (
         min(most_us, sqrt(max(0.0, spread + side * spread_half))) for side in (-1, 0, 1)
     )
-    parted = low > 0.0 and middle > LEAST_SMOOTHING * facts.period_us
-    if not parted:
+    if low == 0.0 or middle <= LEAST_SMOOTHING * facts.period_us:
         low = middle = 0.0
     lag = Value.around("lag", handle.lag_us, "us", lag_half)
     least_us = max(least_us - TOLD_US, lag.low - high)
@@ -187,7 +173,6 @@ def path_of(found: Balance, runs: Sequence[PerturbationRun], facts: Facts) -> Co
         lag,
         Value("delay", handle.lag_us - middle, "us", min(least_us, lag.value), lag.high - low),
         Value("smoothing", middle, "us", low, high),
-        parted,
     )
 
 
@@ -198,12 +183,11 @@ def _stiffness(run: PerturbationRun) -> float:
 
 
 def channels(found: Balance) -> tuple[Value, ...]:
-    gain = found.handle.gain
     gain_half = hypot(found.half("gain"), MASS_SHARE)
     skew = -found.handle.skew_us  # of the velocity's sampling, as `rig probe` has it
     doubt_us = YIELDING_SKEW_US if found.handle.slider_kg else LAG_US
     skew_half = hypot(found.half("skew_us"), doubt_us, SKEW_SHARE * skew)
     return (
-        Value.around("motor by probe", gain, "N/N", gain_half),
+        Value.around("motor by probe", found.handle.gain, "N/N", gain_half),
         Value.around("probe skew", skew, "us", skew_half),
     )

@@ -21,10 +21,10 @@ line by chance.
 What would break it: a friction that differs from one reading to the next (it shows as residuals).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import floor, hypot, inf
-from typing import Any, NamedTuple
+from math import floor, hypot
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +33,7 @@ from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import COMMISSIONING_SHARE, MOST_CORRECTION
 from hapticd.core.units import percent
-from hapticd.rig.estimate import line, mean_half
+from hapticd.rig.estimate import Line, line, mean_half
 from hapticd.rig.experiment import (
     LOOK_S,
     Push,
@@ -44,7 +44,7 @@ from hapticd.rig.experiment import (
     push,
     ready,
     release,
-    require_force,
+    under_force,
 )
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import Change, Finding, StepResult, Value, change_of, checked, settled
@@ -87,27 +87,12 @@ class Masses:
         return GRAVITY_M_PER_S2 * self.ratio * np.array(self.kilograms)
 
 
-class ForceLimits(NamedTuple):
-    """Forces that the device file allows, in N of its own scale."""
-
-    limit_n: float  # limits.force_n
-    home_n: float  # home.force_n
-
-
-UNBOUNDED = ForceLimits(inf, inf)
-
-
-def force_limits(device: Mapping[str, Any]) -> ForceLimits:
-    """What the `device` of a hello allows."""
-    return ForceLimits(float(device["force_limit_n"]), float(device["home"]["force_n"]))
-
-
 def measure_sign(bench: Client, ask: Ask) -> StepResult:
     """Push to both sides and see which way the handle goes. CommandError unless disabled."""
     servo = begin_step(bench)
     _require_encoder(servo)
-    where = "somewhere in the middle of its travel"
-    ask(Request("let go", f"let go of the handle, {where}; it will be pushed gently"))
+    text = "let go of the handle, somewhere in the middle of its travel; it will be pushed gently"
+    ask(Request("let go", text))
     pushes = [moving_push(bench, side * allowed_n(servo)) for side in (1.0, -1.0)]
     agree = {bool(one.moved_m * one.force_n > 0.0) for one in pushes}
     findings = [_pushed(one) for one in pushes]
@@ -156,11 +141,15 @@ def _require_encoder(servo: Mapping[str, Any]) -> None:
         )
 
 
-def allowed_n(servo: dict[str, Any]) -> float:
+def allowed_n(servo: Mapping[str, Any]) -> float:
     """The strongest push: a tenth of the device's force, as in commissioning, whether the signs are
     verified or not, and whatever a motor makes of it that nobody has measured.
     """
-    share = COMMISSIONING_SHARE / MOST_CORRECTION
+    return limit_n(servo, COMMISSIONING_SHARE / MOST_CORRECTION)
+
+
+def limit_n(servo: Mapping[str, Any], share: float = 1.0) -> float:
+    """The most that may be commanded, of the device's own force no more than `share`."""
     own_n = share * float(servo["device"]["force_limit_n"])
     return min(own_n, float(servo["safety"]["force_limit_n"]))
 
@@ -231,17 +220,13 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
     stiffness = min(STIFFEST_N_PER_M, float(weights.max()) / SAG_M)
     drawn_n = DRAWN_SHARE * limit_n(servo)
     readings = []
-    with ready(bench):
+    with under_force(bench):
         bench.set(K=stiffness, ramp_s=1.0)
         for mass_kg in masses.kilograms:
             ask(Request("hang", f"hang {mass_kg:g} kg and let go of the handle", mass_kg))
             readings.append(rests_n(bench, drawn_n))
-        status = bench.status()
     ask(Request("let go", "take the masses off and let go of the handle"))
-    require_force(status)
-    device = servo["device"]
-    limits = force_limits(device)
-    return analyse(weights, np.array(readings), masses, device["force"], limits)
+    return analyse(weights, np.array(readings), masses, servo["device"])
 
 
 def rests_n(bench: Client, drawn_n: float) -> list[float]:
@@ -255,12 +240,6 @@ def rests_n(bench: Client, drawn_n: float) -> list[float]:
         release(bench, DRAW_S, SETTLE_S)
         found.append(float(collect(bench, READ_S).records["force_n"].mean()))
     return found
-
-
-def limit_n(servo: dict[str, Any]) -> float:
-    """The most that may be commanded."""
-    own_n = float(servo["device"]["force_limit_n"])
-    return min(own_n, float(servo["safety"]["force_limit_n"]))
 
 
 def _refuse(servo: dict[str, Any], masses: Masses) -> None:
@@ -278,39 +257,37 @@ def _refuse(servo: dict[str, Any], masses: Masses) -> None:
 
 
 def analyse(
-    weights_n: Floats,
-    readings_n: Floats,
-    masses: Masses,
-    force: Mapping[str, Any],
-    limits: ForceLimits = UNBOUNDED,
+    weights_n: Floats, readings_n: Floats, masses: Masses, device: Mapping[str, Any]
 ) -> StepResult:
-    """What commanded forces (n, 2) under `weights_n` (n,) say, with the file's scale `force` and
-    what it allows.
+    """What commanded forces (n, 2) under `weights_n` (n,) say, with scale and limits of the
+    hello's `device`.
     """
     means = readings_n.mean(axis=1)
     found = line(weights_n, means)
     scale = -masses.pulls_to / found.slope
     unequal = REPEATS * friction_of(readings_n)
     slope_half = hypot(found.slope_half, unequal / float(np.ptp(weights_n)))
-    gain = full_scale(scale, force, hypot(slope_half / abs(found.slope), masses.tolerance))
-    offset = offset_of(found.intercept, hypot(found.intercept_half, unequal), force)
+    gain = full_scale(scale, device, hypot(slope_half / abs(found.slope), masses.tolerance))
+    offset = offset_of(found.intercept, hypot(found.intercept_half, unequal), device)
     # half the difference between rest from above and from below: no more than the friction, and
     # less where a load came to rest beyond its place
     halves = abs(scale) * np.abs(np.diff(readings_n, axis=1))[:, 0] / 2.0
     left = Value.around("friction left at rest", float(halves.mean()), "N", mean_half(halves))
-    what = f"the worst reading lies {percent(found.worst / float(np.ptp(means)))} of the span"
     remedy = "is one mass typed wrong, does the lever slip, or the handle stick? Repeat the step"
-    straight = found.worst <= MOST_RESIDUAL * float(np.ptp(means))
-    findings = [
-        checked(f"{what} beside the line", straight, remedy, "refused"),
-        believable(scale),
-    ]
-    changes = [
-        *full_scale_changes(gain, scale, limits),
-        Change("force", "offset_count", offset.rounded),
-    ]
-    arrays = {"weights_n": weights_n, "readings_n": readings_n}
-    return StepResult("motor", (gain, offset, left), findings, changes, arrays)
+    return StepResult(
+        "motor",
+        (gain, offset, left),
+        (straight(found, means, "span", remedy), believable(scale)),
+        (*full_scale_changes(gain, scale, device), zero_change(offset)),
+        {"weights_n": weights_n, "readings_n": readings_n},
+    )
+
+
+def straight(found: Line, readings: Floats, of: str, remedy: str) -> Finding:
+    """Whether the `readings` (n,) lie on the line that was `found`; `of` names their span."""
+    share = found.worst / float(np.ptp(readings))
+    what = f"the worst reading lies {percent(share)} of the {of} beside the line"
+    return checked(what, share <= MOST_RESIDUAL, remedy, "refused")
 
 
 def friction_of(readings_n: Floats) -> float:
@@ -318,37 +295,44 @@ def friction_of(readings_n: Floats) -> float:
     return float(np.abs(np.diff(readings_n, axis=1)).mean()) / 2.0
 
 
-def full_scale(scale: float, force: Mapping[str, Any], relative: float) -> Value:
-    """The full scale of the force, whose newtons in the file's scale `force` are `scale` N."""
-    full_n = scale * I16_HIGHEST * float(force["per_count"])
+def full_scale(scale: float, device: Mapping[str, Any], relative: float) -> Value:
+    """The full scale of the force, whose newtons by the hello's `device` are `scale` N."""
+    full_n = scale * I16_HIGHEST * float(device["force"]["per_count"])
     return Value.around("force.full_scale_n", full_n, "N", relative * abs(full_n))
 
 
-def offset_of(force_n: float, half_n: float, force: Mapping[str, Any]) -> Value:
-    """The count of no force, for which `force_n` is commanded by the file's scale `force`."""
+def offset_of(force_n: float, half_n: float, device: Mapping[str, Any]) -> Value:
+    """The count of no force, for which `force_n` is commanded by the scale of `device`."""
+    force = device["force"]
     per_n = int(force["sign"]) / float(force["per_count"])
     count = float(force["offset_count"]) + per_n * force_n
     return Value.around("force.offset_count", count, "counts", abs(per_n) * half_n)
 
 
-def full_scale_changes(gain: Value, scale: float, limits: ForceLimits) -> list[Change]:
-    """What the full scale `gain`, of `scale` times that of the file, writes into a file that allows
-    `limits`. The board clamps counts: with a motor that is weaker than its file says, the most that
-    it makes is less, too, and no stop can be sought with more than that.
+def zero_change(offset: Value) -> Change:
+    """The count of no force into the device file, which states no interval for it."""
+    return Change("force", "offset_count", offset.rounded)
+
+
+def full_scale_changes(gain: Value, scale: float, device: Mapping[str, Any]) -> Iterator[Change]:
+    """What the full scale `gain`, of `scale` times that of the hello's `device`, writes. The board
+    clamps counts: with a motor that is weaker than its file says, the most that it makes is less,
+    too, and no stop can be sought with more than that.
     """
-    changes = [change_of(gain)]
+    yield change_of(gain)
     least = scale * gain.low / gain.value
-    if least >= 1.0 or limits.limit_n == inf:
-        return changes
-    reach_n = floor(least * limits.limit_n * 1e3) / 1e3
-    changes.append(Change("limits", "force_n", reach_n))
-    if limits.home_n > reach_n:
-        changes.append(Change("home", "force_n", reach_n))
-    return changes
+    if least < 1.0:
+        reach_n = floor(least * device["force_limit_n"] * 1e3) / 1e3
+        yield Change("limits", "force_n", reach_n)
+        if device["home"]["force_n"] > reach_n:
+            yield Change("home", "force_n", reach_n)
 
 
 def believable(scale: float) -> Finding:
     """Whether a commanded newton may be `scale` newtons, by what the device file says."""
-    remedy = "are the masses in kg, the radii and the side right? Else correct force.full_scale_n"
-    likely = 1.0 / MOST_CORRECTION <= scale <= MOST_CORRECTION
-    return checked(f"a commanded newton is {scale:.4g} N", likely, remedy, "refused")
+    return checked(
+        f"a commanded newton is {scale:.4g} N",
+        1.0 / MOST_CORRECTION <= scale <= MOST_CORRECTION,
+        "are the masses in kg, the radii and the side right? Else correct force.full_scale_n",
+        "refused",
+    )

@@ -14,7 +14,7 @@ What would break it: a mass that rattles (the residuals show it), or one that is
 something soft (its mode has to be far above 30 Hz).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import floor, hypot, pi, sqrt
 from typing import Any, NamedTuple
@@ -104,6 +104,11 @@ class Gain(NamedTuple):
     per_count: float
     relative_half: float
 
+    @property
+    def sign(self) -> int:
+        """Of the channel, as the device file has it."""
+        return 1 if self.per_count > 0.0 else -1
+
     def value(self, name: str, unit: str) -> Value:
         """At the full count."""
         full = I16_HIGHEST * abs(self.per_count)
@@ -166,15 +171,27 @@ def analyse(
             "probe_velocity": Gain(1.0 / of_velocity.counts, velocity_half),
         }
         findings += _weighed(fit)
-        findings += [_believable(name, one, device[name]) for name, one in gains.items()]
-        scales = _scales(found.rest, gains)
+        remedy = "is the mass in kg, and was it fixed? Else correct the full scale in the file"
+        findings += [
+            plausible(name, one.per_count, device[name], remedy) for name, one in gains.items()
+        ]
+        scales = [
+            gains["probe_torque"].value("probe_torque.full_scale_n", "N"),
+            gains["probe_velocity"].value("probe_velocity.full_scale_m_per_s", "m/s"),
+            offset("probe_torque.offset_count", found.rest.torque),
+            offset("probe_velocity.offset_count", found.rest.velocity),
+        ]
         changes = [
-            *_signs(gains),
+            *(Change(name, "sign", one.sign) for name, one in gains.items()),
             *map(change_of, scales),
             *(skew_change(one) for one in values if one.name == SKEW),
             *_within_reach(scales[0], device["probe_limit_n"]),
         ]
-        values += [*scales, *_noises(found.rest, gains)]
+        values += [
+            *scales,
+            noise("probe_torque noise", found.rest.torque, gains["probe_torque"], "N rms"),
+            noise("probe_velocity noise", found.rest.velocity, gains["probe_velocity"], "m/s rms"),
+        ]
     return StepResult("probe", values, findings, changes, _arrays(found))
 
 
@@ -266,48 +283,20 @@ def force_gain(found: Added, attached: AttachedMass, position_half: float) -> Ga
     return Gain(attached.kilograms / found.counts, relative)
 
 
-def _weighed(found: Added) -> list[Finding]:
+def _weighed(found: Added) -> Iterator[Finding]:
     """What is to be thought of the fit of both recordings."""
-    findings = [
-        checked(
-            f"masses, damping and friction leave {percent(found.left)} of the torque unexplained",
-            found.left <= MOST_LEFT,
-            "fix the mass so that nothing rattles, and keep hands and table still",
-        )
-    ]
+    yield checked(
+        f"masses, damping and friction leave {percent(found.left)} of the torque unexplained",
+        found.left <= MOST_LEFT,
+        "fix the mass so that nothing rattles, and keep hands and table still",
+    )
     relative = found.half / abs(found.counts)
     if relative > WORST_HALF:
-        findings.append(
-            Finding(
-                f"the mass tells the force to {percent(relative)} alone",
-                "refused",
-                "was it fixed? Repeat it, or take a heavier one",
-            )
+        yield Finding(
+            f"the mass tells the force to {percent(relative)} alone",
+            "refused",
+            "was it fixed? Repeat it, or take a heavier one",
         )
-    return findings
-
-
-def _believable(name: str, gain: Gain, scale: Mapping[str, Any]) -> Finding:
-    ratio = gain.per_count / (int(scale["sign"]) * float(scale["per_count"]))
-    return plausible(
-        name, ratio, "is the mass in kg, and was it fixed? Else correct the full scale in the file"
-    )
-
-
-def _scales(rest: Recording, gains: Mapping[str, Gain]) -> list[Value]:
-    return [
-        gains["probe_torque"].value("probe_torque.full_scale_n", "N"),
-        gains["probe_velocity"].value("probe_velocity.full_scale_m_per_s", "m/s"),
-        offset("probe_torque.offset_count", rest.torque),
-        offset("probe_velocity.offset_count", rest.velocity),
-    ]
-
-
-def _noises(rest: Recording, gains: Mapping[str, Gain]) -> list[Value]:
-    return [
-        noise("probe_torque noise", rest.torque, gains["probe_torque"], "N rms"),
-        noise("probe_velocity noise", rest.velocity, gains["probe_velocity"], "m/s rms"),
-    ]
 
 
 def offset(name: str, counts: Floats) -> Value:
@@ -332,10 +321,6 @@ def noise(name: str, counts: Floats, gain: Gain, unit: str) -> Value:
     value = sqrt(spread**2 - SHEPPARD) * per_count
     half = value * hypot(NORMAL / sqrt(2.0 * len(last)), gain.relative_half)
     return Value.around(name, value, unit, half)
-
-
-def _signs(gains: Mapping[str, Gain]) -> list[Change]:
-    return [Change(name, "sign", 1 if one.per_count > 0.0 else -1) for name, one in gains.items()]
 
 
 def _within_reach(full: Value, limit_n: float) -> list[Change]:

@@ -24,25 +24,22 @@ import numpy as np
 
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
-from hapticd.core.units import percent
 from hapticd.rig.estimate import line, mean_half
-from hapticd.rig.experiment import begin_step, collect, pull, ready, release, require_force
+from hapticd.rig.experiment import begin_step, collect, pull, release, under_force
 from hapticd.rig.hand import Ask, Request
-from hapticd.rig.result import Change, Finding, StepResult, Value, checked
+from hapticd.rig.result import Finding, StepResult, Value
 from hapticd.rig.steps.motor import (
     DRAWN_SHARE,
-    MOST_RESIDUAL,
     REPEATS,
-    UNBOUNDED,
-    ForceLimits,
     believable,
-    force_limits,
     friction_of,
     full_scale,
     full_scale_changes,
     limit_n,
     offset_of,
     rests_n,
+    straight,
+    zero_change,
 )
 
 __all__ = ["Spring", "measure", "measure_offset"]
@@ -81,15 +78,11 @@ def measure(bench: Client, ask: Ask, spring: Spring) -> StepResult:
     most_n = min(SHARE * limit_n(servo), MOST_M * spring.n_per_m) / OVERSHOOT
     text = f"put the spring of {spring.n_per_m:g} N/m between handle and frame, and let go"
     ask(Request("spring", text, spring.n_per_m))
-    with ready(bench):
+    with under_force(bench):
         start_m = float(collect(bench, READ_S).records["position_m"].mean())
         loops = [_loop(bench, side * most_n, start_m) for side in (1.0, -1.0)]
-        status = bench.status()
-    require_force(status)
     ask(Request("let go", "take the spring off and let go"))
-    rests = np.array(loops).reshape(-1, 2, 2)
-    device = servo["device"]
-    return analyse(rests, spring, device["force"], force_limits(device))
+    return analyse(np.array(loops).reshape(-1, 2, 2), spring, servo["device"])
 
 
 def _loop(bench: Client, most_n: float, start_m: float) -> list[list[Rest]]:
@@ -108,11 +101,9 @@ def _rest(bench: Client, force_n: float, start_m: float) -> Rest:
     return Rest(float(found["force_n"].mean()), float(found["position_m"].mean()))
 
 
-def analyse(
-    rests: Floats, spring: Spring, force: Mapping[str, Any], limits: ForceLimits = UNBOUNDED
-) -> StepResult:
-    """What `rests` (n, 2, 2), of levels, way up and down, [N] and [m], say with the file's scale
-    `force` and what it allows.
+def analyse(rests: Floats, spring: Spring, device: Mapping[str, Any]) -> StepResult:
+    """What `rests` (n, 2, 2), of levels, way up and down, [N] and [m], say with scale and limits of
+    the hello's `device`.
     """
     forces, places = rests.mean(axis=1).T
     found = line(forces, places)
@@ -120,21 +111,17 @@ def analyse(
     ways = np.diff(rests, axis=1)[:, 0]
     friction_m = float(np.abs(ways[:, 1] - found.slope * ways[:, 0]).mean()) / 2.0
     slope_half = hypot(found.slope_half, REPEATS * friction_m / float(np.ptp(forces)))
-    gain = full_scale(scale, force, hypot(slope_half / abs(found.slope), spring.tolerance))
+    gain = full_scale(scale, device, hypot(slope_half / abs(found.slope), spring.tolerance))
     friction = spring.n_per_m * friction_m
     seen = Value.around("friction seen", friction, "N", friction)
-    share = found.worst / float(np.ptp(places))
-    findings = [
-        checked(
-            f"the worst reading lies {percent(share)} of the stretch beside the line",
-            share <= MOST_RESIDUAL,
-            "does the spring buckle or end, the lever slip, or the handle stick? Repeat the step",
-            "refused",
-        ),
-        believable(scale),
-    ]
-    changes = full_scale_changes(gain, scale, limits)
-    return StepResult("motor", (gain, seen), findings, changes, {"rests": rests})
+    remedy = "does the spring buckle or end, the lever slip, or the handle stick? Repeat the step"
+    return StepResult(
+        "motor",
+        (gain, seen),
+        (straight(found, places, "stretch", remedy), believable(scale)),
+        tuple(full_scale_changes(gain, scale, device)),
+        {"rests": rests},
+    )
 
 
 def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> StepResult:
@@ -144,14 +131,12 @@ def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> St
     servo = begin_step(bench, "the offset is measured")
     ask(Request("let go", "let go of the handle, with nothing hanging from it"))
     drawn_n = DRAWN_SHARE * limit_n(servo)
-    with ready(bench):
+    with under_force(bench):
         bench.set(K=HELD_N_PER_M, ramp_s=1.0)
         readings = np.array([rests_n(bench, drawn_n) for _ in range(repeats)])
-        status = bench.status()
-    require_force(status)
     means = readings.mean(axis=1)
     half_n = hypot(mean_half(means), REPEATS * friction_of(readings))
-    value = offset_of(float(means.mean()), half_n, servo["device"]["force"])
-    finding = Finding(f"{value.value:.3g} counts make no force", "ok")
-    change = Change("force", "offset_count", value.rounded)
-    return StepResult("motor", (value,), [finding], [change], {"readings_n": readings})
+    offset = offset_of(float(means.mean()), half_n, servo["device"])
+    finding = Finding(f"{offset.value:.3g} counts make no force", "ok")
+    changes = [zero_change(offset)]
+    return StepResult("motor", (offset,), [finding], changes, {"readings_n": readings})

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
@@ -87,8 +86,7 @@ def measure(
         return at_rest
     text = f"from now on, for {SHAKE_S:g} s: shake the handle to and fro by some mm"
     ask(Request("shake", text, SHAKE_S))
-    shaken = collect(bench, SHAKE_S).records
-    return analyse(np.array(readings), stated, device, shaken)
+    return at_rest + analyse_back_emf(collect(bench, SHAKE_S).records, device)
 
 
 def _refuse(stated: KnownTemperatures) -> None:
@@ -111,14 +109,9 @@ def _read(bench: Client, device: Mapping[str, Any]) -> Floats:
     return raw_counts(winding_c, device["temperature"])
 
 
-def analyse(
-    readings: Floats,
-    stated: KnownTemperatures,
-    device: Mapping[str, Any],
-    shaken: Records | None = None,
-) -> StepResult:
-    """What counts (k, n) of the sensor at k temperatures say, over REST_S each, and the ticks of a
-    handle that was `shaken`, with the scales of the hello's `device`.
+def analyse(readings: Floats, stated: KnownTemperatures, device: Mapping[str, Any]) -> StepResult:
+    """What counts (k, n) of the sensor at k temperatures say, over REST_S each, with the scales of
+    the hello's `device`.
     """
     scale = device["temperature"]
     per_count = float(scale["per_count"])
@@ -134,13 +127,7 @@ def analyse(
             Change("temperature", "sign", _sign(readings, stated, scale)),
             *map(change_of, scales),
         ]
-    arrays: dict[str, Any] = {"readings": readings, "stated_c": np.array(stated.celsius)}
-    if shaken is not None:
-        other = analyse_back_emf(shaken, device)
-        values += other.values
-        findings += other.findings
-        changes += other.changes
-        arrays |= other.arrays
+    arrays = {"readings": readings, "stated_c": np.array(stated.celsius)}
     return StepResult("temperature", values, findings, changes, arrays)
 
 
@@ -148,20 +135,16 @@ def _living(readings: Floats) -> Finding:
     means = readings.mean(axis=1)
     what = f"the sensor says {', '.join(f'{mean:.1f}' for mean in means)} counts"
     if means.min() <= I16_LOWEST + 1 or means.max() >= I16_HIGHEST - 1:
-        return Finding(
-            what,
-            "refused",
-            "the end of its converter: the sensor is open or shorted; look at its wires",
-        )
+        remedy = "the end of its converter: the sensor is open or shorted; look at its wires"
+        return Finding(what, "refused", remedy)
     follows = len(means) != 2 or abs(means[1] - means[0]) >= LEAST_COUNTS
     return checked(what, follows, "stuck sensor: it does not follow the temperature", "refused")
 
 
 def _steady(drift: Value) -> Finding:
-    steady = max(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_C_PER_MIN
     return checked(
         f"it drifts by {drift.value:.2g} K/min",
-        steady,
+        max(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_C_PER_MIN,
         "wait until the winding is as warm as what is around it",
     )
 
@@ -228,5 +211,4 @@ def _sign(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any])
     """That of the file, or as the counts rise between two temperatures."""
     if len(stated.celsius) != 2:
         return int(scale["sign"])
-    rises = np.diff(readings.mean(axis=1))[0] * np.diff(stated.celsius)[0] > 0.0
-    return 1 if rises else -1
+    return 1 if np.diff(readings.mean(axis=1))[0] * np.diff(stated.celsius)[0] > 0.0 else -1

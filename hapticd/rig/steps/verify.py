@@ -30,7 +30,7 @@ What would break it: a handle that somebody holds (another mass), a first resona
 """
 
 import datetime
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot, pi, sqrt
 from typing import Any
@@ -85,9 +85,6 @@ class KnownParts:
     seconds: float = 20.0  # of each run
 
 
-USUAL = KnownParts()
-
-
 @dataclass(frozen=True)
 class Part:
     """One known part, in `unit`, and how it comes to the handle."""
@@ -114,7 +111,7 @@ class Rendering:
     filters: tuple[FilterParams, FilterParams]
 
 
-def measure(bench: Client, ask: Ask, known: KnownParts = USUAL) -> StepResult:
+def measure(bench: Client, ask: Ask, known: KnownParts) -> StepResult:
     """Shake the handle with and without each part, and compare. CommandError unless disabled;
     AnalysisError where the signs are not verified, or as of `perturbation_run`.
     """
@@ -123,12 +120,12 @@ def measure(bench: Client, ask: Ask, known: KnownParts = USUAL) -> StepResult:
     free = Request("let go", "let go of the handle in the middle of its travel; it will be shaken")
     ask(free)
     loud_n = loudest_n(bench, servo)
-    waveforms = (noise(known.seconds, loud_n, seed) for seed in range(1, 10))
-    runs = {"": perturbation_run(bench, next(waveforms), BESIDE)}
-    for part in parts_of(known):
+    runs = {"": perturbation_run(bench, noise(known.seconds, loud_n, 1), BESIDE)}
+    for number, part in enumerate(parts_of(known), 2):
         if part.request:
             ask(part.request)
-        runs[part.name] = perturbation_run(bench, next(waveforms), part.environment)
+        waveform = noise(known.seconds, loud_n, number)
+        runs[part.name] = perturbation_run(bench, waveform, part.environment)
         if part.request:
             ask(free)
     counts = {name: count - before.get(name, 0) for name, count in counted(bench).items()}
@@ -138,9 +135,7 @@ def measure(bench: Client, ask: Ask, known: KnownParts = USUAL) -> StepResult:
 def parts_of(known: KnownParts) -> list[Part]:
     """The parts that are asked for, in their order."""
     stiffness, damping, mass = BESIDE.free
-    k = known.stiffness_n_per_m
-    b = known.damping_ns_per_m
-    m = known.mass_kg
+    k, b, m = known.stiffness_n_per_m, known.damping_ns_per_m, known.mass_kg
     found = [
         Part("rendered spring", k, UNIT_N_PER_M, Environment(stiffness + k, damping, mass)),
         Part("rendered damper", b, "N s/m", Environment(stiffness, damping + b, mass)),
@@ -275,20 +270,16 @@ def seen(differences: Sequence[Difference]) -> list[Value]:
     def columns_of(params: Floats) -> Floats:
         paths = [command_path_response(one.frequency_hz, params) for one in rendered]
         blocks = [one.columns(path) for one, path in zip(rendered, paths, strict=True)]
-        matrix = np.zeros((sum(map(len, blocks)), 2 * len(blocks)))
-        row = 0
-        for number, block in enumerate(blocks):
-            matrix[row : row + len(block), 2 * number : 2 * number + 2] = block
-            row += len(block)
-        return matrix
+        rows = [np.zeros((len(block), len(blocks), 2)) for block in blocks]
+        for number, (row, block) in enumerate(zip(rows, blocks, strict=True)):
+            row[:, number] = block
+        return np.concatenate(rows).reshape(-1, 2 * len(blocks))
 
     target = np.concatenate([one.target for one in rendered])
     weight = np.concatenate([one.weight for one in rendered])
     fit = separable(columns_of, target, np.zeros(2), STEP, ROUNDS, weight)
-    scales = fit.values[:-2:2].tolist()
-    frictions = fit.values[1:-2:2].tolist()
-    halves = (NORMAL * fit.sd[:-2:2]).tolist()
-    values = list(map(_value, rendered, scales, frictions, halves))
+    scales, frictions = fit.values[:-2].reshape(-1, 2).T.tolist()
+    values = list(map(_value, rendered, scales, frictions, (NORMAL * fit.sd[:-2:2]).tolist()))
     encoder = float(fit.values[-1])
     return values + [_attached(one, encoder) for one in differences if one.part.request]
 
@@ -313,16 +304,14 @@ def agreement(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
     """Whether what was seen lies where the calibrations of `device` let it lie."""
     unknown = [name for name in part.scales if device[name]["half_width_95"] is None]
     halves = [relative_half(device[name], UNKNOWN_SHARE) for name in part.scales]
-    allowed = hypot(*halves, MASS_SHARE if part.request else 0.0)
     off = value.value / part.size - 1.0
-    limit = hypot(allowed, value.half / part.size)
+    limit = hypot(*halves, MASS_SHARE if part.request else 0.0, value.half / part.size)
     what = (
         f"{part.name}: {part.size:g} {part.unit} is {value.value:.4g} at the probe, off by"
         f" {100 * off:+.2g} %; calibrations and record leave {percent(limit)}"
     )
     if unknown:
-        share = f"{100 * UNKNOWN_SHARE:g} %"
-        what += f" ({', '.join(unknown)}: no interval known, {share} taken)"
+        what += f" ({', '.join(unknown)}: no interval known, {100 * UNKNOWN_SHARE:g} % taken)"
     steps = "`hapticd rig probe`" if part.request else "`hapticd rig motor`, `hapticd rig probe`"
     return checked(
         what,
@@ -354,11 +343,9 @@ def _delay(delays_us: Floats, rendering: Rendering) -> Finding:
     )
 
 
-def _calibrations(servo: Mapping[str, Any], day: datetime.date) -> Iterator[Finding]:
+def _calibrations(servo: Mapping[str, Any], day: datetime.date) -> list[Finding]:
     """Calibrations that cannot be relied on."""
-    found = doubts(servo, day, probed=True)
-    for one in found:
-        yield Finding(f"calibration {one}", "refused", one.remedy)
-    if not found:
-        asked = "a simulated device needs none" if servo["simulated"] else "of this board, in date"
-        yield Finding(f"calibrations: {asked}", "ok")
+    if found := doubts(servo, day, probed=True):
+        return [Finding(f"calibration {one}", "refused", one.remedy) for one in found]
+    asked = "a simulated device needs none" if servo["simulated"] else "of this board, in date"
+    return [Finding(f"calibrations: {asked}", "ok")]

@@ -36,7 +36,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K, US_PER_S
 from hapticd.rig.estimate import Fit, in_blocks, jackknife, line
-from hapticd.rig.experiment import begin_step, collect, pull, ready, require_force, servo_rate_hz
+from hapticd.rig.experiment import begin_step, collect, pull, servo_rate_hz, under_force
 from hapticd.rig.hand import Ask, Request
 from hapticd.rig.result import (
     POSITION_HALF,
@@ -82,19 +82,21 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
     servo = begin_step(bench, "the winding is measured")
     ask(Request("hold", "hold the handle firmly where it is; it will be pushed gently", 0.0))
     most_n = allowed_n(servo)
-    with ready(bench):
+    with under_force(bench):
         start_m = float(collect(bench, READ_S).records["position_m"].mean())
         forces = [side * level * most_n for side in (1.0, -1.0) for level in LEVELS]
         rests = np.array([_rest(bench, force, start_m) for force in forces])
-        status = bench.status()
-    require_force(status)
     text = f"move the handle to and fro by some mm for {SHAKE_S:g} s from now"
     ask(Request("shake", text, SHAKE_S))
     shaken = collect(bench, SHAKE_S).records
     ask(Request("let go", "let go of the handle"))
-    moved = windows(shaken, servo_rate_hz(bench))
-    found = analyse(rests, moved, servo["device"], lever_m)
-    return _with_circuit(found, analyse_back_emf(shaken, servo["device"]))
+    device = servo["device"]
+    found = analyse(rests, windows(shaken, servo_rate_hz(bench)), device, lever_m)
+    circuit = analyse_back_emf(shaken, device)
+    if found.settled and circuit.settled:
+        return found + circuit
+    left = [replace(one, verdict="warning") for one in circuit.findings if one.remedy]
+    return found + StepResult("motor", findings=left)
 
 
 def _rest(bench: Client, force_n: float, start_m: float) -> list[float]:
@@ -168,19 +170,6 @@ def _slope(name: str, unit: str, x: Floats, y: Floats, relative: float) -> Value
     return Value.around(name, found.slope, unit, hypot(found.slope_half, relative * found.slope))
 
 
-def _with_circuit(found: StepResult, circuit: StepResult) -> StepResult:
-    """`found` with scale and sign of the circuit's velocity, where that moves with the handle."""
-    if not (found.settled and circuit.settled):
-        left = [replace(one, verdict="warning") for one in circuit.findings if one.remedy]
-        return replace(found, findings=[*found.findings, *left])
-    return replace(
-        found,
-        values=[*found.values, *circuit.values],
-        findings=[*found.findings, *circuit.findings],
-        changes=[*found.changes, *circuit.changes],
-    )
-
-
 def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> Iterator[Finding]:
     """What of the channels says nothing, and a handle that was not moved."""
     for name, values in zip(("current", "voltage"), rests.T[1:], strict=False):
@@ -203,12 +192,12 @@ def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> Iterator[
 def _signs(per_ampere: Value, ohm: Value, induced: Value) -> Finding:
     names = {"current": per_ampere, "voltage over current": ohm, "voltage over speed": induced}
     wrong = [name for name, value in names.items() if value.value <= 0.0]
-    if not wrong:
-        return Finding("current and voltage have the signs of the force", "ok")
-    return Finding(
-        f"the wrong way: {', '.join(wrong)}",
-        "refused",
+    what = f"the wrong way: {', '.join(wrong)}"
+    return checked(
+        what if wrong else "current and voltage have the signs of the force",
+        not wrong,
         "correct the sign of `current` or `voltage` in the device file",
+        "refused",
     )
 
 
@@ -239,20 +228,14 @@ def analyse_back_emf(shaken: Records, device: Mapping[str, Any]) -> StepResult:
     per_speed_half, _, at_rest_half = fit.halves.tolist()
     full = I16_HIGHEST / per_speed
     relative = hypot(per_speed_half / per_speed, relative_half(device["position"], POSITION_HALF))
-    # rounding hides where in its count a channel without noise is
-    offset_half = hypot(at_rest_half, 0.5)
     name = "emf_velocity.full_scale_m_per_s"
     values = [
         Value.around(name, abs(full), "m/s", relative * abs(full)),
-        Value.around("emf_velocity.offset_count", at_rest, "counts", offset_half),
+        # rounding hides where in its count a channel without noise is
+        Value.around("emf_velocity.offset_count", at_rest, "counts", hypot(at_rest_half, 0.5)),
     ]
-    ratio = full / (I16_HIGHEST * int(scale["sign"]) * float(scale["per_count"]))
-    findings = [
-        finding,
-        plausible(
-            "emf_velocity", ratio, "correct full_scale_m_per_s in the device file, and repeat"
-        ),
-    ]
+    remedy = "correct full_scale_m_per_s in the device file, and repeat"
+    findings = [finding, plausible("emf_velocity", 1.0 / per_speed, scale, remedy)]
     sign = Change("emf_velocity", "sign", 1 if full > 0.0 else -1)
     return StepResult("back-EMF", values, findings, [sign, *map(change_of, values)], arrays)
 

@@ -2,13 +2,13 @@
 
 Each check finds, judges, explains and names the exact fix.
 
-    settings    -> requirements.Requirements --.
+    settings    -> machine.Requirements -------.
     the machine -> machine.Machine ------------+-> probe -> row of the table -> CheckResult
 
     checks    the table of what is checked; `examine(machine, requirements)` is all of it
     probes    what is looked at for each row
-    requirements   what the configuration asks of the machine
-    machine   the machine as the checks see it; `this_machine()` is the one that we run on
+    machine   the machine as the checks see it, `this_machine()` is the one that we run on; and what
+              the configuration asks of it
     late      what the ticks of a running daemon say
     wake      how late a process with the servo's rights wakes; the only part that measures
 

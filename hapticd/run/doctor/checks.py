@@ -13,13 +13,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hapticd.run.doctor import probes
-from hapticd.run.doctor.machine import Machine
-from hapticd.run.doctor.probes import FAIL, INSTALL, JOIN, WARN, Flaw
-from hapticd.run.doctor.requirements import Requirements
+from hapticd.run.doctor.machine import Machine, Requirements
+from hapticd.run.doctor.probes import FAIL, INSTALL, JOIN, OK, WARN, Flaw
 
-__all__ = ["CheckResult", "examine", "fail", "ok", "warn"]
-
-OK = "ok"  # nothing to do
+__all__ = ["CheckResult", "examine"]
 
 
 class CheckResult(NamedTuple):
@@ -30,21 +27,6 @@ class CheckResult(NamedTuple):
     found: str  # what was found
     why: str = ""  # why it matters, unless it is ok
     fix: str = ""  # the exact remedy, unless it is ok
-
-
-def ok(name: str, found: str) -> CheckResult:
-    """Nothing to do."""
-    return CheckResult(name, OK, found)
-
-
-def warn(name: str, found: str, why: str, fix: str) -> CheckResult:
-    """It works, and could be better."""
-    return CheckResult(name, WARN, found, why, fix)
-
-
-def fail(name: str, found: str, why: str, fix: str) -> CheckResult:
-    """The servo misses something it needs."""
-    return CheckResult(name, FAIL, found, why, fix)
 
 
 class Check(NamedTuple):
@@ -262,8 +244,6 @@ def examined(check: Check, machine: Machine, asked: Requirements) -> CheckResult
     """What one check says."""
     found = check.probe(machine, asked)
     if isinstance(found, str):
-        return ok(check.name, found)
-    level = found.level or check.level
-    return CheckResult(
-        check.name, level, found.found, found.why or check.why, found.fix or check.fix
-    )
+        return CheckResult(check.name, OK, found)
+    level, why, fix = found.level or check.level, found.why or check.why, found.fix or check.fix
+    return CheckResult(check.name, level, found.found, why, fix)

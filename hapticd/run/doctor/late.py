@@ -4,7 +4,8 @@ some are late. Each cause has its remedy.
 
 from hapticd.mailbox.layout import LateCause
 from hapticd.protocol.answers import Room, Status
-from hapticd.run.doctor.checks import CheckResult, ok, warn
+from hapticd.run.doctor.checks import CheckResult
+from hapticd.run.doctor.probes import OK, WARN
 
 __all__ = ["judge", "judge_room"]
 
@@ -38,13 +39,15 @@ ADVICE = {  # why ticks are late, and what to do
 def judge_room(room: Room | None) -> CheckResult:
     """What a tick takes of its period, as a line."""
     if room is None or not room.tick_us:
-        return ok("tick", "not measured yet")
-    text = f"{room.tick_us:.0f} us of {room.period_us:g} us, transfers included"
-    text += f"; a quarter of the period is left up to {room.highest_rate_hz:g} Hz"
+        return CheckResult("tick", OK, "not measured yet")
+    text = (
+        f"{room.tick_us:.0f} us of {room.period_us:g} us, transfers included; a quarter of the"
+        f" period is left up to {room.highest_rate_hz:g} Hz"
+    )
     if room.short:
         fix = f"set realtime.rate_hz to {room.highest_rate_hz:g} or less"
-        return warn("tick", text, "whatever holds up such a tick makes it late", fix)
-    return ok("tick", text)
+        return CheckResult("tick", WARN, text, "whatever holds up such a tick makes it late", fix)
+    return CheckResult("tick", OK, text)
 
 
 def judge(status: Status, words: str) -> CheckResult:
@@ -52,10 +55,10 @@ def judge(status: Status, words: str) -> CheckResult:
     counts = {name: one.count for name, one in status.late.items()}
     late = sum(counts.values())
     if not late:
-        return ok(NAME, "none")
+        return CheckResult(NAME, OK, "none")
     ticks = status.counters.get("ticks", 0)
     text = f"{late} of {ticks}: {words}"
     if late <= RARE * ticks:
-        return ok(NAME, text)
+        return CheckResult(NAME, OK, text)
     why, fix = ADVICE[LateCause[max(counts, key=counts.__getitem__).upper()]]
-    return warn(NAME, text, f"most often {why}", fix)
+    return CheckResult(NAME, WARN, text, f"most often {why}", fix)

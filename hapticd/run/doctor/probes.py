@@ -12,16 +12,22 @@ lack many of them: `Machine.text` returns None).
 import json
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from hapticd.core.errors import MailboxError
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import require_trusted
-from hapticd.run.doctor.machine import CAP_IPC_LOCK, CAP_SYS_NICE, Machine, cores_in
-from hapticd.run.doctor.requirements import Requirements
+from hapticd.run.doctor.machine import (
+    CAP_IPC_LOCK,
+    CAP_SYS_NICE,
+    Machine,
+    Requirements,
+    cores_in,
+)
 
+OK = "ok"  # nothing to do
 WARN = "warn"  # it works, and can be better, or will fail one day
 FAIL = "fail"  # the servo misses a right or a deadline
 
@@ -113,10 +119,8 @@ def servo_core(machine: Machine, asked: Requirements) -> int:
 
 def governor(machine: Machine, asked: Requirements) -> str | Flaw:
     """A core that slows down between ticks is slow when the tick comes."""
-    found = [
-        path.read_text().strip()
-        for path in machine.find(f"{CPU}/cpu[0-9]*/cpufreq/scaling_governor")
-    ]
+    places = machine.find(f"{CPU}/cpu[0-9]*/cpufreq/scaling_governor")
+    found = [path.read_text().strip() for path in places]
     slow = [governor for governor in found if governor != "performance"]
     if not found:
         return "the frequency is not scaled here (virtual machine, or fixed)"
@@ -127,9 +131,8 @@ def governor(machine: Machine, asked: Requirements) -> str | Flaw:
 
 def smt(machine: Machine, asked: Requirements) -> str | Flaw:
     """A sibling thread takes half of the servo's core whenever it likes."""
-    if machine.text(f"{CPU}/smt/active") == "1":
-        return Flaw("two threads share a core")
-    return "no two threads share a core"
+    shared = machine.text(f"{CPU}/smt/active") == "1"
+    return Flaw("two threads share a core") if shared else "no two threads share a core"
 
 
 def cores(machine: Machine, asked: Requirements) -> str | Flaw:
@@ -272,7 +275,7 @@ def irq_priority(machine: Machine, asked: Requirements) -> str | Flaw:
 def _irq_threads(machine: Machine) -> Iterator[tuple[int, str, int]]:
     for path in machine.find("proc/[0-9]*/stat"):
         # a process may end while we look
-        text = machine.text(str(path.relative_to(machine.root))) or ""
+        text = machine.text(str(path)) or ""
         comm = text[text.find("(") + 1 : text.rfind(")")]
         if comm.startswith("irq/") and CONTROLLER in comm:
             after = text[text.rfind(")") + 2 :].split()
@@ -282,8 +285,7 @@ def _irq_threads(machine: Machine) -> Iterator[tuple[int, str, int]]:
 def irq_sharing(machine: Machine, asked: Requirements) -> str | Flaw:
     """An interrupt line that the USB controller shares runs other drivers first."""
     lines = [line for line in machine.lines("proc/interrupts") if CONTROLLER in line]
-    shared = [line.split()[0].rstrip(":") for line in lines if "," in line]
-    if shared:
+    if shared := [line.split()[0].rstrip(":") for line in lines if "," in line]:
         return Flaw(f"line {', '.join(shared)} is shared")
     return "the USB controller shares no interrupt line"
 
@@ -296,8 +298,7 @@ def throttling(machine: Machine, asked: Requirements) -> str | Flaw:
         return "this kernel does not throttle"
     fix = f"sudo sysctl kernel.sched_rt_runtime_us={round(0.95 * period)}"
     if runtime < 0:
-        why = "a runaway real-time loop would hang its core for good"
-        return Flaw("off", fix, why, WARN)
+        return Flaw("off", fix, "a runaway real-time loop would hang its core for good", WARN)
     found = f"{runtime} of {period} us"
     return Flaw(found, fix) if runtime < SERVO_SHARE * period else found
 
@@ -355,13 +356,24 @@ ABSENT = "no board to look at"
 def board_path(machine: Machine, asked: Requirements) -> Path | None:
     """Folder of the configured board in sysfs; None if it is not on the bus."""
     for path in machine.find("sys/bus/usb/devices/*"):
-        found = [
-            machine.text(str(path.relative_to(machine.root) / name))
-            for name in ("idVendor", "idProduct", "serial")
-        ]
+        found = [machine.text(str(path / name)) for name in ("idVendor", "idProduct", "serial")]
         if found[:2] == asked.board.split(":") and asked.usb.serial in (None, found[2]):
             return path
     return None
+
+
+def _at_board(
+    probe: Callable[[Machine, Path], str | Flaw],
+) -> Callable[[Machine, Requirements], str | Flaw]:
+    """A probe of the machine that asks `probe` of the board's folder in sysfs, if there is one."""
+
+    def asked_of(machine: Machine, asked: Requirements) -> str | Flaw:
+        path = board_path(machine, asked)
+        if asked.simulated:
+            return SIMULATED
+        return ABSENT if path is None else probe(machine, path)
+
+    return asked_of
 
 
 def board(machine: Machine, asked: Requirements) -> str | Flaw:
@@ -372,18 +384,17 @@ def board(machine: Machine, asked: Requirements) -> str | Flaw:
     if path is not None:
         return f"{asked.board} at {path.name}"
     serial = f" with serial {asked.usb.serial}" if asked.usb.serial else ""
-    ids = "ids: usb.vendor_id and usb.product_id, serial: device file"
-    fix = f"plug it in and switch it on (lsusb -d {asked.board}); {ids}"
-    return Flaw(f"no {asked.board}{serial} on the bus", fix)
+    return Flaw(
+        f"no {asked.board}{serial} on the bus",
+        f"plug it in and switch it on (lsusb -d {asked.board}); ids: usb.vendor_id and"
+        " usb.product_id, serial: device file",
+    )
 
 
-def hub(machine: Machine, asked: Requirements) -> str | Flaw:
+@_at_board
+def hub(machine: Machine, path: Path) -> str | Flaw:
     """No hub is between computer and board: each adds to the delay of every transfer."""
-    path = board_path(machine, asked)
-    if asked.simulated or path is None:
-        return SIMULATED if asked.simulated else ABSENT
-    hubs = hubs_above(path.name)
-    if hubs:
+    if hubs := hubs_above(path.name):
         return Flaw(f"{path.name} is behind {', '.join(hubs)}")
     return f"none: {path.name} is a root port"
 
@@ -397,29 +408,24 @@ def hubs_above(name: str) -> list[str]:
     return [f"{bus}-{'.'.join(steps[: end + 1])}" for end in range(len(steps))]
 
 
-def permission(machine: Machine, asked: Requirements) -> str | Flaw:
+@_at_board
+def permission(machine: Machine, path: Path) -> str | Flaw:
     """This user may open it."""
-    path = board_path(machine, asked)
-    if asked.simulated or path is None:
-        return SIMULATED if asked.simulated else ABSENT
-    place = str(path.relative_to(machine.root))
-    bus, device = (machine.number(f"{place}/{part}") or 0 for part in ("busnum", "devnum"))
+    bus, device = (machine.number(str(path / part)) or 0 for part in ("busnum", "devnum"))
     node = f"dev/bus/usb/{bus:03}/{device:03}"
-    if machine.may_write(machine.root / node):
-        return f"/{node} may be opened"
-    return Flaw(f"/{node} may not be opened")
+    opens = machine.may_write(machine.root / node)
+    return f"/{node} may be opened" if opens else Flaw(f"/{node} may not be opened")
 
 
-def autosuspend(machine: Machine, asked: Requirements) -> str | Flaw:
+@_at_board
+def autosuspend(machine: Machine, path: Path) -> str | Flaw:
     """It does not fall asleep while the servo pauses."""
-    path = board_path(machine, asked)
-    if asked.simulated or path is None:
-        return SIMULATED if asked.simulated else ABSENT
     control = f"{path.relative_to(machine.root)}/power/control"
     if machine.text(control) != "auto":
         return "off for the board"
-    fix = f"echo on | sudo tee /{control}; for good: {INSTALL} (udev rule)"
-    return Flaw("on for the board", fix)
+    return Flaw(
+        "on for the board", f"echo on | sudo tee /{control}; for good: {INSTALL} (udev rule)"
+    )
 
 
 def udev_rule(machine: Machine, asked: Requirements) -> str | Flaw:
@@ -493,8 +499,7 @@ def runtime_folder(machine: Machine, asked: Requirements) -> str | Flaw:
         require_trusted(folder)
     except MailboxError as error:
         return Flaw(error.found, error.remedy)
-    open_files = list(_open_to_others(folder))
-    if open_files:
+    if open_files := list(_open_to_others(folder)):
         shown = ", ".join(f"{path.name} {mode:04o}" for path, mode in open_files)
         fix = f"chmod o= {' '.join(str(path) for path, _ in open_files)}"
         return Flaw(f"open to others: {shown}", fix)
@@ -518,10 +523,10 @@ def keys(machine: Machine, asked: Requirements) -> str | Flaw:
     readable = [path for path in sorted(asked.keys.rglob(SECRETS)) if path.stat().st_mode & 0o077]
     if not readable:
         return f"{asked.keys}: secret keys are for their owner alone"
-    again = "and make new ones if someone may have read them"
     return Flaw(
         f"{len(readable)} secret key readable by others",
-        f"chmod 600 {' '.join(map(str, readable))}, {again}",
+        f"chmod 600 {' '.join(map(str, readable))}, and make new ones if someone may have read"
+        " them",
     )
 
 
@@ -542,8 +547,10 @@ def interpreter(machine: Machine, asked: Requirements) -> str | Flaw:
     level = levels[-1] if levels else "an unknown -O level"
     found = f"Python {build.version}"
     if build.debug or level in ("-O0", "-Og"):
-        why = "an interpreter for debugging is several times slower"
-        return Flaw(f"{found}, for debugging ({level})", why=why)
+        return Flaw(
+            f"{found}, for debugging ({level})",
+            why="an interpreter for debugging is several times slower",
+        )
     if "--enable-optimizations" in build.options:
         linked = " and link-time" if "--with-lto" in build.options else ""
         return f"{found}, profile-guided{linked} optimisation, {level}"

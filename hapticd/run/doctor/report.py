@@ -23,9 +23,8 @@ from typing import Any
 import hapticd
 from hapticd.core.errors import ConfigError
 from hapticd.run.doctor.checks import CheckResult
-from hapticd.run.doctor.machine import Machine
+from hapticd.run.doctor.machine import Machine, Requirements
 from hapticd.run.doctor.probes import board_path, hubs_above
-from hapticd.run.doctor.requirements import Requirements
 
 __all__ = ["report_of", "write_report"]
 
@@ -70,7 +69,7 @@ def report_of(
     status: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """Everything that the file has; `status` is that of the daemon, None where none answers."""
-    kept = _kept(status)
+    kept = _kept(status or {})
     found = {
         "format": FORMAT,
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -152,26 +151,23 @@ def usb_devices(machine: Machine, asked: Requirements) -> list[dict[str, Any]]:
     board = board_path(machine, asked)
     found = []
     for path in machine.find("sys/bus/usb/devices/*"):
-        place = str(path.relative_to(machine.root))
-        vendor = machine.text(f"{place}/idVendor")
-        if vendor is None:
-            continue  # an interface
-        found.append(
-            {
-                "name": path.name,
-                "id": f"{vendor}:{machine.text(f'{place}/idProduct')}",
-                "class": machine.text(f"{place}/bDeviceClass"),
-                "speed_mbit": machine.text(f"{place}/speed"),
-                "hubs_above": hubs_above(path.name),
-                "board": path == board,
-            }
-        )
+        names = ("idVendor", "idProduct", "bDeviceClass", "speed")
+        vendor, product, kind, speed = (machine.text(str(path / name)) for name in names)
+        if vendor is not None:  # else it is an interface
+            found.append(
+                {
+                    "name": path.name,
+                    "id": f"{vendor}:{product}",
+                    "class": kind,
+                    "speed_mbit": speed,
+                    "hubs_above": hubs_above(path.name),
+                    "board": path == board,
+                }
+            )
     return found
 
 
-def _kept(status: Mapping[str, Any] | None) -> dict[str, Any]:
-    if status is None:
-        return {}
+def _kept(status: Mapping[str, Any]) -> dict[str, Any]:
     kept = {name: status[name] for name in KEPT[""] if name in status}
     for part, names in KEPT.items():
         if part and isinstance(status.get(part), Mapping):

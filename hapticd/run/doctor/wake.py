@@ -13,13 +13,16 @@ import os
 import subprocess
 import sys
 import time
+from bisect import bisect_left
 from collections import Counter
+from itertools import accumulate
 from typing import Any
 
 from hapticd.core.params import RealtimeParams
 from hapticd.core.units import NS_PER_MS, NS_PER_S, NS_PER_US, US_PER_S
-from hapticd.run.doctor.checks import CheckResult, fail, ok, warn
-from hapticd.run.doctor.requirements import Requirements
+from hapticd.run.doctor.checks import CheckResult
+from hapticd.run.doctor.machine import Requirements
+from hapticd.run.doctor.probes import FAIL, OK, WARN
 from hapticd.servo import host
 from hapticd.servo.wait import Wait, first_deadline, spinning_wait
 
@@ -52,16 +55,11 @@ def _nothing() -> None:
 
 def quantiles(histogram: dict[int, int]) -> dict[str, int]:
     """p50, p99, p99.9 and maximum of a histogram {us: count}."""
-    total = sum(histogram.values())
-    found = {}
-    for name, share in QUANTILES.items():
-        below = 0
-        for us in sorted(histogram):
-            below += histogram[us]
-            if below >= share * total:
-                found[name] = us
-                break
-    return found
+    rising = sorted(histogram)
+    below = list(accumulate(histogram[us] for us in rising))
+    return {
+        name: rising[bisect_left(below, share * below[-1])] for name, share in QUANTILES.items()
+    }
 
 
 def measure(seconds: float, core: int | None) -> dict[str, Any]:
@@ -97,15 +95,15 @@ def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
     half_us = US_PER_S / asked.realtime.rate_hz / 2
     if found["p99_us"] > half_us:
         why = f"one wake in a hundred is more than half a period ({half_us:g} us) late"
-        return fail(NAME, text, why, "see the lines above")
+        return CheckResult(NAME, FAIL, text, why, "see the lines above")
     if found["p99_us"] > spin_us:
         why = f"one wake in a hundred is later than the {spin_us:g} us that the servo spins ahead"
         fix = f"see the lines above; or realtime.spin_us = {found['p99_us'] // 10 * 10 + 20}"
-        return warn(NAME, text, f"{why} of its deadline", fix)
+        return CheckResult(NAME, WARN, text, f"{why} of its deadline", fix)
     if not fifo["granted"]:
         why = f"good while the machine is idle; {fifo['text']}"
-        return warn(NAME, text, why, "see the rtprio limit above")
-    return ok(NAME, text)
+        return CheckResult(NAME, WARN, text, why, "see the rtprio limit above")
+    return CheckResult(NAME, OK, text)
 
 
 def main(arguments: list[str]) -> int:

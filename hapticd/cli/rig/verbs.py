@@ -1,0 +1,318 @@
+"""The verbs of `hapticd rig`: what each asks for, and which step of `hapticd.rig` does it.
+
+What would break it: two measurements of the motor asked for at once (refused).
+"""
+
+from datetime import datetime
+from typing import Annotated
+
+import typer
+
+from hapticd.cli import terminal
+from hapticd.cli.deferred import deferred_imports
+from hapticd.cli.rig import steps
+from hapticd.core.errors import AnalysisError, ConfigError
+from hapticd.core.params import to_plain
+
+with deferred_imports():
+    from hapticd.client import client as clients
+    from hapticd.rig import certificate, experiment
+    from hapticd.rig import hand as hands
+    from hapticd.rig import result as results
+    from hapticd.rig.steps import damping as damping_step
+    from hapticd.rig.steps import delivery, probe_fits
+    from hapticd.rig.steps import encoder as encoder_step
+    from hapticd.rig.steps import identify as identify_step
+    from hapticd.rig.steps import motor as motor_step
+    from hapticd.rig.steps import probe as probe_step
+    from hapticd.rig.steps import spring as spring_step
+    from hapticd.rig.steps import temperature as temperature_step
+    from hapticd.rig.steps import verify as verify_step
+    from hapticd.rig.steps import winding as winding_step
+    from hapticd.settings import load
+
+LOOK_S = 0.1
+Lowest = Annotated[
+    float,
+    typer.Option("--lowest", metavar="HZ", min=0.1, help="Lowest frequency that is judged."),
+]
+Length = Annotated[
+    float, typer.Option("--seconds", metavar="S", min=5.0, help="Length of each trial.")
+]
+
+
+def encoder(
+    distance: Annotated[
+        float, typer.Option("--distance", metavar="M", min=1e-4, help="From position A to B, in m.")
+    ],
+    tolerance: Annotated[
+        float,
+        typer.Option("--tolerance", metavar="M", min=0.0, help="Of that distance (95 %), in m."),
+    ] = 10e-6,
+    *,
+    options: steps.StepOptions,
+) -> None:
+    """Sign, scale and noise of the encoder, by hand: no force is made.
+
+    The handle is moved to positive x, then between two positions a stated distance apart, and last
+    to where x = 0 shall be. Writes the table `position` of the device file.
+    """
+    apart = encoder_step.Distance(distance, tolerance)
+    steps.run(options, lambda client, ask: encoder_step.measure(client, ask, apart))
+
+
+def motor(
+    mass: Annotated[
+        list[float] | None,
+        typer.Option("--mass", metavar="KG", help="A mass that is hung; several, 0 among them."),
+    ] = None,
+    pulls_to: Annotated[
+        int, typer.Option("--pulls-to", metavar="SIDE", help="Masses pull to x: -1 or 1.")
+    ] = -1,
+    radius_ratio: Annotated[
+        float,
+        typer.Option(
+            "--radius-ratio",
+            metavar="R",
+            min=1e-3,
+            help="Radius of the masses by that of the endpoint.",
+        ),
+    ] = 1.0,
+    spring: Annotated[
+        float | None,
+        typer.Option("--spring", metavar="N/M", min=1.0, help="Gain by a spring of so many N/m."),
+    ] = None,
+    spring_tolerance: Annotated[
+        float,
+        typer.Option("--spring-tolerance", metavar="SHARE", min=0.0, help="Of the spring (95 %)."),
+    ] = 0.01,
+    offset: Annotated[bool, typer.Option("--offset", help="The count of no force alone.")] = False,
+    winding: Annotated[
+        bool, typer.Option("--winding", help="Force per ampere, ohm and back-EMF.")
+    ] = False,
+    lever_m: Annotated[
+        float | None,
+        typer.Option(
+            "--lever-m", metavar="M", min=1e-4, help="Radius from torque to endpoint force, in m."
+        ),
+    ] = None,
+    *,
+    options: steps.StepOptions,
+) -> None:
+    """By itself the sign of the force, by pushes of 20 ms with at most a tenth of it: verifies the
+    signs. With --mass gain and offset, by masses that hang from the handle; with --spring the gain,
+    by a spring between handle and frame; with --offset the count of no force; with --winding what
+    an ampere makes, what the winding resists and what a motion induces.
+
+    Writes the tables `force`, `commissioning`, `motor` and `emf_velocity` of the device file.
+    """
+    _one_of(bool(mass), spring is not None, offset, winding)
+    if lever_m is not None and not winding:
+        raise AnalysisError("--lever-m is written with what --winding finds; add that")
+    if pulls_to not in (-1, 1):
+        raise AnalysisError(f"--pulls-to {pulls_to}: name the side to which masses pull, -1 or 1")
+
+    def measure(client: "clients.Client", ask: "hands.Ask") -> "results.StepResult":
+        if mass:
+            masses = motor_step.Masses(tuple(mass), pulls_to, radius_ratio)
+            return motor_step.measure_gain(client, ask, masses)
+        if spring is not None:
+            known = spring_step.Spring(spring, spring_tolerance)
+            return spring_step.measure(client, ask, known)
+        if offset:
+            return spring_step.measure_offset(client, ask)
+        if winding:
+            return winding_step.measure(client, ask, lever_m)
+        return motor_step.measure_sign(client, ask)
+
+    steps.run(options, measure)
+
+
+def _one_of(*chosen: bool) -> None:
+    """AnalysisError where more than one measurement was asked for."""
+    if sum(chosen) > 1:
+        raise AnalysisError("--mass, --spring, --offset and --winding are measured one at a time")
+
+
+def damping(options: steps.StepOptions) -> None:
+    """Polarity of the active damping, N s/m per count, physical damping, and what the compensation
+    leaves of the winding's resistance, by pushes and free glides with a tenth of the force.
+
+    Let go of the handle. Writes the table `active_damping` and `limits.physical_damping_ns_per_m`
+    of the device file.
+    """
+    steps.run(options, damping_step.measure)
+
+
+def trim(
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=3.0, max=600.0, help="For which it is shown.")
+    ] = 20.0,
+    *,
+    options: steps.StepOptions,
+) -> None:
+    """Live: what the resistance compensation leaves of the back-EMF, the loop gain that it makes at
+    the limit of the active damping, and the greatest damping that is allowed.
+
+    Move the handle to and fro against a weak spring meanwhile; active damping is off. Below a loop
+    gain of -0.5 it warns, below -0.9 it ends and refuses (exit 4).
+    """
+    steps.run(
+        options,
+        lambda client, ask: delivery.measure_residual(client, ask, seconds, terminal.talk),
+    )
+
+
+def audit(
+    level: Annotated[
+        float | None,
+        typer.Option("--level", metavar="NS_PER_M", min=0.0, help="Of active damping; else half."),
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option("--seconds", min=6.0, max=60.0, help="For which the handle is moved.")
+    ] = 6.0,
+    *,
+    options: steps.StepOptions,
+) -> None:
+    """What is commanded against what is delivered, of active damping and force, while a hand moves
+    the handle to and fro against a weak spring. Writes nothing into the device file.
+    """
+    steps.run(options, lambda client, ask: delivery.measure_delivery(client, ask, level, seconds))
+
+
+def probe(
+    mass: Annotated[
+        float,
+        typer.Option("--mass", metavar="KG", min=1e-4, help="What is fixed to the handle, in kg."),
+    ],
+    tolerance: Annotated[
+        float,
+        typer.Option("--tolerance", metavar="R", min=0.0, help="Of that mass (95 %), relative."),
+    ] = 1e-3,
+    lowest: Lowest = 2.0,
+    stiffness: Annotated[
+        float,
+        typer.Option(
+            "--stiffness", metavar="N/M", min=0.0, help="Of the spring that is judged there."
+        ),
+    ] = 600.0,
+    no_one_signal: Annotated[
+        bool,
+        typer.Option(
+            "--no-one-signal", help="There is no signal for both channels: leave skew out."
+        ),
+    ] = False,
+    *,
+    options: steps.StepOptions,
+) -> None:
+    """Gain, sign, offset and noise of both probe channels: the perturbation shakes the free handle
+    at 10 to 30 Hz, without and with a known mass. One signal into both channels shows skew and
+    unequal high-passes, as the damping that a spring seems to have by them.
+
+    Writes the tables `probe_torque` and `probe_velocity` of the device file.
+    """
+    attached = probe_step.AttachedMass(mass, tolerance)
+    judged = probe_fits.ReferenceSpring(lowest, stiffness)
+    steps.run(
+        options,
+        lambda client, ask: probe_step.measure(client, ask, attached, judged, not no_one_signal),
+    )
+
+
+def temperature(
+    at: Annotated[
+        list[float],
+        typer.Option("--at", metavar="C", help="What a thermometer says, in degC; once or twice."),
+    ],
+    tolerance: Annotated[
+        float, typer.Option("--tolerance", metavar="C", min=0.0, help="Of the thermometer (95 %).")
+    ] = 0.5,
+    no_shake: Annotated[
+        bool, typer.Option("--no-shake", help="Leave the back-EMF channel out.")
+    ] = False,
+    *,
+    options: steps.StepOptions,
+) -> None:
+    """Offset, noise and drift of the winding's temperature at a stated temperature, its scale with
+    a second one; then scale and sign of the back-EMF channel, while a hand shakes the handle.
+
+    Makes no force. Writes the tables `temperature` and `emf_velocity` of the device file.
+    """
+    stated = temperature_step.KnownTemperatures(tuple(at), tolerance)
+    steps.run(
+        options,
+        lambda client, ask: temperature_step.measure(client, ask, stated, not no_shake),
+    )
+
+
+def identify(options: steps.StepOptions) -> None:
+    """Moving mass, viscous and Coulomb friction, delay and smoothing of the force, by shaking the
+    free handle with the probe for half a minute; and which assumption the residuals contradict.
+
+    Writes the tables `model` of the device file, with which `zwidth predict`, the guard and
+    `zwidth search` calculate. Signs have to be verified.
+    """
+    steps.run(options, identify_step.measure)
+
+
+def verify(
+    stiffness: Annotated[
+        float, typer.Option("-K", "--stiffness", metavar="N/M", min=1.0, help="Rendered spring.")
+    ] = 60.0,
+    viscous: Annotated[
+        float, typer.Option("-B", "--viscous", metavar="NS/M", min=0.01, help="Rendered damper.")
+    ] = 1.0,
+    mass: Annotated[
+        float, typer.Option("-M", "--mass", metavar="KG", min=1e-4, help="Rendered mass.")
+    ] = 0.004,
+    attach: Annotated[
+        float,
+        typer.Option(
+            "--attach", metavar="KG", min=0.0, help="Also a mass that a hand fixes to it."
+        ),
+    ] = 0.0,
+    spring: Annotated[
+        float,
+        typer.Option(
+            "--spring", metavar="N/M", min=0.0, help="Also a spring that a hand puts on it."
+        ),
+    ] = 0.0,
+    seconds: Length = 20.0,
+    *,
+    options: steps.StepOptions,
+) -> None:
+    """Render a known spring, damper and mass, attach known ones if asked, and see whether the probe
+    finds them within what the calibrations leave; with theory, spectra, wire and timing.
+
+    Writes a certificate beside the device file, as JSON and as a page to print. Recordings and
+    trials name it, and say when the device file has changed since. Exit 4 if something is not as
+    it should be: the certificate then says so.
+    """
+    settings = load.load(options.config)
+    known = verify_step.KnownParts(stiffness, viscous, mass, attach, spring, seconds)
+    subjects: list[certificate.Subject] = []
+
+    def measure(client: "clients.Client", ask: "hands.Ask") -> "results.StepResult":
+        servo = to_plain(client.hello().servo)
+        refuse_another_file(servo["device_file_sha256"], settings)
+        board = experiment.identity_of(client, experiment.collect(client, LOOK_S).records)
+        rights = client.status().servo.get("realtime", {})
+        file = settings.device_file
+        subject = certificate.Subject(servo, file, settings.device_file_sha256, board, rights)
+        subjects.append(subject)
+        return verify_step.measure(client, ask, known)
+
+    result = steps.perform(options, settings, measure)
+    said = certificate.content(result, subjects[0], datetime.now().astimezone())
+    for path in certificate.write(said, settings.device_file):
+        terminal.talk(f"written: {path}")
+    steps.show(result, options.as_json)
+
+
+def refuse_another_file(sha256: str, settings: "load.Settings") -> None:
+    """ConfigError unless the daemon was started with the device file of `settings`."""
+    if sha256 != settings.device_file_sha256:
+        raise ConfigError(
+            f"{settings.device_file} has changed since the daemon was started; start it again, then"
+            " verify"
+        )
