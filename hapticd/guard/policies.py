@@ -22,6 +22,7 @@ follow leaves is a plan of its own, and is judged again.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from math import ceil
 from typing import Any, get_args
 
@@ -166,6 +167,7 @@ class _Judged(_Asked):
         self.region = region
         self.change = self._with_auto() if request["mode"] == "auto" else self.with_level()
         self.planner = self.planner_of(self.change)
+        self.path: Callable[[Plan], list[Environment]] = cache(self.planner.path)
         self.wanted = self.planner.request.wanted
         self.plans = self.planner.plans()
 
@@ -196,7 +198,7 @@ class _Judged(_Asked):
     def _taken(
         self, plan: Plan, outcome: Outcome, why: Explanation, safe: bool = False
     ) -> dict[str, Any]:
-        path = self.planner.path(plan)
+        path = self.path(plan)
         clamped = outcome is Outcome.CLAMPED
         verdict = self.verdicts.of(
             self.region, self.wanted, self.policy, outcome, why, path, safe, plan.end, clamped
@@ -204,7 +206,7 @@ class _Judged(_Asked):
         return _answer(plan.stages, verdict)
 
     def _refused(self, why: Explanation) -> dict[str, Any]:
-        path = self.planner.path(self.plans[0])
+        path = self.path(self.plans[0])
         refused = Outcome.REFUSED
         verdict = self.verdicts.of(
             self.region, self.wanted, self.policy, refused, why, path, False, self.target
@@ -215,7 +217,7 @@ class _Judged(_Asked):
         """Why the first way is not safe: its end, or a point on it."""
         if not self.region.safe([self.wanted])[0]:
             return explain(self.region, self.wanted, False)
-        path = self.planner.path(self.plans[0])
+        path = self.path(self.plans[0])
         if not path:
             many = because(
                 Reason.TOO_MANY_POINTS, f"more than {POINTS} points would have to be judged at once"
@@ -265,7 +267,7 @@ class _Judged(_Asked):
     # --- what is safe, or safer -------------------------------------------------------------------
 
     def _is_safe(self, plan: Plan) -> bool:
-        if not self.region.all_safe(self.planner.path(plan)):
+        if not self.region.all_safe(self.path(plan)):
             return False
         return all(self.region.safe(self.planner.mixture(plan)))
 
@@ -276,7 +278,7 @@ class _Judged(_Asked):
         request = self.planner.request
         if request.enable or not request.moving or self.region.safe([self.now])[0]:
             return False
-        path = self.planner.path(plan)
+        path = self.path(plan)
         if not path or any(moving_groups(segment) > 1 for segment in plan.segments):
             return False
         merits = np.array([self._merit(one) for one in [self.now, *path]])

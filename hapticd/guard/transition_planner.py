@@ -18,7 +18,7 @@ Limitations: a parameter that moves without being asked.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product, takewhile
 from typing import Any, NamedTuple
 
@@ -51,7 +51,8 @@ class Segment(NamedTuple):
     gain: bool = False  # the gain goes from 0 to 1 at its end
 
 
-class Plan(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Plan:
     """Stages with the way that they take."""
 
     stages: list[Stage]

@@ -75,7 +75,8 @@ __all__ = [
 
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
 _IMAGES = 24  # harmonics on each side
-_HALVINGS = 40  # of the interval in which the spare damping lies
+_HALVINGS = 32  # of the interval in which the spare damping lies
+_NEAR = 1e-7  # of that interval, between the angles: a parabola is an estimate
 _FOURFOLD = 9  # steps from its top towards its end, each four times the one before
 _CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
 
@@ -250,7 +251,7 @@ def lifted_margin(lifted: LiftedSystem, points: npt.ArrayLike) -> Floats:
 
 
 def lifted_passive(lifted: LiftedSystem, points: npt.ArrayLike) -> Flags:
-    """Whether there is damping to spare (N,), for maps: one evaluation instead of forty per
+    """Whether there is damping to spare (N,), for maps: one evaluation instead of dozens per
     environment, between the angles an estimate (`rational` has none). The loop must be stable.
 
     Never with K < 0, which is active below all angles that are looked at.
@@ -406,7 +407,7 @@ def _spare_between(lifted: LiftedSystem, law: Complexes, spare: float, span: flo
         down *= 4.0
     low = spare - down
     high = spare
-    for _ in range(_HALVINGS // 2):
+    while high - low > _NEAR * span:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if holds(middle) else (low, middle)
     return low
