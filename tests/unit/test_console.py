@@ -17,10 +17,12 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
+import zmq
 from starlette.datastructures import Headers
 
 from hapticd.client import CommandError
 from hapticd.client.blocks import Block, BlockDecoder
+from hapticd.client.client import Client
 from hapticd.console import asker, server, visitors
 from hapticd.console.asker import Asker
 from hapticd.console.browser import FRAMES, WINDOW, WORDS, Outbox
@@ -29,7 +31,7 @@ from hapticd.console.visitors import objection
 from hapticd.console.watch import frame
 from hapticd.core.errors import ConfigError
 from hapticd.mailbox.daemons import console_place
-from hapticd.mailbox.files import CONSOLE
+from hapticd.mailbox.files import COMMAND_SOCKET, CONSOLE
 from hapticd.mailbox.layout import TELEMETRY, State
 
 STATIC = Path(server.__file__).with_name("static")
@@ -282,8 +284,8 @@ class Conversation:
 
     def finish(self) -> list[dict[str, Any]]:
         self.client.go.set()
-        self.asker.close()
         self.asker._thread.shutdown(wait=True)
+        self.asker.close()
         return self.replies
 
 
@@ -299,6 +301,28 @@ def test_what_waits_when_stop_is_pressed_is_not_done(monkeypatch: pytest.MonkeyP
     assert told == [(1, True), (2, False), (3, False), (4, True)]
     assert "enable" not in talk.client.asked
     assert "STOP was pressed" in replies[2]["text"]
+
+
+def test_what_waits_when_a_page_leaves_is_not_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its connection ends at once, and with it what the gateway has not begun; nothing follows."""
+    monkeypatch.setattr(
+        asker, "Client", lambda _, name: Client(folder=tmp_path, name=name, timeout_s=30.0)
+    )
+    page = Asker("nobody", "page", lambda: 0)
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as gateway:
+        left = gateway.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        gateway.bind(f"ipc://{tmp_path / COMMAND_SOCKET}")
+        for cmd in ("enable", "home"):
+            page.ask({"cmd": cmd}, lambda _: None)
+        while msgpack.unpackb(gateway.recv_multipart()[-1])["cmd"] != "enable":
+            pass
+        page.close()
+        assert left.poll(10_000)
+        page._thread.shutdown(wait=True)
+        assert not gateway.poll(0)
+        left.close()
 
 
 def test_a_page_asks_the_gateway_for_no_stop_and_nothing_unknown(
