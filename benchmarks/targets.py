@@ -121,7 +121,7 @@ TABLE: dict[str, dict[str, Target]] = {
         "guard_margin_ratio": Target(
             "<= 13x",
             "the same",
-            "40 halvings of the damping to spare, at 550 angles of 50 harmonics; at fewer once some"
+            "32 halvings of the damping to spare, at 550 angles of 50 harmonics; at fewer once some"
             " fell short",
         ),
         "guard_verdict_ms": Target(

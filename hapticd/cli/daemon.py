@@ -202,7 +202,7 @@ def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
         f"  renders   {_rendered(found)}",
         f"  now       {_moving(found)}",
         f"  timing    {_timing(found)}",
-        f"  delay     newest tick: {delay_words(found)}",
+        f"  delay     p99 of 256 ticks: {delay_words(found)}",
         f"  damping   {delivered_words(found.delivered_active_damping)}",
     ]
     if late := late_words(found.late):

@@ -84,13 +84,11 @@ NEWEST = (
     "mass_kg",
     "active_damping_ns_per_m",
     "gain",
-    "delay_us",
-    "delay_spread_us",
-    "frame_age_us",
     "watches",
     "lease_control",
     "lease_active_damping",
 )
+DELAYS = ("delay_us", "delay_spread_us", "frame_age_us")  # of many ticks, so not of the newest
 
 
 LAMPS = {
@@ -209,6 +207,7 @@ def _newest(view: View) -> dict[str, Any]:
         "fault": BY_NUMBER[int(newest["fault"])].code,
         "simulated": view.simulated,
         **{name: newest[name].item() for name in NEWEST},
+        **{name: view.state.get(name, -1) for name in DELAYS},
         "wake_us": newest["wake_ns"] / 1e3,
         "delivered_active_damping": view.state.get("delivered_active_damping", {}),
         "guard": view.state.get("guard", {}),

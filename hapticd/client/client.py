@@ -53,6 +53,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Client"]
 
+SLICE_MS = 20  # between looks at whether another thread closes the connection
+
 
 class GatewayConnection(Subscription):
     """Sockets to the gateway of a runtime folder; made when they are first needed."""
@@ -65,6 +67,7 @@ class GatewayConnection(Subscription):
         super().__init__()
         # a lease that is kept alive is renewed by a thread of its own, over this connection
         self._turn = threading.Lock()
+        self._closing = False  # an exchange that waits gives up
         self._socket: zmq.Socket[bytes] | None = None
         self._made: zmq.Socket[bytes]  # a message for each connection that was made
 
@@ -81,8 +84,10 @@ class GatewayConnection(Subscription):
             self._turn.release()
 
     def close(self) -> None:
-        """Close all sockets; may be called twice."""
+        """Close all sockets; may be called twice, and by another thread than that which waits."""
+        self._closing = True
         with self._turn:
+            self._closing = False
             super().close()
             self._socket = None
 
@@ -93,8 +98,10 @@ class GatewayConnection(Subscription):
         unsent = [payload]
         deadline = time.monotonic() + timeout_s
         while (outcome := self._requests.outcome(number, time.monotonic_ns())) is None:
+            if self._closing:
+                raise DaemonDown(f"{cmd}: the connection was closed before the answer came")
             # a negative wait would be one for ever
-            wait_ms = max(0, round(1000 * (deadline - time.monotonic())))
+            wait_ms = max(0, min(SLICE_MS, round(1000 * (deadline - time.monotonic()))))
             if unsent:
                 # with IMMEDIATE it can be written to only when it is connected
                 if socket.poll(wait_ms, zmq.POLLOUT):

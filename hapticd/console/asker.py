@@ -6,9 +6,10 @@ waits for nothing (`server`). A reply is what the daemon said, with the receipt,
 the words that the command line uses.
 
 What was asked before a stop and is still waiting behind it is not done any more: `reset` and
-`enable` that an operator pressed just before STOP must not follow it.
+`enable` that an operator pressed just before STOP must not follow it. Nor is what a page that has
+left had asked: its connection ends at once, and the gateway drops what waits of it.
 
-What would break it: a client that several threads use.
+What would break it: a client whose `close` waits for its last answer.
 """
 
 import json
@@ -49,9 +50,9 @@ class Asker:
         self._places = threading.Semaphore(MOST_OPEN)
 
     def close(self) -> None:
-        """Ask nothing more, and give up the connection once the last answer is here."""
-        self._thread.submit(self._client.close)
-        self._thread.shutdown(wait=False, cancel_futures=False)
+        """Ask nothing more, and end the connection at once: what waits of it is not done."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+        threading.Thread(target=self._client.close).start()
 
     def ask(self, request: dict[str, Any], reply: Reply) -> None:
         """Ask `request` ({cmd, ask, ..}, `ask` comes back) and give `reply` the answer as JSON."""

@@ -60,8 +60,6 @@ NOW = (
     "position_m",
     "force_n",
     "winding_c",
-    "delay_us",
-    "delay_spread_us",
     "lost_slots",
     "perturbing",
 )

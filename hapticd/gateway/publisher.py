@@ -52,9 +52,7 @@ RECORD_FIELDS_SHOWN = (
     "active_damping_ns_per_m",
     "position_m",
     "force_n",
-    "delay_us",
     "delay_spread_us",
-    "frame_age_us",
     "winding_c",
     "actor",
 )
@@ -68,6 +66,7 @@ NEWS = (
 )  # a change of one of these is published at once
 
 
+DELAY_TICKS = 256  # of which the state tells the delay; `delay_spread_us` is of as many
 LAMPS = ("state", "fault", "active_damping_effect_ns_per_m")  # somebody waits for a change of these
 EARLY_NS = 20 * NS_PER_MS  # between two blocks that leave before they are whole
 
@@ -92,6 +91,7 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
         "epoch": header.start_ns if header else 0,
         "config_hash": header.config_hash if header else view.params.config_hash,
         **{name: record[name] for name in RECORD_FIELDS_SHOWN if view.alive and name in record},
+        **(usual_delays(view.newest(DELAY_TICKS)) if view.alive else {}),
         "limit_cycle_faults": limit_cycle_faults(view, leases),
         "commissioning": commissioning(view),
         "compensation": compensation(record if view.alive else {}, view.params.device),
@@ -100,6 +100,18 @@ def state_map(view: ServoView, actors: Actors, leases: Leases, unix_ns: int) -> 
         "leases": leases.shown(),
         "counters": mailbox.counters() if mailbox else {},
     }
+
+
+def usual_delays(records: Records) -> dict[str, int]:
+    """Delay and age of the frame, us, that 99 of 100 of `records` do not exceed; -1 if unknown.
+
+    While frames are lost, each tick alone has another delay, or none.
+    """
+    found = {}
+    for name in ("delay_us", "frame_age_us"):
+        known = np.sort(records[name][records[name] >= 0])
+        found[name] = int(known[99 * known.size // 100]) if known.size else -1
+    return found
 
 
 def limit_cycle_faults(view: ServoView, leases: Leases) -> dict[str, str]:

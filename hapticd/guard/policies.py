@@ -22,6 +22,7 @@ follow leaves is a plan of its own, and is judged again.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from math import ceil
 from typing import Any
 
@@ -161,6 +162,7 @@ class _Judged:
         if request["mode"] == "auto":
             planner = replace(planner, change=self._with_auto(request["change"]))
         self.planner = planner
+        self.path: Callable[[Plan], list[Environment]] = cache(planner.path)
         self.wanted = planner.wanted
         self.plans = planner.plans()
 
@@ -196,14 +198,14 @@ class _Judged:
     def _verdict(
         self, plan: Plan, outcome: Outcome, why: Explanation, given: Environment
     ) -> dict[str, Any]:
-        path = self.planner.path(plan)
+        path = self.path(plan)
         return self.verdicts.of(self.region, self.wanted, self.policy, outcome, why, path, given)
 
     def _trouble(self) -> Explanation:
         """Why the first way is not safe: its end, or a point on it."""
         if not self.region.safe([self.wanted])[0]:
             return explain(self.region, self.wanted, False)
-        path = self.planner.path(self.plans[0])
+        path = self.path(self.plans[0])
         if not path:
             many = because(
                 Reason.TOO_MANY_POINTS, f"more than {POINTS} points would have to be judged at once"
@@ -248,7 +250,7 @@ class _Judged:
     # --- what is safe, or safer -------------------------------------------------------------------
 
     def _is_safe(self, plan: Plan) -> bool:
-        if not self.region.all_safe(self.planner.path(plan)):
+        if not self.region.all_safe(self.path(plan)):
             return False
         return all(self.region.safe(self.planner.mixture(plan)))
 
@@ -259,7 +261,7 @@ class _Judged:
         now = self.planner.now
         if self.planner.enable or not self.planner.moving or self.region.safe([now])[0]:
             return False
-        path = self.planner.path(plan)
+        path = self.path(plan)
         if not path or any(moving_groups(segment) > 1 for segment in plan.segments):
             return False
         merits = np.array([self._merit(one) for one in [now, *path]])

@@ -53,7 +53,8 @@ class Segment(NamedTuple):
     gain: bool = False  # the gain goes from 0 to 1 at its end
 
 
-class Plan(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Plan:
     """Stages with the way that they take."""
 
     stages: list[Stage]

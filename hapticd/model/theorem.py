@@ -40,6 +40,7 @@ What would break it: an unstable loop, for both presume stability (`loop.spectra
 """
 
 from dataclasses import dataclass
+from math import ceil, log2
 from typing import NamedTuple
 
 import numpy as np
@@ -74,7 +75,8 @@ __all__ = [
 
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
 _IMAGES = 24  # harmonics on each side
-_HALVINGS = 40  # of the interval in which the spare damping lies
+_HALVINGS = 32  # of the interval in which the spare damping lies
+_NEAR = 1e-7  # of that interval, between the angles: a parabola is an estimate
 _FOURFOLD = 9  # steps from its top towards its end, each four times the one before
 _CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
 
@@ -221,7 +223,7 @@ def lifted_margin(lifted: LiftedSystem, points: npt.ArrayLike) -> Floats:
 
 
 def lifted_passive(lifted: LiftedSystem, points: npt.ArrayLike) -> Flags:
-    """Whether there is damping to spare (N,), for maps: one evaluation instead of forty per
+    """Whether there is damping to spare (N,), for maps: one evaluation instead of dozens per
     environment, between the angles an estimate (`rational` has none). The loop must be stable.
 
     Never with K < 0, which is active below all angles that are looked at.
@@ -372,10 +374,10 @@ def _spare_between(lifted: LiftedSystem, law: Complexes, spare: float, span: flo
         ]
         return all((one >= 0.0).all() for one in found)
 
-    down = span * 4.0**-_FOURFOLD
-    while down < span and not holds(spare - down):
-        down *= 4.0
-    return edge(holds, spare - down, spare, _HALVINGS // 2)
+    share = 4.0**-_FOURFOLD
+    while share < 1.0 and not holds(spare - share * span):
+        share *= 4.0
+    return edge(holds, spare - share * span, spare, ceil(log2(share / _NEAR)))
 
 
 def _outside(lifted: LiftedSystem, law: Complexes, spare: float, angles: Integers) -> Floats:

@@ -433,9 +433,11 @@ class Status:
     active_damping_ns_per_m: float = 0.0
     position_m: float = 0.0
     force_n: float = 0.0
+    #: from sample to force, and age of a frame when it was read, us: 99 of 100 of the last 256
+    #: ticks that had a frame did not exceed them
     delay_us: int = -1
-    delay_spread_us: int = -1
     frame_age_us: int = -1
+    delay_spread_us: int = -1  #: greatest minus least delay of as many
     winding_c: float | None = None
     actor: int = 0  #: that changed something last
     actor_name: str = ""

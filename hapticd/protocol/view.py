@@ -218,6 +218,11 @@ class ServoView:
             self._last_actor = max(self._last_actor, self.mailbox.last_actor)
             self.mailbox.last_actor = self._last_actor
 
+    def newest(self, ticks: int) -> Records:
+        """The records of the last `ticks` of this servo life, as far as there are."""
+        first = max(0, self._head - ticks)
+        return as_records(self.mailbox.records(first, ticks)[0] if self.mailbox else b"")
+
     @property
     def head(self) -> int:
         """Records that the servo has written in this life."""

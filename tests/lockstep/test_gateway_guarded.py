@@ -805,6 +805,18 @@ def test_what_a_gateway_before_scheduled_does_not_come_into_force_under_a_strict
     assert rig.servo.values[Value.STIFFNESS] == 0
 
 
+def test_what_a_strict_gateway_before_scheduled_does_not_come_into_force(
+    rig: DeskRig, worker: StubWorker
+) -> None:
+    """Its terms had another number, after as many changes."""
+    under(rig, "refuse")
+    rig.ask(cmd="set", K=70, at_tick=rig.servo.ticks + 100)
+    rig.start_gateway()
+    rig.ask(cmd="guard", policy="refuse")
+    later(rig, 150)
+    assert rig.servo.values[Value.STIFFNESS] == 0
+
+
 def test_stages_are_bound_one_after_the_other(rig: DeskRig, worker: StubWorker) -> None:
     under(rig, "refuse")
     worker.script = two_stages

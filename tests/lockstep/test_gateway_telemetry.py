@@ -12,12 +12,14 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
+from support.attacks.stand import Stand
 from support.gateway_rig import START_NS, UNIX_NS, DeskRig
 from support.gateway_stand_in import StandInServo
 
 from hapticd.client.blocks import BlockDecoder
+from hapticd.core.params import InjectionParams
 from hapticd.core.units import NS_PER_MS
-from hapticd.gateway.publisher import Publisher
+from hapticd.gateway.publisher import Publisher, state_map
 from hapticd.gateway.tick_times import EDGES_NS, PER_DECADE, TickTimes
 from hapticd.mailbox import layout
 from hapticd.mailbox.layout import STAGES, Flag
@@ -53,6 +55,21 @@ class FeedRig(DeskRig):
 @pytest.fixture
 def rig(tmp_path: Path) -> FeedRig:
     return FeedRig(tmp_path)
+
+
+@pytest.mark.parametrize(("lost", "delay_us"), [(0, 125), (1, 1250), (2, 5125)])
+def test_delay_that_is_told_is_steady_while_frames_of_three_are_lost(
+    lost: int, delay_us: int
+) -> None:
+    """The newest tick's own one changes from tick to tick: -1, 1250, 0 us with one of three."""
+    strikes = [InjectionParams("drop_in", tick=20 + 3 * n, count=lost) for n in range(200) if lost]
+    with Stand(*strikes) as stand:
+        stand.fly(400)
+        told = set()
+        for _ in range(30):
+            stand.fly(1)
+            told.add(state_map(stand.view, stand.desk.actors, stand.desk.leases, 0)["delay_us"])
+    assert told == {delay_us}
 
 
 def unpacked(payloads: list[bytes]) -> list[Any]:

@@ -4,6 +4,7 @@ nothing when it is interrupted.
 
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -116,6 +117,17 @@ def test_documentation_says_what_its_table_says(pages: ModuleType) -> None:
     text = (DOCS / "reproduction.md").read_text()
     assert pages.filled(text, committed()) == text, "run `make reproduction-docs`"
     assert len(pages.NUMBER.findall(text)) > 20
+
+
+def test_device_file_says_how_near_its_limits_are() -> None:
+    (worst,) = (
+        one.ours
+        for one in committed()
+        if (one.quantity, one.device, one.part) == ("worst_limit", "weir2008", "limits")
+    )
+    text = (ROOT / "config" / "devices" / "weir2008.toml").read_text()
+    (stated,) = re.findall(r"limits within ([\d.]+) %", text)
+    assert worst <= float(stated) < worst + 0.1
 
 
 def test_stale_number_and_table_are_mended(pages: ModuleType) -> None:

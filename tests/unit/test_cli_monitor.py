@@ -68,8 +68,9 @@ def test_screen_shows_state_and_simulated_badge() -> None:
 
 def full(**fields: Any) -> View:
     """A view in which everything has something to say."""
-    found = view(state=State.ENABLED, position_m=0.012, force_n=-0.2, delay_us=125, **fields)
+    found = view(state=State.ENABLED, position_m=0.012, force_n=-0.2, **fields)
     found.state = {
+        "delay_us": 125,
         "rate_hz": 1000.0,
         "counters": {"late_events": 3, "lost_slots": 2},
         "delivered_active_damping": DELIVERED,

@@ -7,7 +7,8 @@ import pytest
 
 from hapticd.client.blocks import Excerpt
 from hapticd.client.client import Client
-from hapticd.core.errors import ConfigError
+from hapticd.core.errors import CommandError, ConfigError
+from hapticd.core.params import Leased
 
 
 @pytest.mark.parametrize("seconds", [-1.0, 0.0, math.nan, math.inf])
@@ -35,3 +36,11 @@ def test_unknown_topic_is_refused_with_those_there_are(tmp_path: Path) -> None:
         pytest.raises(ConfigError, match=r"'nosuch' is unknown; topics are event, .*servo\.raw"),
     ):
         next(client.listen("nosuch"))
+
+
+@pytest.mark.parametrize("what", ["measuring", "perturbation"])
+def test_only_environment_and_damping_are_kept_alive(tmp_path: Path, what: Leased) -> None:
+    """What shakes or is not judged ends with a script that hangs."""
+    said = f"lease of {what}: keep_alive is for environment and active_damping"
+    with Client(folder=tmp_path) as client, pytest.raises(CommandError, match=said):
+        client.lease(what, keep_alive=True)

@@ -17,10 +17,12 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
+import zmq
 from starlette.datastructures import Headers
 
 from hapticd.client import CommandError
 from hapticd.client.blocks import Block, BlockDecoder
+from hapticd.client.client import Client
 from hapticd.console import asker, server, visitors
 from hapticd.console.asker import Asker
 from hapticd.console.browser import FRAMES, WINDOW, WORDS, Outbox
@@ -29,7 +31,7 @@ from hapticd.console.visitors import objection
 from hapticd.console.watch import frame
 from hapticd.core.errors import ConfigError
 from hapticd.mailbox.daemons import console_place
-from hapticd.mailbox.files import CONSOLE
+from hapticd.mailbox.files import COMMAND_SOCKET, CONSOLE
 from hapticd.mailbox.layout import TELEMETRY, State
 
 STATIC = Path(server.__file__).with_name("static")
@@ -255,10 +257,12 @@ class StandIn:
 
     def __init__(self, instance: str, name: str) -> None:
         self.asked: list[str] = []
+        self.came = threading.Event()
         self.go = threading.Event()
 
     def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
         self.asked.append(cmd)
+        self.came.set()
         assert self.go.wait(30)
         if cmd == "set":
             raise CommandError("invalid", "K = 1: too stiff")
@@ -282,8 +286,8 @@ class Conversation:
 
     def finish(self) -> list[dict[str, Any]]:
         self.client.go.set()
-        self.asker.close()
         self.asker._thread.shutdown(wait=True)
+        self.asker.close()
         return self.replies
 
 
@@ -299,6 +303,38 @@ def test_what_waits_when_stop_is_pressed_is_not_done(monkeypatch: pytest.MonkeyP
     assert told == [(1, True), (2, False), (3, False), (4, True)]
     assert "enable" not in talk.client.asked
     assert "STOP was pressed" in replies[2]["text"]
+
+
+def test_what_waits_when_a_page_leaves_is_not_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its connection ends at once, and with it what the gateway has not begun."""
+    monkeypatch.setattr(
+        asker, "Client", lambda _, name: Client(folder=tmp_path, name=name, timeout_s=30.0)
+    )
+    page = Asker("nobody", "page", lambda: 0)
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as gateway:
+        gateway.setsockopt(zmq.RCVTIMEO, 30_000)
+        left = gateway.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        gateway.bind(f"ipc://{tmp_path / COMMAND_SOCKET}")
+        page.ask({"cmd": "enable"}, lambda _: None)
+        while msgpack.unpackb(gateway.recv_multipart()[-1])["cmd"] != "enable":
+            pass
+        page.close()
+        assert left.poll(10_000)
+        left.close()
+
+
+def test_what_waits_for_its_turn_when_a_page_leaves_is_not_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    talk = Conversation(monkeypatch)
+    talk.ask(ask=1, cmd="get")
+    talk.ask(ask=2, cmd="enable")
+    assert talk.client.came.wait(30)
+    talk.asker.close()
+    talk.finish()
+    assert talk.client.asked == ["get"]
 
 
 def test_a_page_asks_the_gateway_for_no_stop_and_nothing_unknown(

@@ -36,8 +36,8 @@ export class Timing {
         cells[column + 1].textContent = (sorted[Math.min(kept - 1, Math.floor(share * kept))] / 1e3).toFixed(0);
       });
     });
-    const { delay_us, delay_spread_us, lost_slots } = this.now;
-    const { rate_hz = NaN, counters = {} } = this.told ?? {};
+    const { lost_slots } = this.now;
+    const { rate_hz = NaN, counters = {}, delay_us = -1, delay_spread_us } = this.told ?? {};
     const delay = delay_us < 0 ? "d unknown: no frame has come"
       : `d = ${plain(delay_us * 1e-6 * rate_hz)} periods, ${delay_us} µs, spread ${delay_spread_us} µs`;
     get("delay").textContent = `${delay}\n${counters.late_events ?? "–"} late ticks, ${lost_slots} lost, at ${plain(rate_hz)} Hz`;

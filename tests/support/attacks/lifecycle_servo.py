@@ -79,12 +79,13 @@ def client_numbers(chosen: Chosen, random: Random) -> None:
             return
         stand.enabled()
         stand.done(**stand.push(stand.tick + random.randrange(40, 60)))
-        stand.another_gateway("warn")
+        stand.another_gateway(chosen["policy"])
         stand.fly(random.randrange(2, 10))
         stand.worker.silent = chosen["worker"] == SILENT
         if chosen["left"] == "schedule":
             stand.done(b"b", cmd="lease", what="environment", action="take")
-        stand.judge(LONG, control=chosen["left"] == NOTHING)
+        # a strict gateway drops what the one before has scheduled
+        stand.judge(LONG, control=chosen["left"] == NOTHING and chosen["policy"] == "warn")
 
 
 def _strangers_stop(stand: Stand, chosen: Chosen, random: Random) -> None:
@@ -166,6 +167,8 @@ def masks(chosen: Chosen, random: Random) -> None:
             stand.pause(random.randint(3, 5))
             stand.fly(2)
             assert stand.view.record["slot"] > stand.view.record["tick"], "no slot is lost"
+        stand.done(cmd="guard", policy="refuse")
+        stand.worker.silent = chosen["worker"] == SILENT
         mask = float(chosen["mask"])
         others = random.choice((mask, 0.0))
         values = (mask, *[others] * (COMMAND_VALUES - 1))
@@ -174,6 +177,7 @@ def masks(chosen: Chosen, random: Random) -> None:
         pushes = chosen["state"] == "enabled"
         assert all(one.pushes == pushes for one in seen), "force came, or went"
         if chosen["state"] == "disabled":
+            stand.done(cmd="guard", policy="off")
             stand.enabled()
         stand.judge(2, control=True)
         stand.done(cmd="stop")
