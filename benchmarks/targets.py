@@ -191,8 +191,8 @@ TABLE: dict[str, dict[str, Target]] = {
         "delay_ratio": Target(
             "<= 0.76x",
             "the same bus, one transfer after the other; model, the worst bus of a band",
-            "81 us on the wire are in either way; where the host is quick they and its least cost are"
-            " 103 us in flight and 117 one after the other; 50 us of room, sixteenths (ADR-0008)",
+            "81 us on the wire are in either way; where the host is quick they and its least cost"
+            " are 103 us in flight and 117 one after the other; 50 us of room, sixteenths (ADR-0008)",
         ),
     },
     "fault_ticks": {
