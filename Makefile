@@ -38,12 +38,10 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 PINS ?= constraints.txt
 PINNED := $(if $(PINS),--constraint $(PINS))
-NEW_ENOUGH := import sys; sys.exit(sys.version_info < (3, 11))
-PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
-	$$p -c '$(NEW_ENOUGH)' 2>/dev/null && echo $$p && break; done)
+PYTHON ?= $(shell .ci/python)
 
 run: $(VENV)/run.stamp
-	@echo "$$($(BIN)/python -VV), see hapticd doctor for how it was built"
+	@.ci/python tell $(BIN)/python
 	@exec $(BIN)/hapticd run $(ARGS)
 
 lab: $(VENV)/lab.stamp

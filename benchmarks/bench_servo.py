@@ -5,9 +5,11 @@ import dataclasses
 import json
 import os
 import shutil
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.records import place
 from benchmarks.worker import BenchError
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.params import BoardParams, ServoParams, from_plain
@@ -26,6 +28,7 @@ FOR_EVER_S = 1e6  # nobody beats here
 ACTOR = 1
 CHUNK_S = 0.05
 SETTLE_CHUNKS = 100
+LATE_CAUSE = place("late_cause")
 NO_VALUES = (0.0,) * COMMAND_VALUES
 
 
@@ -91,14 +94,27 @@ class BenchServo:
             " machine"
         )
 
-    def late_events(self, ticks: int) -> int:
-        """How many of the `ticks` ticks after `settle` end beyond the next deadline, grace or
-        not.
+    def late_ticks(self, ticks: int) -> dict[str, int]:
+        """How many of `ticks` ticks end beyond the next deadline, grace or not, by LateCause. They
+        run in pieces that the ring holds, each after `settle`.
         """
+        found: Counter[str] = Counter()
+        while ticks:
+            piece = min(ticks, layout.RING_RECORDS // 2)
+            found.update(self._late_piece(piece))
+            ticks -= piece
+        return found
+
+    def _late_piece(self, ticks: int) -> Counter[str]:
         self.settle()
         before = self._late()
+        first = self.loop.tick
         self.loop.run(ticks)
-        return self._late() - before
+        records = layout.RECORD.iter_unpack(self.gateway.records(first, ticks)[0])
+        causes = [record[LATE_CAUSE] for record in records][1:]  # each is of the tick before
+        known = Counter(layout.LateCause(cause).name for cause in causes if cause)
+        known["LAST"] = self._late() - before - known.total()
+        return +known
 
     def _late(self) -> int:
         counted = self.gateway.counters()

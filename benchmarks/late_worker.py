@@ -1,10 +1,11 @@
 """The servo with the simulated board in its process, in blocks: how many ticks ended beyond the
-next deadline.
+next deadline, by cause; and how its interpreter was built.
 """
 
 import sys
 
 from benchmarks.bench_servo import BenchServo, read_parameters
+from benchmarks.interpreter import this_interpreter
 from benchmarks.worker import serve
 from hapticd.core.clock import MonotonicClock
 from hapticd.run.servo_main import simulated_backend
@@ -15,7 +16,12 @@ def main() -> None:
     """Argument: parameter file."""
     params, board = read_parameters(sys.argv[1])
     servo = BenchServo(params, UsbLink(params.usb, simulated_backend(board, MonotonicClock())))
-    serve(lambda request: servo.late_events(request["ticks"]), params.realtime, servo.enable)
+    build = this_interpreter()
+    serve(
+        lambda request: {"late": servo.late_ticks(request["ticks"]), "build": build},
+        params.realtime,
+        servo.enable,
+    )
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ from rich.table import Table
 
 from benchmarks import targets
 from benchmarks.figures import Figure, load, merge, refused, save
+from benchmarks.interpreter import this_interpreter
 from benchmarks.worker import BenchError
 from hapticd.core.errors import HapticdError
 
@@ -225,12 +226,14 @@ def _run(parts: list[str], some: bool, output: Path) -> list[dict[str, Any]]:
     """The rows of one run, which are written and printed."""
     rows = load(output) if some else []
     measured: list[dict[str, Any]] = []
+    build = this_interpreter().text
     for part in parts:
         console.print(f"{part} ...", end=" ")
         begin = time.monotonic()
-        measured += [figure.plain() for figure in measure(part)]
+        measured += [{**figure.plain(), "interpreter": build} for figure in measure(part)]
         console.print(f"{time.monotonic() - begin:.0f} s")
         save(output, merge(rows, measured))
+    console.print(build)
     console.print(table(measured))
     for note in dict.fromkeys(row["note"] for row in measured if "note" in row):
         names = ", ".join(row["name"] for row in measured if row.get("note") == note)

@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+import sysconfig
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from hapticd.core.params import RealtimeParams
 from hapticd.servo import host
 
 ROOT = Path(__file__).resolve().parents[1]
+LIBRARIES = Path(sysconfig.get_path("purelib"))
 PRIORITY = RealtimeParams().priority
 END_S = 10.0
 
@@ -26,11 +28,13 @@ class BenchError(Exception):
     """A part could not be measured; the message says why and what to do."""
 
 
-def environment() -> dict[str, str]:
-    """Environment of a child that imports hapticd and benchmarks from this checkout."""
+def environment(*folders: Path) -> dict[str, str]:
+    """Environment of a child that imports hapticd and benchmarks from this checkout, and others
+    from `folders`.
+    """
     return {
         **os.environ,
-        "PYTHONPATH": str(ROOT),
+        "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *folders))),
         "PYTHONHASHSEED": "0",
         "OPENBLAS_NUM_THREADS": "1",
     }
@@ -57,19 +61,22 @@ def servo_core() -> int:
 
 
 class Worker:
-    """Module `benchmarks.<module>` as a process; use it as a context manager. BenchError when
-    it dies.
+    """Module `benchmarks.<module>` as a process of `python`, which needs nothing but what it finds
+    in this interpreter's folder of libraries; use it as a context manager. BenchError when it dies.
     """
 
-    def __init__(self, module: str, arguments: Sequence[str] = ()) -> None:
+    def __init__(
+        self, module: str, arguments: Sequence[str] = (), python: str = sys.executable
+    ) -> None:
         self.module = module
+        folders = () if python == sys.executable else (LIBRARIES,)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", f"benchmarks.{module}", *arguments],
+            [python, "-m", f"benchmarks.{module}", *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env=environment(),
+            env=environment(*folders),
             cwd=ROOT,
         )
         self.granted: dict[str, dict[str, Any]] = self._reply()

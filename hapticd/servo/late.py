@@ -20,7 +20,9 @@ ticks before have as well:
 A slow bus holds up OUT and IN, so it is BUS from a quarter of the lateness on the way out. An IN
 alone that is slow on the wire counts as COMPLETION: only the kernel could tell the two apart. A
 late tick sends its OUT late, so the next ones may wait for their IN: they have its cause. One after
-the other, libusb's call hides its parts: what is not BUS is TRANSFER.
+the other, libusb's call hides its parts: what is not BUS is TRANSFER. When the OUT of the late tick
+itself came to the board is in the sample of the next one, and even that would not tell submission
+from bus; when an IN was fetched is in none.
 
 The cause is looked for once the tick has ended, before the slots that it lost are counted, so the
 next tick is not held up: cold code takes tens of times longer. It goes into the record of the next

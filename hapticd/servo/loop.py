@@ -281,21 +281,12 @@ class ServoLoop:
                 slot,
             )
             self.state = state
-            settled, _, (work, excess, _, _, _, _, _), _, _ = state
+            settled = state[SETTLED]
             torque, x, v, a, spring, damper, inertia, field, force, flags, answers = output
             out_flags = settled.out_flags
             if settled.wave[WAVE_COMMAND] or streamer.playing:
                 out_flags, count, samples = streamer.follow(settled.wave, out_flags, level)
-            if delay_us < 0:
-                delay_us = UNKNOWN_US
-            else:
-                # where the board holds torque back, the age of another OUT says nothing of this
-                if torque_seq == echo & 0xFF:
-                    frame_age_us = (got - stepped) // NS_PER_US - torque_age_us
-                if delay_us > most_us:
-                    most_us = delay_us
-                if delay_us < least_us:
-                    least_us = delay_us
+            stepped_before = stepped
             stepped = clock()
             if out_flags & WITHHELD:
                 pausing = not listens(settled.plan, slot, rate_hz)  # no frame will answer
@@ -314,6 +305,16 @@ class ServoLoop:
                     connection.lose(start)
             sent = clock()
 
+            if delay_us < 0:
+                delay_us = UNKNOWN_US
+            else:
+                # where the board holds torque back, the age of another OUT says nothing of this
+                if torque_seq == echo & 0xFF:
+                    frame_age_us = (got - stepped_before) // NS_PER_US - torque_age_us
+                if delay_us > most_us:
+                    most_us = delay_us
+                if delay_us < least_us:
+                    least_us = delay_us
             wake_ns = start - deadline
             read_ns = got - start
             step_ns = stepped - got
@@ -324,6 +325,7 @@ class ServoLoop:
                 stages = (wake_ns, read_ns, step_ns, write_ns)
                 wake_ns, read_ns, step_ns, write_ns = (min(stage, _LONGEST_NS) for stage in stages)
                 frame_age_us = min(frame_age_us, _NOTHING_US)
+            _, _, (work, excess, _, _, _, _, _), _, _ = state
             pack_stepped(
                 ring,
                 place,

@@ -50,6 +50,7 @@ PROMISED = {
     *(f"wake_{name}" for name in ("p50", "p99", "stress_p99", "sleep_p50", "sleep_p99")),
     *(f"tick_{name}" for name in ("p50_ratio", "p99_ratio", "c_ratio")),
     *(f"late_{rate}khz" for rate in (1, 2, 4, 8)),
+    "late_free_hz",
     *(
         "usb_pair_ratio",
         "board_tick_ratio",

@@ -95,6 +95,37 @@ def test_newest_libraries_are_installed_without_pins(environment: Path) -> None:
     assert "--constraint" not in planned(environment, "--what-if=pyproject.toml", "PINS=")
 
 
+PYTHON_DOUBLE = """#!/bin/bash
+case $2 in *sysconfig*) exit {plain} ;; *ensurepip*) exit {old} ;; esac
+"""
+
+
+@pytest.mark.parametrize(
+    ("found", "best"),
+    [
+        ({"a/python3": "plain", "b/python3": "optimised"}, "b/python3"),
+        ({"a/python3": "plain", "b/python3.12": "plain"}, "a/python3"),
+        ({"a/python3": "old", "b/python3.12": "plain"}, "b/python3.12"),
+        ({"a/python3": "optimised", "b/python3": "optimised"}, "a/python3"),
+        ({"a/python3": "old"}, ""),
+    ],
+)
+def test_make_takes_an_optimised_python_before_the_first(
+    tmp_path: Path, found: dict[str, str], best: str
+) -> None:
+    for name, kind in found.items():
+        file = tmp_path / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(
+            PYTHON_DOUBLE.format(plain=int(kind != "optimised"), old=int(kind == "old"))
+        )
+        file.chmod(0o755)
+    path = os.pathsep.join(str(tmp_path / folder) for folder in ("a", "b"))
+    command = ["/bin/bash", str(ROOT / ".ci" / "python")]
+    done = subprocess.run(command, env={"PATH": path}, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == (str(tmp_path / best) if best else "")
+
+
 @pytest.fixture
 def ordinary_user(tmp_path: Path) -> dict[str, str]:
     """Environment of someone without root, sudo, and the programs that tests need."""

@@ -22,6 +22,7 @@ from hapticd.mailbox.daemons import require_trusted
 from hapticd.run.doctor.machine import (
     CAP_IPC_LOCK,
     CAP_SYS_NICE,
+    Build,
     Machine,
     Requirements,
     cores_in,
@@ -536,13 +537,17 @@ DISTRIBUTION = "/usr"  # the prefix of its interpreter
 
 
 def interpreter(machine: Machine, asked: Requirements) -> str | Flaw:
+    """How the one that runs this was built."""
+    return judged_build(machine.build)
+
+
+def judged_build(build: Build) -> str | Flaw:
     """CPython's own Makefile optimises for a measured profile only with `--enable-optimizations`,
     which pyenv leaves out by default.
 
     Distributions pass their options in other ways and show none, so of an interpreter below /usr
     nothing is concluded.
     """
-    build = machine.build
     levels = re.findall(r"-O(?:[0-3gsz]|fast)\b", build.flags)
     level = levels[-1] if levels else "an unknown -O level"
     found = f"Python {build.version}"
