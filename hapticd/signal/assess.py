@@ -175,10 +175,11 @@ def _examined(
     """What the samples say, with the findings of the source and those of the spectra."""
     spectra = corrected(trial.spectra, criteria.skew_s, criteria.high_pass_hz)
     record = examine(force_n, velocity_m_per_s, spectra.rate_hz)
+    findings = [*record.findings, *trial.findings]
     if isinstance(spectra, PeriodicSpectra):
-        spectral = periodic_findings(spectra, criteria.band_hz)
+        findings += periodic_findings(spectra, criteria.band_hz)
     else:
-        spectral = leakage_findings(spectra, criteria.band_hz, criteria.estimator)
+        findings += leakage_findings(spectra, criteria.band_hz, criteria.estimator)
     if not trial.simulated:
-        spectral += unit_findings(spectra, float(force_n.std()), record.velocity_sd_m_per_s)
-    return replace(record, findings=(*record.findings, *trial.findings, *spectral))
+        findings += unit_findings(spectra, float(force_n.std()), record.velocity_sd_m_per_s)
+    return replace(record, findings=tuple(findings))

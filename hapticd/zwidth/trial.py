@@ -328,7 +328,7 @@ def judged(plan: TrialPlan, recorded: TrialRecord) -> TrialResult:
     measured = MeasuredTrial(
         multisine_spectra(recorded, layout) if layout else _windowed(params, recorded),
         (recorded.force_n, recorded.velocity_m_per_s),
-        findings=_findings(recorded, params.trial),
+        findings=tuple(_findings(recorded, params.trial)),
         simulated=recorded.simulated,
     )
     radius = plan.spectral_radius
@@ -351,39 +351,28 @@ def _windowed(params: TrialParams, recorded: TrialRecord) -> Spectra:
     return spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz, params.lag)
 
 
-def _findings(recorded: TrialRecord, trial: Trial) -> tuple[Finding, ...]:
+def _findings(recorded: TrialRecord, trial: Trial) -> Iterator[Finding]:
     """What the samples cannot say: the command at its end, an escape that the monitor saw, what
     was lost, and that K < 0 pushes the device away for ever: at a low enough frequency it is
     active, however long the record.
     """
-    found = []
     most = recorded.max_command_n
     limit = recorded.command_limit_n
     if most is not None and limit is not None and most >= limit * (1.0 - AT_LIMIT):
         message = f"command saturated at {limit:.3g} N; lower the perturbation or the stiffness"
-        found.append(Finding("saturation", message, voids=True))
-    if ended := _end_finding(recorded.ended):
-        found.append(ended)
+        yield Finding("saturation", message, voids=True)
+    ended = recorded.ended
+    if ended and ended.reason is EndReason.ESCAPE:
+        yield Finding("escape", str(ended), unstable=True)
+    elif ended and ended.reason is not EndReason.DECIDED:
+        voids = ended.reason in (EndReason.CHANGED, EndReason.TRAVEL)
+        yield Finding("ended", str(ended), voids=voids)
     if (stiffness := trial.environment[0]) < 0.0:
         message = f"K = {stiffness:g} N/m: below every band a negative stiffness is active"
-        found.append(Finding("negative_stiffness", message, voids=True))
-    counted = (*loss_findings(recorded.more), *limit_findings(recorded.more))
-    return (*found, *counted, *_uncalibrated(recorded.more))
-
-
-def _end_finding(ended: TrialEnd | None) -> Finding | None:
-    """The finding for a trial that ended so."""
-    if ended is None or ended.reason is EndReason.DECIDED:
-        return None
-    if ended.reason is EndReason.ESCAPE:
-        return Finding("escape", str(ended), unstable=True)
-    voids = ended.reason in (EndReason.CHANGED, EndReason.TRAVEL)
-    return Finding("ended", str(ended), voids=voids)
-
-
-def _uncalibrated(more: Mapping[str, Any]) -> Iterator[Finding]:
-    """Calibrations that could not be relied on when it was recorded."""
-    if doubts := more.get("calibration_doubts"):
+        yield Finding("negative_stiffness", message, voids=True)
+    yield from loss_findings(recorded.more)
+    yield from limit_findings(recorded.more)
+    if doubts := recorded.more.get("calibration_doubts"):
         yield Finding("uncalibrated", f"uncalibrated: {'; '.join(doubts)}")
 
 
