@@ -19,7 +19,7 @@ pieces      From there on the perturbation is its own mark. Each quarter of a se
 clock       exp(2 pi j (x - i)) does not know of k: by its phase from piece to piece e is known with
             all gaps still in. Then k are the whole numbers that remain, and c and e a line through
             the rest, with bisquare weights.
-gaps        lie where k changes: `gaps`.
+gaps        lie where k changes (`matching`).
 
 What would break it: a perturbation that repeats within a few seconds; a clock that wanders by half
 a sample over the record (refused: the pieces then do not agree); a gap in the half of a quarter of
@@ -34,8 +34,7 @@ import numpy.typing as npt
 from hapticd.core.arrays import Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.model.excitation import mark_signs
-from hapticd.signal.gaps import Gap, find_gaps
-from hapticd.signal.matching import coefficients, fraction
+from hapticd.signal.matching import Gap, coefficients, find_gaps, fraction
 
 __all__ = ["FASTEST", "LEAST", "NO_MARK", "Mark", "Track", "align", "find_marks"]
 

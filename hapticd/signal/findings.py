@@ -28,7 +28,7 @@ the square root of n times what it changes in one, whatever its size. Where the 
 the record the calm seconds are those before it rang, and the loud ones prove nothing. What runs
 away gains in proportion to its size (`outgrows_walk`).
 
-Lines below the first twelve frequencies of a window are found in the record (`low_lines`).
+Lines below the first twelve frequencies of a window are found in the record (`resolved`).
 
 The lower edge counts because it is estimated together with the band: the window's 1.95 Hz is
 anybody's 2 Hz. Noise in the velocity makes "spa" read |Z| low by the coherence. A window makes a

@@ -24,6 +24,7 @@ not repeat), or one realisation taken for the whole truth.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +58,9 @@ class PeriodicSpectra(Spectra):
     # (F,) the same between realisations; nan for one
     between_realisations: Floats = field(default_factory=lambda: UNKNOWN)
 
+    exact: ClassVar[bool] = True
+    resolved: ClassVar[bool] = True
+
     def part(self, which: Flags | Integers | slice) -> "PeriodicSpectra":
         """Spectra at some of the harmonics, `which` (F,)."""
         found = super().part(which)
@@ -83,11 +87,6 @@ class PeriodicSpectra(Spectra):
     def smoothing_hz2(self) -> float:
         """Zero: nothing is smoothed."""
         return 0.0
-
-    @property
-    def exact(self) -> bool:
-        """Always true: these are plain averages."""
-        return True
 
     @property
     def span(self) -> str:

@@ -39,9 +39,8 @@ from hapticd.protocol.answers import Status
 from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of
 from hapticd.signal.alignment import find_marks
-from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.sources import Source, Trial
-from hapticd.zwidth.store import MARK_SAMPLE, Progress, TrialRecord, silent
+from hapticd.zwidth.store import MARK_SAMPLE, EndReason, Progress, TrialEnd, TrialRecord, silent
 from hapticd.zwidth.watch import GapFiller, TrialMonitor
 
 __all__ = ["allowed_waveform", "daemon_source"]

@@ -34,17 +34,16 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
-from hapticd.zwidth.ending import end_of_plain
 from hapticd.zwidth.hapticd_files import of_recording, of_remark
 from hapticd.zwidth.store import (
     LOSSES_BY,
     MARK_SAMPLE,
     RECORD_H5,
-    RECORD_NPZ,
     RESTS_ON,
     SUMMARY,
     LossesBy,
     TrialRecord,
+    end_of_plain,
     origin_of,
     read_summary,
     record_path,
@@ -170,9 +169,8 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> Tri
     """`recorded` with what the run folder of a trial, or the record itself, says of it."""
     stated: Mapping[str, Any] = {}
     if "trial" in columns:
-        text = np.asarray(columns["trial"]).item()
-        stated = json.loads(text)
-    elif path.name in (RECORD_H5, RECORD_NPZ) and (path.parent / SUMMARY).is_file():
+        stated = json.loads(np.asarray(columns["trial"]).item())
+    elif path.name == RECORD_H5 and (path.parent / SUMMARY).is_file():
         stated = origin_of(read_summary(path.parent))
     if "environment" not in stated or "simulated" not in stated:
         return recorded

@@ -58,8 +58,7 @@ from hapticd.signal.assess import Criteria, LoopModel, MeasuredTrial, assess
 from hapticd.signal.findings import ESCAPE_RATIO, Finding, outgrows_walk
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, SpectralStream
 from hapticd.signal.verdict import LEAST_FREEDOM, needed
-from hapticd.zwidth.ending import EndReason, TrialEnd
-from hapticd.zwidth.store import LOSSES_BY, TrialRecord
+from hapticd.zwidth.store import LOSSES_BY, EndReason, TrialEnd, TrialRecord
 
 __all__ = ["CENTRING_N_PER_M", "Watch"]
 

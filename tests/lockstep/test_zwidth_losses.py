@@ -21,10 +21,9 @@ from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
-from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import _gone, daemon_source
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import TrialRecord, too_short
+from hapticd.zwidth.store import EndReason, TrialEnd, TrialRecord, too_short
 from hapticd.zwidth.trial import (
     MultisineLayout,
     TrialParams,

@@ -23,8 +23,7 @@ from hapticd.rig.result import Finding
 from hapticd.run.doctor.checks import CheckResult
 from hapticd.servo.host import Grant
 from hapticd.signal import findings
-from hapticd.zwidth.ending import TrialEnd
-from hapticd.zwidth.store import TrialRecord
+from hapticd.zwidth.store import TrialEnd, TrialRecord
 from hapticd.zwidth.trial import TrialResult
 
 TEXTS: dict[type[Any], tuple[str, ...]] = {

@@ -21,7 +21,6 @@ from hapticd.recording.replay import ReplayResult
 from hapticd.signal.impedance import Impedance
 from hapticd.signal.periodic import PeriodicSpectra
 from hapticd.signal.verdict import half_width
-from hapticd.zwidth.ending import EndReason
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
     BLACK,
@@ -46,6 +45,7 @@ from hapticd.zwidth.report.style import (
     styled,
 )  # fmt: skip
 from hapticd.zwidth.stepped_sine import ReferenceSines
+from hapticd.zwidth.store import EndReason
 from hapticd.zwidth.trial import TrialResult
 
 __all__ = [
