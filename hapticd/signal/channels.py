@@ -31,6 +31,7 @@ import numpy as np
 from hapticd.core.arrays import Complexes, Floats, Integers
 from hapticd.signal.findings import Finding
 from hapticd.signal.impedance import impedance, relative_sd
+from hapticd.signal.matching import bisquare_fit
 from hapticd.signal.spectra import Spectra
 
 __all__ = ["unit_findings"]
@@ -57,8 +58,7 @@ FAST_AND_LIGHT_KG = 3e-3
 STRONGEST_N = 500.0  # rms; the paper's perturbation was 0.2 N
 MASS_BAND_HZ = (100.0, 500.0)
 LEAST_LINES = 8  # of frequencies at which |Z| is known
-_ROUNDS = 12
-_BISQUARE = 4.685
+
 _NEIGHBOURS = 8.0 / 3.0  # values per independent one: bandwidth over spacing
 
 
@@ -195,14 +195,7 @@ def _robust(columns: Floats, values: Floats, weight: Floats) -> tuple[float, flo
     standard deviation.
     """
     scaled = columns * weight[:, None]
-    target = values * weight
-    trust = np.ones(values.size)
-    for _ in range(_ROUNDS):
-        root = np.sqrt(trust)
-        solution = np.linalg.lstsq(scaled * root[:, None], target * root, rcond=None)[0]
-        residual = target - scaled @ solution
-        scale = max(1.0, 1.4826 * float(np.median(np.abs(residual))))
-        trust = np.maximum(0.0, 1.0 - (residual / (_BISQUARE * scale)) ** 2) ** 2
+    solution, _, trust, scale = bisquare_fit(scaled, values * weight, 1.0)
     normal = np.linalg.pinv((scaled * trust[:, None]).T @ scaled)
     return float(solution[0]), scale * float(np.sqrt(normal[0, 0]))
 

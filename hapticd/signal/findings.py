@@ -122,11 +122,9 @@ class Energy:
 
 def energy(force_n: Floats, velocity_m_per_s: Floats, rate_hz: float) -> Energy:
     """Energy integral of force and velocity (N,), N >= 1, sampled at `rate_hz`."""
-    flowed = np.cumsum(force_n * velocity_m_per_s) / rate_hz
+    flowed = np.concatenate(([0.0], np.cumsum(force_n * velocity_m_per_s) / rate_hz))
     lowest = int(np.argmin(flowed))
-    if flowed[lowest] >= 0.0:
-        return Energy(0.0, 0.0, float(flowed[-1]))
-    return Energy(float(flowed[lowest]), (lowest + 1) / rate_hz, float(flowed[-1]))
+    return Energy(float(flowed[lowest]), lowest / rate_hz, float(flowed[-1]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -484,12 +484,14 @@ def _known_to(trial: Spectra, inside: Spectra, at_port: Impedance, level: float)
     """What chance at that level, each side, and the fits of `resolved` leave open."""
     z = at_port.impedance_ns_per_m
     size = np.abs(z)
-    chance = spread_of(size, half_width(_coherence(trial, inside), trial.degrees_of_freedom, level))
+    chance = spread_of(
+        size, half_width(coherence_inside(trial, inside), trial.degrees_of_freedom, level)
+    )
     relative = inside.bias if isinstance(inside, Resolved) else np.zeros(z.size, np.complex128)
     return _Known(chance, relative * z, chance + size * np.abs(relative.imag))
 
 
-def _coherence(trial: Spectra, inside: Spectra) -> Floats:
+def coherence_inside(trial: Spectra, inside: Spectra) -> Floats:
     """Coherence g2 (F,) of a band, at an edge between lines no more than at the lines beside it:
     there side lobes of a drift may take power from the motion, and the perturbation then seems
     to explain more of it.

@@ -67,19 +67,14 @@ def write_response(result: TrialResult, path: Path, form: Format) -> Path:
     try:
         if form == "npz":
             np.savez(path, **found)
-        elif form == "mat":
-            _write_mat(path, found)
+        elif form == "mat":  # as `frd` takes it: the response 1 x 1 x F, all else in columns
+            response = {"response": found["response"].reshape(1, 1, -1)}
+            need("scipy.io", "a .mat file").savemat(path, {**found, **response}, oned_as="column")
         else:
             path.write_text(csv_text(_columns(found)))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; name a file that you may write") from error
     return path
-
-
-def _write_mat(path: Path, found: dict[str, Any]) -> None:
-    """As `frd` takes it: the response 1 x 1 x F, all else in columns."""
-    response = {"response": found["response"].reshape(1, 1, -1)}
-    need("scipy.io", "a .mat file").savemat(path, {**found, **response}, oned_as="column")
 
 
 def _columns(found: dict[str, Any]) -> dict[str, Floats]:

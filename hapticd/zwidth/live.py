@@ -239,11 +239,8 @@ class LiveRecording:
                 round(wanted / PROBE_RATE_HZ),
             )
             if self._taken > settle:
-                ended = self._slow_start(settle)
-            if not ended and self._taken > settle:
-                force, velocity = self._parts[-1][0]
-                ended = self._monitor.see(
-                    force, velocity, self._winding_c, self._command_n, self._positions_m
+                ended = self._slow_start(settle) or self._monitor.see(
+                    *self._parts[-1][0], self._winding_c, self._command_n, self._positions_m
                 )
             self._positions_m = (nan, nan)  # what was before it settled is no matter
             if ended or self._taken >= wanted:

@@ -24,7 +24,6 @@ from hapticd.run.doctor.checks import CheckResult
 from hapticd.servo.host import Grant
 from hapticd.signal import findings
 from hapticd.zwidth.store import TrialEnd, TrialRecord
-from hapticd.zwidth.trial import TrialResult
 
 TEXTS: dict[type[Any], tuple[str, ...]] = {
     StepReceipt: ("text",),
@@ -33,7 +32,6 @@ TEXTS: dict[type[Any], tuple[str, ...]] = {
     Grant: ("text",),
     TrialEnd: ("text",),
     TrialRecord: ("ended", "origin"),
-    TrialResult: ("covers",),
     findings.Finding: ("message",),
     Finding: ("what", "remedy"),
     CheckResult: ("found", "why", "fix"),
