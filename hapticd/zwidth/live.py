@@ -239,8 +239,9 @@ class LiveRecording:
                 round(wanted / PROBE_RATE_HZ),
             )
             if self._taken > settle:
+                force, velocity = self._parts[-1][0]
                 ended = self._slow_start(settle) or self._monitor.see(
-                    *self._parts[-1][0], self._winding_c, self._command_n, self._positions_m
+                    force, velocity, self._winding_c, self._command_n, self._positions_m
                 )
             self._positions_m = (nan, nan)  # what was before it settled is no matter
             if ended or self._taken >= wanted:
