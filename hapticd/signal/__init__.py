@@ -10,7 +10,7 @@ else is said. For scripts:
     periodic     `periodic`: spectra of whole periods of a multisine
     impedance    `impedance`: Z with its uncertainty
     findings     `examine`: what is wrong with a record
-    resolved     `resolved`: Z where the motion is narrower than the window
+    resolved     `resolved`, `low_line`: what the window does not resolve, by the record
     verdict      `judge`: passive in a band, not passive, or undecided, with intervals
     alignment    `align`: a record of another system beside the own one
     ledger       `book`: the work that each cause does on the device
@@ -18,10 +18,9 @@ else is said. For scripts:
     passive_set  `passive_set`, `set_limits`, `volume`, `axis_limit`: the set of K, B and M
     envelope     `of_one`, `merged`: the Z-width envelope and its owners
     compare      `widths_db`, `check_alike`, `normalised`: displays side by side
-    search       `Search`, `next_trials`: the directed search; `prior`: what a model knows before it
+    search       `Search`, `next_trials`, `ModelPrior`: the directed search
 
 The rest serves these: `covariances`, `kernels`, `compiled`, `batch_spectra` and `batch_fft`
-(loops over records), `matching` and `gaps` (one signal in another), `channels` (faults of the
-measuring channels), `low_lines` (limit cycles below the lines of a window), `surrogate` (the
-process behind the search).
+(loops over records), `matching` (one signal in another), `channels` (faults of the measuring
+channels), `surrogate` (the process behind the search).
 """

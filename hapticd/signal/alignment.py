@@ -19,7 +19,7 @@ pieces      From there on the perturbation is its own mark. Each quarter of a se
 clock       exp(2 pi j (x - i)) does not know of k: by its phase from piece to piece e is known with
             all gaps still in. Then k are the whole numbers that remain, and c and e a line through
             the rest, with bisquare weights.
-gaps        lie where k changes: `gaps`.
+gaps        lie where k changes (`matching`).
 
 What would break it: a perturbation that repeats within a few seconds; a clock that wanders by half
 a sample over the record (refused: the pieces then do not agree); a gap in the half of a quarter of
@@ -34,8 +34,7 @@ import numpy.typing as npt
 from hapticd.core.arrays import Floats, Integers
 from hapticd.core.errors import AnalysisError
 from hapticd.model.excitation import mark_signs
-from hapticd.signal.gaps import Gap, find_gaps
-from hapticd.signal.matching import coefficients, fraction
+from hapticd.signal.matching import Gap, bisquare_fit, coefficients, find_gaps, fraction
 
 __all__ = ["FASTEST", "LEAST", "NO_MARK", "Mark", "Track", "align", "find_marks"]
 
@@ -47,8 +46,7 @@ AGREED = 0.25  # samples off the line at most, of a piece that agrees with it
 MOSTLY = 0.5  # of the pieces have to be found
 STEADY = 0.8  # of those have to agree: a clock that wanders spreads them evenly
 MARKS = 16  # looked at in one file
-ROUNDS = 12
-BISQUARE = 4.685  # (Beaton and Tukey 1974)
+
 NO_MARK = "start the other system before the trial, and run the trial with --mark"
 
 
@@ -240,13 +238,7 @@ def _line(middle: Floats, lag: Floats) -> Clock:
     """The line through the pieces. AnalysisError where they do not agree."""
     centre = float(middle.mean())
     columns = np.stack((np.ones(middle.size), middle - centre), axis=1)
-    trust = np.ones(middle.size)
-    for _ in range(ROUNDS):
-        root = np.sqrt(trust)
-        fit = np.linalg.lstsq(columns * root[:, None], lag * root, rcond=None)[0]
-        off = lag - columns @ fit
-        scale = max(1e-6, 1.4826 * float(np.median(np.abs(off))))
-        trust = np.maximum(0.0, 1.0 - (off / (BISQUARE * scale)) ** 2) ** 2
+    fit, off, trust, scale = bisquare_fit(columns, lag, 1e-6)
     if np.mean(np.abs(off) < AGREED) < STEADY:
         raise AnalysisError(
             f"the pieces of the file lie {float(np.std(off)):.2g} samples off one line, less than"

@@ -5,7 +5,7 @@
     findings     of the samples and of the spectra (`findings`, `channels`), and those of the source
     verdict      at the resolution of the window (`verdict`)
     resolution   where the window does not resolve what decides, the record does (`resolved`); so it
-                 does for lines below those that the window shows (`low_lines`). Then the verdict is
+                 does for lines below those that the window shows (`resolved`). Then the verdict is
                  found again
     impedance    Z with its uncertainty, at the port that was asked for (`impedance`)
 
@@ -25,9 +25,8 @@ from hapticd.core.arrays import Complexes, Flags, Floats, lazy_property
 from hapticd.signal.channels import unit_findings
 from hapticd.signal.findings import Finding, Record, examine, leakage_findings
 from hapticd.signal.impedance import Estimator, Impedance, impedance
-from hapticd.signal.low_lines import hinted, low_line
 from hapticd.signal.periodic import PeriodicSpectra, periodic_findings
-from hapticd.signal.resolved import resolved, unresolved
+from hapticd.signal.resolved import hinted, low_line, resolved, unresolved
 from hapticd.signal.spectra import Spectra, corrected
 from hapticd.signal.verdict import DEFAULT_BAND_HZ, Verdict, judge
 
@@ -175,10 +174,11 @@ def _examined(
     """What the samples say, with the findings of the source and those of the spectra."""
     spectra = corrected(trial.spectra, criteria.skew_s, criteria.high_pass_hz)
     record = examine(force_n, velocity_m_per_s, spectra.rate_hz)
+    findings = [*record.findings, *trial.findings]
     if isinstance(spectra, PeriodicSpectra):
-        spectral = periodic_findings(spectra, criteria.band_hz)
+        findings += periodic_findings(spectra, criteria.band_hz)
     else:
-        spectral = leakage_findings(spectra, criteria.band_hz, criteria.estimator)
+        findings += leakage_findings(spectra, criteria.band_hz, criteria.estimator)
     if not trial.simulated:
-        spectral += unit_findings(spectra, float(force_n.std()), record.velocity_sd_m_per_s)
-    return replace(record, findings=(*record.findings, *trial.findings, *spectral))
+        findings += unit_findings(spectra, float(force_n.std()), record.velocity_sd_m_per_s)
+    return replace(record, findings=tuple(findings))

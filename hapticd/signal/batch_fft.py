@@ -195,42 +195,24 @@ def pair_order() -> tuple[Any, Any]:
 
 
 @njit(forceinline=True)
+def _butterfly(a, b, c, d):  # type: ignore[no-untyped-def]
+    """Transform 2 points, a + i b and c + i d."""
+    return a + c, b + d, a - c, b - d
+
+
+@njit(forceinline=True)
 def _dft8(  # type: ignore[no-untyped-def]
     a0, b0, a1, b1, a2, b2, a3, b3, a4, b4, a5, b5, a6, b6, a7, b7
 ):
     """Transform 8 points, real part a and imaginary part b, in natural order."""
-    p0 = a0 + a4
-    q0 = b0 + b4
-    p4 = a0 - a4
-    q4 = b0 - b4
-    p1 = a1 + a5
-    q1 = b1 + b5
-    p5 = a1 - a5
-    q5 = b1 - b5
-    p2 = a2 + a6
-    q2 = b2 + b6
-    p6 = a2 - a6
-    q6 = b2 - b6
-    p3 = a3 + a7
-    q3 = b3 + b7
-    p7 = a3 - a7
-    q7 = b3 - b7
-    r0 = p0 + p2
-    s0 = q0 + q2
-    r2 = p0 - p2
-    s2 = q0 - q2
-    r1 = p1 + p3
-    s1 = q1 + q3
-    r3 = p1 - p3
-    s3 = q1 - q3
-    t0 = p4 + q6
-    u0 = q4 - p6
-    t1 = p4 - q6
-    u1 = q4 + p6
-    v0 = p5 + q7
-    w0 = q5 - p7
-    v1 = p5 - q7
-    w1 = q5 + p7
+    p0, q0, p4, q4 = _butterfly(a0, b0, a4, b4)
+    p1, q1, p5, q5 = _butterfly(a1, b1, a5, b5)
+    p2, q2, p6, q6 = _butterfly(a2, b2, a6, b6)
+    p3, q3, p7, q7 = _butterfly(a3, b3, a7, b7)
+    r0, s0, r2, s2 = _butterfly(p0, q0, p2, q2)
+    r1, s1, r3, s3 = _butterfly(p1, q1, p3, q3)
+    t0, u1, t1, u0 = _butterfly(p4, q4, q6, p6)
+    v0, w1, v1, w0 = _butterfly(p5, q5, q7, p7)
     h = ROOT_HALF
     e = (v0 + w0) * h
     f = (w0 - v0) * h

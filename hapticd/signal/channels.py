@@ -23,6 +23,7 @@ of 5.5 and 2.5 g with a mode of 660 to 1090 Hz look like up to 27 us at 4 N s/m,
 called skew.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,7 @@ import numpy as np
 from hapticd.core.arrays import Complexes, Floats, Integers
 from hapticd.signal.findings import Finding
 from hapticd.signal.impedance import impedance, relative_sd
+from hapticd.signal.matching import bisquare_fit
 from hapticd.signal.spectra import Spectra
 
 __all__ = ["unit_findings"]
@@ -56,8 +58,7 @@ FAST_AND_LIGHT_KG = 3e-3
 STRONGEST_N = 500.0  # rms; the paper's perturbation was 0.2 N
 MASS_BAND_HZ = (100.0, 500.0)
 LEAST_LINES = 8  # of frequencies at which |Z| is known
-_ROUNDS = 12
-_BISQUARE = 4.685
+
 _NEIGHBOURS = 8.0 / 3.0  # values per independent one: bandwidth over spacing
 
 
@@ -118,24 +119,27 @@ def channel_findings(trial: Spectra) -> tuple[Finding, ...]:
 
 def unit_findings(
     trial: Spectra, force_rms_n: float, velocity_rms_m_per_s: float
-) -> tuple[Finding, ...]:
+) -> Iterator[Finding]:
     """Name a force or velocity beyond any display, given the rms values [N, m/s] of a record and
     its spectra, and the unit that it may be in.
     """
-    found = []
     mass_kg = moving_mass_kg(trial)
     fast = velocity_rms_m_per_s > FASTEST_M_PER_S and not mass_kg >= FAST_AND_LIGHT_KG
     if fast or mass_kg < LIGHTEST_KG:
         moved = f" of what weighs {1e3 * mass_kg:.2g} g" if np.isfinite(mass_kg) else ""
-        found.append(
-            f"velocity of {velocity_rms_m_per_s:.3g} m/s rms{moved}: no display does that; is the"
-            " velocity in mm/s? Give m/s"
+        yield Finding(
+            "units",
+            f"units: velocity of {velocity_rms_m_per_s:.3g} m/s rms{moved}: no display does that;"
+            " is the velocity in mm/s? Give m/s",
+            voids=True,
         )
     if force_rms_n > STRONGEST_N:
-        found.append(
-            f"force of {force_rms_n:.3g} N rms: no display takes that; is the force in mN? Give N"
+        yield Finding(
+            "units",
+            f"units: force of {force_rms_n:.3g} N rms: no display takes that; is the force in mN?"
+            " Give N",
+            voids=True,
         )
-    return tuple(Finding("units", f"units: {words}", voids=True) for words in found)
 
 
 def moving_mass_kg(trial: Spectra) -> float:
@@ -148,28 +152,28 @@ def moving_mass_kg(trial: Spectra) -> float:
     )
 
 
-def _skew_finding(found: Fitted) -> tuple[Finding, ...]:
-    if found.sd > WORST_SKEW_SD_S or not abs(found.value) > max(LEAST_SKEW_S, CERTAINTY * found.sd):
-        return ()
-    late = "after" if found.value > 0.0 else "before"
-    size = 1e6 * abs(found.value)
+def _skew_finding(found: Fitted) -> Iterator[Finding]:
+    size = abs(found.value)
     half_s = float(np.hypot(MODES_SKEW_S, NORMAL * found.sd))
-    message = (
-        f"channel skew: velocity sampled {size:.3g} us (+-{1e6 * half_s:.2g}) {late} the force; "
-        f"sample both together, or take a skew that is known out with --skew {found.value:.3g}"
-    )
-    return (Finding("channel_skew", message, voids=True),)
+    if found.sd <= WORST_SKEW_SD_S and size > max(LEAST_SKEW_S, CERTAINTY * found.sd):
+        yield Finding(
+            "channel_skew",
+            f"channel skew: velocity sampled {1e6 * size:.3g} us (+-{1e6 * half_s:.2g})"
+            f" {'after' if found.value > 0.0 else 'before'} the force; sample both together, or"
+            f" take a skew that is known out with --skew {found.value:.3g}",
+            voids=True,
+        )
 
 
-def _high_pass_finding(found: Fitted) -> tuple[Finding, ...]:
-    if not found.value > max(LEAST_HIGH_PASS_HZ, CERTAINTY * found.sd):
-        return ()
-    message = (
-        f"high-pass mismatch: the velocity channel looks AC-coupled at {found.value:.3g} Hz"
-        f" (+-{found.sd:.2g}); couple it to DC, take a corner that is known out with --high-pass"
-        f" {found.value:.2g}, or judge from a higher frequency"
-    )
-    return (Finding("high_pass_mismatch", message, voids=True),)
+def _high_pass_finding(found: Fitted) -> Iterator[Finding]:
+    if found.value > max(LEAST_HIGH_PASS_HZ, CERTAINTY * found.sd):
+        yield Finding(
+            "high_pass_mismatch",
+            f"high-pass mismatch: the velocity channel looks AC-coupled at {found.value:.3g} Hz"
+            f" (+-{found.sd:.2g}); couple it to DC, take a corner that is known out with"
+            f" --high-pass {found.value:.2g}, or judge from a higher frequency",
+            voids=True,
+        )
 
 
 def _part(trial: Spectra, low_hz: float, high_hz: float) -> tuple[Complexes, Floats, Floats]:
@@ -191,14 +195,7 @@ def _robust(columns: Floats, values: Floats, weight: Floats) -> tuple[float, flo
     standard deviation.
     """
     scaled = columns * weight[:, None]
-    target = values * weight
-    trust = np.ones(values.size)
-    for _ in range(_ROUNDS):
-        root = np.sqrt(trust)
-        solution = np.linalg.lstsq(scaled * root[:, None], target * root, rcond=None)[0]
-        residual = target - scaled @ solution
-        scale = max(1.0, 1.4826 * float(np.median(np.abs(residual))))
-        trust = np.maximum(0.0, 1.0 - (residual / (_BISQUARE * scale)) ** 2) ** 2
+    solution, _, trust, scale = bisquare_fit(scaled, values * weight, 1.0)
     normal = np.linalg.pinv((scaled * trust[:, None]).T @ scaled)
     return float(solution[0]), scale * float(np.sqrt(normal[0, 0]))
 

@@ -28,7 +28,7 @@ the square root of n times what it changes in one, whatever its size. Where the 
 the record the calm seconds are those before it rang, and the loud ones prove nothing. What runs
 away gains in proportion to its size (`outgrows_walk`).
 
-Lines below the first twelve frequencies of a window are found in the record (`low_lines`).
+Lines below the first twelve frequencies of a window are found in the record (`resolved`).
 
 The lower edge counts because it is estimated together with the band: the window's 1.95 Hz is
 anybody's 2 Hz. Noise in the velocity makes "spa" read |Z| low by the coherence. A window makes a
@@ -67,6 +67,7 @@ or spectra that are not on the window's own grid, which do not hold the covarian
 said of leakage).
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -121,11 +122,9 @@ class Energy:
 
 def energy(force_n: Floats, velocity_m_per_s: Floats, rate_hz: float) -> Energy:
     """Energy integral of force and velocity (N,), N >= 1, sampled at `rate_hz`."""
-    flowed = np.cumsum(force_n * velocity_m_per_s) / rate_hz
+    flowed = np.concatenate(([0.0], np.cumsum(force_n * velocity_m_per_s) / rate_hz))
     lowest = int(np.argmin(flowed))
-    if flowed[lowest] >= 0.0:
-        return Energy(0.0, 0.0, float(flowed[-1]))
-    return Energy(float(flowed[lowest]), (lowest + 1) / rate_hz, float(flowed[-1]))
+    return Energy(float(flowed[lowest]), lowest / rate_hz, float(flowed[-1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,20 +187,17 @@ def examine(
 
 def _saturation(
     name: str, signal: Floats, limit: float | None, unit: str, remedy: str
-) -> tuple[Finding, ...]:
+) -> Iterator[Finding]:
     size = np.abs(signal)
     top = float(size.max()) if limit is None else limit
     at = np.flatnonzero(size >= top * (1.0 - 1e-9))
-    if top <= 0.0 or not at.size or (limit is None and not _is_flat(size, top, at)):
-        return ()
-    share = at.size / size.size
-    return (
-        Finding(
+    if top > 0.0 and at.size and (limit is not None or _is_flat(size, top, at)):
+        share = at.size / size.size
+        yield Finding(
             "saturation",
             f"{name} saturated at {top:.4g} {unit} in {percent(share)} of the samples; {remedy}",
             voids=True,
-        ),
-    )
+        )
 
 
 def _is_flat(size: Floats, top: float, at: Integers) -> bool:
@@ -209,13 +205,16 @@ def _is_flat(size: Floats, top: float, at: Integers) -> bool:
     it, and not once a period.
     """
     below = int(((size > (1.0 - FLAT_BELOW) * top) & (size < top * (1.0 - 1e-9))).sum())
-    crowded = at.size >= FLAT_SHARE * size.size and at.size > 2 * below
-    return bool(crowded and np.unique(np.diff(at)).size > 2)
+    return (
+        at.size >= FLAT_SHARE * size.size
+        and at.size > 2 * below
+        and np.unique(np.diff(at)).size > 2
+    )
 
 
 def _by_seconds(
     force: Floats, velocity: Floats, raw_velocity: Floats, rate_hz: float
-) -> tuple[Finding, ...]:
+) -> Iterator[Finding]:
     """Find dropouts, and an escape among the seconds that have none."""
     pushed, moved = (_seconds(signal, rate_hz).std(axis=1) for signal in (force, velocity))
     silent = pushed < SILENT * np.quantile(pushed, 0.75)
@@ -223,12 +222,9 @@ def _by_seconds(
     rms = np.sqrt(np.mean(_seconds(velocity, rate_hz) ** 2, axis=1))
     live = moved[~(silent | still)]
     rms[silent | still] = np.quantile(live, 0.25) if live.size else 0.0
-    escaped = escape_findings(rms, 1.0, pushed)
-    return (
-        *_dropout("no perturbation", silent),
-        *_dropout("velocity stood still", still),
-        *escaped,
-    )
+    yield from _dropout("no perturbation", silent)
+    yield from _dropout("velocity stood still", still)
+    yield from escape_findings(rms, 1.0, pushed)
 
 
 def _seconds(signal: Floats, rate_hz: float) -> Floats:
@@ -238,16 +234,15 @@ def _seconds(signal: Floats, rate_hz: float) -> Floats:
     return np.concatenate((rows, signal[None, -window:])) if signal.size % window else rows
 
 
-def _dropout(what: str, where: Flags) -> tuple[Finding, ...]:
-    if not where.any():
-        return ()
+def _dropout(what: str, where: Flags) -> Iterator[Finding]:
     message = (
-        f"{what} in {percent(where.mean())} of the record, from {where.argmax()} s on; cut that"
-        " out, or repeat the trial"
+        f"{what} in the whole record; perturb the device while it records"
+        if where.all()
+        else f"{what} in {percent(where.mean())} of the record, from {where.argmax()} s on; cut"
+        " that out, or repeat the trial"
     )
-    if where.all():
-        message = f"{what} in the whole record; perturb the device while it records"
-    return (Finding("dropout", message, voids=True),)
+    if where.any():
+        yield Finding("dropout", message, voids=True)
 
 
 def escape_findings(
@@ -265,10 +260,9 @@ def escape_findings(
         return ()
     if not outgrows_walk(rms / stronger):
         return (Finding("swells", SWELLS, voids=True),)
-    at_s = loud[0] * window_s
     message = (
-        f"escape at {at_s:.3g} s: the velocity grew from {calm:.3g} to {rms.max():.3g} m/s rms; the"
-        " loop is not stable there"
+        f"escape at {loud[0] * window_s:.3g} s: the velocity grew from {calm:.3g} to"
+        f" {rms.max():.3g} m/s rms; the loop is not stable there"
     )
     return (Finding("escape", message, unstable=True),)
 
@@ -288,29 +282,27 @@ def _lower_quartile(values: Floats) -> float:
     return float(np.interp(place, np.arange(values.size), np.sort(values)))
 
 
-def _drift(raw: Floats, without: Floats) -> tuple[Finding, ...]:
+def _drift(raw: Floats, without: Floats) -> Iterator[Finding]:
     spread = float(without.std())
     offset = float(raw.mean())
     trend = float((raw - without)[-1] - (raw - without)[0])
-    if max(abs(offset), abs(trend)) <= DRIFT_SHARE * spread:
-        return ()
-    message = (
-        f"velocity drift: offset {offset:.3g} m/s, trend {trend:.3g} m/s over the record, noise"
-        f" {spread:.3g} m/s; zero the sensor"
-    )
-    return (Finding("drift", message),)
+    if max(abs(offset), abs(trend)) > DRIFT_SHARE * spread:
+        yield Finding(
+            "drift",
+            f"velocity drift: offset {offset:.3g} m/s, trend {trend:.3g} m/s over the record, noise"
+            f" {spread:.3g} m/s; zero the sensor",
+        )
 
 
-def _level(name: str, signal: Floats, most: float) -> tuple[Finding, ...]:
+def _level(name: str, signal: Floats, most: float) -> Iterator[Finding]:
     middle = signal.size // 2
     first, second = (float(half.std()) for half in (signal[:middle], signal[middle:]))
-    if max(first, second) <= most * min(first, second):
-        return ()
-    message = (
-        f"{name} drift: {first:.3g} rms in the first half, {second:.3g} in the second; the trial"
-        " mixes two conditions, repeat it"
-    )
-    return (Finding("drift", message),)
+    if max(first, second) > most * min(first, second):
+        yield Finding(
+            "drift",
+            f"{name} drift: {first:.3g} rms in the first half, {second:.3g} in the second; the"
+            " trial mixes two conditions, repeat it",
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,23 +331,16 @@ def coherence_findings(
     )
 
 
-def _incoherent(
-    frequency_hz: Floats, coherence: Floats, estimator: Estimator
-) -> tuple[Finding, ...]:
+def _incoherent(frequency_hz: Floats, coherence: Floats, estimator: Estimator) -> Iterator[Finding]:
     low = coherence < LOW_COHERENCE
-    if not low.any():
-        return ()
-    message = (
-        f"low coherence: below {LOW_COHERENCE:g} at {percent(low.mean())} of the frequencies,"
-        f" from {frequency_hz[low][0]:.3g} to {frequency_hz[low][-1]:.3g} Hz; perturb more strongly"
-        " there or record longer"
-    )
-    return (
-        Finding(
+    if low.any():
+        yield Finding(
             "low_coherence",
-            message + (_shrunk(frequency_hz, coherence) if estimator == "spa" else ""),
-        ),
-    )
+            f"low coherence: below {LOW_COHERENCE:g} at {percent(low.mean())} of the frequencies,"
+            f" from {frequency_hz[low][0]:.3g} to {frequency_hz[low][-1]:.3g} Hz; perturb more"
+            " strongly there or record longer"
+            f"{_shrunk(frequency_hz, coherence) if estimator == 'spa' else ''}",
+        )
 
 
 def _shrunk(frequency_hz: Floats, coherence: Floats) -> str:
@@ -388,19 +373,19 @@ def line_of(trial: Spectra) -> UnexplainedLine | None:
     return UnexplainedLine(peak, float(trial.frequency_hz[peak]), share, float(np.median(about)))
 
 
-def _line(trial: Spectra) -> tuple[Finding, ...]:
+def _line(trial: Spectra) -> Iterator[Finding]:
     line = line_of(trial)
     if line is None:
-        return ()
+        return
     if trial.resolved or line.coherence < CHANCE * trial.variance_factor:
-        return (line_finding(line.frequency_hz, line.share),)
-    if line.share <= LINE_SHARE:
-        return ()
-    message = (
-        f"line {_where(line.frequency_hz, line.share)}, narrower than the {trial.span}: a resonance"
-        " or a limit cycle; its record, or a longer window, tells them apart"
-    )
-    return (Finding("unresolved", message, voids=True),)
+        yield line_finding(line.frequency_hz, line.share)
+    elif line.share > LINE_SHARE:
+        yield Finding(
+            "unresolved",
+            f"line {_where(line.frequency_hz, line.share)}, narrower than the {trial.span}: a"
+            " resonance or a limit cycle; its record, or a longer window, tells them apart",
+            voids=True,
+        )
 
 
 def line_finding(frequency_hz: float, share: float) -> Finding:
@@ -409,21 +394,21 @@ def line_finding(frequency_hz: float, share: float) -> Finding:
     """
     where = _where(frequency_hz, share)
     if share <= LINE_SHARE:
-        message = (
+        return Finding(
+            "line",
             f"line {where}, which the perturbation does not explain; hum of a sensor, or a small"
-            " limit cycle"
+            " limit cycle",
         )
-        return Finding("line", message)
-    message = (
+    return Finding(
+        "oscillation",
         f"oscillation {where} is a line that the perturbation does not explain; the loop has a"
-        " limit cycle"
+        " limit cycle",
+        unstable=True,
     )
-    return Finding("oscillation", message, unstable=True)
 
 
 def _where(frequency_hz: float, share: float) -> str:
-    percent = float(f"{100.0 * share:.2g}")
-    return f"at {frequency_hz:.3g} Hz: {percent:g} % of the velocity's power"
+    return f"at {frequency_hz:.3g} Hz: {float(f'{100.0 * share:.2g}'):g} % of the velocity's power"
 
 
 def shrinkage(trial: Spectra, estimator: Estimator = "spa") -> Complexes:

@@ -6,15 +6,30 @@ has its peak: bent as it is there, Newton's way leads to it (Knapp and Carter 19
 correlation method for estimation of time delay", IEEE ASSP-24).
 
 What would break it: a signal of one frequency, which fits itself a period later just as well.
+
+To the sample: where a file lost some, between stretches of which it is known how far they are
+moved.
+
+A stretch of the file is moved by k samples; where some were lost k falls by as many (`alignment`).
+Between two stretches, and for any k between theirs that 256 samples show, each k ends at the sample
+at which the squares of what does not fit, with the k before it and the k after it, are least: of
+all of them together, by dynamic programming. A stretch of fewer than 64 samples is chance, and left
+out. Gaps 200 samples apart are told apart; below 120 they are taken for one.
+
+What would break it: noise beyond the size of the signal; the sample is then known to some dozens.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
-from hapticd.core.arrays import Flags, Floats
+from hapticd.core.arrays import Flags, Floats, Integers
 
-__all__ = ["fitting", "interpolated"]
+__all__ = ["Gap", "bisquare_fit", "fitting", "interpolated"]
 
 FLAT = 1e-6  # of the mean variance: less is a stretch in which nothing was measured
+ROUNDS = 12  # of a fit with weights
+BISQUARE = 4.685
 TAPS = 16  # on either side, of the interpolation between samples
 CHUNK = 1 << 15  # samples interpolated at once
 NEWTON = 5  # rounds
@@ -60,6 +75,23 @@ def fraction(own: Floats, other: Floats) -> float:
     return late
 
 
+def bisquare_fit(
+    columns: Floats, values: Floats, least_scale: float
+) -> tuple[Floats, Floats, Floats, float]:
+    """Least squares of `values` (n,) on `columns` (n, c) with bisquare weights (Beaton and Tukey
+    1974): coefficients (c,), residuals and weights (n,), and their scale, which is at least
+    `least_scale`.
+    """
+    trust = np.ones(values.size)
+    for _ in range(ROUNDS):
+        root = np.sqrt(trust)
+        solution = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
+        residual = values - columns @ solution
+        scale = max(least_scale, 1.4826 * float(np.median(np.abs(residual))))
+        trust = np.maximum(0.0, 1.0 - (residual / (BISQUARE * scale)) ** 2) ** 2
+    return np.asarray(solution, np.float64), residual, trust, scale
+
+
 def interpolated(values: Floats, at: Floats) -> Floats:
     """`values` (n,) between their samples, at the places `at` (m,): a sinc under a raised cosine
     of 16 samples on either side.
@@ -94,3 +126,96 @@ def fitting(own_n: Floats, other: Floats, known: Flags) -> Flags:
     usual = float(np.median(coefficient[enough])) if enough.any() else 0.0
     fits = ~enough | (coefficient >= USUAL * usual)
     return np.asarray(known & np.repeat(fits, BLOCK)[: own_n.size])
+
+
+# --- what a file lost -----------------------------------------------------------------------------
+
+
+INNER = 256  # samples, of a stretch that shows a k between two others
+SHORTEST = 64  # samples for which a k holds
+LEAST_INNER = 0.4  # coefficient of such a stretch; chance reaches 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Samples that the file lost, or has too many of."""
+
+    own_sample: int  # first sample of the own record after the last good row
+    lost: int  # samples; negative: rows that stand twice or belong nowhere
+    row: int  # of the file, the first after it
+
+
+def find_gaps(
+    part: Floats, first: int, other: Floats, rows: Floats, levels: list[int]
+) -> list[Gap]:
+    """The gaps between several k (`levels`, in their order) in own samples `part` (n,), from the
+    own sample `first` on. Their rows in `other` (m,) would be `rows` (n,) for k = 0.
+    """
+    levels = _with_inner(part, other, rows, levels)
+    wrong = _wrong(part, np.stack([interpolated(other, rows + level) for level in levels]))
+    long = _long(wrong, levels)
+    levels = [level for level, keep in zip(levels, long, strict=True) if keep]
+    lost = -np.diff(levels)
+    found = []
+    for number, end in enumerate(_ends(wrong[long], np.maximum(lost, 0))):
+        row = round(float(rows[max(0, end - 1)]) + levels[number]) + 1
+        found.append(Gap(first + end, int(lost[number]), row))
+    return found
+
+
+def _with_inner(part: Floats, other: Floats, rows: Floats, levels: list[int]) -> list[int]:
+    """`levels` with those between them that a stretch shorter than a piece has: two gaps close to
+    each other. `part` (n,): own samples, `rows` (n,): where they are for k = 0.
+    """
+    seen = set()
+    for first in range(0, part.size - INNER + 1, INNER // 2):
+        row = round(float(rows[first]))
+        lowest = max(0, row + min(levels))
+        found = coefficients(part[first : first + INNER], other[lowest : row + max(levels) + INNER])
+        if found.size and found.max() >= LEAST_INNER:
+            seen.add(lowest + int(np.argmax(found)) - row)
+    whole = levels[:1]
+    for level in levels[1:]:
+        low, high = sorted((whole[-1], level))
+        whole += sorted((k for k in seen if low < k < high), reverse=whole[-1] > level)
+        whole.append(level)
+    return whole
+
+
+def _wrong(part: Floats, heard: Floats) -> Floats:
+    """Squares (levels, n) of what of `part` (n,) does not fit what is heard (levels, n)."""
+    power = float(part @ part)
+    gain = float((heard @ part).max()) / power if power > 0.0 else 1.0
+    return np.asarray((gain * part - heard) ** 2)
+
+
+def _long(wrong: Floats, levels: list[int]) -> Flags:
+    """Which of several k, (levels,), hold for long enough to be one: chance brings in others. The
+    first and the last do.
+    """
+    lost = np.maximum(-np.diff(levels), 0)
+    ends = np.array(_ends(wrong, lost))
+    holds = np.ones(len(levels), dtype=bool)
+    holds[1:-1] = np.diff(ends) - lost[:-1] >= SHORTEST
+    return holds
+
+
+def _ends(wrong: Floats, skipped: Integers) -> list[int]:
+    """Where each of several k (but the last) ends, so that the squares that do not fit are least.
+
+    `wrong` (levels, n): squares by each k. `skipped` (levels - 1,): samples lost after each.
+    """
+    sums = np.cumsum(np.pad(wrong, ((0, 0), (1, 0))), axis=1)
+    count = sums.shape[1]
+    best = sums[0]
+    ways = []
+    for total, lost in zip(sums[1:], skipped.tolist(), strict=True):
+        entered = np.full(count, np.inf)
+        entered[lost:] = best[: count - lost] - total[lost:]
+        least = np.minimum.accumulate(entered)
+        ways.append(np.maximum.accumulate(np.where(entered <= least, np.arange(count), 0)) - lost)
+        best = total + least
+    ends = [count - 1]
+    for way in reversed(ways):
+        ends.append(int(way[ends[-1]]))
+    return ends[:0:-1]

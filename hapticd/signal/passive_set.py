@@ -187,10 +187,9 @@ def boundary(holds: Callable[[Floats], Flags], middle: Floats) -> tuple[Floats, 
         to_end = np.where(
             rays > 0.0, (1.0 - middle) / rays, np.where(rays < 0.0, -middle / rays, np.inf)
         ).min(axis=1)
-    low = np.zeros(N_RAYS)
     high = _EDGE * to_end
     ends = holds(middle + rays * high[:, None])
-    low = np.where(ends, high, low)
+    low = np.where(ends, high, 0.0)
     low, high = bisect(lambda share: holds(middle + rays * share[:, None]), low, high, _HALVINGS)
     return middle + rays * (0.5 * (low + high))[:, None], ends
 

@@ -22,7 +22,9 @@ What would break it: a motion that has not settled, samples that were lost (refu
 not repeat), or one realisation taken for the whole truth.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +58,9 @@ class PeriodicSpectra(Spectra):
     # (F,) the same between realisations; nan for one
     between_realisations: Floats = field(default_factory=lambda: UNKNOWN)
 
+    exact: ClassVar[bool] = True
+    resolved: ClassVar[bool] = True
+
     def part(self, which: Flags | Integers | slice) -> "PeriodicSpectra":
         """Spectra at some of the harmonics, `which` (F,)."""
         found = super().part(which)
@@ -82,11 +87,6 @@ class PeriodicSpectra(Spectra):
     def smoothing_hz2(self) -> float:
         """Zero: nothing is smoothed."""
         return 0.0
-
-    @property
-    def exact(self) -> bool:
-        """Always true: these are plain averages."""
-        return True
 
     @property
     def span(self) -> str:
@@ -175,30 +175,31 @@ def _spectra(f: Complexes, v: Complexes, rate_hz: float, samples: int) -> Period
     )
 
 
-def periodic_findings(trial: PeriodicSpectra, band_hz: tuple[float, float]) -> tuple[Finding, ...]:
+def periodic_findings(trial: PeriodicSpectra, band_hz: tuple[float, float]) -> Iterator[Finding]:
     """Say that one realisation decides nothing, and name distortion above a hundredth with what
     helps against it.
     """
     if trial.realisations == 1:
-        message = (
+        yield Finding(
+            "one_realisation",
             "one realisation: the interval covers noise alone, and nothing tells distortion from"
-            " the device; ask for several realisations"
+            " the device; ask for several realisations",
+            voids=True,
         )
-        return (Finding("one_realisation", message, voids=True),)
+        return
     noise, total = trial.scatter(band_hz)
-    if not total > DISTORTED or total <= 2.0 * noise:
-        return ()
-    if trial.periods == 1:
-        message = (
+    if total > DISTORTED and trial.periods == 1:
+        yield Finding(
+            "scatter",
             f"noise or nonlinear distortion: realisations scatter by {percent(total)}; more of"
-            " them make the interval shorter, and two periods of each would tell which it is"
+            " them make the interval shorter, and two periods of each would tell which it is",
         )
-        return (Finding("scatter", message),)
-    message = (
-        f"nonlinear distortion: realisations scatter by {percent(total)}, periods of one by"
-        f" {percent(noise)}; more realisations make the interval shorter, more periods do not"
-    )
-    return (Finding("distortion", message),)
+    elif total > DISTORTED and total > 2.0 * noise:
+        yield Finding(
+            "distortion",
+            f"nonlinear distortion: realisations scatter by {percent(total)}, periods of one by"
+            f" {percent(noise)}; more realisations make the interval shorter, more periods do not",
+        )
 
 
 def _harmonics(signal: Floats) -> Complexes:

@@ -35,7 +35,7 @@ What would break it:
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import ceil, floor
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -45,16 +45,16 @@ from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.signal.covariances import (
     NO_SAMPLES,
-    TOGETHER,
     Covariances,
     Sections,
+    detrended,
     line_products,
     same_length,
 )
-from hapticd.signal.kernels import kernels
 
 __all__ = ["DEFAULT_LAG", "Spectra", "SpectralStream", "corrected", "grid_frequencies", "spa"]
 
+CHANNELS = ("frequency_hz", "velocity", "force", "cross")  # arrays (F,) of `Spectra`
 NEAR = 1e-6  # of the spacing of the lines: what is closer to a line is that line
 LEFT = 0.5  # of the lesser power of two lines: a smooth spectrum has that much left between them
 
@@ -93,6 +93,11 @@ class Spectra:
     port: str = "probe"  # where the velocity was measured
     taken_out: tuple[ChannelFaults, ...] = ()  # faults that were corrected, in order
 
+    # plain averages, whose intervals hold for few of them as well; those of a window need many
+    exact: ClassVar[bool] = False
+    # motion that is narrower than the window was resolved where it mattered (`resolved`)
+    resolved: ClassVar[bool] = False
+
     @property
     def variance_factor(self) -> float:
         """Relative variance C / N of a spectrum inside the band."""
@@ -124,15 +129,7 @@ class Spectra:
 
     def part(self, which: Flags | Integers | slice) -> "Spectra":
         """Spectra at some of the frequencies, `which` (F,)."""
-        f = self.frequency_hz[which]
-        cross = self.cross[which]
-        return replace(
-            self,
-            frequency_hz=f,
-            velocity=self.velocity[which],
-            force=self.force[which],
-            cross=cross,
-        )
+        return replace(self, **{name: getattr(self, name)[which] for name in CHANNELS})
 
     def band(self, band_hz: tuple[float, float]) -> "Spectra":
         """Spectra from `band_hz[0]` to `band_hz[1]`, both ends among them: an end that is no line
@@ -161,9 +158,8 @@ class Spectra:
         _inside(np.asarray(band_hz, np.float64), self.rate_hz)
         _, first = lines_beside(band_hz[0], self.rate_hz, self.lag)
         last, _ = lines_beside(band_hz[1], self.rate_hz, self.lag)
-        lines = self.part(slice(first, last + 1))
         after = self._edge(band_hz[1], 1) if band_hz[1] > band_hz[0] else []
-        return _joined([*self._edge(band_hz[0], 0), lines, *after])
+        return _joined([*self._edge(band_hz[0], 0), self.part(slice(first, last + 1)), *after])
 
     def _edge(self, frequency_hz: float, outside: int) -> "list[Spectra]":
         """The spectra at an end of a band that is no line; where that has no power of its own, the
@@ -205,20 +201,6 @@ class Spectra:
         return 0.125 * (self.rate_hz / self.lag) ** 2
 
     @property
-    def exact(self) -> bool:
-        """Whether these are plain averages, whose intervals hold for few of them as well; those
-        of a window need many.
-        """
-        return False
-
-    @property
-    def resolved(self) -> bool:
-        """Whether motion that is narrower than the window was resolved where it mattered
-        (`resolved`).
-        """
-        return self.exact
-
-    @property
     def span(self) -> str:
         """What the values were taken over, in words."""
         return f"window of {self.lag} samples"
@@ -238,8 +220,7 @@ class Spectra:
         """
         power = self.velocity * self.force
         square = self.cross.real**2 + self.cross.imag**2
-        share = np.divide(square, power, out=np.zeros_like(power), where=power > 0.0)
-        found = np.clip(share, 0.0, 1.0)
+        found = np.divide(square, power, out=np.zeros_like(power), where=power > 0.0).clip(0.0, 1.0)
         found.flags.writeable = False
         return found
 
@@ -299,16 +280,10 @@ def _distorted(trial: Spectra) -> Spectra:
 
 
 def _joined(parts: list[Spectra]) -> Spectra:
-    def joined(name: str) -> npt.NDArray[Any]:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    return replace(
-        parts[0],
-        frequency_hz=joined("frequency_hz"),
-        velocity=joined("velocity"),
-        force=joined("force"),
-        cross=joined("cross"),
-    )
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in CHANNELS
+    }
+    return replace(parts[0], **joined)
 
 
 @lru_cache(maxsize=64)
@@ -410,7 +385,7 @@ def spa(
     _long_enough(force.size, lag)
     sums = Sections(lag)
     if detrend:
-        _add_detrended(sums, force, velocity)
+        sums.add(detrended(force), detrended(velocity))
     else:
         sums.add(force, velocity)
     return spectra(
@@ -425,12 +400,9 @@ class SpectralStream:
     any time.
     """
 
-    def __init__(
-        self, rate_hz: float = PROBE_RATE_HZ, lag: int = DEFAULT_LAG, detrend: bool = True
-    ) -> None:
+    def __init__(self, rate_hz: float = PROBE_RATE_HZ, lag: int = DEFAULT_LAG) -> None:
         self._sums = Sections(lag)
         self._rate_hz = rate_hz
-        self._detrend = detrend
         self._force = self._velocity = NO_SAMPLES
         self._first = 0.0, 0.0  # samples
 
@@ -444,53 +416,32 @@ class SpectralStream:
         force, velocity = (
             np.ascontiguousarray(signal, np.float64) for signal in (force_n, velocity_m_per_s)
         )
-        if self._detrend and force.size and velocity.size:
-            if not self.n_samples:
-                self._first = force[0], velocity[0]
-            # else the square of an offset drowns the rest
-            force = force - self._first[0]
-            velocity = velocity - self._first[1]
+        if not self.n_samples and force.size and velocity.size:
+            self._first = force[0], velocity[0]
+        # else the square of an offset drowns the rest
+        force = force - self._first[0]
+        velocity = velocity - self._first[1]
         self._sums.add(force, velocity)
-        if self._detrend:
-            self._force = self._force.extended(force, self._sums.lag)
-            self._velocity = self._velocity.extended(velocity, self._sums.lag)
+        self._force = self._force.extended(force, self._sums.lag)
+        self._velocity = self._velocity.extended(velocity, self._sums.lag)
 
-    def spectra(self, frequency_hz: Floats | None = None) -> Spectra:
+    def spectra(self) -> Spectra:
         """Spectra of the whole record so far, as `spa` gives them. AnalysisError if it is not
         longer than the lag.
         """
-        _long_enough(self.n_samples, self._sums.lag)
-        return spectra(_finite(self._covariances()), self._rate_hz, frequency_hz)
-
-    def _covariances(self) -> Covariances:
-        raw = self._sums.covariances()
         lag = self._sums.lag
+        _long_enough(self.n_samples, lag)
+        raw = self._sums.covariances()
         u = self._velocity
         y = self._force
-        if not self._detrend:
-            return raw
-        return Covariances(
+        covariances = Covariances(
             raw.velocity - line_products(u, u, lag),
             raw.force - line_products(y, y, lag),
             raw.forward - line_products(y, u, lag),
             raw.backward - line_products(u, y, lag),
             raw.n_samples,
         )
-
-
-def _add_detrended(sums: Sections, force: Floats, velocity: Floats) -> None:
-    """Add the record without its trend block by block, so that no copy of it is made."""
-    size = max(1, TOGETHER // sums.lag) * sums.lag
-    fitted_line = kernels().fitted_line
-    take_line_out = kernels().take_line_out
-    lines = [(signal, *fitted_line(signal), np.empty(size)) for signal in (force, velocity)]
-    for start in range(0, force.size, size):
-        count = min(size, force.size - start)
-        for signal, value, slope, block in lines:
-            take_line_out(
-                signal[start : start + count], value + slope * start, slope, block[:count]
-            )
-        sums.add(lines[0][-1][:count], lines[1][-1][:count])
+        return spectra(_finite(covariances), self._rate_hz)
 
 
 def _long_enough(n_samples: int, lag: int) -> None:

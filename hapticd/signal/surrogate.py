@@ -17,7 +17,7 @@ as some dozens of trials can tell. The coefficients c are integrated out (Patter
 amplitude has a closed form at each length; with noise the likelihood of a dozen frequencies
 decides, each with the noise of its own trials.
 
-Where the device is known by a model, its prediction is the mean instead: `prior` gives Re Z of any
+Where the device is known by a model, its prediction is the mean instead: a prior gives Re Z of any
 environments, and only measured - predicted is learnt, one constant c0 a frequency and g.
 
 A trial says yes if its estimate of Re Z is not negative at any frequency. With noise that asks more

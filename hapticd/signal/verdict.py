@@ -40,6 +40,7 @@ What would break it: a band below 1/(M T), where the window smooths, or a record
 both are refused.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import atan, cos, isclose, isnan, nan, pi, sin, sqrt, tan
 from statistics import NormalDist
@@ -71,6 +72,7 @@ __all__ = [
     "NOTHING_JUDGED",
     "Judged",
     "Verdict",
+    "half_width",
     "judge",
     "needed",
     "sidak",
@@ -296,7 +298,7 @@ class Verdict:
     @property
     def whole_band(self) -> bool:
         """Whether no edge of `band_hz` was lost under a drift."""
-        return _whole_band(self.findings)
+        return not _has(LOST_EDGE, self.findings)
 
     def _read_high(self) -> str:
         if not self.reads_high >= LEAST_TOLD:
@@ -343,12 +345,10 @@ def judge(
     f = inside.frequency_hz
     at_port = impedance(inside, estimator)
     z = at_port.without_mass(behind_mass_kg) if behind_mass_kg else at_port
-    impedance_ns_per_m = z.impedance_ns_per_m
-    resistance_ns_per_m = impedance_ns_per_m.real
+    resistance_ns_per_m = z.impedance_ns_per_m.real
     known = _known_to(trial, inside, at_port, sidak(confidence, f.size))
-    half = known.chance + np.abs(known.bias.real)
-    spare_deg = 90.0 - np.abs(np.degrees(np.angle(impedance_ns_per_m)))
-    margin_ns_per_m = _least(resistance_ns_per_m, half, f)
+    margin_ns_per_m = _least(resistance_ns_per_m, known.chance + np.abs(known.bias.real), f)
+    across_deg = _angle_deg(known.across, np.abs(z.impedance_ns_per_m))
     findings = (
         *_reread(trial, record.findings if record else ()),
         *coherence_findings(trial, band_hz, estimator),
@@ -364,7 +364,7 @@ def judge(
         last_judged_hz=float(f[-1]),
         n_frequencies=f.size,
         margin_ns_per_m=margin_ns_per_m,
-        margin_deg=_least(spare_deg, _angle_deg(known.across, np.abs(impedance_ns_per_m)), f),
+        margin_deg=_least(90.0 - np.abs(z.phase_deg), across_deg, f),
         # the sign of Re Z is that of the cross-power
         within_90_deg=bool((inside.cross.real > 0.0).all()),
         stability=stability,
@@ -373,7 +373,9 @@ def judge(
         seconds=trial.n_samples / trial.rate_hz,
         seconds_needed=max(
             _seconds_needed(resistance_ns_per_m, known, trial),
-            RINGS * trial.ring[0] if isinstance(trial, Resolved) and _is_short(findings) else 0.0,
+            RINGS * trial.ring[0]
+            if isinstance(trial, Resolved) and _has(SHORT_RECORD, findings)
+            else 0.0,
         ),
         resolution_hz=trial.bandwidth_hz,
         spectral_radius=spectral_radius,
@@ -391,49 +393,46 @@ def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...
     if not isinstance(trial, Resolved):
         return findings
     said = Finding("resolved", trial.said)
+    instead: dict[str, Finding] = {}
     if trial.explained > DRIVEN:
-        swells = Finding("swells", SWELLS)
-        return (*(swells if one.code in ("escape", "swells") else one for one in findings), said)
-    if RINGS * trial.ring[0] > trial.n_samples / trial.rate_hz:
-        short = _short_record(trial)
-        findings = tuple(short if one.code == "swells" else one for one in findings)
-    return (*findings, said)
+        instead = dict.fromkeys(("escape", "swells"), Finding("swells", SWELLS))
+    elif RINGS * trial.ring[0] > trial.n_samples / trial.rate_hz:
+        instead = {"swells": _short_record(trial)}
+    return (*(instead.get(one.code, one) for one in findings), said)
 
 
 def _short_record(trial: Resolved) -> Finding:
     """Say how long a record must be to tell a ring from a loop that runs away slowly."""
     ring_s, at_hz = trial.ring
     seconds = trial.n_samples / trial.rate_hz
-    known = RINGS * ring_s <= FORESEEABLE * seconds
     rings = (
         f"rings for {two_digits(ring_s)} s: the record of {seconds:.3g} s is shorter than"
         f" {RINGS:g} rings; take {two_digits(RINGS * ring_s)} s"
-        if known
+        if RINGS * ring_s <= FORESEEABLE * seconds
         else f"has no damping that shows in {seconds:.3g} s; take a record of"
         f" {two_digits(FORESEEABLE * seconds)} s, or add damping"
     )
-    message = f"the motion at {hertz(at_hz)} Hz swells as noise makes a ring swell, and {rings}"
-    return Finding(SHORT_RECORD, message)
-
-
-def _lost_edges(
-    trial: Spectra, inside: Spectra, band_hz: tuple[float, float]
-) -> tuple[Finding, ...]:
-    """Name an edge of the band that has no power of its own, nor a line beyond it in its place:
-    what was not looked at is not called passive.
-    """
-    first_hz, last_hz = inside.frequency_hz[[0, -1]]
-    beyond = (first_hz - band_hz[0], band_hz[1] - last_hz)
-    ends = (first_hz, last_hz)
-    lost = [edge for edge, gap_hz in zip(band_hz, beyond, strict=True) if gap_hz > NEAR_HZ]
-    if not (trial.whole and lost):
-        return ()
-    message = (
-        f"the edge at {hertz(lost[0])} Hz is lost under a drift, so nothing from there to "
-        f"{hertz(float(ends[0 if lost[0] == band_hz[0] else 1]))} Hz is called passive; "
-        "record longer, or hold the display with a small stiffness"
+    return Finding(
+        SHORT_RECORD,
+        f"the motion at {hertz(at_hz)} Hz swells as noise makes a ring swell, and {rings}",
     )
-    return (Finding(LOST_EDGE, message),)
+
+
+def _lost_edges(trial: Spectra, inside: Spectra, band_hz: tuple[float, float]) -> Iterator[Finding]:
+    """Name the first edge of the band that has no power of its own, nor a line beyond it in its
+    place: what was not looked at is not called passive.
+    """
+    for edge_hz, end_hz, inwards in zip(
+        band_hz, inside.frequency_hz[[0, -1]], (1, -1), strict=True
+    ):
+        if trial.whole and inwards * (end_hz - edge_hz) > NEAR_HZ:
+            yield Finding(
+                LOST_EDGE,
+                f"the edge at {hertz(edge_hz)} Hz is lost under a drift, so nothing from there to"
+                f" {hertz(float(end_hz))} Hz is called passive; record longer, or hold the display"
+                " with a small stiffness",
+            )
+            return
 
 
 def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) -> Spectra:
@@ -446,35 +445,30 @@ def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) ->
         )
     least = LEAST_EXACT if trial.exact else LEAST_FREEDOM
     if trial.degrees_of_freedom < least:
-        needed = least / trial.degrees_of_freedom * trial.n_samples / trial.rate_hz
+        seconds = trial.n_samples / trial.rate_hz
         raise AnalysisError(
-            f"record of {trial.n_samples / trial.rate_hz:.3g} s: too short for a verdict with a"
-            f" {trial.span}; record {needed:.3g} s or more"
+            f"record of {seconds:.3g} s: too short for a verdict with a {trial.span}; record"
+            f" {least / trial.degrees_of_freedom * seconds:.3g} s or more"
         )
     half_rate_hz = 0.5 * trial.rate_hz
-    if not low <= min(high, half_rate_hz):
-        raise AnalysisError(
-            f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band"
-        )
-    if high > half_rate_hz * (1.0 + 1e-12):
+    if low <= half_rate_hz and high > half_rate_hz * (1.0 + 1e-12):
         raise AnalysisError(
             f"band to {high:g} Hz: samples at {trial.rate_hz:g} Hz say nothing above"
             f" {half_rate_hz:g} Hz; end there"
         )
-    inside = trial.band(band_hz)
-    if not inside.frequency_hz.size:
+    if not low <= min(high, half_rate_hz) or not trial.band(band_hz).frequency_hz.size:
         raise AnalysisError(
             f"no frequency of the estimate lies in {low:g}..{high:g} Hz; widen the band"
         )
-    return inside
+    return trial.band(band_hz)
 
 
-def half_width(trial: Spectra, inside: Spectra, level: float) -> Floats:
-    """Half of the interval of Re Z over |Z| (F,) of a band `inside` a trial, each side at
-    `level`, which is the sine of that of the phase; inf without coherence.
+def half_width(coherence: Floats, degrees_of_freedom: float, level: float) -> Floats:
+    """Half of the interval of Re Z over |Z| (F,), each side at `level`, which is the sine of that
+    of the phase; inf without coherence.
     """
-    freedom = trial.degrees_of_freedom - 2.0
-    return student_quantile(level, freedom) * relative_sd(_coherence(trial, inside), freedom)
+    freedom = degrees_of_freedom - 2.0
+    return student_quantile(level, freedom) * relative_sd(coherence, freedom)
 
 
 @dataclass(frozen=True, eq=False)
@@ -490,12 +484,14 @@ def _known_to(trial: Spectra, inside: Spectra, at_port: Impedance, level: float)
     """What chance at that level, each side, and the fits of `resolved` leave open."""
     z = at_port.impedance_ns_per_m
     size = np.abs(z)
-    chance = spread_of(size, half_width(trial, inside, level))
+    chance = spread_of(
+        size, half_width(coherence_inside(trial, inside), trial.degrees_of_freedom, level)
+    )
     relative = inside.bias if isinstance(inside, Resolved) else np.zeros(z.size, np.complex128)
     return _Known(chance, relative * z, chance + size * np.abs(relative.imag))
 
 
-def _coherence(trial: Spectra, inside: Spectra) -> Floats:
+def coherence_inside(trial: Spectra, inside: Spectra) -> Floats:
     """Coherence g2 (F,) of a band, at an edge between lines no more than at the lines beside it:
     there side lobes of a drift may take power from the motion, and the perturbation then seems
     to explain more of it.
@@ -533,17 +529,12 @@ def _answer(margin: Margin, stability: Stability, findings: tuple[Finding, ...])
         return "undecided"
     if margin.upper < 0.0:
         return "not_passive"
-    sure = _whole_band(findings) and not _is_short(findings)
-    return "passive" if sure and margin.lower > 0.0 else "undecided"
+    unsure = _has(LOST_EDGE, findings) or _has(SHORT_RECORD, findings)
+    return "passive" if margin.lower > 0.0 and not unsure else "undecided"
 
 
-def _is_short(findings: tuple[Finding, ...]) -> bool:
-    """Whether the record holds too few rings to call a loop stable."""
-    return any(finding.code == SHORT_RECORD for finding in findings)
-
-
-def _whole_band(findings: tuple[Finding, ...]) -> bool:
-    return all(finding.code != LOST_EDGE for finding in findings)
+def _has(code: str, findings: tuple[Finding, ...]) -> bool:
+    return any(finding.code == code for finding in findings)
 
 
 def _stability(

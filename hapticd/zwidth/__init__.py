@@ -19,7 +19,7 @@ Importing the package imports nothing else; a script imports the modules that it
     portable    portable, compare                  NAME.zwidth files, and displays beside each other
     interchange                                    Z(f) for the tools of control engineering
 
-The rest serves these: `watch` and `ending` (a trial before its time), `aligned`,
+The rest serves these: `watch` (ends a trial before its time), `aligned`,
 `hapticd_files` and `timestamps` (records of files), `scenes` (what procedures ask of a scene),
 `stepped_sine` (a second opinion on an impedance), `store` (what is kept), `executors` (where many
 trials run). Below them is `engine`, which simulates, above them `report`, which draws.

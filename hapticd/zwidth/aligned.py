@@ -24,8 +24,7 @@ from hapticd.core.arrays import Flags, Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.signal.alignment import FASTEST, LEAST, NO_MARK, Mark, Track, align, find_marks
-from hapticd.signal.gaps import Gap
-from hapticd.signal.matching import fitting, interpolated
+from hapticd.signal.matching import Gap, fitting, interpolated
 from hapticd.zwidth.recorded import ForeignSamples, read_file, read_foreign
 from hapticd.zwidth.store import MARK_SAMPLE, TrialRecord
 from hapticd.zwidth.watch import GapFiller, in_even_time

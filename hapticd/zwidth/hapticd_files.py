@@ -6,7 +6,7 @@ Each becomes the record of one trial: a recording, its exports, a run folder's r
                                beside them
     NAME.mat                   its export for MATLAB: the same as structures
     NAME.probe.csv             its export as text; the last line, a remark, says what the ticks said
-    record.h5, record.npz      of a trial, with what `run.json` says beside it or in the file
+    record.h5                  of a trial, with what `run.json` says beside it or in the file
 
 A recording is cut to its longest stretch that is one trial (`recording.stretch`); which of its
 samples are missing follows from their numbers. A mark of the perturbation lies before that stretch

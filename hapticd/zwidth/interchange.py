@@ -23,8 +23,8 @@ import numpy as np
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
-from hapticd.signal.impedance import relative_sd, spread_of
-from hapticd.signal.verdict import sidak, student_quantile
+from hapticd.signal.impedance import spread_of
+from hapticd.signal.verdict import half_width, sidak
 from hapticd.zwidth.store import csv_text
 from hapticd.zwidth.trial import TrialResult
 
@@ -44,8 +44,7 @@ def frequency_response(result: TrialResult) -> dict[str, Any]:
     use = inside & np.isfinite(z.impedance_ns_per_m)
     response = z.impedance_ns_per_m[use]
     level = sidak(result.verdict.confidence, response.size)
-    freedom = z.degrees_of_freedom - 2.0
-    relative: Floats = student_quantile(level, freedom) * relative_sd(z.coherence[use], freedom)
+    relative = half_width(z.coherence[use], z.degrees_of_freedom, level)
     half = spread_of(np.abs(response), relative)
     return {
         "frequency_hz": z.frequency_hz[use],
@@ -68,19 +67,14 @@ def write_response(result: TrialResult, path: Path, form: Format) -> Path:
     try:
         if form == "npz":
             np.savez(path, **found)
-        elif form == "mat":
-            _write_mat(path, found)
+        elif form == "mat":  # as `frd` takes it: the response 1 x 1 x F, all else in columns
+            response = {"response": found["response"].reshape(1, 1, -1)}
+            need("scipy.io", "a .mat file").savemat(path, {**found, **response}, oned_as="column")
         else:
             path.write_text(csv_text(_columns(found)))
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; name a file that you may write") from error
     return path
-
-
-def _write_mat(path: Path, found: dict[str, Any]) -> None:
-    """As `frd` takes it: the response 1 x 1 x F, all else in columns."""
-    response = {"response": found["response"].reshape(1, 1, -1)}
-    need("scipy.io", "a .mat file").savemat(path, {**found, **response}, oned_as="column")
 
 
 def _columns(found: dict[str, Any]) -> dict[str, Floats]:

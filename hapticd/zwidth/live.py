@@ -40,9 +40,8 @@ from hapticd.protocol.answers import Status
 from hapticd.recording.calibrations import CalibrationDoubt, doubts, refuse_doubts
 from hapticd.recording.certificate import certificate_of
 from hapticd.signal.alignment import find_marks
-from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.sources import Source, Trial
-from hapticd.zwidth.store import MARK_SAMPLE, Progress, TrialRecord, silent
+from hapticd.zwidth.store import MARK_SAMPLE, EndReason, Progress, TrialEnd, TrialRecord, silent
 from hapticd.zwidth.watch import GapFiller, TrialMonitor
 
 __all__ = ["allowed_waveform", "daemon_source"]
@@ -241,10 +240,8 @@ class LiveRecording:
                 round(wanted / PROBE_RATE_HZ),
             )
             if self._taken > settle:
-                ended = self._slow_start(settle)
-            if not ended and self._taken > settle:
                 force, velocity = self._parts[-1][0]
-                ended = self._monitor.see(
+                ended = self._slow_start(settle) or self._monitor.see(
                     force, velocity, self._winding_c, self._command_n, self._positions_m
                 )
             self._positions_m = (nan, nan)  # what was before it settled is no matter

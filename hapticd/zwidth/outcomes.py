@@ -222,19 +222,8 @@ def _outcome(
     sd = float(found.sigma_v_m_per_s[trial])
     if assessed is None:
         nothing = np.empty(0)
-        unknown = (nan,) * 5
-        return Outcome(
-            (k, b, m),
-            damping,
-            "not_passive",
-            False,
-            *unknown,
-            sd,
-            most,
-            nothing,
-            nothing,
-            band_hz=conditions.band_hz,
-        )
+        ran_away = ("not_passive", False, *(nan,) * 5, sd, most, nothing, nothing)
+        return Outcome((k, b, m), damping, *ran_away, band_hz=conditions.band_hz)
     verdict = assessed.verdict
     limited = found.limited is not None and found.limited[trial] > SATURATED_SHARE
     # a K < 0 is active below every band
@@ -285,11 +274,13 @@ def _measured(found: BatchResult, trial: int) -> MeasuredTrial:
     assert found.section_rms_m_per_s is not None
     rms = found.section_rms_m_per_s[trial]
     pairs = np.sqrt(np.mean(rms[: rms.size // 2 * 2].reshape(-1, 2) ** 2, axis=1))
-    flowed = Energy(float(found.min_energy_j[trial]), nan, float(found.work_j[trial]))
-    findings = escape_findings(pairs, 2 * DEFAULT_LAG / found.rate_hz)
     spectra = found.spectra(trial)
-    seconds = spectra.n_samples / spectra.rate_hz
-    record = Record(seconds, flowed, float(found.sigma_v_m_per_s[trial]), findings)
+    record = Record(
+        spectra.n_samples / spectra.rate_hz,
+        Energy(float(found.min_energy_j[trial]), nan, float(found.work_j[trial])),
+        float(found.sigma_v_m_per_s[trial]),
+        escape_findings(pairs, 2 * DEFAULT_LAG / found.rate_hz),
+    )
     return MeasuredTrial(spectra, record=record)
 
 

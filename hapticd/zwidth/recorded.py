@@ -34,17 +34,16 @@ from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.recording.file import is_recording, open_recording
 from hapticd.recording.stretch import PROBE_COLUMNS, SERVO_COLUMNS, ReadColumn, read_remark
 from hapticd.settings.inputs import SAMPLES_BYTES, regular
-from hapticd.zwidth.ending import end_of_plain
 from hapticd.zwidth.hapticd_files import of_recording, of_remark
 from hapticd.zwidth.store import (
     LOSSES_BY,
     MARK_SAMPLE,
     RECORD_H5,
-    RECORD_NPZ,
     RESTS_ON,
     SUMMARY,
     LossesBy,
     TrialRecord,
+    end_of_plain,
     origin_of,
     read_summary,
     record_path,
@@ -109,14 +108,13 @@ def read_file(
     regular(path, None if hdf5 else SAMPLES_BYTES)  # recordings are read column by column
     recording = hdf5 and is_recording(path)
     columns = {} if recording else _columns(path)
+    ours = None
     with _whole_file(path):
-        ours = (
-            _recording(path)
-            if recording
-            else None
-            if force or velocity or counter
-            else _exported(path, columns)
-        )
+        if recording:
+            with open_recording(path) as file:
+                ours = of_recording(file.column, file.attributes, path.name)
+        elif not (force or velocity or counter):
+            ours = _exported(path, columns)
     if ours is None:
         recorded = _foreign(path, columns, (force, velocity), rate_hz, counter)
         with _whole_file(path):
@@ -145,11 +143,6 @@ def _whole_file(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _recording(path: Path) -> TrialRecord:
-    with open_recording(path) as recording:
-        return of_recording(recording.column, recording.attributes, path.name)
-
-
 def _exported(path: Path, columns: dict[str, Any]) -> TrialRecord | None:
     """The trial in an export of a recording; None of another file."""
     if path.suffix == ".mat":
@@ -170,9 +163,8 @@ def _of_trial(path: Path, columns: dict[str, Any], recorded: TrialRecord) -> Tri
     """`recorded` with what the run folder of a trial, or the record itself, says of it."""
     stated: Mapping[str, Any] = {}
     if "trial" in columns:
-        text = np.asarray(columns["trial"]).item()
-        stated = json.loads(text)
-    elif path.name in (RECORD_H5, RECORD_NPZ) and (path.parent / SUMMARY).is_file():
+        stated = json.loads(np.asarray(columns["trial"]).item())
+    elif path.name == RECORD_H5 and (path.parent / SUMMARY).is_file():
         stated = origin_of(read_summary(path.parent))
     if "environment" not in stated or "simulated" not in stated:
         return recorded
@@ -323,8 +315,7 @@ def _channel(path: Path, known: dict[str, Floats], stated: str, usual: tuple[str
         first = int(np.argmin(good))
         place = f"sample {first + 1}"
         if path.suffix == ".csv":
-            line, _ = _rows(path).rows[first]
-            place = f"line {line}"
+            place = f"line {_rows(path)[2][first][0]}"
         raise AnalysisError(
             f"{path}: {place}, column {name}: {values[first]:g}; a gap cannot be analysed, cut the"
             " record there"
@@ -346,28 +337,23 @@ def _sampling(
     named = [(name, _single(path, name, known[name])) for name in RATES if name in known]
     times = next((name for name in TIMES if name in known and known[name].size > 1), "")
     by_times, why = _by_times(path, times, known[times], count) if times else (None, "")
-    if stated_hz is None and not named and by_times is not None:
-        return by_times
     if stated_hz is None and not named:
+        if by_times is not None:
+            return by_times
         if count == 1:
             raise AnalysisError(f"{path} has one row of numbers; a record has one for each sample")
-        missing = (
-            f"{path}: the sample rate is not in the file ({', '.join((*RATES, *TIMES))}); say it"
+        raise AnalysisError(
+            why
+            or f"{path}: the sample rate is not in the file ({', '.join((*RATES, *TIMES))}); say it"
             " with --rate-hz"
         )
-        raise AnalysisError(why or missing)
-    if stated_hz is not None:
-        _usable(path, stated_hz)
-        _agrees(path, stated_hz, named, SAME_RATE)
-        if by_times is not None:
-            _agrees(
-                path,
-                stated_hz,
-                [(times, by_times.rate_hz)],
-                max(SAME_RATE, _rounding(known[times].ravel())),
-            )
     rate_hz = stated_hz if stated_hz is not None else named[0][1]
     _usable(path, rate_hz)
+    if stated_hz is not None:
+        _agrees(path, stated_hz, named, SAME_RATE)
+    if stated_hz is not None and by_times is not None:
+        rounding = _rounding(known[times].ravel())
+        _agrees(path, stated_hz, [(times, by_times.rate_hz)], max(SAME_RATE, rounding))
     if by_times is None:
         return Sampling(rate_hz, shows_losses=False)
     if abs(by_times.rate_hz - rate_hz) > ALIKE * rate_hz:
@@ -467,15 +453,10 @@ def _read_csv(path: Path) -> dict[str, Floats]:
         raise ValueError(_wrong(names, mark, rows)) from None
 
 
-class CsvRows(NamedTuple):
-    """A text file of columns."""
-
-    names: list[str]
-    mark: str  # what parts the columns
-    rows: list[tuple[int, str]]  # the lines of samples, each with its number in the file
-
-
-def _rows(path: Path) -> CsvRows:
+def _rows(path: Path) -> tuple[list[str], str, list[tuple[int, str]]]:
+    """Names of the columns, what parts them, and the lines of samples, each with its number in the
+    file.
+    """
     with path.open(newline="", encoding="utf-8-sig") as file:
         head = next(file, "")
         rows = [
@@ -485,11 +466,9 @@ def _rows(path: Path) -> CsvRows:
         ]
     mark = max(MARKS, key=head.count)
     names = [name.strip() for name in next(csv.reader([head], delimiter=mark), [])]
-    return CsvRows(
-        names,
-        mark,
-        rows if mark == "," else [(number, row.replace(",", ".")) for number, row in rows],
-    )
+    if mark != ",":
+        rows = [(number, row.replace(",", ".")) for number, row in rows]
+    return names, mark, rows
 
 
 def _wrong(names: list[str], mark: str, rows: list[tuple[int, str]]) -> str:

@@ -2,7 +2,7 @@
 about that boundary.
 
 `signal.search` learns from the trials and chooses the next; here its oracle is a simulated trial
-with its intervals as weights. The prior is the device's model (`signal.prior`): the trials teach
+with its intervals as weights. The prior is the device's model (`ModelPrior`): the trials teach
 how Re Z differs from the prediction, and how near to its friction's end the loop may come in a
 trial before it escapes. Trials are made a few at a time, each with noise of its own (seed, seed +
 1, ..), as in a laboratory: with one noise for all, what is chance would be learnt as if it were the
@@ -36,8 +36,8 @@ from hapticd.core.arrays import Flags, Floats, bisect
 from hapticd.core.errors import AnalysisError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.signal.passive_set import PassiveSet, grid, open_ends, passive_set
-from hapticd.signal.prior import ModelPrior
 from hapticd.signal.search import (
+    ModelPrior,
     Search,
     doubtful_share,
     first_trials,

@@ -17,11 +17,10 @@ from hapticd.model.compose import compose
 from hapticd.model.scene import Scene
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.zwidth import scenes
-from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.engine.batch import BatchResult, simulate
 from hapticd.zwidth.scenes import SATURATED
 from hapticd.zwidth.sources import Source, Trial, watched
-from hapticd.zwidth.store import Progress, TrialRecord, silent
+from hapticd.zwidth.store import EndReason, Progress, TrialEnd, TrialRecord, silent
 
 __all__ = ["engine_source", "pooled", "simulated", "spectra_of", "spectra_on"]
 

@@ -16,9 +16,8 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.zwidth.ending import EndReason
 from hapticd.zwidth.sources import Source, Trial
-from hapticd.zwidth.store import Progress, Steps, TrialRecord, silent
+from hapticd.zwidth.store import EndReason, Progress, Steps, TrialRecord, silent
 
 __all__ = ["ReferenceSines", "may_follow", "stepped_sine"]
 

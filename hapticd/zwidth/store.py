@@ -3,8 +3,8 @@
 Results are kept in a folder for each run, and in an append-only file of trials, by which an
 interrupted map or limit continues:
 
-    run folder     run.json (verdict, conditions, provenance); of a trial record.h5, or record.npz
-                   where h5py is not installed, and impedance.csv; figures
+    run folder     run.json (verdict, conditions, provenance); of a trial record.h5 and
+                   impedance.csv; figures
     trial store    one JSON object a line, keyed by the SHA-256 of everything that the trial's
                    outcome depends on
 
@@ -18,6 +18,10 @@ what is not finite null.
 
 What would break it: two processes that append to one store at the same time; their lines may then
 interleave, and such lines are not read.
+
+Why a trial ended before its time: an enumerated reason, and beside it a sentence for people.
+
+The reason and the code of the fault decide what follows: the verdict, another trial, an exit code.
 """
 
 import hashlib
@@ -25,6 +29,7 @@ import json
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,10 +39,10 @@ from pydantic_core import to_jsonable_python
 from hapticd.core.arrays import Floats
 from hapticd.core.environment import Environment
 from hapticd.core.errors import AnalysisError, ConfigError
-from hapticd.zwidth.ending import EndReason, TrialEnd
 
 __all__ = [
     "FIGURE_KINDS",
+    "EndReason",
     "Progress",
     "Steps",
     "TrialRecord",
@@ -50,9 +55,53 @@ __all__ = [
     "write_run",
 ]
 
+# --- why a trial ended ----------------------------------------------------------------------------
+
+
+class EndReason(StrEnum):
+    """What ended a trial. The values are those of run.json."""
+
+    ESCAPE = "escape"
+    SATURATION = "saturation"
+    TRAVEL = "travel"
+    HEAT = "heat"
+    DECIDED = "decided"
+    SLOW_START = "slow_start"
+    CHANGED = "changed"
+    DISABLED = "disabled"
+    STOPPED = "stopped"
+    FAULT = "fault"
+    SERVO_DOWN = "servo_down"
+
+
+RUNAWAY_FAULTS = ("overspeed", "energy", "force_at_limit")  # codes of `faults`
+
+
+@dataclass(frozen=True, slots=True)
+class TrialEnd:
+    """An early end of a trial. `fault`: the code of the servo's fault, "" without one."""
+
+    reason: EndReason
+    text: str
+    fault: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.reason.replace('_', ' ')}: {self.text}"
+
+    @property
+    def ran_away(self) -> bool:
+        """Whether the motion grew by itself, as the monitor or the servo saw."""
+        return self.reason is EndReason.ESCAPE or self.fault in RUNAWAY_FAULTS
+
+
+def end_of_plain(plain: Mapping[str, Any] | None) -> TrialEnd | None:
+    """The end that `store.to_json` wrote. ValueError or KeyError for anything else."""
+    return TrialEnd(EndReason(plain["reason"]), plain["text"], plain["fault"]) if plain else None
+
+
 SUMMARY = "run.json"
 RECORD_H5 = "record.h5"
-RECORD_NPZ = "record.npz"
+
 IMPEDANCE = "impedance.csv"
 FIGURE_KINDS = ("png", "svg", "pdf")  # the files of each figure
 FIGURES = (
@@ -69,7 +118,6 @@ FIGURES = (
 OF_A_RUN = (
     SUMMARY,
     RECORD_H5,
-    RECORD_NPZ,
     IMPEDANCE,
     *(f"{name}.{kind}" for name in FIGURES for kind in FIGURE_KINDS),
 )
@@ -163,8 +211,7 @@ class TrialRecord:
 
 def too_short(seconds: float, ended: TrialEnd | None) -> AnalysisError:
     """The error for a trial that `ended` so after `seconds` and has no spectrum to judge."""
-    why = f" ({ended})" if ended else ""
-    what = f"ended after {seconds:.3g} s{why}: too short for a verdict"
+    what = f"ended after {seconds:.3g} s{f' ({ended})' if ended else ''}: too short for a verdict"
     if ended and ended.ran_away:
         return AnalysisError(
             f"{what}; an environment that runs away by itself is unstable: its limit is found from"
@@ -204,10 +251,13 @@ def write_run(
             (folder / name).write_text(content)
         (folder / SUMMARY).write_text(json.dumps(to_json(summary), indent=1) + "\n")
     except OSError as error:
-        raise ConfigError(
-            f"{folder}: {error.strerror}; name a folder that you may write to with --out"
-        ) from error
+        raise not_writable(folder, error) from error
     return folder
+
+
+def not_writable(path: Path, error: OSError) -> ConfigError:
+    """The error for a file or folder of results that cannot be written to."""
+    return ConfigError(f"{path}: {error.strerror}; name a folder that you may write to with --out")
 
 
 def csv_text(columns: Mapping[str, Floats]) -> str:
@@ -222,8 +272,7 @@ def csv_text(columns: Mapping[str, Floats]) -> str:
 def read_summary(folder: Path) -> dict[str, Any]:
     """The summary of a run folder. ConfigError if it is none."""
     try:
-        found = json.loads((folder / SUMMARY).read_text())
-        return dict(found)
+        return dict(json.loads((folder / SUMMARY).read_text()))
     except (OSError, ValueError, TypeError) as error:
         raise ConfigError(
             f"{folder}: no run folder ({error}); a folder with {SUMMARY} was expected"
@@ -241,35 +290,22 @@ def record_path(folder: Path) -> Path:
     """The record of a run folder, to be read with `recorded.read_file`. ConfigError if it holds
     none.
     """
-    for name in (RECORD_H5, RECORD_NPZ):
-        if (folder / name).is_file():
-            return folder / name
-    raise ConfigError(f"{folder}: no record; {RECORD_H5} or {RECORD_NPZ} was expected")
+    path = folder / RECORD_H5
+    if not path.is_file():
+        raise ConfigError(f"{folder}: no record; {RECORD_H5} was expected")
+    return path
 
 
 def _write_record(folder: Path, recorded: TrialRecord, origin_json: str) -> None:
-    channels = {
-        name: np.asarray(getattr(recorded, name), np.float32)
-        for name in ("force_n", "velocity_m_per_s")
-    }
-    try:
-        import h5py
-    except ImportError:
-        np.savez(
-            folder / RECORD_NPZ,
-            rate_hz=recorded.rate_hz,
-            trial=origin_json,
-            force_n=channels["force_n"],
-            velocity_m_per_s=channels["velocity_m_per_s"],
-        )
-        return
+    import h5py
+
+    packed = {"chunks": True, "shuffle": True, "compression": "gzip", "compression_opts": 1}
     with h5py.File(folder / RECORD_H5, "w") as file:
         file["rate_hz"] = recorded.rate_hz
         file["trial"] = origin_json
-        for name, values in channels.items():
-            file.create_dataset(
-                name, data=values, chunks=True, shuffle=True, compression="gzip", compression_opts=1
-            )
+        for name in ("force_n", "velocity_m_per_s"):
+            values = np.asarray(getattr(recorded, name), np.float32)
+            file.create_dataset(name, data=values, **packed)
 
 
 class TrialStore:
@@ -289,10 +325,7 @@ class TrialStore:
                     for key, outcome in new.items():
                         file.write(json.dumps({"key": key, **to_json(outcome)}) + "\n")
             except OSError as error:
-                raise ConfigError(
-                    f"{self._path}: {error.strerror}; "
-                    "name a folder that you may write to with --out"
-                ) from error
+                raise not_writable(self._path, error) from error
         self.known.update(new)
 
 
@@ -308,9 +341,7 @@ def _read(path: Path) -> Iterable[tuple[str, dict[str, Any]]]:
         ):  # the run before died while writing: cut its line off, so that ours begins anew
             os.truncate(path, content.rfind(b"\n") + 1)
     except OSError as error:
-        raise ConfigError(
-            f"{path}: {error.strerror}; name a folder that you may write to with --out"
-        ) from error
+        raise not_writable(path, error) from error
     for line in content.splitlines():
         try:
             outcome = json.loads(line)

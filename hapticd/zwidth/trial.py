@@ -50,16 +50,16 @@ from hapticd.signal.impedance import Impedance
 from hapticd.signal.periodic import CHANGING, PeriodicSpectra, changing, periodic
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, spa
 from hapticd.signal.verdict import LEAST_FREEDOM, Verdict
-from hapticd.zwidth.ending import EndReason, TrialEnd, end_of_plain
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import Display, display
 from hapticd.zwidth.sources import Source, Trial
 from hapticd.zwidth.stepped_sine import ReferenceSines
 from hapticd.zwidth.store import (
     IMPEDANCE,
-    RESTS_ON,
+    EndReason,
     Progress,
     Steps,
+    TrialEnd,
     TrialRecord,
     csv_text,
     fingerprint,
@@ -68,7 +68,7 @@ from hapticd.zwidth.store import (
     too_short,
     write_run,
 )
-from hapticd.zwidth.watch import AT_LIMIT, COUNTS, limit_findings, loss_findings, summed
+from hapticd.zwidth.watch import AT_LIMIT, limit_findings, loss_findings, summed
 
 __all__ = [
     "SHORTEST_WINDOWS",
@@ -233,7 +233,7 @@ class TrialPlan:
 class TrialResult:
     """The record, Z (at the port that the verdict names), what was predicted there, the verdict;
     `spectra` are those that the verdict was found by, at the port of the probe: the window's, or
-    those of the record (`resolved`). `covers`: what the intervals cover, in words.
+    those of the record (`resolved`).
     """
 
     plan: TrialPlan
@@ -242,7 +242,6 @@ class TrialResult:
     predicted: Complexes | None
     verdict: Verdict
     spectra: Spectra
-    covers: str
 
 
 def plan_trial(params: TrialParams) -> TrialPlan:
@@ -264,9 +263,8 @@ def _radius(shown: Display, trial: Trial) -> float | None:
     """Spectral radius of the predicted closed loop, None of one with Coulomb friction."""
     if coulomb(shown.model).any():
         return None
-    points = np.array([trial.environment])
-    found = spectral_radius(shown.model, points, trial.active_damping_ns_per_m, shown.filters)
-    return float(found[0])
+    asked = np.array([trial.environment]), trial.active_damping_ns_per_m, shown.filters
+    return float(spectral_radius(shown.model, *asked)[0])
 
 
 def _possible(params: TrialParams) -> None:
@@ -328,15 +326,14 @@ def judged(plan: TrialPlan, recorded: TrialRecord) -> TrialResult:
     measured = MeasuredTrial(
         multisine_spectra(recorded, layout) if layout else _windowed(params, recorded),
         (recorded.force_n, recorded.velocity_m_per_s),
-        findings=_findings(recorded, params.trial),
+        findings=tuple(_findings(recorded, params.trial)),
         simulated=recorded.simulated,
     )
     radius = plan.spectral_radius
     servo_rate_hz = params.scene.rate_hz if params.scene else None
     found = assess(measured, params.criteria, LoopModel(radius, radius is not None, servo_rate_hz))
     z = found.impedance
-    covers = found.spectra.covers
-    return TrialResult(plan, recorded, z, _predicted(plan, z), found.verdict, found.spectra, covers)
+    return TrialResult(plan, recorded, z, _predicted(plan, z), found.verdict, found.spectra)
 
 
 def _windowed(params: TrialParams, recorded: TrialRecord) -> Spectra:
@@ -351,39 +348,28 @@ def _windowed(params: TrialParams, recorded: TrialRecord) -> Spectra:
     return spa(recorded.force_n, recorded.velocity_m_per_s, recorded.rate_hz, params.lag)
 
 
-def _findings(recorded: TrialRecord, trial: Trial) -> tuple[Finding, ...]:
+def _findings(recorded: TrialRecord, trial: Trial) -> Iterator[Finding]:
     """What the samples cannot say: the command at its end, an escape that the monitor saw, what
     was lost, and that K < 0 pushes the device away for ever: at a low enough frequency it is
     active, however long the record.
     """
-    found = []
     most = recorded.max_command_n
     limit = recorded.command_limit_n
     if most is not None and limit is not None and most >= limit * (1.0 - AT_LIMIT):
         message = f"command saturated at {limit:.3g} N; lower the perturbation or the stiffness"
-        found.append(Finding("saturation", message, voids=True))
-    if ended := _end_finding(recorded.ended):
-        found.append(ended)
+        yield Finding("saturation", message, voids=True)
+    ended = recorded.ended
+    if ended and ended.reason is EndReason.ESCAPE:
+        yield Finding("escape", str(ended), unstable=True)
+    elif ended and ended.reason is not EndReason.DECIDED:
+        voids = ended.reason in (EndReason.CHANGED, EndReason.TRAVEL)
+        yield Finding("ended", str(ended), voids=voids)
     if (stiffness := trial.environment[0]) < 0.0:
         message = f"K = {stiffness:g} N/m: below every band a negative stiffness is active"
-        found.append(Finding("negative_stiffness", message, voids=True))
-    counted = (*loss_findings(recorded.more), *limit_findings(recorded.more))
-    return (*found, *counted, *_uncalibrated(recorded.more))
-
-
-def _end_finding(ended: TrialEnd | None) -> Finding | None:
-    """The finding for a trial that ended so."""
-    if ended is None or ended.reason is EndReason.DECIDED:
-        return None
-    if ended.reason is EndReason.ESCAPE:
-        return Finding("escape", str(ended), unstable=True)
-    voids = ended.reason in (EndReason.CHANGED, EndReason.TRAVEL)
-    return Finding("ended", str(ended), voids=voids)
-
-
-def _uncalibrated(more: Mapping[str, Any]) -> Iterator[Finding]:
-    """Calibrations that could not be relied on when it was recorded."""
-    if doubts := more.get("calibration_doubts"):
+        yield Finding("negative_stiffness", message, voids=True)
+    yield from loss_findings(recorded.more)
+    yield from limit_findings(recorded.more)
+    if doubts := recorded.more.get("calibration_doubts"):
         yield Finding("uncalibrated", f"uncalibrated: {'; '.join(doubts)}")
 
 
@@ -419,7 +405,7 @@ def summary(result: TrialResult, sines: ReferenceSines | None = None) -> dict[st
         "active_damping_ns_per_m": params.trial.active_damping_ns_per_m,
         "perturbation": params.trial.excitation,
         "estimator": result.measured.estimator,
-        "interval_covers": result.covers,
+        "interval_covers": result.spectra.covers,
         "lag": params.lag,
         "multisine": _multisine(result),
         "max_command_n": recorded.max_command_n,
@@ -459,9 +445,11 @@ def write(
     sines: ReferenceSines | None = None,
 ) -> Path:
     """The run folder. ConfigError if it cannot be written to."""
-    texts = {IMPEDANCE: impedance_csv(result.measured)}
     return write_run(
-        folder, {**summary(result, sines), "provenance": provenance}, result.recorded, texts
+        folder,
+        {**summary(result, sines), "provenance": provenance},
+        result.recorded,
+        {IMPEDANCE: impedance_csv(result.measured)},
     )
 
 
@@ -470,15 +458,7 @@ def kept_trial(folder: Path, kept: Mapping[str, Any], scene: Scene | None) -> Tr
 
     `kept` is its run.json; `scene`, for a prediction, is None where it is not known any more.
     """
-    recorded = replace(
-        read_file(record_path(folder)),
-        origin=kept["origin"],
-        simulated=kept["simulated"],
-        ended=end_of_plain(kept["ended"]),
-        max_command_n=kept["max_command_n"],
-        command_limit_n=kept["command_limit_n"],
-        more={name: kept[name] for name in (*COUNTS, *RESTS_ON) if name in kept},
-    )
+    recorded = replace(read_file(record_path(folder)), origin=kept["origin"])
     return judged(plan_trial(_kept_params(kept, scene)), recorded)
 
 

@@ -45,7 +45,7 @@ What would break the filling: gaps that come with the motion (a board that loses
 come with the host's load.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf, nan
 from typing import Any
@@ -58,8 +58,7 @@ from hapticd.signal.assess import Criteria, LoopModel, MeasuredTrial, assess
 from hapticd.signal.findings import ESCAPE_RATIO, Finding, outgrows_walk
 from hapticd.signal.spectra import DEFAULT_LAG, Spectra, SpectralStream
 from hapticd.signal.verdict import LEAST_FREEDOM, needed
-from hapticd.zwidth.ending import EndReason, TrialEnd
-from hapticd.zwidth.store import LOSSES_BY, TrialRecord
+from hapticd.zwidth.store import LOSSES_BY, EndReason, TrialEnd, TrialRecord
 
 __all__ = ["CENTRING_N_PER_M", "Watch"]
 
@@ -76,7 +75,7 @@ NOT_LOOKED_FOR = (
     "lost rows were not looked for: neither times nor a counter of samples show them; name the"
     " counter's column with --counter"
 )
-BETTER = "h_force reads |Z| better than spa"
+BETTER = "; h_force reads |Z| better than spa"
 REMEDY = "close other programs on this computer, see `hapticd doctor`"
 CALM_SECONDS = 4  # before which nothing is known of calm
 SATURATED_SHARE = 0.01
@@ -130,49 +129,44 @@ def in_even_time(recorded: TrialRecord, place: Integers) -> TrialRecord:
     )
 
 
-def loss_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
+def loss_findings(counts: Mapping[str, Any]) -> Iterator[Finding]:
     """Lost samples and slots by `counts` (`COUNTS`, those that are known), each with value,
     share and remedy; or that nothing shows them.
     """
     if counts.get(LOSSES_BY) == "nothing":
-        return (Finding("losses_unknown", NOT_LOOKED_FOR),)
+        yield Finding("losses_unknown", NOT_LOOKED_FOR)
+        return
     remedy = REMEDY if "slots" in counts else REMEDY_OF_FILES[counts.get(LOSSES_BY, "times")]
     remedy = REMEDY_OF_ALIGNED if "alignment" in counts else remedy
-    known = (
-        (
-            "samples",
-            "samples of the probe",
-            "they were filled in, and lower the coherence",
-            f"{remedy}; {BETTER}",
-        ),
-        ("slots", "slots of the servo", "the command before them stood longer than asked", REMEDY),
+    filled = "they were filled in, and lower the coherence"
+    stood = "the command before them stood longer than asked"
+    yield from _lost(
+        counts, "samples", f"samples of the probe lost: {{}}; {filled}", remedy + BETTER
     )
-    return tuple(
-        _lost(f"lost_{name}", what, counts[f"lost_{name}"], counts[name], so, remedy)
-        for name, what, so, remedy in known
-        if counts.get(f"lost_{name}")
-    )
+    yield from _lost(counts, "slots", f"slots of the servo lost: {{}}; {stood}", REMEDY)
 
 
-def limit_findings(counts: Mapping[str, Any]) -> tuple[Finding, ...]:
+def _lost(counts: Mapping[str, Any], name: str, words: str, remedy: str) -> Iterator[Finding]:
+    if lost := counts.get(f"lost_{name}"):
+        share = lost / counts[name]
+        void = f"; above {100 * MOST_LOST:g} % nothing is decided" if share > MOST_LOST else ""
+        said = words.format(f"{lost} of {counts[name]}, {percent(share)}")
+        yield Finding(f"lost_{name}", f"{said}{void}: {remedy}", voids=share > MOST_LOST)
+
+
+def limit_findings(counts: Mapping[str, Any]) -> Iterator[Finding]:
     """Ticks of a simulated trial in which the amplifier was at a limit, by `counts` (`COUNTS`)."""
-    if not counts.get("limited_ticks"):
-        return ()
-    share = counts["limited_ticks"] / counts["ticks"]
-    void = share > SATURATED_SHARE
-    more = f"; above {percent(SATURATED_SHARE)} nothing is decided" if void else ""
-    message = (
-        f"amplifier at its limit of current or voltage in {percent(share)} of the ticks, which no"
-        f" prediction covers{more}; lower the perturbation, the stiffness or the active damping"
-    )
-    return (Finding("amplifier_limited", message, voids=void),)
-
-
-def _lost(code: str, what: str, lost: int, total: int, so: str, remedy: str) -> Finding:
-    share = lost / total
-    void = f"; above {100 * MOST_LOST:g} % nothing is decided" if share > MOST_LOST else ""
-    words = f"{what} lost: {lost} of {total}, {percent(share)}; {so}{void}: {remedy}"
-    return Finding(code, words, voids=share > MOST_LOST)
+    if limited := counts.get("limited_ticks"):
+        share = limited / counts["ticks"]
+        void = share > SATURATED_SHARE
+        more = f"; above {percent(SATURATED_SHARE)} nothing is decided" if void else ""
+        yield Finding(
+            "amplifier_limited",
+            f"amplifier at its limit of current or voltage in {percent(share)} of the ticks, which"
+            f" no prediction covers{more}; lower the perturbation, the stiffness or the active"
+            " damping",
+            voids=void,
+        )
 
 
 def summed(parts: list[Mapping[str, Any]]) -> dict[str, int]:

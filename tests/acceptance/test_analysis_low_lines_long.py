@@ -42,6 +42,6 @@ QUIET = [
 @pytest.mark.parametrize(("device", "stiffness"), QUIET)
 def test_what_the_perturbation_or_friction_moves_is_no_line(device, stiffness, monkeypatch):
     """Nor where the window's spectra do not hint at one, and the record is never looked at."""
-    monkeypatch.setattr("hapticd.signal.low_lines.hinted", lambda trial: True)
+    monkeypatch.setattr("hapticd.signal.resolved.hinted", lambda trial: True)
     for force, velocity in trial_records(device, stiffness, 4):
         assert named(force, velocity) == ()

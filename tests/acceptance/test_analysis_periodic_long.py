@@ -49,10 +49,10 @@ def test_one_realisation_covers_no_friction_and_says_so(rubbing):
     freedom = alone.degrees_of_freedom - 2.0
     assert freedom == 2.0
     assert np.mean(covered(alone, truth)) < 0.3
-    found = periodic_findings(alone, BAND)
-    assert found[0].voids
+    (found,) = periodic_findings(alone, BAND)
+    assert found.voids
     assert (
-        found[0].message
+        found.message
         == "one realisation: the interval covers noise alone, and nothing tells distortion from the"
         " device; ask for several realisations"
     )
@@ -65,22 +65,24 @@ def test_distortion_is_told_from_noise(rubbing):
     several = periodic(*(signal[:8] for signal in rubbing), RATE_HZ)
     noise, total = several.scatter(BAND)
     assert noise < 0.01 < 0.05 < total
-    message = periodic_findings(several, BAND)[0].message
+    (found,) = periodic_findings(several, BAND)
     assert re.match(
         r"nonlinear distortion: realisations scatter by \S+ %, periods of one by \S+ %; more"
         r" realisations make the interval",
-        message,
+        found.message,
     )
     assert (
         several.covers
         == "noise and nonlinear distortion at this perturbation, from the scatter of 8 realisations"
         " of 2 periods"
     )
-    single = periodic_findings(periodic(*(signal[:8, :1] for signal in rubbing), RATE_HZ), BAND)[0]
+    single = periodic(*(signal[:8, :1] for signal in rubbing), RATE_HZ)
+    (found,) = periodic_findings(single, BAND)
     assert re.match(
         r"noise or nonlinear distortion: realisations scatter by \S+ %; more of them .*two periods"
         r" of each",
-        single.message,
+        found.message,
     )
     force = forces(8, 2)
-    assert periodic_findings(periodic(force, answered(force, DEVICE, 5e-3), RATE_HZ), BAND) == ()
+    calm = periodic(force, answered(force, DEVICE, 5e-3), RATE_HZ)
+    assert not list(periodic_findings(calm, BAND))

@@ -18,7 +18,7 @@ from support.analysis_low_lines import (
 
 from hapticd.core.arrays import Floats
 from hapticd.signal.findings import Finding
-from hapticd.signal.low_lines import hinted
+from hapticd.signal.resolved import hinted
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.sources import Trial
@@ -35,7 +35,7 @@ def test_a_line_that_wanders_is_named(line_hz):
 
 def test_a_broad_motion_that_nothing_explains_is_no_line(monkeypatch):
     """Half of the velocity's power is noise from 1 to 14 Hz, 4 % of it in each half hertz."""
-    monkeypatch.setattr("hapticd.signal.low_lines.hinted", lambda trial: True)
+    monkeypatch.setattr("hapticd.signal.resolved.hinted", lambda trial: True)
     random = np.random.default_rng(3)
     for force, velocity in trial_records(DRY, 100.0, 4):
         spectrum = np.fft.rfft(random.standard_normal(velocity.size))

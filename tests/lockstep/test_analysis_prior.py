@@ -10,7 +10,7 @@ from hapticd.model.linearise import Perturbation
 from hapticd.model.loop import spectral_radius
 from hapticd.model.predict import predict, predicted_impedance, with_equivalent_damping
 from hapticd.settings.scene import load_scene
-from hapticd.signal.prior import ModelPrior
+from hapticd.signal.search import ModelPrior
 from hapticd.signal.surrogate import Box
 from hapticd.zwidth.scenes import filters
 

@@ -12,7 +12,7 @@ from support.octave.run import GOLDEN, record, spa_by_octave
 from support.programs import octave_with_signal
 
 from hapticd.core.errors import AnalysisError
-from hapticd.signal import covariances, spectra
+from hapticd.signal import covariances
 from hapticd.signal import kernels as kernel_module
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import SpectralStream, corrected
@@ -80,8 +80,7 @@ def test_plain_kernels_equal_the_compiled_ones(monkeypatch):
     force, velocity = record(50_000, 3)
     assert kernel_module.kernels() is not kernel_module, "numba is part of the test environment"
     compiled = estimate(force, velocity, RATE_HZ, 128)
-    for module in (covariances, spectra):
-        monkeypatch.setattr(module, "kernels", lambda: kernel_module)
+    monkeypatch.setattr(covariances, "kernels", lambda: kernel_module)
     plain = estimate(force, velocity, RATE_HZ, 128)
     for name in ("velocity", "force", "cross"):
         assert worst(getattr(compiled, name), getattr(plain, name)) < 1e-13
@@ -94,17 +93,17 @@ def test_without_numba_the_plain_kernels_are_used(monkeypatch):
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.lists(st.integers(0, 700), min_size=1, max_size=30), st.integers(2, 90), st.booleans())
-def test_stream_equals_the_whole_record(blocks, lag, detrend):
+@given(st.lists(st.integers(0, 700), min_size=1, max_size=30), st.integers(2, 90))
+def test_stream_equals_the_whole_record(blocks, lag):
     n_samples = sum(blocks) + lag + 1
     force, velocity = record(n_samples, lag)
-    stream = SpectralStream(RATE_HZ, lag, detrend)
+    stream = SpectralStream(RATE_HZ, lag)
     start = 0
     for size in (*blocks, lag + 1):
         stream.add(force[start : start + size], velocity[start : start + size])
         start += size
     found = stream.spectra()
-    expected = estimate(force, velocity, RATE_HZ, lag, detrend=detrend)
+    expected = estimate(force, velocity, RATE_HZ, lag)
     for name in ("velocity", "force", "cross"):
         assert worst(getattr(found, name), getattr(expected, name)) < 1e-10
 

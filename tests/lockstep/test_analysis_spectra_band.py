@@ -11,7 +11,7 @@ from hapticd.core.errors import AnalysisError
 from hapticd.signal.covariances import Covariances
 from hapticd.signal.periodic import periodic
 from hapticd.signal.spectra import SpectralStream, corrected, spa, spectra
-from hapticd.signal.verdict import half_width, judge
+from hapticd.signal.verdict import coherence_inside, half_width, judge
 
 CHANNELS = ("velocity", "force", "cross")
 
@@ -204,6 +204,9 @@ def test_an_edge_is_not_known_better_than_the_lines_beside_it():
     for seed in range(10):
         trial = drifting(seed)
         edge = trial.band((16.0, 16.0))
-        beside = half_width(trial, trial.part(slice(2, 4)), 0.975)
+        lines = trial.part(slice(2, 4))
+        freedom = trial.degrees_of_freedom
+        beside = half_width(coherence_inside(trial, lines), freedom, 0.975)
         if edge.frequency_hz.size:
-            assert (half_width(trial, edge, 0.975) >= beside.max()).all()
+            known = coherence_inside(trial, edge)
+            assert (half_width(known, freedom, 0.975) >= beside.max()).all()

@@ -6,11 +6,10 @@ import pytest
 from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.signal.assess import Criteria
-from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.report.trial import trial_figure
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import TrialRecord
+from hapticd.zwidth.store import EndReason, TrialEnd, TrialRecord
 from hapticd.zwidth.trial import (
     MultisineLayout,
     TrialParams,

@@ -5,6 +5,7 @@ trial.
 import json
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 from support.foreign import BEFORE, SETTLE, played, recorded, without
@@ -230,7 +231,9 @@ def test_own_trial_without_a_mark_is_refused(flown, foreign, tmp_path):
     kept = json.loads(summary.read_text())
     assert kept.pop(MARK_SAMPLE) == pytest.approx(MARK_LEAD - SETTLE, abs=8)
     (other / "run.json").write_text(json.dumps(kept))
-    np.savez(other / "record.npz", rate_hz=4000.0, force_n=foreign[0], velocity_m_per_s=foreign[1])
+    with h5py.File(other / "record.h5", "w") as file:
+        file["rate_hz"] = 4000.0
+        file["force_n"], file["velocity_m_per_s"] = foreign
     path = written(tmp_path / "other.csv", *foreign)
     with pytest.raises(AnalysisError, match=r"no marked trial of hapticd's own; .* --mark"):
         read_aligned(path, other)

@@ -13,12 +13,11 @@ from hapticd.mailbox.layout import Command, Value
 from hapticd.run.lockstep import scene_params
 from hapticd.run.lockstep_client import LockStepClient
 from hapticd.settings.scene import load_scene
-from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.stepped_sine import may_follow, stepped_sine
-from hapticd.zwidth.store import TrialRecord
+from hapticd.zwidth.store import EndReason, TrialEnd, TrialRecord
 from hapticd.zwidth.trial import TrialParams, plan_trial, run_trial
 
 SECONDS = 6.0

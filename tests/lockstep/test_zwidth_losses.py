@@ -21,10 +21,9 @@ from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
-from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import _gone, daemon_source
 from hapticd.zwidth.sources import Trial
-from hapticd.zwidth.store import TrialRecord, too_short
+from hapticd.zwidth.store import EndReason, TrialEnd, TrialRecord, too_short
 from hapticd.zwidth.trial import (
     MultisineLayout,
     TrialParams,
@@ -159,7 +158,7 @@ def test_losses_of_realisations_add_up(rigid):
     assert found.more["samples"] == pytest.approx(2 * 8232, abs=10)
     assert found.more["slots"] > 2 * 3000
     assert summed([{"lost_slots": 2, "slots": 10}, {"lost_slots": 3}]) == {"lost_slots": 5}
-    assert loss_findings({}) == ()
+    assert not list(loss_findings({}))
 
 
 def test_short_gap_is_bridged_and_a_long_one_is_silent():

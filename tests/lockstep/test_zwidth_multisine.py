@@ -55,7 +55,7 @@ def test_multisine_trial_lands_on_its_prediction(rigid):
         < 1e-3
     )
     assert (
-        found.covers
+        found.spectra.covers
         == "noise and nonlinear distortion at this perturbation, from the scatter of 6 realisations"
         " of 1 periods"
     )

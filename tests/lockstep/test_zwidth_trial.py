@@ -19,7 +19,6 @@ from hapticd.settings.scene import load_scene
 from hapticd.signal.assess import Criteria
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
-from hapticd.zwidth.ending import EndReason, TrialEnd
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.recorded import read_file
 from hapticd.zwidth.scenes import device_scene, filters
@@ -27,6 +26,8 @@ from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial, file_source
 from hapticd.zwidth.stepped_sine import stepped_sine
 from hapticd.zwidth.store import (
+    EndReason,
+    TrialEnd,
     TrialRecord,
     TrialStore,
     fingerprint,

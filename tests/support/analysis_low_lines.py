@@ -11,7 +11,7 @@ from hapticd.model.effects import Coulomb, Masses, ProbeMass, Viscous
 from hapticd.model.model import Model
 from hapticd.model.scene import Excitation, Scene
 from hapticd.signal.findings import Finding
-from hapticd.signal.low_lines import low_line
+from hapticd.signal.resolved import low_line
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.engine.batch import simulate
 from support.measured_scenes import MOTOR, scene

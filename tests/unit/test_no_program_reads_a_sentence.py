@@ -23,9 +23,7 @@ from hapticd.rig.result import Finding
 from hapticd.run.doctor.checks import CheckResult
 from hapticd.servo.host import Grant
 from hapticd.signal import findings
-from hapticd.zwidth.ending import TrialEnd
-from hapticd.zwidth.store import TrialRecord
-from hapticd.zwidth.trial import TrialResult
+from hapticd.zwidth.store import TrialEnd, TrialRecord
 
 TEXTS: dict[type[Any], tuple[str, ...]] = {
     StepReceipt: ("text",),
@@ -36,7 +34,6 @@ TEXTS: dict[type[Any], tuple[str, ...]] = {
     Grant: ("text",),
     TrialEnd: ("text",),
     TrialRecord: ("ended", "origin"),
-    TrialResult: ("covers",),
     findings.Finding: ("message",),
     Finding: ("what", "remedy"),
     CheckResult: ("found", "why", "fix"),

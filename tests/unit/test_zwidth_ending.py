@@ -2,8 +2,7 @@
 
 import pytest
 
-from hapticd.zwidth.ending import EndReason, TrialEnd, end_of_plain
-from hapticd.zwidth.store import to_json
+from hapticd.zwidth.store import EndReason, TrialEnd, end_of_plain, to_json
 
 
 @pytest.mark.parametrize("end", [None, *(TrialEnd(one, "x", "energy") for one in EndReason)])

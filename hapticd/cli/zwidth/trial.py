@@ -32,7 +32,6 @@ with deferred_imports():
     from hapticd.signal import verdict as verdicts
     from hapticd.zwidth import (
         aligned,
-        ending,
         live,
         scenes,
         simulated,
@@ -267,7 +266,7 @@ def _tried(
         sines = stepped_sine.stepped_sine(plan.params.trial, source, tell) if wanted else None
     _show(result, sines, results)
     ended = result.recorded.ended
-    stopped = (ending.EndReason.FAULT, ending.EndReason.STOPPED)
+    stopped = (store.EndReason.FAULT, store.EndReason.STOPPED)
     if asked.source == "live" and ended and ended.reason in stopped:
         raise typer.Exit(STOPPED)  # the device is left like that
 
@@ -419,7 +418,7 @@ def _lines(result: "trials.TrialResult") -> Iterator[str]:
     what = common.environment_words(result.plan.params.trial)
     yield f"{badge}{result.recorded.origin}: {what}"
     yield str(result.verdict)
-    yield f"the interval covers {result.covers}"
+    yield f"the interval covers {result.spectra.covers}"
     if "alignment" in result.recorded.more:
         yield str(result.recorded.more["alignment"])
     if result.recorded.ended:

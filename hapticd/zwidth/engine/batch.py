@@ -48,7 +48,6 @@ from hapticd.zwidth.engine.job import (
 )
 from hapticd.zwidth.engine.numbers import Filters
 from hapticd.zwidth.engine.records import Records, Sums, force_spectrum, spectral
-from hapticd.zwidth.engine.shape import Shape
 
 __all__ = ["BatchResult", "simulate"]
 
@@ -389,11 +388,6 @@ def _run_group(job: Job, made: Prepared, params: Array, numbers: Sequence[int]) 
     return _result(job, params, group, heating, records, inputs)
 
 
-def _share(ticks: Array, samples: npt.NDArray[np.int64], shape: Shape) -> Array | None:
-    """`ticks` (n,) of those that `samples` (n,) make, where the amplifier has limits."""
-    return None if shape.drive is None else ticks * shape.samples / np.maximum(samples, 1)
-
-
 def _result(
     job: Job,
     params: Array,
@@ -403,18 +397,20 @@ def _result(
     inputs: Inputs,
 ) -> BatchResult:
     n = group.count
-    sums = group.tallied()
-    samples = sums.samples[:n].astype(np.int64)
+    sums = {name: values[:n] for name, values in group.tallied().items()}
+    shape = group.made.shape
+    samples = (sums["TICKS"] * shape.samples).astype(np.int64)
+    counted = np.maximum(samples, 1)
     return BatchResult(
         params=params,
-        sigma_v_m_per_s=np.sqrt(sums.squares[:n] / np.maximum(samples, 1)),
+        sigma_v_m_per_s=np.sqrt(sums["SPEED2"] / counted),
         max_force_n=group.rows["FORCE"][:n].astype(np.float64),
-        work_j=sums.work[:n] / PROBE_RATE_HZ,
-        min_energy_j=sums.lowest[:n] / PROBE_RATE_HZ,
+        work_j=sums["WORK"] / PROBE_RATE_HZ,
+        min_energy_j=sums["LOWEST"] / PROBE_RATE_HZ,
         samples=samples,
         rate_hz=float(PROBE_RATE_HZ),
         seconds=job.ticks / job.model.rate_hz,
-        limited=_share(sums.limited[:n], samples, group.made.shape),
+        limited=None if shape.drive is None else sums["LIMITED"] * shape.samples / counted,
         winding_c=None if heating is None else heating.temperature_c[:n],
         **records.finished(samples, inputs),
     )

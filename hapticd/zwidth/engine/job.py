@@ -175,15 +175,9 @@ BODIES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Tallies:
-    """Sums over the samples of each lane, (lanes,) float64. The group goes on adding to them."""
-
-    squares: Array  # of the recorded velocity, (m/s)^2
-    work: Array  # of the perturbation, N m/s
-    lowest: Array  # value of `work` so far, N m/s
-    samples: Array  # that count
-    limited: Array  # ticks in which the amplifier was at a limit
+# rows that are sums: squares of the recorded velocity [(m/s)^2], work of the perturbation [N m/s],
+# ticks that count, and those in which the amplifier was at a limit
+SUMMED = ("SPEED2", "WORK", "TICKS", "LIMITED")
 
 
 class Group:
@@ -199,7 +193,7 @@ class Group:
             name: self.state[place * lanes : (place + 1) * lanes]
             for place, name in enumerate(names)
         }
-        self._tallies = Tallies(*np.zeros((5, lanes)))
+        self._sums = {name: np.zeros(lanes) for name in (*SUMMED, "LOWEST")}
         self._untallied = 0  # ticks
         self.coefficients = np.zeros(max(1, len(made.kernel.COEFFICIENTS)), made.scalar)
         self.set(law_numbers(job.environment, job.filters, job.model.rate_hz))
@@ -232,20 +226,16 @@ class Group:
         if not alive.all():
             self._park(alive == 0.0)
 
-    def tallied(self) -> Tallies:
-        """Sums up to now."""
-        rows = self.rows
-        sums = self._tallies
-        np.minimum(sums.lowest, sums.work + rows["LOWEST"], out=sums.lowest)
-        sums.squares[:] += rows["SPEED2"]
-        sums.work[:] += rows["WORK"]
-        sums.samples[:] += rows["TICKS"] * self.made.shape.samples
-        counted = ["SPEED2", "WORK", "LOWEST", "TICKS"]
-        if self.made.shape.drive is not None:
-            sums.limited[:] += rows["LIMITED"]
-            counted.append("LIMITED")
-        for name in counted:
-            rows[name][:] = 0.0
+    def tallied(self) -> dict[str, Array]:
+        """Sums up to now of each lane, (lanes,) float64, by `SUMMED`; LOWEST is the lowest value of
+        WORK so far. The group goes on adding to them.
+        """
+        sums = self._sums
+        sums["LOWEST"] = np.minimum(sums["LOWEST"], sums["WORK"] + self.rows["LOWEST"])
+        self.rows["LOWEST"][:] = 0.0
+        for name in self.rows.keys() & SUMMED:
+            sums[name] += self.rows[name]
+            self.rows[name][:] = 0.0
         self._untallied = 0
         return sums
 
@@ -390,24 +380,19 @@ def _shared(job: Job, made: Prepared) -> Values:
 
 def _own(job: Job, made: Prepared, numbers: Sequence[int]) -> Values:
     """(period, lanes)"""
-    rows = [own_torque(job, number).astype(made.scalar) for number in numbers]
-    record = np.zeros((len(rows[0]), made.shape.lanes), made.scalar)
-    for lane, row in enumerate(rows):
-        record[:, lane] = row
+    rows = np.array([own_torque(job, number) for number in numbers])
+    record = np.zeros((rows.shape[1], made.shape.lanes), made.scalar)
+    record[:, : len(rows)] = rows.T
     return _repeated(record, job, made)
 
 
 def _repeated(record: Values, job: Job, made: Prepared) -> Values:
-    period = _period(len(record), made.shape.samples, job.samples)
-    return record if len(record) == period else np.resize(record, (period, record.shape[1]))
-
-
-def _period(length: int, samples: int, total: int) -> int:
-    """Samples after which the record repeats: whole ticks, and at least a block unless the
-    trial is shorter.
+    """The record until it repeats: after whole ticks, and at least a block unless the trial is
+    shorter.
     """
-    whole = lcm(length, samples)
-    return min(total, whole * -(-BLOCK_TICKS * samples // whole))
+    whole = lcm(len(record), made.shape.samples)
+    period = min(job.samples, whole * -(-BLOCK_TICKS * made.shape.samples // whole))
+    return record if len(record) == period else np.resize(record, (period, record.shape[1]))
 
 
 def _borders(job: Job, made: Prepared, period: int) -> list[int]:

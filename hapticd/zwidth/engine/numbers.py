@@ -44,37 +44,29 @@ def law_numbers(environment: Environment, filters: Filters, rate_hz: float) -> d
     """What the law gets beside K, B, M and the limit."""
     wall = environment.wall
     ends = environment.workspace
-    coefficients = _derivative(filters[0], rate_hz, rate_hz) + _derivative(
-        filters[1], rate_hz, rate_hz**2
+    values = (
+        *_derivative(filters[0], rate_hz, rate_hz),
+        *_derivative(filters[1], rate_hz, rate_hz**2),
+        *(wall.stiffness_n_per_m, wall.virtual_damping_ns_per_m, wall.position_m, float(wall.side)),
+        *environment.further,
+        *(ends.lower_m, ends.upper_m, ends.stiffness_n_per_m),
     )
-    solid = (
-        wall.stiffness_n_per_m,
-        wall.virtual_damping_ns_per_m,
-        wall.position_m,
-        float(wall.side),
-    )
-    return {
-        **dict(zip(FILTERS, coefficients, strict=True)),
-        **dict(zip(WALL, solid, strict=True)),
-        **dict(zip(FURTHER_NAMES, environment.further, strict=True)),
-        **dict(zip(ENDS, (ends.lower_m, ends.upper_m, ends.stiffness_n_per_m), strict=True)),
-    }
+    return dict(zip((*FILTERS, *WALL, *FURTHER_NAMES, *ENDS), values, strict=True))
 
 
 def _derivative(filtered: FilterParams | None, rate_hz: float, gain: float) -> Biquad:
     """From differences to a derivative, through a filter or none."""
-    if filtered is None:
-        return scaled(UNFILTERED, gain)
-    return scaled(
-        design(filtered.frequency_hz, filtered.damping_ratio, filtered.mapping, rate_hz), gain
+    through = filtered and design(
+        filtered.frequency_hz, filtered.damping_ratio, filtered.mapping, rate_hz
     )
+    return scaled(through or UNFILTERED, gain)
 
 
 def _map_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
     place = model.inputs
     columns = {"G": place.command, "T": place.torque, "E": place.estimate, "Z": place.rotor_force}
     for i, row in enumerate(whole.a):
-        yield from ((f"A{i}_{j}", float(value)) for j, value in enumerate(row))
+        yield from _named(f"A{i}_", row).items()
         yield from (
             (f"{letter}{i}", float(whole.b[i, column]))
             for letter, column in columns.items()
@@ -91,20 +83,18 @@ def _friction_rows(model: Model, whole: Map) -> Iterator[tuple[str, float]]:
     contacts = model.contacts
     own = _own_responses(model, whole)
     for c, contact in enumerate(contacts):
-        yield f"LEVEL{c}", contact.level_n * own[c]
-        column = -whole.b[:, contact.column] / own[c]
-        yield from ((f"H{c}_{i}", float(value)) for i, value in enumerate(column))
+        yield f"LEVEL{c}", contact.level_n * float(own[c])
+        yield from _named(f"H{c}_", -whole.b[:, contact.column] / own[c]).items()
     if len(contacts) == 2:
-        columns = [contact.column for contact in contacts]
-        response = whole.b[np.ix_([contact.velocity for contact in contacts], columns)]
+        bodies = [contact.velocity for contact in contacts]
+        response = whole.b[np.ix_(bodies, [contact.column for contact in contacts])]
         inverse = np.linalg.inv(response) * own[1]
-        yield "W10", float(inverse[1, 0])
-        yield "W11", float(inverse[1, 1])
+        yield from _named("W1", inverse[1]).items()
 
 
-def _own_responses(model: Model, whole: Map) -> list[float]:
-    """m/s that a newton on each contact gives to its own body over `whole`."""
-    return [float(whole.b[contact.velocity, contact.column]) for contact in model.contacts]
+def _own_responses(model: Model, whole: Map) -> Array:
+    """m/s (contacts,) that a newton on each contact gives to its own body over `whole`."""
+    return np.array([whole.b[contact.velocity, contact.column] for contact in model.contacts])
 
 
 def _output_rows(model: Model, shape: Shape, whole: Map) -> dict[str, float]:
@@ -130,14 +120,12 @@ def _output_rows(model: Model, shape: Shape, whole: Map) -> dict[str, float]:
         "RE": place.estimate,
         "RZ": place.rotor_force,
     }
+    rows |= {name: float(through[column]) for name, column in columns.items() if column is not None}
     if model.drive is not None:
         own = drive_response_s(model.drive, place.amplifier, whole)
         rows["RY"] = float(through[place.amplifier]) / own
-    rows |= {name: float(through[column]) for name, column in columns.items() if column is not None}
-    for c, (contact, own) in enumerate(
-        zip(model.contacts, _own_responses(model, whole), strict=True)
-    ):
-        rows[f"RH{c}"] = float(-through[contact.column] / own)
+    touched = through[[contact.column for contact in model.contacts]]
+    rows |= _named("RH", -touched / _own_responses(model, whole))
     if place.estimate is not None:
         rows["RD"] = rows["RE"] * model.estimate_offset_m_per_s
     return rows

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.core.arrays import CACHE_LINE, Complexes, Floats, Values, aligned
+from hapticd.core.arrays import CACHE_LINE, Floats, Values, aligned
 from hapticd.model.excitation import Stream, generator
 from hapticd.model.scene import Excitation
 from hapticd.signal.batch_spectra import BatchSections, SharedForce, shared_force
@@ -34,6 +34,8 @@ from hapticd.zwidth.engine.job import (
     shared_torque,
 )
 from hapticd.zwidth.engine.source import SCALARS
+
+Samples = npt.NDArray[np.int64]
 
 
 class Records:
@@ -76,9 +78,7 @@ class Records:
             part = block[:, place : place + wide, : len(array)]
             array[:, start * wide : end * wide] = part.transpose(2, 0, 1).reshape(len(array), -1)
 
-    def finished(
-        self, samples: "np.ndarray[tuple[int], np.dtype[np.int64]]", inputs: Inputs
-    ) -> dict[str, Any]:
+    def finished(self, samples: Samples, inputs: Inputs) -> dict[str, Any]:
         """The records by their names in BatchResult, ended where their trials ended: after
         `samples` (count,).
         """
@@ -104,9 +104,6 @@ class Records:
                     self._job.seed, Stream.VELOCITY + number
                 ).standard_normal(len(row))
         return rounded(velocity, quantum)
-
-
-Samples = npt.NDArray[np.int64]
 
 
 def spectral(job: Job, made: Prepared, numbers: Sequence[int]) -> "Sums | SpectraOfRecords":
@@ -164,9 +161,10 @@ class Sums:
         """By their names in BatchResult."""
         if self._filled:
             self._add()
-        velocity, cross = (
-            self._sections.spectra() if (samples == self._samples).any() else _nothing(self._lanes)
-        )
+        velocity: Values = np.zeros((self._lanes, LAG + 1))
+        cross = velocity + 0j
+        if (samples == self._samples).any():
+            velocity, cross = self._sections.spectra()
         squares = self._sections.squares[:, : self._count]
         return {
             "velocity_spectrum": velocity[: self._count],
@@ -229,7 +227,3 @@ def _prepared_for(record: Floats, samples: int, scalar: type[np.floating[Any]]) 
 def _lengths(samples: int) -> Samples:
     """Samples in each section."""
     return np.minimum(LAG, samples - np.arange(0, samples, LAG))
-
-
-def _nothing(lanes: int) -> tuple[Values, Complexes]:
-    return np.zeros((lanes, LAG + 1)), np.zeros((lanes, LAG + 1), np.complex128)

@@ -36,7 +36,7 @@ import numpy.typing as npt
 from hapticd.core.environment import Environment
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
-from hapticd.model.model import Array, Contact, Ends, Model, Output, Outputs, RotorForce
+from hapticd.model.model import Array, Model, Output, Outputs
 
 __all__ = ["LANES"]
 
@@ -69,13 +69,6 @@ class DriveStates(NamedTuple):
     column: tuple[bool, ...]
 
 
-class StopStates(NamedTuple):
-    """The states that the ends of the workspace hold."""
-
-    position: int
-    velocity: int
-
-
 @dataclass(frozen=True, slots=True)
 class Shape:
     """See the module. Tuples over states unless said otherwise."""
@@ -94,7 +87,7 @@ class Shape:
     distances: tuple[int, ...]  # position states that count from the rotor's, see the module
     rotor_laws: tuple[str, ...]  # forces on the rotor that are not linear
     rotor: PushedBody | None  # where there are such forces
-    stops: StopStates | None  # of the workspace
+    stops: tuple[int, int] | None  # position and velocity that the ends of the workspace hold
     sample_step: int  # sub-step at whose start, or in which, the encoder is read
     sample_inside: bool  # the encoder is read inside that sub-step
     sample: tuple[Term, ...]  # what the encoder reads
@@ -126,8 +119,8 @@ class Shape:
 
     def fed(self, state: int) -> bool:
         """Whether an input moves this state within a sub-step."""
-        noise = self.noise is not None and self.noise[state]
-        return self.command[state] or self.torque[state] or self.drift[state] or noise
+        columns = (self.command, self.torque, self.drift, self.noise)
+        return any(column[state] for column in columns if column is not None)
 
     @property
     def gaining(self) -> int | None:
@@ -212,27 +205,23 @@ def _is_position(name: str) -> bool:
 
 
 def _entries(model: Model, letter: str, damped: bool) -> Mask:
-    holders: list[Any] = [model] if model.winding is None else [model, model.winding]
-    found = np.zeros(getattr(model, f"{letter}0").shape, dtype=bool)
-    for holder in holders:
-        found |= getattr(holder, f"{letter}0") != 0.0
-        if damped:
-            found |= getattr(holder, f"{letter}1") != 0.0
-    return found
+    holders = [model, *([] if model.winding is None else [model.winding])]
+    names = [f"{letter}0", f"{letter}1"] if damped else [f"{letter}0"]
+    arrays = [getattr(holder, name) for holder in holders for name in names]
+    return np.asarray(np.any(np.stack(arrays) != 0.0, axis=0))
 
 
 def _needed(model: Model, damped: bool) -> Mask:
     reach, _ = structure(model, damped)
     outputs = model.outputs
-    rows = [outputs.encoder, outputs.recorded_travel]
-    rows += [outputs.recorded_impulse] if outputs.recorded_impulse is not None else []
-    rows += [outputs.motor_force] if model.winding is not None else []
+    heated = outputs.motor_force if model.winding is not None else None
     asked = np.zeros(len(reach), dtype=bool)
-    for row in rows:
-        asked |= (row.c0 != 0.0) | (damped & (row.c1 != 0.0))
-    parts: list[Contact | Ends | RotorForce] = [*model.contacts, *model.rotor_forces]
-    for part in parts if model.ends is None else [*parts, model.ends]:
-        asked[[part.position, part.velocity]] = True
+    for row in (outputs.encoder, outputs.recorded_travel, outputs.recorded_impulse, heated):
+        if row is not None:
+            asked |= (row.c0 != 0.0) | (damped & (row.c1 != 0.0))
+    for part in (*model.contacts, *model.rotor_forces, model.ends):
+        if part is not None:
+            asked[[part.position, part.velocity]] = True
     if model.drive is not None:
         asked[[model.drive.motor_force, model.drive.velocity]] = True
     return np.asarray(asked @ reach)
@@ -327,7 +316,10 @@ def shape_of(
     keeps = keepers(model, damped)
     outputs = model.outputs
     place = model.inputs
-    shape = Shape(
+    drive = model.drive
+    noisy = model.noise is not None and model.noise.estimate_psd
+    noise = _column(inputs, place.estimate if noisy else None)
+    return Shape(
         dtype,
         LANES[dtype],
         samples,
@@ -345,9 +337,15 @@ def shape_of(
         ),
         origin=[state.name for state in model.states].index(REFERENCE),
         distances=distances(model, keeps),
-        rotor_laws=(),
-        rotor=None,
-        stops=None if model.ends is None else StopStates(model.ends.position, model.ends.velocity),
+        rotor_laws=tuple(force.law for force in model.rotor_forces),
+        rotor=next(
+            (
+                PushedBody(force.position, force.velocity, _column(inputs, place.rotor_force))
+                for force in model.rotor_forces
+            ),
+            None,
+        ),
+        stops=None if model.ends is None else (model.ends.position, model.ends.velocity),
         sample_step=step,
         sample_inside=part > 0.0,
         sample=_terms(outputs.encoder.c0, states, keeps) if part else _terms(outputs.encoder.c0),
@@ -359,8 +357,12 @@ def shape_of(
         limit=model.force_limit_n is not None,
         wall=environment.wall.side != 0,
         ends=environment.workspace.stiffness_n_per_m != 0.0,
+        heat=None if model.winding is None else _heat(model),
+        drive=None
+        if drive is None
+        else DriveStates(drive.motor_force, drive.velocity, _column(inputs, place.amplifier)),
+        noise=noise if any(noise) else None,
     )
-    return _with_rare_effects(shape, model, inputs)
 
 
 def sample_point(delay_periods: float, steps: int) -> tuple[int, float, int]:
@@ -385,32 +387,15 @@ def _samples(rate_hz: float) -> int:
     return samples
 
 
-def _with_rare_effects(shape: Shape, model: Model, inputs: Mask) -> Shape:
-    place = model.inputs
-    for force in model.rotor_forces:
-        rotor = PushedBody(force.position, force.velocity, _column(inputs, place.rotor_force))
-        shape = replace(shape, rotor_laws=(*shape.rotor_laws, force.law), rotor=rotor)
-    if (limits := model.drive) is not None:
-        column = _column(inputs, place.amplifier)
-        shape = replace(shape, drive=DriveStates(limits.motor_force, limits.velocity, column))
-    noisy = _column(
-        inputs, place.estimate if model.noise is not None and model.noise.estimate_psd else None
-    )
-    if any(noisy):
-        shape = replace(shape, noise=noisy)
-    if model.winding is not None:
-        motor = model.outputs.motor_force
-        direct = bool((abs(motor.d0) + abs(motor.d1))[place.command])
-        shape = replace(shape, heat=(_plain(abs(motor.c0) + abs(motor.c1)), direct))
-    return shape
+def _heat(model: Model) -> tuple[tuple[Term, ...], bool]:
+    """The motor force, and whether the command is in it."""
+    motor = model.outputs.motor_force
+    terms = tuple(Term(index, False) for index in _where(abs(motor.c0) + abs(motor.c1)))
+    return terms, bool((abs(motor.d0) + abs(motor.d1))[model.inputs.command])
 
 
 def _where(row: Any) -> tuple[int, ...]:
     return tuple(int(index) for index in np.flatnonzero(row))
-
-
-def _plain(row: Array) -> tuple[Term, ...]:
-    return tuple(Term(index, False) for index in _where(row))
 
 
 def _column(inputs: Mask, column: int | None) -> tuple[bool, ...]:

@@ -53,7 +53,7 @@ on the compiler) or that excludes NaN (a lane that diverges would not be found).
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import pairwise
-from math import tau
+from math import factorial, tau
 from textwrap import dedent, indent
 from typing import Any, NamedTuple
 
@@ -125,15 +125,15 @@ def kernel_source(shape: Shape) -> str:
     rows = Rows([*(f"O{i}" for i in range(shape.width)), *torque], shape.per_lane)
     lane = list(tick(shape, rows))
     step = list(substep(shape, rows))
-    offsets = [(name, place * shape.lanes) for place, name in enumerate(rows.names)]
-    enumerated = [(name, place) for place, name in enumerate(rows.coefficients)]
+    places = {name: place * shape.lanes for place, name in enumerate(rows.names)}
+    places |= {name: place for place, name in enumerate(rows.coefficients)}
     return MODULE.format(
         dtype=shape.dtype,
         scalar=SCALARS[shape.dtype].__name__,
         rate=PROBE_RATE_HZ,
         # the kernel compares a sum of squares, and takes no root and no mean
         too_fast=shape.samples * VELOCITY_MAX_M_PER_S**2,
-        offsets="\n".join(f"{name} = {place}" for name, place in [*offsets, *enumerated]),
+        offsets="\n".join(f"{name} = {place}" for name, place in places.items()),
         rows=rows.names,
         coefficients=rows.coefficients,
         values=", ".join(f"P[{name}]" for name in rows.coefficients) or "ZERO,",
@@ -268,13 +268,9 @@ def _sine(force: str, position: str, velocity: str, number: Number) -> Iterator[
 
 def _series(square: str) -> str:
     """sin(r) / r by Horner's rule."""
-    coefficients = []
-    factorial = 1
-    for k in range(SINE_TERMS):
-        coefficients.append((-1) ** k / factorial)
-        factorial *= (2 * k + 2) * (2 * k + 3)
-    text = f"T({coefficients.pop()!r})"
-    for value in reversed(coefficients):
+    *others, last = ((-1) ** k / factorial(2 * k + 1) for k in range(SINE_TERMS))
+    text = f"T({last!r})"
+    for value in reversed(others):
         text = f"T({value!r}) + ({square}) * ({text})"
     return text
 
@@ -442,12 +438,12 @@ def step_results(shape: Shape) -> list[str]:
     """Of `step`: states, the recorded gain, what friction takes, the sum of the rotor forces, what
     limits of the amplifier add to the motor force.
     """
-    forces = [f"f{c}" for c in range(len(shape.contacts))] + ["g"] * (shape.rotor is not None)
-    forces += ["o"] * (shape.drive is not None)
     return [
         *(f"x{i}" for i in range(shape.states)),
         *(["d"] * (shape.gaining is not None)),
-        *forces,
+        *(f"f{c}" for c in range(len(shape.contacts))),
+        *(["g"] * (shape.rotor is not None)),
+        *(["o"] * (shape.drive is not None)),
     ]
 
 
@@ -496,8 +492,7 @@ def _friction(shape: Shape, row: Rows) -> Iterator[str]:
 
 def _rubbed(shape: Shape, row: Rows, i: int) -> Iterator[str]:
     """What friction does to state `i`."""
-    contacts = enumerate(shape.contacts)
-    pushes = [(c, body.velocity == i) for c, body in contacts if body.column[i]]
+    pushes = [(c, body.velocity == i) for c, body in enumerate(shape.contacts) if body.column[i]]
     target = _target(shape, i)
     slowed = [c for c, own in pushes if own]
     others = [f"{row.c(f'H{c}_{i}')} * f{c}" for c, own in pushes if not own]

@@ -29,12 +29,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hapticd.core.arrays import Floats
-from hapticd.core.errors import ConfigError
 from hapticd.core.extras import need
 from hapticd.core.params import ACTIVE_DAMPING_NS_PER_M
 from hapticd.zwidth.report import paper
 from hapticd.zwidth.report.paper import PANEL_IN, Panels
-from hapticd.zwidth.store import FIGURE_KINDS
+from hapticd.zwidth.store import FIGURE_KINDS, not_writable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -194,9 +193,7 @@ def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
             for path in paths:
                 figure.savefig(path, metadata=UNDATED[path.suffix])
     except OSError as error:
-        raise ConfigError(
-            f"{folder}: {error.strerror}; name a folder that you may write to with --out"
-        ) from error
+        raise not_writable(folder, error) from error
     return paths
 
 

@@ -18,10 +18,9 @@ import numpy as np
 
 from hapticd.core.arrays import Complexes, Floats
 from hapticd.recording.replay import ReplayResult
-from hapticd.signal.impedance import Impedance, relative_sd
+from hapticd.signal.impedance import Impedance
 from hapticd.signal.periodic import PeriodicSpectra
-from hapticd.signal.verdict import student_quantile
-from hapticd.zwidth.ending import EndReason
+from hapticd.signal.verdict import half_width
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
     BLACK,
@@ -46,6 +45,7 @@ from hapticd.zwidth.report.style import (
     styled,
 )  # fmt: skip
 from hapticd.zwidth.stepped_sine import ReferenceSines
+from hapticd.zwidth.store import EndReason
 from hapticd.zwidth.trial import TrialResult
 
 __all__ = [
@@ -62,7 +62,7 @@ __all__ = [
 Trace = tuple[Floats, Floats, Look]  # time [s], values, how they look
 
 RANDOM = " of the random error"  # without what the calibrations leave open
-FEWEST = 2.0  # degrees of freedom that an interval takes
+FEWEST = 4.0  # degrees of freedom that an interval takes
 SHOWN_HZ = (1.0, 1000.0)
 # characters of a line
 TITLE_WIDTH = 95
@@ -204,10 +204,9 @@ def _interval(z: Impedance) -> Floats:
     """Half of the 95 % interval (F,) of ln|Z|, and of the phase in radians, for the random error;
     Student's t, for realisations may be few.
     """
-    freedom = z.degrees_of_freedom - 2.0
-    if freedom < FEWEST:
+    if z.degrees_of_freedom < FEWEST:
         return np.full(z.frequency_hz.size, np.inf)
-    return student_quantile(PROBABILITY, freedom) * relative_sd(z.coherence, freedom)
+    return half_width(z.coherence, z.degrees_of_freedom, PROBABILITY)
 
 
 def _title(result: TrialResult, view: View) -> str:
