@@ -96,7 +96,7 @@ def _rms(torque: Any) -> dict[int, float]:
         lanes.torque = torque[: 4 * ticks].copy()
         lanes()
         sums = lanes.group.tallied()
-        lengths[ticks] = float((sums.squares[0] / sums.samples[0]) ** 0.5)
+        lengths[ticks] = float((sums["squares"][0] / sums["samples"][0]) ** 0.5)
     return lengths
 
 

@@ -34,6 +34,14 @@ from hapticd.protocol.explanation import Explanation, Outcome, Reason, Remedy, b
 __all__ = ["Judge"]
 
 _DELAYS = 8  # whose cost is kept
+_TERMS = {"ask", "n", "delay_periods", "basis", "margin_ns_per_m"}
+_CHANGE = {"state", "gain", "enable", "change", "before", "after", "policy", "mode", "level"}
+_FIELDS = {  # of a request
+    "change": {*_TERMS, *_CHANGE, "now", "target", "ramp_s"},
+    "look": {*_TERMS, "now", "target", "level_on"},
+    "hand": {"ask", "n", "environment", "delay_periods"},
+    "plane": {*_TERMS, "target", "level_on"},
+}
 
 
 class Judge:
@@ -85,6 +93,8 @@ class Judge:
         ask = request.get("ask")
         if ask not in asks:
             raise AnalysisError(f"the guard is asked {ask!r}; it knows {', '.join(asks)}")
+        if strange := request.keys() - _FIELDS[ask]:
+            raise AnalysisError(f"{ask}: the guard knows no field {min(strange)!r}")
         return {"n": request.get("n"), **asks[ask](request)}
 
     # --- what is asked ----------------------------------------------------------------------------

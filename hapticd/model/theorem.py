@@ -76,7 +76,7 @@ __all__ = [
 _ANGLES = np.concatenate((np.geomspace(1e-3, 0.05, 40)[:-1], np.linspace(0.05, np.pi, 984)))  # wT
 _IMAGES = 24  # harmonics on each side
 _HALVINGS = 32  # of the interval in which the spare damping lies
-_NEAR = 1e-7  # of that interval, between the angles: a parabola is an estimate
+_NEAR = 1e-8  # of that interval, between the angles: a parabola is an estimate
 _FOURFOLD = 9  # steps from its top towards its end, each four times the one before
 _CLOSEST = 1e-9  # N s/m to the limit that the device's own damping sets
 

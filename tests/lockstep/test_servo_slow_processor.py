@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hapticd.protocol.room import Room, room_of
 from support.boards import board_params
 from support.models import servo_params
 from support.processor import TICK_US, Processor
 
 from hapticd.core.params import RealtimeParams, UsbParams
+from hapticd.gateway.tick_times import room_of
 from hapticd.mailbox.layout import STAGES, Command, LateCause
+from hapticd.protocol.answers import Room
 from hapticd.protocol.view import Records, as_records
 from hapticd.run.lockstep import LockStep
 
