@@ -95,8 +95,8 @@ def _rms(torque: Any) -> dict[int, float]:
         lanes = Lanes(model(), "f64", ticks)
         lanes.torque = torque[: 4 * ticks].copy()
         lanes()
-        sums = lanes.group.tallied()
-        lengths[ticks] = float((sums["squares"][0] / sums["samples"][0]) ** 0.5)
+        squares = lanes.group.tallied()["SPEED2"][0]
+        lengths[ticks] = float((squares / (4 * ticks)) ** 0.5)
     return lengths
 
 
