@@ -41,7 +41,7 @@ PINNED := $(if $(PINS),--constraint $(PINS))
 PYTHON ?= $(shell .ci/python)
 
 run: $(VENV)/run.stamp
-	@.ci/python tell $(BIN)/python
+	@echo "$$($(BIN)/python -VV); hapticd doctor says how it was built"
 	@exec $(BIN)/hapticd run $(ARGS)
 
 lab: $(VENV)/lab.stamp
@@ -81,7 +81,7 @@ check-installed: deps-run
 # built once, beside what comes before the tests that boot it; they wait for it, and say it if it failed
 usb-kernel: deps-check
 	@mkdir -p build
-	@PYTHONPATH=tests nice -n 19 $(PYTHON) -m support.usb_kernel </dev/null >build/usb-kernel.txt 2>&1 &
+	@PYTHONPATH=tests nice -n 19 "$(PYTHON)" -m support.usb_kernel </dev/null >build/usb-kernel.txt 2>&1 &
 
 test-usb: deps-check $(VENV)/check.stamp
 	$(BIN)/python -m pytest -rP tests/acceptance/test_usb_stack.py $(ARGS)
@@ -97,7 +97,7 @@ circuit: deps-check $(VENV)/check.stamp
 	$(BIN)/python -m firmware_iface.hardware build/circuit
 
 pico: deps-pico
-	@$(PYTHON) -m firmware_iface.pico.build $(ARGS)
+	@"$(PYTHON)" -m firmware_iface.pico.build $(ARGS)
 
 attack: deps-check $(VENV)/check.stamp
 	ONLY="$(ONLY)" FACTOR="$(FACTOR)" $(BIN)/python tests/attack.py
@@ -140,7 +140,7 @@ deps:
 	@.ci/deps all
 
 deps-run deps-test deps-check deps-bench deps-pico: deps-%:
-	@PYTHON=$(PYTHON) .ci/deps $*
+	@PYTHON="$(PYTHON)" .ci/deps $*
 
 deps-test deps-check deps-bench: deps-run # one after the other, also with --jobs
 
@@ -172,8 +172,8 @@ ENGINE := engine,plot
 ALL := engine,plot,mat,lsl,cluster
 
 $(VENV)/run.stamp: pyproject.toml $(PINS) | deps-run
-	@$(if $(PYTHON),,echo "hapticd needs Python 3.11 or newer; install it, or name it: make PYTHON=/path/to/python3"; exit 1)
-	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(if $(strip $(PYTHON)),,echo "hapticd needs Python 3.11 or newer; install it, or name it: make PYTHON=/path/to/python3"; exit 1)
+	@test -x $(BIN)/python || "$(PYTHON)" -m venv $(VENV)
 	@echo "installing hapticd and its libraries into $(VENV)"
 	@$(PIP) install 'pip>=25.1'
 	@$(PIP) install $(PINNED) --editable .

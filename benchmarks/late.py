@@ -85,6 +85,7 @@ def measure() -> Iterator[Figure]:
 def counted(rate_hz: int, pythons: Sequence[str], share: float = 1.0) -> list[Count]:
     """The count of each interpreter at `rate_hz`, in turns, over that share of PERIODS."""
     cores = _cores()
+    cyclictest.prepare()
     ticks = round(share * PERIODS / BLOCKS)
     counts = [Count(rate_hz) for _ in pythons]
     with ExitStack() as stack:

@@ -62,7 +62,10 @@ def parsed(arguments: Sequence[str]) -> Namespace:
         help="noise realisations behind each limit (default 8)",
     )
     parser.add_argument(
-        "--out", metavar="FOLDER", type=Path, help="keep results there; else zwidth-runs/, by date"
+        "--out",
+        metavar="FOLDER",
+        type=Path,
+        help="folder for the results (default: a dated folder in zwidth-runs/)",
     )
     parser.add_argument(
         "--figure-width",
@@ -76,7 +79,10 @@ def parsed(arguments: Sequence[str]) -> Namespace:
 
 def seed_count(text: str) -> int:
     """The number in the text of --seeds."""
-    count = int(text)
+    try:
+        count = int(text)
+    except ValueError:
+        raise ArgumentTypeError(f"{text!r} is not an integer") from None
     if not FEWEST_SEEDS <= count <= MOST_SEEDS:
         raise ArgumentTypeError(f"{count} is not in the range {FEWEST_SEEDS} to {MOST_SEEDS}")
     return count

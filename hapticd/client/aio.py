@@ -25,7 +25,7 @@ import zmq.asyncio
 from numpy.typing import ArrayLike
 
 from hapticd.client.blocks import Block, Excerpt, Records, concatenated
-from hapticd.client.commands import Ask, Commands, Course, Pause, hand_of, loaded, reached
+from hapticd.client.commands import Ask, Commands, Exchange, Pause, hand_event, loaded, reached
 from hapticd.client.lease import RENEWALS, lost_error, renews_again
 from hapticd.client.requests import (
     STOP_TIMEOUT_S,
@@ -204,11 +204,11 @@ class AsyncClient(
         asked = self._as_asked(cmd, fields)
         return accepted(await self._connection.exchange(cmd, asked, self._timeout_s))
 
-    async def _carried_out(self, course: Course[Any]) -> Any:
+    async def _carried_out(self, exchange: Exchange[Any]) -> Any:
         answer = None
         try:
             while True:
-                answer = await self._tried(course.send(answer))
+                answer = await self._tried(exchange.send(answer))
         except StopIteration as end:
             return end.value
 
@@ -287,7 +287,7 @@ class AsyncClient(
         >>> (await device.hand(receipt.guard)).text
         '...'
         """
-        found: Event | None = await self._carried_out(hand_of(verdict, timeout_s))
+        found: Event | None = await self._carried_out(hand_event(verdict, timeout_s))
         return found
 
     async def wait_for(self, state: str, timeout_s: float = 10.0) -> None:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import zmq
 
-from hapticd.client.commands import Ask, Commands, Course, Pause, hand_of, loaded, reached
+from hapticd.client.commands import Ask, Commands, Exchange, Pause, hand_event, loaded, reached
 from hapticd.client.lease import ClientLease
 from hapticd.client.requests import (
     STOP_TIMEOUT_S,
@@ -67,7 +67,7 @@ class GatewayConnection(Subscription):
         super().__init__()
         # a lease that is kept alive is renewed by a thread of its own, over this connection
         self._turn = threading.Lock()
-        self._closing = False  # an exchange that waits gives up
+        self._closed = False  # a request that waits gives up
         self._socket: zmq.Socket[bytes] | None = None
         self._made: zmq.Socket[bytes]  # a message for each connection that was made
 
@@ -84,22 +84,23 @@ class GatewayConnection(Subscription):
             self._turn.release()
 
     def close(self) -> None:
-        """Close all sockets; may be called twice, and by another thread than that which waits."""
-        self._closing = True
+        """Close all sockets, for good; may be called twice, and by another thread than that of a
+        request that waits. Telemetry is closed by the thread that reads it.
+        """
+        self._closed = True
         with self._turn:
-            self._closing = False
             super().close()
             self._socket = None
 
     def _exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
+        self._require_open(cmd)
         socket = self._connected()
         timeout_ns = round(timeout_s * NS_PER_S)
         number, payload = self._requests.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
         unsent = [payload]
         deadline = time.monotonic() + timeout_s
         while (outcome := self._requests.outcome(number, time.monotonic_ns())) is None:
-            if self._closing:
-                raise DaemonDown(f"{cmd}: the connection was closed before the answer came")
+            self._require_open(cmd)
             # a negative wait would be one for ever
             wait_ms = max(0, min(SLICE_MS, round(1000 * (deadline - time.monotonic()))))
             if unsent:
@@ -115,6 +116,10 @@ class GatewayConnection(Subscription):
         if isinstance(outcome, TimedOut):
             raise silence(outcome, self._folder)
         return outcome
+
+    def _require_open(self, cmd: str) -> None:
+        if self._closed:
+            raise DaemonDown(f"{cmd}: this client is closed")
 
     def _connected(self) -> "zmq.Socket[bytes]":
         """The command socket; made when it is first needed."""
@@ -171,11 +176,11 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         asked = self._as_asked(cmd, fields)
         return accepted(self._connection.exchange(cmd, asked, self._timeout_s))
 
-    def _carried_out(self, course: Course[Any]) -> Any:
+    def _carried_out(self, exchange: Exchange[Any]) -> Any:
         answer = None
         try:
             while True:
-                answer = self._tried(course.send(answer))
+                answer = self._tried(exchange.send(answer))
         except StopIteration as end:
             return end.value
 
@@ -199,7 +204,7 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         >>> device.hand(receipt.guard).text
         '...'
         """
-        found: Event | None = self._carried_out(hand_of(verdict, timeout_s))
+        found: Event | None = self._carried_out(hand_event(verdict, timeout_s))
         return found
 
     def _pause(self, seconds: float) -> None:

@@ -1,11 +1,11 @@
 """The commands of the client that waits and of that for asyncio, each written once.
 
-A command is a course: a generator that gives what is due (`Ask` a request, `Pause`) and takes the
+A command is a exchange: a generator that gives what is due (`Ask` a request, `Pause`) and takes the
 reply, or the error that the request ended with. The clients carry courses out, and what a command
 gives, a value or something to await, is the client's: `Commands[Receipt, Hello, ...]` or
 `Commands[Awaitable[Receipt], Awaitable[Hello], ...]`.
 
-What would break it: a course that reads a socket or sleeps by itself.
+What would break it: a exchange that reads a socket or sleeps by itself.
 """
 
 import time
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from hapticd.client.sequence import AtRefusal, Step, StepReceipt
     from hapticd.core.params import BasisName, DampingMode, Policy
 
-__all__ = ["Ask", "Course", "Pause"]
+__all__ = ["Ask", "Exchange", "Pause"]
 
 
 # what is given, now or later
@@ -53,7 +53,7 @@ Answer = dict[str, Any]
 
 
 class Ask(NamedTuple):
-    """A request to carry out; the course takes its reply, or the error that it ended with."""
+    """A request to carry out; the exchange takes its reply, or the error that it ended with."""
 
     cmd: str
     fields: Mapping[str, Any] = {}
@@ -65,11 +65,11 @@ class Pause(NamedTuple):
     seconds: float
 
 
-Course = Generator[Ask | Pause, Any, T]  # what is due, answers, what it gives
+Exchange = Generator[Ask | Pause, Any, T]  # what is due, answers, what it gives
 
 
-def told(answer: Any) -> Any:
-    """The reply that a course was given; of a request that was refused the error."""
+def reply_or_raise(answer: Any) -> Any:
+    """The reply that a exchange was given; of a request that was refused the error."""
     if isinstance(answer, HapticdError):
         raise answer
     return answer
@@ -103,19 +103,19 @@ class Commands(Generic[R, H, P, S, G, D]):
         """The fields of a request, with that of a strict client."""
         return {**fields, "strict": True} if self._strict and cmd in JUDGED else fields
 
-    def _carried_out(self, course: Course[Any]) -> Any:
-        """What `course` gives once all of it is done."""
+    def _carried_out(self, exchange: Exchange[Any]) -> Any:
+        """What `exchange` gives once all of it is done."""
         raise NotImplementedError
 
-    def _question(self, kind: type[Any], cmd: str, fields: Answer) -> Course[Any]:
+    def _question(self, kind: type[Any], cmd: str, fields: Answer) -> Exchange[Any]:
         """The answer to a question, as a dataclass `kind` of `protocol.answers` or as a map."""
-        reply = told((yield Ask(cmd, fields)))
+        reply = reply_or_raise((yield Ask(cmd, fields)))
         if "receipt" in reply:  # a mode of the guard changes the damping
             self._warnings.tell(receipt_of(reply))
         return reply["result"] if kind is dict else answer_of(kind, reply["result"])
 
-    def _changing(self, cmd: str, fields: Answer) -> Course[Receipt]:
-        receipt = receipt_of(told((yield Ask(cmd, fields))))
+    def _changing(self, cmd: str, fields: Answer) -> Exchange[Receipt]:
+        receipt = receipt_of(reply_or_raise((yield Ask(cmd, fields))))
         self._warnings.tell(receipt)
         return receipt
 
@@ -132,12 +132,12 @@ class Commands(Generic[R, H, P, S, G, D]):
 
     def _sequence(
         self, steps: "Sequence[Step]", at_refusal: "AtRefusal", lead_s: float | None
-    ) -> "Course[tuple[StepReceipt, ...]]":
+    ) -> "Exchange[tuple[StepReceipt, ...]]":
         """A sequence; each `GuardWarning` is emitted at its end."""
-        from hapticd.client.sequence import course
+        from hapticd.client.sequence import exchange
 
         try:
-            done = yield from course(steps, at_refusal, self._name, lead_s)
+            done = yield from exchange(steps, at_refusal, self._name, lead_s)
         except SequenceError as error:
             self._warnings.tell_beside(error.receipts)
             raise
@@ -357,13 +357,13 @@ class Commands(Generic[R, H, P, S, G, D]):
         return self._result("mark", text=text)
 
 
-def hand_of(verdict: GuardVerdict, timeout_s: float) -> Course[Event | None]:
+def hand_event(verdict: GuardVerdict, timeout_s: float) -> Exchange[Event | None]:
     """The event `guard` that names the hand which would shake what `verdict` is about; None if
     `timeout_s` passes first.
     """
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
-        status = answer_of(Status, told((yield Ask("status")))["result"])
+        status = answer_of(Status, reply_or_raise((yield Ask("status")))["result"])
         for event in reversed(status.events):
             if event.kind == "guard" and event.number == verdict.number:
                 return event
@@ -371,17 +371,17 @@ def hand_of(verdict: GuardVerdict, timeout_s: float) -> Course[Event | None]:
     return None
 
 
-def loaded(samples_n: "ArrayLike") -> Course[int]:
+def loaded(samples_n: "ArrayLike") -> Exchange[int]:
     """Load a waveform; the number of samples that the daemon has."""
     from hapticd.client.blocks import chunks
 
     count: int = 0
     for chunk in chunks(samples_n):
-        count = told((yield Ask("perturb", chunk)))["result"]["samples"]
+        count = reply_or_raise((yield Ask("perturb", chunk)))["result"]["samples"]
     return count
 
 
-def reached(state: str, timeout_s: float) -> Course[None]:
+def reached(state: str, timeout_s: float) -> Exchange[None]:
     """Until the servo is in `state`. CommandError `timeout` or DaemonDown after `timeout_s`."""
     deadline = time.monotonic() + timeout_s
     while True:
@@ -389,7 +389,7 @@ def reached(state: str, timeout_s: float) -> Course[None]:
         late = time.monotonic() >= deadline
         # a daemon that is being started does not answer yet
         down = isinstance(answer, DaemonDown) and not late
-        found = "down" if down else told(answer)["state"]
+        found = "down" if down else reply_or_raise(answer)["state"]
         if found == state:
             return
         if late:

@@ -24,7 +24,7 @@ passed, and states of the servo that bar a step. What the servo refuses or cance
 state that somebody else changed, or a daemon that falls silent ends the sequence: SequenceError
 says which steps acted, which did not and why, and in which state the display was left.
 
-The course of it (`course`) is one of `commands`, which both clients carry out.
+The exchange of it (`exchange`) is one of `commands`, which both clients carry out.
 
 What would break it: two sequences at the same time by clients of one name, since scheduled changes
 are told apart by name and number of their request; take the lease of the environment.
@@ -35,7 +35,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Literal
 
-from hapticd.client.commands import POLL_S, Ask, Course, Pause, told
+from hapticd.client.commands import POLL_S, Ask, Exchange, Pause, reply_or_raise
 from hapticd.client.requests import receipt_of
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
 from hapticd.protocol.answers import Event, GuardVerdict, Hello, Receipt, Status, answer_of
@@ -102,7 +102,7 @@ class StepReceipt:
         return self.result in ("applied", "pressed")
 
 
-Part = Course[Any]
+Part = Exchange[Any]
 
 
 class _EndedError(Exception):
@@ -114,9 +114,9 @@ class _EndedError(Exception):
         self.number = number
 
 
-def course(
+def exchange(
     steps: Sequence[Step], at_refusal: AtRefusal, name: str, lead_s: float | None = None
-) -> Course[tuple[StepReceipt, ...]]:
+) -> Exchange[tuple[StepReceipt, ...]]:
     """The requests and pauses of a sequence, for the client called `name`; at last a receipt for
     each step.
 
@@ -127,8 +127,8 @@ def course(
     if not 0.0 < lead_s <= LONGEST_LEAD_S:  # neither is nan
         limit = f"outside 0..{LONGEST_LEAD_S:g} s; leave it out for {LEAD_S:g} s"
         raise CommandError("invalid", f"lead_s = {lead_s}: {limit}")
-    hello = answer_of(Hello, told((yield Ask("hello", {"name": name})))["result"])
-    status = answer_of(Status, told((yield Ask("status")))["result"])
+    hello = answer_of(Hello, reply_or_raise((yield Ask("hello", {"name": name})))["result"])
+    status = answer_of(Status, reply_or_raise((yield Ask("status")))["result"])
     if not status.servo_alive:
         raise DaemonDown("no servo answers; start it with `hapticd run`, see `hapticd status`")
     _check(steps, hello, status)
@@ -159,7 +159,7 @@ class _Run:
         ] = {}  # steps that were scheduled, by number of their request
         self._left = ""  # what was done to the display at the end, in words
 
-    def whole(self) -> Course[tuple[StepReceipt, ...]]:
+    def whole(self) -> Exchange[tuple[StepReceipt, ...]]:
         """All steps; SequenceError as soon as one cannot be done."""
         try:
             last_slot = self._status.slot

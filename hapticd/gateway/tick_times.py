@@ -18,7 +18,7 @@ import numpy as np
 
 from hapticd.core.units import NS_PER_S, NS_PER_US, US_PER_S
 from hapticd.mailbox.layout import STAGES, LateCause
-from hapticd.protocol.answers import LEFT, Room
+from hapticd.protocol.answers import LEAST_IDLE_SHARE, Room
 from hapticd.protocol.view import Records, joined
 
 PER_DECADE = 40
@@ -131,5 +131,5 @@ def room_of(stages: Mapping[str, Mapping[str, Any]], rate_hz: float) -> Room:
     if stages[WORK[0]]["count"] < ENOUGH:
         return Room(0.0, period_us, 0.0)
     tick_us = sum(stages[stage]["p50_us"] for stage in WORK)
-    highest_hz = (1.0 - LEFT) * US_PER_S / max(tick_us, 1.0)
+    highest_hz = (1.0 - LEAST_IDLE_SHARE) * US_PER_S / max(tick_us, 1.0)
     return Room(tick_us, period_us, highest_hz // RATE_STEP_HZ * RATE_STEP_HZ)

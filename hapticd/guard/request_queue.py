@@ -466,8 +466,8 @@ class GuardedQueue:
         except ValueError as error:
             self._try_unjudged(change, now_ns, f"the guard's worker answered: {error}")
             return
-        of_case = {"number": change.number, "stages": len(change.stages), "cmd": change.cmd}
-        change.verdict = {**verdict, **of_case}
+        about = {"number": change.number, "stages": len(change.stages), "cmd": change.cmd}
+        change.verdict = {**verdict, **about}
         if change.own and (action == "refuse" or not self._changes(change)):
             return  # the level of mode auto stays
         if verdict.get("safe") is False:
@@ -571,7 +571,7 @@ class GuardedQueue:
         if change is self._beside and result is Result.APPLIED:
             change.held = answer
             # in force, whatever its verdict: mode auto must not choose again meanwhile
-            self._guard.choose_level(self._auto(change))
+            self._guard.set_auto(self._auto(change))
             return None
         if result is Result.SCHEDULED:
             fields = change_of(change.request, self._guard.in_force.level)
@@ -596,7 +596,7 @@ class GuardedQueue:
         return ChangeReply(change, error)
 
     def _applied(self, change: PendingChange, answer: Answer, now_ns: int) -> ChangeReply | None:
-        self._guard.choose_level(self._auto(change))
+        self._guard.set_auto(self._auto(change))
         if self._under_way.applied(change, answer, now_ns):
             if change.taken_back:
                 return self._under_way.taken_back(change)

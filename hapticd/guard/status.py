@@ -161,7 +161,7 @@ class Guard:
             self._looked_at = None
         self.terms = self._keeper.follow(self.terms, self._tended_ns)
 
-    def choose_level(self, auto: bool) -> None:
+    def set_auto(self, auto: bool) -> None:
         """Whether the level of active damping is the guard's to choose from now on."""
         self.terms = self.terms._replace(auto=auto)
 

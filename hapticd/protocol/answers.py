@@ -2,11 +2,10 @@
 
 `schemas.json_schema` derives the JSON schema of replies from these classes, and the clients read
 replies with `answer_of`. It leaves out fields that this release does not know, so a client works
-with a newer daemon; a field that an older daemon does not send has its default. Units are in the
-names of numbers. `None` stands for what is not known.
+with a newer daemon. A field with a default may be missing. Units are in the names of numbers.
+`None` stands for what is not known.
 
-What would break it: a field that the gateway sends and that is not here (a test compares both);
-a daemon that leaves out a parameter of `Hello.servo` that has no default.
+What would break it: a field that the gateway sends and that is not here (a test compares both).
 """
 
 from collections.abc import Callable, Mapping
@@ -15,11 +14,12 @@ from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
+from hapticd.core.errors import CommandError
 from hapticd.core.params import ServoParams
 from hapticd.protocol.explanation import Entry
 
 __all__ = [
-    "LEFT",
+    "LEAST_IDLE_SHARE",
     "Compensation",
     "Delays",
     "Delivered",
@@ -49,10 +49,17 @@ A = TypeVar("A")
 
 
 def answer_of(kind: type[A], plain: Mapping[str, Any]) -> A:
-    """The answer in the map `plain` of a reply, without fields that `kind` does not have."""
+    """The answer in the map `plain` of a reply, without fields that `kind` does not have.
+
+    CommandError: a field without a default is missing.
+    """
     hints = _hints(kind)
     known = {name: _made(hints[name], value) for name, value in plain.items() if name in hints}
-    return kind(**known)
+    try:
+        return kind(**known)
+    except TypeError as error:  # a field without a default is not there
+        text = f"{error}; the daemon has another version: restart it"
+        raise CommandError("malformed", text) from error
 
 
 _hints: Callable[[Any], dict[str, Any]] = lru_cache(maxsize=None)(get_type_hints)
@@ -329,7 +336,7 @@ class LateTicks:
     latest_us: float = 0.0  #: after its deadline the latest of them ended
 
 
-LEFT = 0.25  # of a period, that a tick has to leave
+LEAST_IDLE_SHARE = 0.25  # of a period, that a tick has to leave
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,7 +353,7 @@ class Room:
     @property
     def short(self) -> bool:
         """Whether less than a quarter of the period is left."""
-        return self.tick_us > (1.0 - LEFT) * self.period_us
+        return self.tick_us > (1.0 - LEAST_IDLE_SHARE) * self.period_us
 
     @property
     def text(self) -> str:
@@ -354,7 +361,7 @@ class Room:
         share = 100.0 * self.tick_us / self.period_us
         return (
             f"a tick takes {self.tick_us:.0f} us of its {self.period_us:.0f} us ({share:.0f} %, at"
-            f" most {100.0 * (1.0 - LEFT):.0f} % is safe): ticks will be late; set"
+            f" most {100.0 * (1.0 - LEAST_IDLE_SHARE):.0f} % is safe): ticks will be late; set"
             f" realtime.rate_hz to {self.highest_rate_hz:g} or less, or see `hapticd doctor`"
         )
 

@@ -101,8 +101,8 @@ class BoardConnection:
             self.check = self.check.barred(STARTED_ANEW)
 
     def look_again(self, out_flags: int, period_ns: int) -> bool:
-        """Look at the board, unless force acts: each request may take 100 ms. What fails is tried
-        again. Whether it took longer than a tick; `out_flags` are those of the last one.
+        """Check the board again unless force acts, because each request may take 100 ms. Returns
+        whether it took longer than a tick; `out_flags` are those of the last one.
         """
         began_ns = self._clock.now_ns()
         if out_flags & (ENABLE | WITHHELD) or not self.linked or began_ns < self._look_ns:

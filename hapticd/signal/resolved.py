@@ -26,19 +26,14 @@ width. The fit is therefore made once more over half of the width, where the err
 the ends of a parabola and less between them. What the two differ by, times `BIAS`, is part of the
 interval.
 
-What would break it: noise in the velocity, which shrinks |Z| as with "spa", and a drift of it, at
-the lowest frequencies; features of Z itself that are narrower than half of the width by far.
-
-Lines that the perturbation does not explain, below those that the window can show.
-
-A window of M samples shows a line by what is beside it, and beside its first twelve frequencies, 2
-to 11.7 Hz for the paper's, there is not enough. A limit cycle or a hum there is told from a
+Lines at low frequencies. A window of M samples shows a line by what is beside it, and beside its
+first twelve frequencies, 2 to 11.7 Hz for the paper's, there is not enough. A limit cycle or a hum there is told from a
 resonance by the whole record, which resolves 1/(N T): with its transforms F of the force and V of
 the velocity
 
     f F(f) = Q(f) V(f) + J(f) + E(f),     Q = f Z
 
-as in `resolved`, Q and J here polynomials over all of these frequencies: of mass, damper and spring
+as above; here Q and J are polynomials over all of these frequencies: of mass, damper and spring
 Q is one of second order, however sharply the velocity rises in their resonance. E is what the
 perturbation does not explain, and E / Q that as velocity: nothing in a resonance, a narrow line in
 a limit cycle, broad where friction or noise is.
@@ -53,8 +48,10 @@ A line is named where it carries a fiftieth of the velocity's power and E stands
 beside it, at one of three widths: 4 frequencies of the record, 16 and 64, or two thirds of a hertz.
 Friction, noise and counts never came near either (tests).
 
-What would break it: a resonance of a light part below 12 Hz that a polynomial does not follow; a
-limit cycle that wanders over more than a hertz.
+Limitations: noise in the velocity, which shrinks |Z| as with "spa"; a drift of it, at the lowest
+frequencies; features of Z itself that are narrower than half of the width by far; a resonance of a
+light part below 12 Hz that a polynomial does not follow; a limit cycle that wanders over more than
+a hertz.
 """
 
 from dataclasses import dataclass, field, replace

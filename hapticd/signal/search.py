@@ -32,14 +32,9 @@ known beforehand (`ModelPrior`); how much of it a trial needs is not. Trials tel
 open, as in a bisection; where chance decides, many trials there settle where one half of them
 escape.
 
-What would break it: a first trial that is not passive, a set that rays from its middle meet twice,
-or a headroom that orders environments wrongly, for then one number cannot tell them apart.
-
-What a model says of any environment before a trial, for the directed search: Re Z, and headroom
-against escape.
-
-Re Z is that of the recorded channels, with friction linearised at each point, on the frequencies
-that trials are kept at.
+The model's prior says two things of any environment before a trial: Re Z, and headroom against
+escape. Re Z is that of the recorded channels, with friction linearised at each point, on the
+frequencies that trials are kept at.
 
 Headroom: friction of b N s/m (linearised) keeps the loop calm; below b_c the sampled loop is
 unstable by its spectral radius. Motion s times larger makes friction s times weaker, so the loop
@@ -49,10 +44,13 @@ escapes in bursts of b / b_c times the usual motion:
 
 0 where bursts of three times the usual escape, as `linearise` assumes; above, larger ones are
 needed; a loop that is stable without friction has b_c <= 0, and is not followed below -0.4 of the
-friction at rest. Which headroom 90 s of trial need is not known from theory (`search` learns it).
+friction at rest. Which headroom 90 s of trial need is not known from theory (the trials teach it).
 
 Re Z and b are computed for each point; b_c, smooth in K, B and M, is interpolated on a grid of the
-box. Where several bodies rub, their friction is scaled together. What would break it: a device that
+box. Where several bodies rub, their friction is scaled together.
+
+Limitations: a first trial that is not passive; a set that rays from its middle meet twice; a
+headroom that orders environments wrongly, for then one number cannot tell them apart; a device that
 escapes otherwise, as by its quantiser.
 """
 

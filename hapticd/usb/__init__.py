@@ -6,7 +6,7 @@ Bytes in, values out:
                PROTOCOL_HASH
     codec      encode_*, decode_*, with the CRC; out_packer and in_parser for the servo's buffers;
                ends of a count (I16_LOWEST ...), places in a head (HEAD_SEQ ...)
-    session    greet, SequenceCounter, unwrap: who the board is, which frame comes next, numbers
+    session    greet, lost_between, unwrap: who the board is, how many frames were lost, numbers
                that wrap
 
 These three do no I/O, read no clock and need the standard library alone. The rest moves bytes:

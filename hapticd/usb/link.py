@@ -298,10 +298,13 @@ def _not_open(*_: Any) -> int:
 def _in_turn(device: Any, number: int, out: End, into: End) -> tuple[Transfer, Transfer]:
     """`read` and `write` of the claimed interface, one transfer after the other.
 
-    pyusb's own look for interface, endpoint and handle in every transfer, under a lock: a third of
-    what a tick executes before its OUT. The handle is the one private name that they need.
+    pyusb looks up interface, endpoint and handle under a lock in every transfer. That is a third of
+    the instructions before the OUT. A pyusb without this private name keeps to its slower way.
     """
-    backend, handle = device.backend, device._ctx.handle
+    backend = device.backend
+    handle = getattr(getattr(device, "_ctx", None), "handle", None)
+    if handle is None:
+        return device.read, device.write
     reading = backend.intr_read if into.interrupt else backend.bulk_read
     writing = backend.intr_write if out.interrupt else backend.bulk_write
 

@@ -16,12 +16,8 @@ names. JSON knows no nan and no infinity: both become null, and null is read as 
 Results become objects that JSON can carry (`plain`): arrays become lists, complex numbers pairs,
 what is not finite null.
 
-What would break it: two processes that append to one store at the same time; their lines may then
+Limitations: two processes that append to one store at the same time; their lines may then
 interleave, and such lines are not read.
-
-Why a trial ended before its time: an enumerated reason, and beside it a sentence for people.
-
-The reason and the code of the fault decide what follows: the verdict, another trial, an exit code.
 """
 
 import hashlib
@@ -59,7 +55,9 @@ __all__ = [
 
 
 class EndReason(StrEnum):
-    """What ended a trial. The values are those of run.json."""
+    """What ended a trial before its time; the values are those of run.json. The reason and the code
+    of the fault decide what follows: the verdict, another trial, an exit code.
+    """
 
     ESCAPE = "escape"
     SATURATION = "saturation"
@@ -95,7 +93,7 @@ class TrialEnd:
 
 
 def end_of_plain(plain: Mapping[str, Any] | None) -> TrialEnd | None:
-    """The end that `store.to_json` wrote. ValueError or KeyError for anything else."""
+    """The end that `to_json` wrote. ValueError or KeyError for anything else."""
     return TrialEnd(EndReason(plain["reason"]), plain["text"], plain["fault"]) if plain else None
 
 

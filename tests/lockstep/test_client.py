@@ -401,6 +401,17 @@ def test_stop_without_gateway_presses_the_page(folder: Path) -> None:
         assert rig.servo.state is State.STOPPED
 
 
+def test_a_closed_client_still_stops_and_asks_nothing(folder: Path) -> None:
+    with GatewayRig(folder) as rig:
+        client = Client()
+        client.close()
+        with pytest.raises(DaemonDown, match="get: this client is closed"):
+            client.get()
+        assert client.stop() == Receipt("pressed")
+        rig.servo.tick()
+        assert rig.servo.state is State.STOPPED
+
+
 def test_servo_down_is_daemon_down(client: Client, rig: GatewayRig) -> None:
     with rig.lock:
         rig.servo_stands = True

@@ -4,6 +4,7 @@ missing.
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -96,7 +97,11 @@ def test_newest_libraries_are_installed_without_pins(environment: Path) -> None:
 
 
 PYTHON_DOUBLE = """#!/bin/bash
-case $2 in *sysconfig*) exit {plain} ;; *ensurepip*) exit {old} ;; esac
+case $2 in
+  *sysconfig*) exit {plain} ;;
+  *ensurepip*) exit {incomplete} ;;
+  *version_info*) exit {old} ;;
+esac
 """
 
 
@@ -108,6 +113,8 @@ case $2 in *sysconfig*) exit {plain} ;; *ensurepip*) exit {old} ;; esac
         ({"a/python3": "old", "b/python3.12": "plain"}, "b/python3.12"),
         ({"a/python3": "optimised", "b/python3": "optimised"}, "a/python3"),
         ({"a/python3": "old"}, ""),
+        ({"a/python3": "incomplete"}, "a/python3"),
+        ({"a/python3": "incomplete", "b c/python3.12": "plain"}, "b c/python3.12"),
     ],
 )
 def test_make_takes_an_optimised_python_before_the_first(
@@ -117,11 +124,16 @@ def test_make_takes_an_optimised_python_before_the_first(
         file = tmp_path / name
         file.parent.mkdir(exist_ok=True)
         file.write_text(
-            PYTHON_DOUBLE.format(plain=int(kind != "optimised"), old=int(kind == "old"))
+            PYTHON_DOUBLE.format(
+                plain=int(kind != "optimised"),
+                incomplete=int(kind == "incomplete"),
+                old=int(kind == "old"),
+            )
         )
         file.chmod(0o755)
-    path = os.pathsep.join(str(tmp_path / folder) for folder in ("a", "b"))
+    path = os.pathsep.join(str(tmp_path / folder) for folder in ("a", "b", "b c"))
     command = ["/bin/bash", str(ROOT / ".ci" / "python")]
+    (tmp_path / "a" / "timeout").symlink_to(str(shutil.which("timeout")))
     done = subprocess.run(command, env={"PATH": path}, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == (str(tmp_path / best) if best else "")
 

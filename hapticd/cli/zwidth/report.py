@@ -1,6 +1,4 @@
-"""What becomes of kept results: every figure of a device or of a run, displays beside each other,
-and Z(f) as a file of another tool.
-"""
+"""Figures, comparison and export of kept results."""
 
 import json
 from dataclasses import dataclass
