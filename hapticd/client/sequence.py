@@ -24,7 +24,7 @@ passed, and states of the servo that bar a step. What the servo refuses or cance
 state that somebody else changed, or a daemon that falls silent ends the sequence: SequenceError
 says which steps acted, which did not and why, and in which state the display was left.
 
-The exchange of it (`exchange`) is one of `commands`, which both clients carry out.
+Its requests are an `Exchange` of `commands`, which both clients carry out.
 
 What would break it: two sequences at the same time by clients of one name, since scheduled changes
 are told apart by name and number of their request; take the lease of the environment.

@@ -27,9 +27,9 @@ the ends of a parabola and less between them. What the two differ by, times `BIA
 interval.
 
 Lines at low frequencies. A window of M samples shows a line by what is beside it, and beside its
-first twelve frequencies, 2 to 11.7 Hz for the paper's, there is not enough. A limit cycle or a hum there is told from a
-resonance by the whole record, which resolves 1/(N T): with its transforms F of the force and V of
-the velocity
+first twelve frequencies, 2 to 11.7 Hz for the paper's, there is not enough. A limit cycle or a hum
+there is told from a resonance by the whole record, which resolves 1/(N T): with its transforms F of
+the force and V of the velocity
 
     f F(f) = Q(f) V(f) + J(f) + E(f),     Q = f Z
 

@@ -14,7 +14,7 @@ from support.guard_stub import StubWorker, stage, verdict
 
 from hapticd.client import AsyncClient, Client, SequenceError, Step, StepReceipt, step
 from hapticd.client.requests import accepted
-from hapticd.client.sequence import LEAD_S, MOST_AHEAD, Ask, AtRefusal, Pause, course
+from hapticd.client.sequence import LEAD_S, MOST_AHEAD, Ask, AtRefusal, Pause, exchange
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError
 from hapticd.gateway import server
 from hapticd.mailbox.layout import State
@@ -41,7 +41,7 @@ class Script:
         self.before: Callable[[str, dict[str, Any]], HapticdError | None] = lambda cmd, fields: None
 
     def run(self, *steps: Step, at_refusal: AtRefusal = "disable") -> tuple[StepReceipt, ...]:
-        under_way = course(steps, at_refusal, "script")
+        under_way = exchange(steps, at_refusal, "script")
         answer: Any = None
         while True:
             try:
@@ -237,7 +237,7 @@ def test_states_are_followed_from_step_to_step(script: Script) -> None:
 @pytest.mark.parametrize("lead_s", [0.0, -1.0, 11.0, float("nan")])
 def test_a_lead_that_cannot_be_kept_is_refused(lead_s: float) -> None:
     with pytest.raises(CommandError, match=r"lead_s = .*: outside 0\.\.10 s; leave it out"):
-        next(course([step("enable")], "disable", "script", lead_s))
+        next(exchange([step("enable")], "disable", "script", lead_s))
 
 
 # --- how it ends early ----------------------------------------------------------------------------
