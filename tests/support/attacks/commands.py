@@ -26,7 +26,7 @@ from support.raw_peer import RawPeer
 PER_PASS = 18  # a pass takes 20 pieces, and two of these messages have two
 TICKS = 4  # of the servo, for each pass
 LONGEST_WAIT = 400  # passes for replies that are still due: 1.6 s of virtual time
-LONGEST_REPLY = 45_000  # a status: 32 events of the journal, of 1 kB at most, and what is now
+LONGEST_REPLY = 65_000  # the schema of all requests and answers, in JSON; a status is shorter
 CODES = {
     "malformed",
     "invalid",
