@@ -13,6 +13,7 @@ with (
 ):
     time_s = np.arange(4000) / 4000
     device.perturb_load(0.2 * np.sin(2 * np.pi * 5 * time_s))  # N, one second at 4 kHz
+    device.damping(1.74)  # N s/m: without it the stiffer springs would shake the handle
     device.enable()
     device.perturb_start(loop=True)
     for stiffness in (50, 100, 200, 400):

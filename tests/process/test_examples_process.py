@@ -33,7 +33,9 @@ def python(daemon, folder, name, *words):
 
 def state(daemon):
     with daemon.client() as device:
-        return device.status().state
+        found = device.status()
+    faults = [one.fault for one in found.events if one.fault != "none"]
+    return found.state if found.state != "fault" else f"fault: {faults[-1]}"
 
 
 def test_sweep_example(hapticd_daemon, tmp_path):
