@@ -9,8 +9,9 @@ It renders nothing and may be killed at any time.
     server            the one loop
     zmtp              the protocol of ZeroMQ, as one side of a connection
     peers             connections, and what each may cost
-    addresses         where the gateway listens; the endpoints file; starts the relay
+    addresses         where the gateway listens; the endpoints file
     relay             a process that serves listeners with a key
+    relay_supervisor  starts the relay, and hears whom it refused
     command_server    requests in, replies out
     lease_server      what leases mean at the servo
     waveform          the perturbation waveform on its way to the servo

@@ -1,0 +1,114 @@
+"""The gateway's end of the relay (`relay`): starts it, starts it again, and hears whom it refused.
+
+The listening socket stays here: what connects while there is no relay waits for the next one, and
+the port is the same. The line and the process are those of `worker`, with another program.
+"""
+
+import selectors
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hapticd.guard.worker import Worker
+from hapticd.protocol.keys import server_pair
+
+MODULE = "hapticd.gateway.relay"
+
+
+class RelaySupervisor:
+    """Telemetry of the endpoint `source`, offered by `listener` at `endpoint`, for those with a key
+    that the folder `keys` knows.
+
+    ConfigError: the keys are incomplete, or the server's is readable by others.
+    """
+
+    def __init__(
+        self,
+        source: str,
+        listener: socket.socket,
+        endpoint: str,
+        keys: Path,
+        selector: selectors.BaseSelector,
+    ) -> None:
+        self._listener = listener
+        self._command = [str(keys), source, endpoint]
+        try:
+            server_pair(keys)
+        except BaseException:
+            listener.close()
+            raise
+        self._relay = Worker(self._start, selector, "")
+        self._process: subprocess.Popen[bytes] | None = None
+        self._seen: dict[str, Any] = {"connected": 0, "refused": 0, "unreadable": {}}
+        self._trouble = ""  # of the relay, that was told
+
+    def _start(self, line: socket.socket) -> "subprocess.Popen[bytes]":
+        passed = (line.fileno(), self._listener.fileno())
+        python = [sys.executable, *(["-I"] if sys.flags.isolated else ["-P"]), "-X", "utf8", "-m"]
+        ends = ["--line", str(passed[0]), "--listener", str(passed[1])]
+        self._process = subprocess.Popen(
+            [*python, MODULE, *self._command, *ends],
+            stdin=subprocess.DEVNULL,
+            stdout=2,
+            pass_fds=passed,
+            process_group=0,
+        )
+        return self._process
+
+    def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:
+        """Start the relay if it is due; warnings of whom it refused, of keys that it cannot read,
+        and of its end, as the journal has them.
+        """
+        self._relay.tend(now_ns)
+        for report in self._relay.answers():
+            if "ended" in report:
+                yield from self._ended(report["ended"])
+            else:
+                yield from self._took(report)
+        code = self._process.poll() if self._process and self._relay.state == "down" else None
+        if code is not None and not self._trouble:
+            yield from self._ended(f"the relay ended, exit code {code}")
+
+    def _took(self, report: dict[str, Any]) -> Iterator[dict[str, Any]]:
+        """Warnings of what a relay that serves has said."""
+        self._trouble = ""
+        known = self._seen["unreadable"]
+        self._seen = {name: report[name] for name in self._seen}
+        for name, why in self._seen["unreadable"].items():
+            if known.get(name) != why:
+                yield {"text": f"{name} lets nobody listen: {why}"}
+        for address, why, times in report["news"]:
+            yield {"text": refusal(address, why, times), "address": address, "times": times}
+
+    def _ended(self, why: str) -> Iterator[dict[str, Any]]:
+        """That the relay has ended, once for each reason; it is started again."""
+        if why != self._trouble:
+            self._trouble = why
+            yield {"text": f"no telemetry for other computers: {why}"}
+
+    def summary(self) -> dict[str, Any]:
+        """For `status`: whether the relay is up, why not, its process, connections, refusals so
+        far, files of keys that it cannot read.
+        """
+        pid = self._process.pid if self._process else None
+        state = {"relay": self._relay.state, "trouble": self._trouble, "pid": pid}
+        return state | self._seen
+
+    def close(self) -> None:
+        """End the relay."""
+        self._relay.close()
+        if self._process:
+            self._process.wait()  # it was killed
+        self._listener.close()
+
+
+def refusal(address: str, why: str, times: int) -> str:
+    """What is said of somebody who was not let in."""
+    often = f", {times} times" if times > 1 else ""
+    return (
+        f"telemetry refused to {address or 'somebody'}: {why}{often}; who may listen is made known"
+        " by `hapticd keys client`"
+    )
