@@ -3,7 +3,7 @@
 `GatewayConnection` holds the sockets: a DEALER for requests (`requests`), a PAIR that tells of new
 connections, a SUB per subscription. Requests are given only to a gateway that is connected
 (IMMEDIATE), so one that starts later finds no old commands in its queue; nothing lingers when it is
-closed. `Client` carries out the courses of `commands`, as the client for asyncio does (`aio`);
+closed. `Client` carries out the exchanges of `commands`, as the client for asyncio does (`aio`);
 telemetry is read by `telemetry`.
 
 Every call ends within its time-out, with a reply, a CommandError (the daemon refused: `code` and

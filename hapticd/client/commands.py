@@ -1,11 +1,11 @@
 """The commands of the client that waits and of that for asyncio, each written once.
 
-A command is a exchange: a generator that gives what is due (`Ask` a request, `Pause`) and takes the
-reply, or the error that the request ended with. The clients carry courses out, and what a command
+A command is an `Exchange`: a generator that gives what is due (`Ask` a request, `Pause`) and takes
+the reply, or the error that the request ended with. The clients carry it out, and what a command
 gives, a value or something to await, is the client's: `Commands[Receipt, Hello, ...]` or
 `Commands[Awaitable[Receipt], Awaitable[Hello], ...]`.
 
-What would break it: a exchange that reads a socket or sleeps by itself.
+What would break it: an exchange that reads a socket or sleeps by itself.
 """
 
 import time
@@ -69,7 +69,7 @@ Exchange = Generator[Ask | Pause, Any, T]  # what is due, answers, what it gives
 
 
 def reply_or_raise(answer: Any) -> Any:
-    """The reply that a exchange was given; of a request that was refused the error."""
+    """The reply in `answer`. Raises the error that a request ended with."""
     if isinstance(answer, HapticdError):
         raise answer
     return answer
