@@ -244,7 +244,8 @@ def destabilising_hand(
         * own**2
     )
     # on the rim each image's term lies on its own circle, at the angle of the target on the whole
-    target = -1.0 / (kbm @ lifted.law[:, at]) - reach(lifted, friction_ns_per_m)[0][at]
+    centre, _ = reach(lifted, friction_ns_per_m)
+    target = -1.0 / (kbm @ lifted.law[:, at]) - centre[at]
     reactance = (
         -(own.real + friction_ns_per_m) * np.tan(0.5 * np.angle(target / product)) - own.imag
     )

@@ -52,11 +52,15 @@ class Linear(NamedTuple):
     damping_ns_per_m: float = 0.0
 
 
-def solve(
-    x_free: float, v_free: float, w: Response, linear: Linear, friction_n: float
-) -> tuple[float, bool]:
-    """The force [N] of all contacts for which the laws hold at the end of the sub-step, and whether
-    friction holds the rotor still.
+class Solved(NamedTuple):
+    """The force of all contacts, and whether friction holds the rotor still."""
+
+    force_n: float
+    sticks: bool
+
+
+def solve(x_free: float, v_free: float, w: Response, linear: Linear, friction_n: float) -> Solved:
+    """The force for which the laws hold at the end of the sub-step.
 
     `x_free` [m] and `v_free` [m/s] are reached without it.
     """
@@ -66,9 +70,9 @@ def solve(
     pull = push - stiffness * x_free - damping * v_free
     holding = -(v_free * yielding / wv + pull)
     if -friction_n <= holding <= friction_n:
-        return (pull + holding) / yielding, friction_n > 0.0
+        return Solved((pull + holding) / yielding, friction_n > 0.0)
     friction = friction_n if holding > 0.0 else -friction_n
-    return (pull + friction) / yielding, False
+    return Solved((pull + friction) / yielding, False)
 
 
 class Hand:
@@ -140,11 +144,9 @@ def touched_step(
         acting = [hand.linear(now_s, position_m) for hand in hands if hand.acts(now_s)]
         return Linear(*map(sum, zip(*acting, strict=True))) if acting else Linear()
 
-    def contact(
-        x_free: float, v_free: float, w: Response, linear: Linear, grip: float
-    ) -> tuple[float, bool]:
+    def contact(x_free: float, v_free: float, w: Response, linear: Linear, grip: float) -> Solved:
         found = solve(x_free, v_free, w, linear, grip)
-        end = x_free + w.position_m_per_n * found[0]
+        end = x_free + w.position_m_per_n * found.force_n
         if lower <= end <= upper:
             return found
         edge = lower if end < lower else upper
@@ -154,8 +156,8 @@ def touched_step(
             linear.damping_ns_per_m + damping,
         )
         tried = solve(x_free, v_free, w, stopped, grip)
-        beyond = x_free + w.position_m_per_n * tried[0] - edge
-        speed = v_free + w.velocity_m_per_s_per_n * tried[0]
+        beyond = x_free + w.position_m_per_n * tried.force_n - edge
+        speed = v_free + w.velocity_m_per_s_per_n * tried.force_n
         outwards = -stiffness * beyond - damping * speed
         return tried if (outwards > 0.0) == (edge == lower) else found
 

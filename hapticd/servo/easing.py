@@ -33,8 +33,13 @@ from hapticd.servo.plan import Plan, TickConstants, environment_of
 from hapticd.servo.safety import LATCHED, State
 
 HALVINGS = 40  # of the way of one tick: from the whole range of any value to nothing felt
-# a plan whose parameters went as far as they may, and flags of the record: EASED, PAUSED
-RateLimited = tuple[Plan, int]
+
+
+class RateLimited(NamedTuple):
+    """A plan whose parameters went as far as they may in this tick."""
+
+    plan: Plan
+    flags: int  # of the record: EASED, PAUSED
 
 
 class Step(NamedTuple):
@@ -79,7 +84,7 @@ def eased(
         held = on_the_way(plan, before, last_tick, tick, 0.0) if fading else plan
         return with_flag(plan, held)
     if plan.state is not State.ENABLED or plan.gain.value(tick) < before.gain.value(last_tick):
-        return plan, 0
+        return RateLimited(plan, 0)
     if x is None:
         return with_flag(plan, on_the_way(plan, before, last_tick, tick, 0.0))
     was = settled.environment
@@ -93,7 +98,7 @@ def eased(
 
 def with_flag(plan: Plan, slower: Plan) -> RateLimited:
     """`slower`, which is `plan` itself where nothing was held back."""
-    return slower, 0 if slower is plan else int(Flag.EASED)
+    return RateLimited(slower, 0 if slower is plan else int(Flag.EASED))
 
 
 def stepped(plan: Plan, before: Plan, here: StepContext, params: ServoParams) -> Step:
@@ -129,11 +134,11 @@ def budgeted(
         wall_gains = now[ramp_energy.WALL] > was[ramp_energy.WALL]
         waiting = ramp_energy.paused(plan, before, here.last_tick, here.tick, wall_gains)
         step = stepped(waiting, before, here, params)
-        flags = with_flag(waiting, step.plan)[1] | int(Flag.PAUSED)
+        flags = with_flag(waiting, step.plan).flags | int(Flag.PAUSED)
         energy_j = ramp_energy.added(was, ramp_energy.stored(step.environment, here.x, here.v))
     if not energy_j > 0.0:
-        return step.plan, flags
-    return ramp_energy.booked(step.plan, energy_j, here.tick, rate_hz), flags
+        return RateLimited(step.plan, flags)
+    return RateLimited(ramp_energy.booked(step.plan, energy_j, here.tick, rate_hz), flags)
 
 
 def on_the_way(plan: Plan, before: Plan, last_tick: int, tick: int, share: float) -> Plan:

@@ -187,13 +187,13 @@ class Inbox:
         """Resets that have waited long enough; before a stop all of them, since none may undo a
         later stop.
         """
-        due = [item for item in self._deferred if stopping or item[0] <= tick]
+        due = [(until, request) for until, request in self._deferred if stopping or until <= tick]
         self._deferred = [item for item in self._deferred if item not in due]
         return [request for _, request in due]
 
     def _too_many_lost(self, plan: Plan) -> bool:
-        newest_ns = self._lost[-1][0] if self._lost else 0
-        self._lost = [item for item in self._lost if newest_ns - item[0] < NS_PER_S]
+        newest_ns = max((at_ns for at_ns, _ in self._lost), default=0)
+        self._lost = [(at_ns, slots) for at_ns, slots in self._lost if newest_ns - at_ns < NS_PER_S]
         lost = sum(slots for _, slots in self._lost)
         if plan.state not in GRANTED:
             self._lost.clear()

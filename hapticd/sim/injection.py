@@ -40,6 +40,13 @@ class TransferFault(Exception):
 BOUNCE_NS = (50 * NS_PER_US, 500 * NS_PER_US)  # between two edges of a contact that bounces
 
 
+class Contact(NamedTuple):
+    """An edge of the emergency stop's contact."""
+
+    at_ns: int
+    pressed: bool
+
+
 class Injector:
     """The board of `params` with its injections. Raises ConfigError on an unknown kind."""
 
@@ -60,8 +67,7 @@ class Injector:
         self._stuck_tick = -1  # the newest one at which the encoder was stuck
         self._stuck_encoder = 0
         self._bounce_ns = round(params.emergency_stop_bounce_ms * NS_PER_MS)
-        # what the emergency stop is about to do, in order: (when, pressed)
-        self._contacts: list[tuple[int, bool]] = []
+        self._contacts: list[Contact] = []  # what the emergency stop is about to do, in order
 
     def power_up(self) -> None:
         self.forget()
@@ -128,17 +134,17 @@ class Injector:
         edges = (*self._bouncing(t_ns, True), *self._bouncing(until_ns, False))
         self._contacts = sorted((*self._contacts, *edges))
 
-    def _bouncing(self, t_ns: int, pressed: bool) -> list[tuple[int, bool]]:
+    def _bouncing(self, t_ns: int, pressed: bool) -> list[Contact]:
         """A contact that ends as `pressed`, after it was both in turn for a while."""
         until_ns = t_ns + self._bounce_ns
-        edges: list[tuple[int, bool]] = []
+        edges: list[Contact] = []
         while t_ns < until_ns:
-            edges.append((t_ns, pressed if not len(edges) % 2 else not pressed))
+            edges.append(Contact(t_ns, pressed if not len(edges) % 2 else not pressed))
             t_ns += self.random.randrange(*BOUNCE_NS)
-        return [*edges, (until_ns, pressed)]
+        return [*edges, Contact(until_ns, pressed)]
 
     def _switch(self, t_ns: int) -> None:
-        while self._contacts and self._contacts[0][0] <= t_ns:
+        while self._contacts and self._contacts[0].at_ns <= t_ns:
             self.board.press_stop(*self._contacts.pop(0))
 
     def stuck_at(self, encoder: int) -> int:
