@@ -49,7 +49,7 @@ class PendingChange:
     # --- since it was asked
     number: int = 0  # of the question, 0: not asked
     ready_ns: int = 0  # since when it could be asked, 0: not yet
-    changes: int = 0  # of the policy by then
+    terms_changes: int = 0  # by then
     terms: int = ANY_TERMS  # number of the terms it was judged by
     policy: str = "off"
     revision: int | None = None  # of the environment it was judged for

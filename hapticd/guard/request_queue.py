@@ -386,7 +386,7 @@ class GuardedQueue:
         before = [one.fields for one in booked if change.at_tick and one.tick <= change.at_tick]
         change.answer = None
         change.ready_ns = change.ready_ns or now_ns
-        change.changes = guard.changes
+        change.terms_changes = guard.terms_changes
         change.terms = guard.terms_number
         change.policy = self._policy(change)
         change.ahead = len(before)
@@ -448,7 +448,7 @@ class GuardedQueue:
     def _take_verdict(self, change: PendingChange, answer: dict[str, Any], now_ns: int) -> None:
         """Go by `answer`, or ask again if it is about what is no more."""
         guard = self._guard
-        if change.changes != guard.changes or change.policy != self._policy(change):
+        if change.terms_changes != guard.terms_changes or change.policy != self._policy(change):
             change.ready_ns = 0
             self._queue.appendleft(change)
         elif change.revision != guard.in_force.revision and change.tries < TRIES:
@@ -532,7 +532,7 @@ class GuardedQueue:
         """Post it as asked, or refuse it, as the policy says."""
         guard = self._guard
         change.policy = self._policy(change)
-        change.changes = guard.changes
+        change.terms_changes = guard.terms_changes
         off = change.policy == "off"
         reason = "policy off judges nothing" if off else why or guard.trouble
         change.verdict = guard.unknown(reason, change.policy)

@@ -17,7 +17,7 @@ which policies refuse it).
 """
 
 from collections import deque
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from hapticd.core.environment import Environment
 from hapticd.core.params import STRICT_POLICIES, GuardParams
@@ -25,7 +25,6 @@ from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.guard.delay import LEAST_RECORDS, DelayHistogram
 from hapticd.guard.in_force import EnvironmentInForce
 from hapticd.guard.terms import Terms, TermsKeeper
-from hapticd.guard.worker import Worker
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK
 from hapticd.protocol.explanation import Outcome, Reason, because
 from hapticd.protocol.journal import Journal
@@ -45,13 +44,29 @@ MOST_RECORDS = LEAST_RECORDS + 100  # after which the delay cannot be known
 MOST_HANDS = 8  # that wait to be looked for
 
 
+class WorkerLine(Protocol):
+    """What is used of the line to the worker (`worker.Worker`)."""
+
+    hello: dict[str, Any]
+    trouble: str
+    life: int
+
+    @property
+    def state(self) -> str: ...
+    def tend(self, now_ns: int) -> None: ...
+    def ask(self, request: dict[str, Any]) -> None: ...
+    def answers(self) -> list[dict[str, Any]]: ...
+    def give_up(self, trouble: str) -> None: ...
+    def close(self) -> None: ...
+
+
 class LookKey(NamedTuple):
     """What a look at the environment in force is about."""
 
     life: int  # of the servo
     revision: int  # of the environment
     delay_periods: float | None  # as measured by then
-    changes: int  # of the terms
+    terms_changes: int
 
 
 class Guard:
@@ -62,7 +77,7 @@ class Guard:
         view: ServoView,
         journal: Journal,
         params: GuardParams,
-        worker: Worker | None = None,
+        worker: WorkerLine | None = None,
     ) -> None:
         self._view = view
         self.in_force = EnvironmentInForce(view)
@@ -73,7 +88,7 @@ class Guard:
         # what it goes by while nobody measures
         self.terms = Terms(params.policy, params.basis, params.margin_ns_per_m)
         self._keeper = TermsKeeper(view, journal, self.terms)
-        self.changes = 0  # of policy, basis or margin
+        self.terms_changes = 0  # of policy, basis or margin
         self._tended_ns = 0
         self._terms_base = ANY_TERMS  # number of the first terms; no other gateway has it
         self.delay = DelayHistogram(view.params.realtime.rate_hz)
@@ -132,7 +147,7 @@ class Guard:
         """
         if not (self.must and self._terms_base):
             return ANY_TERMS
-        return self._terms_base + self.changes & REVISION_MASK
+        return self._terms_base + self.terms_changes & REVISION_MASK
 
     @property
     def worker(self) -> str:
@@ -155,7 +170,7 @@ class Guard:
         before = self.terms
         self.terms = before._replace(**given)
         if self.terms != before:
-            self.changes += 1
+            self.terms_changes += 1
         if given.keys() & {"basis", "margin_ns_per_m"}:
             self._looked = {}
             self._looked_at = None
@@ -349,10 +364,12 @@ class Guard:
 
     def _about(self) -> LookKey:
         """What a look would now be about."""
-        return LookKey(self._view.life, self.in_force.revision, self.delay.periods, self.changes)
+        return LookKey(
+            self._view.life, self.in_force.revision, self.delay.periods, self.terms_changes
+        )
 
     def _take_look(self, answer: dict[str, Any], about: LookKey) -> None:
-        if about.changes != self.changes:
+        if about.terms_changes != self.terms_changes:
             return  # it was looked at by other terms
         before = self._looked.get("verdict", {}).get("safe")
         last = self._looked_at

@@ -21,7 +21,7 @@ import time
 from collections.abc import AsyncGenerator, Generator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import msgpack
 
@@ -57,7 +57,6 @@ if TYPE_CHECKING:
 
     from hapticd.client.aio import AsyncClient
     from hapticd.core.params import AtEnd, Leased
-    from hapticd.guard.worker import Worker
 
 __all__ = ["VirtualBoard", "virtual_board"]
 
@@ -67,9 +66,7 @@ HAND = HandParams("hold", stiffness_n_per_m=500.0, damping_ns_per_m=3.0, tremor_
 
 
 class _Judging:
-    """All that the guard asks of its `Worker`, in this process: it answers before it is looked
-    for.
-    """
+    """The guard's worker in this process: it answers before it is looked for."""
 
     state = "up"
     trouble = ""
@@ -129,7 +126,7 @@ class VirtualBoard(LockStepClient):
         super().__init__(setup.servo, board)
         self._journal = Journal(time.time_ns)
         self._view = ServoView(self._folder, setup.servo, time.time_ns)
-        judged = Guard(self._view, self._journal, setup.guard, cast("Worker", _Judging(guard)))
+        judged = Guard(self._view, self._journal, setup.guard, _Judging(guard))
         self._commands = CommandServer(
             self._view, self._journal, self._inquire, judged, setup.lease
         )
