@@ -17,10 +17,8 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, NoReturn
 
-from rich import progress
-from rich.console import Console
-
 from examples.weir2008 import future_page, future_work, page, run, table
+from hapticd.cli.terminal import progress, talk
 from hapticd.core.errors import ConfigError, HapticdError
 from hapticd.core.extras import need
 from hapticd.recording.provenance import provenance
@@ -159,11 +157,6 @@ def folder(out: Path | None) -> Path:
 # --- what is printed ------------------------------------------------------------------------------
 
 
-def talk(text: str) -> None:
-    """A line for a person who watches."""
-    print(text, file=sys.stderr, flush=True)
-
-
 def tell_error(code: str, message: str) -> None:
     """An error as an object on stdout, as every verb of `hapticd` writes it."""
     error = {"code": code, "message": message, "detail": None}
@@ -172,26 +165,13 @@ def tell_error(code: str, message: str) -> None:
 
 @contextmanager
 def watched() -> Iterator[Progress]:
-    """A bar; where stderr is no terminal, a line every ten seconds, so that no log is silent for
+    """The bar; where stderr is no terminal, a line every ten seconds, so that no log is silent for
     minutes.
     """
-    console = Console(stderr=True)
-    if not console.is_terminal:
+    if not sys.stderr.isatty():
         yield lines()
         return
-    columns = (
-        progress.BarColumn(30),
-        progress.MofNCompleteColumn(),
-        progress.TimeElapsedColumn(),
-        progress.TimeRemainingColumn(),
-        progress.TextColumn("{task.description}"),
-    )
-    with progress.Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("", total=None)
-
-        def tell(what: str, done: int, total: int) -> None:
-            bar.update(task, description=what, completed=done, total=total or None)
-
+    with progress() as tell:
         yield tell
 
 

@@ -33,6 +33,7 @@ with deferred_imports():
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+__all__ = ["progress", "talk"]
 
 Verb = Callable[..., None]
 
