@@ -3,7 +3,7 @@
 A process dies with its parent, and stops on SIGINT and SIGTERM alike. systemd is told by one
 datagram to the socket that it names; without systemd nothing happens.
 
-What would break it: a second thread that handles signals (Python runs handlers in the main thread).
+Limitations: a second thread that handles signals (Python runs handlers in the main thread).
 """
 
 import ctypes

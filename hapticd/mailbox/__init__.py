@@ -23,8 +23,8 @@ Which mailbox for which need: every value, in order, once -> command and answer 
 lossy but counted -> telemetry; the latest value -> a word. A writer never waits: a full ring
 answers busy, an unread record is overwritten.
 
-What would break it: a store of the head that overtakes the data it announces (see
-`files.word_access`), a reader that trusts what it maps (readers check magic, layout hash and epoch;
-the servo checks sequence, CRC and range of every command), two servos in one folder (`files.claim`
-refuses), two writers of one ring (there is one gateway, its claim is checked the same way).
+Limitations: a store of the head that overtakes the data it announces (see `files.word_access`), a
+reader that trusts what it maps (readers check magic, layout hash and epoch; the servo checks
+sequence, CRC and range of every command), two servos in one folder (`files.claim` refuses), two
+writers of one ring (there is one gateway, its claim is checked the same way).
 """

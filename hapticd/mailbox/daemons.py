@@ -12,7 +12,7 @@ stands there may be a stranger's trap: it is refused by name, and nothing in it 
 Alive is who holds the stop word, or listens at the gateway's socket. Files alone mean nothing: a
 daemon that was killed leaves them all behind.
 
-What would break it: a large import at the top or a wait in here (`hapticd stop` begins so).
+Limitations: a large import at the top or a wait in here (`hapticd stop` begins so).
 """
 
 import os

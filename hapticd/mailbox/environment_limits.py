@@ -4,7 +4,7 @@ An end is ROOM times what the device renders passively there, on that axis alone
 active damping, where a model says so; else the stated number. Neither goes beyond VALUE_LIMITS,
 which the schema, the mailbox and the servo check by themselves.
 
-What would break it: a unit that is wrong by less than ROOM.
+Limitations: a unit that is wrong by less than ROOM.
 """
 
 from collections.abc import Mapping, Sequence

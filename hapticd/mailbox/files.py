@@ -9,8 +9,8 @@ ACQUIRE)`. A Python lock or a bare `dmb`-less store would not do: neither is doc
 barrier. Records carry their number first and last and commands carry a CRC, so a mistake here is
 detected, not believed.
 
-What would break it: a runtime folder on a network file system (locks, shared maps), or a large
-import at the top (`hapticd stop` and every command begin here).
+Limitations: a runtime folder on a network file system (locks, shared maps), or a large import at
+the top (`hapticd stop` and every command begin here).
 """
 
 import fcntl

@@ -26,8 +26,8 @@ The file is made under another name and locked before it gets its own, so that n
 whose owner does not hold it yet: the lock tells who presses that someone is there. Who has opened
 the word just before it was renamed over presses once more (`press_stop`).
 
-What would break it: a runtime folder on a file system where `pread` waits for a writer (XFS does,
-tmpfs and ext4 do not), or a group that may write the folder.
+Limitations: a runtime folder on a file system where `pread` waits for a writer (XFS does, tmpfs and
+ext4 do not), or a group that may write the folder.
 """
 
 import fcntl

@@ -33,9 +33,9 @@ this.
 Friction, as a damper on the rotor, adds to r and to nothing else; it counts only for motions as
 small as those at which it was linearised.
 
-What would break it: an environment that is unstable with no hand at all (`loop.spectral_radius`); a
-hand that holds the device elsewhere than at the probe, where another impedance is met; or a node
-that only dampers hold, which stays where it is pushed to, an eigenvalue 1 that is no oscillation.
+Limitations: an environment that is unstable with no hand at all (`loop.spectral_radius`); a hand
+that holds the device elsewhere than at the probe, where another impedance is met; or a node that
+only dampers hold, which stays where it is pushed to, an eigenvalue 1 that is no oscillation.
 """
 
 from dataclasses import dataclass, fields, replace

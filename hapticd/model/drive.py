@@ -24,7 +24,7 @@ impact at 50 m/s, where the back-EMF is five times the supply, one step of 250 u
 
 The controller of a real amplifier winds up while it is at a limit; here nothing does.
 
-What would break it: a step so long that F at its end hardly depends on e any more (refused by
+Limitations: a step so long that F at its end hardly depends on e any more (refused by
 `discrete.drive_response_s`), a rotor so light that D h / m is not small, or an amplifier without a
 lag (refused by `compose`). Standard library alone: the simulated board runs by it.
 """

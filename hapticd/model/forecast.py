@@ -10,9 +10,8 @@ The theorem is about all inputs and large motions, the prediction about what a t
 amplitude shows: between them they differ where friction carries a display, or images do not show in
 noise.
 
-What would break it: K < 0. It is active below every band that is looked at, so Re Z >= 0 says
-nothing, and the loop may be unstable with Re Z > 0 all over the band; it is refused whatever the
-numbers are.
+Limitations: K < 0. It is active below every band that is looked at, so Re Z >= 0 says nothing, and
+the loop may be unstable with Re Z > 0 all over the band; it is refused whatever the numbers are.
 """
 
 from dataclasses import dataclass

@@ -16,9 +16,9 @@ position back, and nothing else: what the others saw of that way is of the fifth
 The error is that of holding f over the sub-step in which the sign changes: first order in the
 sub-step's length.
 
-What would break it: W of a velocity over a time long against the fastest mode (then W may lose its
-positive diagonal), or a viscous stand-in tanh(v / eps), which creeps. Functions take and return
-floats; the batch engine compiles the same.
+Limitations: W of a velocity over a time long against the fastest mode (then W may lose its positive
+diagonal), or a viscous stand-in tanh(v / eps), which creeps. Functions take and return floats; the
+batch engine compiles the same.
 """
 
 

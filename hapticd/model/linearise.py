@@ -15,8 +15,8 @@ A loop that is active without friction has a second solution: moving so fast tha
 holds it, it runs away. The calm one counts only where bursts of up to three times its motion would
 die out; a 90 s trial brings such bursts.
 
-What would break it: a perturbation that hardly gets the device moving, when the velocity is far
-from Gaussian.
+Limitations: a perturbation that hardly gets the device moving, when the velocity is far from
+Gaussian.
 """
 
 from dataclasses import dataclass

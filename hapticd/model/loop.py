@@ -25,9 +25,9 @@ affine in (K, B, M): the law is one row that is added through one column. Below 
 everything dies out. With K = 0 nothing holds the device in place; translation of everything
 together is an eigenvector with eigenvalue 1 and is left out, once.
 
-What would break it: a quantiser or a limit that binds, or for the harmonic a device that is not
-stable by itself. Growth over a 90 s record is no substitute for the radius: at K = 2,000 N/m one of
-1.00002 takes half a minute to show.
+Limitations: a quantiser or a limit that binds, or for the harmonic a device that is not stable by
+itself. Growth over a 90 s record is no substitute for the radius: at K = 2,000 N/m one of 1.00002
+takes half a minute to show.
 """
 
 from dataclasses import dataclass

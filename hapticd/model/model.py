@@ -22,8 +22,7 @@ Columns of u, by name in `InputColumns` (absent ones are None):
 
 Everything that is not linear stands beside it, present or None: for None no instruction is spent.
 
-What would break it: changing an array (they are read-only), or a level from before the DAC's
-quantisation.
+Limitations: changing an array (they are read-only), or a level from before the DAC's quantisation.
 """
 
 from dataclasses import dataclass, replace

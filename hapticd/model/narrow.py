@@ -16,9 +16,8 @@ the aliases of its free modes (poles of G), both moved by the law. Steps of 6 % 
    least so far, Z is computed, of that environment alone, and the dip followed. Only computed
    values count.
 
-What would break it: two modes within one step that are narrower than it, or a law that moves a mode
-by many of its widths without damping it, away from the lines, so that it hardly shows on any of
-them.
+Limitations: two modes within one step that are narrower than it, or a law that moves a mode by many
+of its widths without damping it, away from the lines, so that it hardly shows on any of them.
 """
 
 from collections.abc import Callable

@@ -12,8 +12,8 @@ g dR / K^2 = -1, an inductance error, or more damping than its bandwidth allows 
 
 `explain` lists states, modes, nonlinearities, and why each effect is there.
 
-What would break it: a position that is no state named ..._position (its translation would not be
-divided out).
+Limitations: a position that is no state named ..._position (its translation would not be divided
+out).
 """
 
 from collections.abc import Callable, Iterable

@@ -7,8 +7,8 @@ between nodes, while the servo slews, maps are interpolated linearly. With `GRID
 the error of an interpolated sub-step is below 1e-6 of the velocity. A winding that heats up adds a
 second axis, its residual resistance.
 
-What would break it: a highest level far above 10 Ns/m with the same grid, or a winding that gets
-hotter than `HOTTEST_C` (the outermost maps are extended linearly).
+Limitations: a highest level far above 10 Ns/m with the same grid, or a winding that gets hotter
+than `HOTTEST_C` (the outermost maps are extended linearly).
 """
 
 from collections.abc import Iterable

@@ -21,8 +21,8 @@ was given. Steady motion under a passive environment (Colgate and Schenkel 1997,
 physical damping) takes more than it gets at every frequency: only what comes and goes within a
 swing is left in E. A limit cycle grows out of any bound.
 
-What would break it: forces that stand beside the law and store energy (they count as work), a
-clamp that is not told.
+Limitations: forces that stand beside the law and store energy (they count as work), a clamp that is
+not told.
 """
 
 from typing import Final

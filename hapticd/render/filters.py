@@ -6,8 +6,8 @@ velocity and 72 Hz for acceleration and neither damping ratio nor mapping, so bo
 filter is five numbers (b0, b1, b2, a1, a2) of y = b0 u + z1; z1' = b1 u - a1 y + z2; z2' = b2 u -
 a2 y (transposed direct form II), gain 1 at DC.
 
-What would break it: a corner at or above half the rate (refused), coefficients swapped while their
-output is felt (a force that jumps now or swells for seconds), a rate other than the tick's.
+Limitations: a corner at or above half the rate (refused), coefficients swapped while their output
+is felt (a force that jumps now or swells for seconds), a rate other than the tick's.
 """
 
 import math

@@ -12,9 +12,9 @@ designed outside, both filters always running (so that B and M may be switched o
 helpers called only in the rare case. The rate is folded into the filter coefficients: they act on
 differences. Positive force pushes to positive x.
 
-What would break it: fastmath or contraction in a compiler (bits differ from CPython), a limit that
-is asked whether the force lies outside it (the code asks whether it does not lie inside, which is
-also true of NaN, and `clamp` then makes that 0), coefficients for another rate.
+Limitations: fastmath or contraction in a compiler (bits differ from CPython), a limit that is asked
+whether the force lies outside it (the code asks whether it does not lie inside, which is also true
+of NaN, and `clamp` then makes that 0), coefficients for another rate.
 """
 
 from typing import Final

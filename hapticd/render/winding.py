@@ -24,8 +24,8 @@ of the current it is taken to be 0: both ends cool down, and too little is compe
 sensor says, the loop gain against the coldest possible winding stays above -0.3 at the highest
 damping of the device.
 
-What would break it: a current that reads too high without a sensor, a winding below the coldest
-ambient of the device file, a second time constant (a housing that warms up) outside `model_error`.
+Limitations: a current that reads too high without a sensor, a winding below the coldest ambient of
+the device file, a second time constant (a housing that warms up) outside `model_error`.
 """
 
 from math import expm1, inf, isfinite

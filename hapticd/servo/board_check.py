@@ -1,14 +1,16 @@
-"""What is found out about a board before it may make force, once at every connection; and who it
-says to be, again whenever its firmware has started anew, for it may have been flashed.
+"""Checks of a board before it may make force.
 
-Two things bar force for as long as this board is connected, and both are said by name: the hello
-contradicts the device file (`usb.agreement`), and the bus is too slow for the rate of the servo
-(`usb.transport`). They travel as host flags with every sample, so that a replay sees them too. The
-daemon runs all the same: what was found has to be read somewhere. A look that fails, or that has
-not been taken yet, bars force too: it counts as none, and is taken again.
+All checks run once at every connection. The board's identity is read again whenever its firmware
+has restarted, because the board may have been flashed.
 
-What would break it: calling it between two ticks of a servo that renders (it exchanges frames, and
-a request may take 100 ms).
+Two results bar force as long as this board is connected, and each is reported by name: the hello
+contradicts the device file (`usb.agreement`), or the bus is too slow for the rate of the servo
+(`usb.transport`). Every sample carries them as host flags, so a replay has them too. The daemon
+keeps running, so that you can read the results. A check that fails, or that has not run yet, bars
+force as well, and is repeated.
+
+Limitations: no call between two ticks of a servo that renders (a check exchanges frames, and a
+request may take 100 ms).
 """
 
 from typing import Any, Final, NamedTuple

@@ -1,8 +1,8 @@
-"""What is wrong with a sample: the number of a fault (`core.faults`), 0 for none.
+"""The fault of a sample, as its number (`core.faults`), 0 for none.
 
-Three questions are asked, each with more causes than the one before it: what is wrong in any state
-(`present`), what is wrong while there is force (`under_force`), and what keeps from enabling
-(`against_force`). `newly_lost` is the fault that a sample brings to a plan.
+Three methods check causes, each with more of them than the one before: `present` in any state,
+`under_force` while there is force, and `against_force` before enabling. `newly_lost` is the fault
+that a sample adds to a plan.
 """
 
 from hapticd.core.faults import BY_CODE

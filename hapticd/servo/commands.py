@@ -1,13 +1,15 @@
-"""One command on one plan: the next plan and the answer. Every accepted change gets its own
-receipt, and a refused one changes nothing.
+"""One command on one plan: the next plan and the answer.
 
-`safety` says which state a command leads to; here is what else bars the way (a board, an origin, a
-cause that persists, another's stop), and what comes along with a state: the ramps of gain and
-force, the damping, what ends, and whether the origin is still believed. What a stop fades is what
-acts by authority in its tick, once: no order or repetition of commands makes force.
+Every accepted change gets its own receipt, and a refused one changes nothing.
 
-What would break it: a state that is entered past `enter`, or an answer that is given before the
-plan is what it says.
+`safety` defines the state that a command leads to. This module checks the other conditions (a
+board, an origin, a cause that persists, another client's stop). It also sets everything that
+depends on the state: the ramps of gain and force, the damping circuit, activities that end, and
+whether the origin is still valid. A stop ramps down the force that acts with authority in its tick,
+once: no order or repetition of commands makes force.
+
+Limitations: a state may be entered through `enter` only, and an answer may be given only when the
+plan is as it reports.
 """
 
 from collections.abc import Iterable, Sequence

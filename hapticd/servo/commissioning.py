@@ -1,22 +1,22 @@
-"""What is watched while the signs of a device are not verified: every push, from its first force.
+"""The monitor of a device whose signs are not verified: every push, from its first force.
 
-With a wrong sign of force or position each spring drives what it should hold, and nothing that the
-law computes tells it. So until somebody has seen which way a push goes (`hapticd rig motor`), the
-force is a tenth of the device's (`ServoParams.force_limit_n`), K, B and M have a box
-(`mailbox.layout.COMMISSIONING_LIMITS`), homing is refused, and a push ends with the fault
-`commissioning` when
+With a wrong sign of force or position, each spring drives the handle instead of holding it, and no
+value of the law shows this. Until a person has verified the direction of a push (`hapticd rig
+motor`), the force is limited to a tenth of the device's (`ServoParams.force_limit_n`), K, B and M
+have a box (`mailbox.layout.COMMISSIONING_LIMITS`), and homing is refused. A push ends with the
+fault `commissioning` when
 
     the handle is TRAVEL_M from where force began,
     force has acted for FORCE_S since the servo was enabled, or
     the handle has done more work against the force than its largest so far does in AGAINST_M:
     the motion goes the wrong way, or a hand works against it.
 
-The work against the force is counted from where it was least, so what was done with the force
-before does not pay for it. A hand that presses a spring or moves through a damper looks just like
-a wrong sign, and ends the force within a millimetre too: commissioning is for pushes. Positions are
-those that the law believed, at most a tick old.
+The work against the force is counted from its minimum, so earlier work with the force does not
+offset it. A hand that presses a spring or moves through a damper looks just like a wrong sign, and
+ends the force within a millimetre too: commissioning is for pushes. Positions are those that the
+law used, at most a tick old.
 
-What would break it: a change of the origin under force (only `zero` does that, and it is refused).
+Limitations: a change of the origin under force (only `zero` does that, and it is refused).
 """
 
 from typing import Final, NamedTuple

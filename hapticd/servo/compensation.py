@@ -1,18 +1,19 @@
-"""When the servo looks at the winding's temperature, and what it then sends to the board's
-resistance DAC. The physics is `render.winding`.
+"""Temperature of the winding in the servo, and the trim for the board's resistance DAC. The physics
+is in `render.winding`.
 
-About every tenth of a second the slow path of a tick looks at the sensor and at the square of the
-motor's current at that moment, moves the model on, and moves the trim towards its target, by no
-more than the device file's slew. The looks come at uneven intervals (half to three halves of that
-time, by a fixed rule of the tick), so a current that oscillates is met at every phase and its mean
-square is seen: the winding is a hundred looks slow.
+About every tenth of a second the slow path reads the sensor and the square of the motor's current.
+It advances the model and moves the trim towards its target, by no more than the device file's slew.
+The intervals are uneven (half to three halves of that time, by a fixed rule of the tick). An
+oscillating current is therefore sampled at every phase, which gives its mean square: the time
+constant of the winding is a hundred intervals.
 
-The trim is 0 where the board has no such DAC, follows its winding by itself, is away, or has just
-begun a new life; from there it rises along the slew. While frames are lost it stays where it is.
-States and faults of the servo make no difference: damping acts in all of them, and is as strong
-as the circuit's idea of the winding makes it.
+The trim is 0 where the board has no such DAC, compensates its winding by itself, is absent, or has
+just restarted. From there it rises along the slew. While frames are lost it keeps its value. States
+and faults of the servo make no difference: damping by the circuit acts in all of them, and its
+strength depends on the resistance that the circuit assumes.
 
-What would break it: a look that every tick pays for, a clock in place of the slots.
+Limitations: the readings must not cost time in every tick, and their interval counts slots, not a
+clock.
 """
 
 from typing import Final

@@ -1,13 +1,11 @@
-"""The connection to the board: lost, looked for and found again; and the look at a board that has
-started anew.
+"""The connection to the board: loss, search, return, and the check of a board that has restarted.
 
-A board that is gone is looked for with back-off (`usb.search`); once it answers it is checked as at
-the start (`servo.board_check`). One that has started anew without leaving the bus may have been
-flashed. It may make no force until it has been looked at again, which waits for a tick in which no
-force acts, since each of its requests may take 100 ms. What becomes of all that is written to
-servo.report.
+A missing board is searched for with back-off (`usb.search`). Once it answers it is checked as at
+the start (`servo.board_check`). A board that has restarted without leaving the bus may have been
+flashed, and may make no force until it has been checked again. That check waits for a tick without
+force, because each of its requests may take 100 ms. All results are written to servo.report.
 
-What would break it: a look in a tick that renders.
+Limitations: no check may run in a tick that renders.
 """
 
 from math import nan

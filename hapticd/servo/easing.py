@@ -1,24 +1,25 @@
-"""How far parameters move in one tick: no further than the device file lets the force step.
+"""The limit on parameter changes in one tick: the force steps no further than the device file
+allows.
 
     |F(x, v, a; parameters of this tick) - F(x, v, a; those of the last)| <= limits.force_step_n
 
-Both are the law at the sample of this tick, so the step of a stiff wall that is hit passes as it
-is; bounded is what an enable or a change of parameters adds to it. Where that would be too much,
-all that is on its way, gain and values alike, goes a share of the way and on from there in the next
-tick: a ramp ends later than asked, and records show the values that were in force. Whatever takes
-force away as a whole (disable, stop, fault, the ramp from 0 after a gap) is not held back. While
-there is no sample the force is held, and while a stop or fault fades it what acted goes on: in both
-parameters wait where they are.
+Both are the law at the sample of this tick. The limit therefore applies to the step of an enable or
+of a change of parameters, and not to an impact on a stiff wall. Where that step would be too large,
+all values on their way, the gain included, move by a share of it and continue in the next tick. A
+ramp then ends later than requested, and records show the values that were in force. Whatever
+removes the whole force (disable, stop, fault, the ramp from 0 after a gap) is not held back.
+Without a sample the force is held, and during a stop or fault the force that acted ramps down. In
+both cases the parameters wait.
 
-What such a step brings in is booked, and where the last second's bookings are used up the step is
-taken again with all that does not fall left where it is (`servo.ramp_energy`).
+The energy of such a step is booked. If the bookings of the last second exceed the budget, the step
+is computed again with all values that do not fall unchanged (`servo.ramp_energy`).
 
-The force is continuous in the share, but neither monotonous nor linear (clamp, walls, gain times
-value), so a share is found by halving: a step lies between half the bound and the bound, and any
-change arrives.
+The force is continuous in the share, but neither monotonic nor linear (clamp, walls, gain times
+value), so bisection finds the share. A step lies between half the bound and the bound, and any
+change completes.
 
-What would break it: a force that is no continuous function of its parameters, or parameters that
-change without a ramp.
+Limitations: a force that is not a continuous function of its parameters, or parameters that change
+without a ramp.
 """
 
 from math import inf, isfinite

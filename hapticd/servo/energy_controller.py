@@ -1,34 +1,35 @@
-"""Ends a leak before the fault `energy` has to: more damping first, then less of what leaks.
+"""Ends an energy leak before the fault `energy` has to: first with active damping, then with a
+weaker environment.
 
-The ledger's excess E (`render.energy`) is energy that the display gave away and nothing covers. In
-motion under an environment that the credited damping makes passive it stays below a twentieth of
-`limits.energy_j`, the bound of the fault; a leak grows out of any bound, by a fifth in a tick where
-a wall at five times its limit drives a light handle. So beyond SHARE of that bound
+The ledger's excess E (`render.energy`) is energy that the display gave out without cover. In motion
+under an environment that the credited damping makes passive, E stays below a twentieth of
+`limits.energy_j`, the bound of the fault. A leak exceeds any bound: it grows by a fifth in a tick
+where a wall at five times its limit drives a light handle. So beyond SHARE of that bound
 
     1. the active damping rises to the device's ceiling, with a slew of its own. It acts in the
-       board's analog circuit, without sampling and delay, and what the board then reports of it is
-       credited in E;
-    2. for every further STEP of the bound that leaks after that (twice as much until the damping
-       had a chance), K, B and M and those of the wall are halved. The force steps by no more than
-       `limits.force_step_n` on the way, and the next halving waits until this one shows.
+       board's analog circuit, without sampling and delay, and the level that the board then reports
+       is credited in E;
+    2. for every further STEP of the bound that leaks after that (twice as much until the active
+       damping had a chance), K, B and M and those of the wall are halved. The force steps by no
+       more than `limits.force_step_n` on the way. The next halving waits until this one shows.
 
-What leaks counts from the last step on: E itself fades with a second, so the sum is told from what
-would be left of it by then. Credit is no store (E begins at 0 whenever the device took more than it
-was given), so minutes of good conduct do not delay a step by a tick.
+The leak is counted from the last step on. E itself decays within about a second, so the rest of the
+former excess is subtracted. Credit is not stored: E starts at 0 whenever the device took more than
+it was given. Minutes without a leak therefore do not delay a step by a tick.
 
-Both are changes that the servo gives itself: revision and environment revision count them, the
-actor is 0, and they stay until a change names the value again. No virtual damping is added: behind
-a lag or a delay it feeds the motion that it should brake, and where there is none the halving does
-as well. Behind a first-order lag of the force (`force_smoothing_hz`, where a model knows it) E is
-booked with the force as the lag leaves it, mean of each period:
+Both are changes by the servo itself: revision and environment revision count them, the actor is 0,
+and they stay until a change names the value again. No virtual damping is added. Behind a lag or a
+delay it feeds the motion that it should brake; without them the halving is as effective. Behind a
+first-order lag of the force (`force_smoothing_hz`, where a model contains it) E is booked with the
+lagged force, mean of each period:
 
     f_n = e f_{n-1} + (1 - b) F_n + (b - e) F_{n-1},   e = exp(-w T), b = (1 - e) / (w T)
 
-It acts while the fault `energy` is on, so never in a measurement, and only on force that acts. If
-the leak goes on, the fault ends it.
+The controller acts while the fault `energy` is on, so never in a measurement, and only on force
+that acts. If the leak goes on, the fault ends it.
 
-What would break it: an `energy_j` so large that what a hand feels of a tenth of it is too much, a
-credit above the device's true damping.
+Limitations: an `energy_j` so large that a tenth of it is too much for a hand, or a credit above the
+device's true damping.
 """
 
 from math import ceil, exp, inf, tau

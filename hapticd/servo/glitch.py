@@ -1,22 +1,22 @@
-"""Is a position that bends the motion a glitch of the encoder, or did the handle do that?
+"""Did the handle bend the motion, or a glitch of the encoder?
 
-A sample bends the motion by its second difference x_n - 2 x_{n-1} + x_{n-2}; more than
-limits.acceleration_m_per_s2 allows is not believed at once. The law is then given the straight
-continuation, its state stays what it was, and the next samples decide:
+A sample bends the motion by its second difference x_n - 2 x_{n-1} + x_{n-2}. A sample is doubted if
+that exceeds limits.acceleration_m_per_s2. The law then gets the straight continuation, its state
+stays what it was, and the next samples decide:
 
-    it returned    the newest lies where the straight line, or an acceleration that is believed,
-                   leads from before the doubt: a glitch. What was doubted counts as lost, and the
-                   filters get the positions between.
-    it moved       the newest goes on from what was doubted, bent little (a hand, a wall), or bent
-                   the same way (a tap that lasts): true motion. The filters get every sample.
+    it returned    the newest sample is on the straight line from before the doubt, or on a curve of
+                   plausible acceleration: a glitch. Doubted samples count as lost, and the filters
+                   get the positions between.
+    it moved       the newest sample continues the doubted ones, bent little (a hand, a wall), or
+                   bent the same way (a tap that lasts): true motion. The filters get every sample.
     still open     neither: it is doubted too.
 
-A glitch is there and gone, so its bends change sign: +g, -2g, +g. A tap bends one way for as long
-as it lasts, whatever its strength; the speed limit bounds what it does in all. A position that
-jumps and stays bends by +g, -g: no handle does that either, and the doubt is not resolved.
+A glitch ends soon, so its bends change sign: +g, -2g, +g. A tap bends one way for as long as it
+lasts, whatever its strength; the speed limit bounds its total effect. A position that jumps and
+stays bends by +g, -g: no handle does that either, and the doubt is not resolved.
 
-What would break it: samples that are not one period apart (then all that is doubted is lost), or a
-handle that is so light or struck so hard that it turns round within a period.
+Limitations: samples that are not one period apart (then all doubted samples are lost), or a handle
+that is so light or struck so hard that it reverses within a period.
 """
 
 from collections.abc import Sequence

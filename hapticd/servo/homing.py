@@ -1,49 +1,50 @@
-"""Homing: finds the stop, or the encoder's index, and takes it for the origin; or says why not.
+"""Homing: finds the stop, or the encoder's index, as the origin, or reports why it failed.
 
-The push p is a spring to a point that moves at the homing speed v, with a damper beside it:
+The push p is a spring to a point that moves at the homing speed v, parallel to a damper:
 
     dp/dt = K (v - dx/dt),  -F <= p <= F       K = min(100 N/m, F / (0.1 s v))
     force = p - B dx/dt,  -F <= force <= F     B = 0.5 N s/m
 
-While the handle follows, p is what friction asks for; while it stands, p grows to the homing force
-F. A slip (friction falls as the handle begins to move) shortens the spring by as much as it moved
-and no more: the push is kept through stick-slip, and the mean speed is v. Faster than 10 v, p is
-halved at every tick: what is suddenly let go does not run away. So force is bounded by F, and speed
-by 10 v and what F does to the mass within two ticks, whatever is in the way. A few grams render K
-and B stably with 5 ms of lag; dx/dt is the last difference of the encoder, and not the output of a
-filter that a client may have set.
+While the handle follows, p equals the friction; while it stands, p grows to the homing force F. A
+slip (friction falls as the handle begins to move) shortens the spring by the motion of the handle
+and no more. The push therefore persists through stick-slip, and the mean speed is v. Above 10 v, p
+is halved at every tick, so a handle that is suddenly released does not run away. Force is bounded
+by F, and speed by 10 v plus the effect of F on the mass within two ticks, whatever is in the way. A
+few grams render K and B stably with 5 ms of lag. dx/dt is the last difference of the encoder, not
+the output of a filter that a client may have set.
 
-What stands under the whole push need not be a stop: a hand holds, a bearing sticks, a motor has no
-power. So each find is tried, and made twice:
+A handle that stands under the whole push need not be at a stop: a hand holds it, a bearing sticks,
+a motor has no power. So each stop is tested, and found twice:
 
     approach  towards the stop, until the handle stands for 0.1 s under F
-    press     p falls to F/2 and grows to F again; what moves by more than the tolerance d meanwhile
-              yields (softer than F / 2 d) and is approached further
-    back off  away by L, with at most 3/4 F: what cannot is held or stuck
+    press     p falls to F/2 and grows to F again; a stop that moves by more than the tolerance d
+              meanwhile yields (softer than F / 2 d) and is approached further
+    back off  away by L, with at most 3/4 F: a handle that cannot is held or stuck
     return    towards the stop again, with at most 3/4 F until 4 d before it
-    confirm   pressed again; within d of the first find, and nothing else acts there: that is it
+    confirm   pressed again; accepted within d of the first stop, if nothing else acts there
 
 Friction hides a soft hand from `press`: the handle stands in it, held by the bearing. The work of
-back-off and return tells it. Over a way s there and back, friction costs the same both ways, jerks
-or not, and what else acts on the handle does not: its mean force is
+back-off and return reveals it. Over a way s there and back, friction costs the same both ways,
+jerks or not, and another force on the handle does not. Its mean is
 
     (work of the return - work of the back-off) / 2 s
 
-between 4 d and 4 d + L/4 from the find. A stop is not felt there, a hand is with what it took to
-stand: more than F/8 is no stop. A hand that is too stiff to be felt there does not let L pass.
+between 4 d and 4 d + L/4 from the stop. A stop exerts no force there. A hand exerts the force that
+made the handle stand: more than F/8 is not a stop. A hand too stiff to be measured there does not
+let the handle back off by L.
 
 With `index` the mark takes the place of the stop: found, left behind by L, and passed again in the
-same direction within d. What stands before the mark was found turns the search round, once.
+same direction within d. An obstacle before the mark reverses the search, once.
 
-Without torque authority the homing begins anew, and `transition` ends it after some ticks. A press
-counts only if the motor carried half the current of F (`current_n_per_a`; 0: it is not looked at).
-The stop is at most F / k <= 2 d further away than where it is taken to be.
+Without torque authority the homing starts again, and the slow path ends it after some ticks. A
+press counts only if the motor carried half the current of F (`current_n_per_a`; 0: not checked).
+The true stop is at most F / k <= 2 d beyond the recorded one.
 
-A sample that bends the motion further than is believed waits for the next ones (`servo.glitch`) and
-comes here only if they go on from it: `_ticks` counts the samples in between.
+A sample that bends the motion too far waits for the next ones (`servo.glitch`), and arrives here
+only if they continue from it: `_ticks` counts the samples in between.
 
-What would break it: friction above 3/4 F (it is said), a stop softer than F / 2 d, play of the
-mechanism beyond L, a hand that lets go and grasps again at the same place to within d.
+Limitations: friction above 3/4 F (reported), a stop softer than F / 2 d, play of the mechanism
+beyond L, a hand that lets go and grasps again at the same place to within d.
 """
 
 from collections.abc import Callable

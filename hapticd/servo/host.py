@@ -1,12 +1,13 @@
-"""What the servo process asks of the operating system, and what it got.
+"""Operating-system rights of the servo process: the requests and their results.
 
-Each right is asked for on its own and the answer is kept: SCHED_FIFO decides the 99th percentile
-(45 us against 8.5 ms on a busy machine), locked memory and a frozen, disabled garbage collector
-keep page faults and collections out of the tick, timer slack and the C-state latency shape the
+Each right is requested on its own and the result is kept. SCHED_FIFO decides the 99th percentile
+(45 us against 8.5 ms on a busy machine). Locked memory and a frozen, disabled garbage collector
+keep page faults and collections out of the tick. Timer slack and the C-state latency shape the
 wake-up. In strict mode a refusal stops the start; otherwise it is reported with its remedy and the
-loop runs as well as it can. FIFO comes last, so that nothing slow runs under it. What would break
-it: a second thread (one lock of the interpreter), a scheduler that throttles (duty stays below 90
-%).
+loop runs without that right. FIFO comes last, so that nothing slow runs under it.
+
+Limitations: a second thread (one lock of the interpreter), a scheduler that throttles (duty stays
+below 90 %).
 """
 
 import ctypes

@@ -1,23 +1,23 @@
 """The servo's inbox: requests and faults due at a tick, and the perturbation streamer.
 
-Requests come from the command ring and the stop word, faults from the loop's own findings too; the
+Requests come from the command ring and the stop word; faults also from the loop's own checks. The
 streamer sends a waveform into the board's perturbation FIFO.
 
-At most two commands are taken a tick. A reset while the board reports a fault first asks the board
-to forget it and waits for the frame that tells whether it did. A stop word that is pressed stops in
-every tick, so no reset can clear a press that it has not outlived, until it is taken back to 0.
-That is file work, which waits until no force can act: the last frame did not ask for authority.
-Lost slots become a fault when too many fall into one second; pauses of a host
-with a simulated board harm no one and only count.
+A tick takes at most two commands. A reset while the board reports a fault first requests that the
+board clear it, and waits for the frame with the result. A pressed stop word stops in every tick
+until it is back at 0, so no reset can clear a press that still stands. Writing it back is file
+work, which waits until no force can act: the last frame did not request authority. Lost slots
+become a fault when too many fall into one second. Pauses of a host with a simulated board are
+harmless and only counted.
 
 The board plays one sample per 250 us of its own clock, which is not the host's. The host therefore
-looks at the level in each IN frame and sends one sample more or fewer than the nominal number (at 1
-kHz 3, 4 or 5), to hold the FIFO near 8 of 16: neither end runs dry or over while the clocks differ
-by less than 25 %. A waveform that is played once ends when the FIFO has run dry after its last
-sample; the under-run that the board then reports is the end, not a loss.
+reads the level in each IN frame and sends one sample more or fewer than the nominal number (at 1
+kHz 3, 4 or 5). This holds the FIFO near 8 of 16: neither end runs dry or over while the clocks
+differ by less than 25 %. A waveform that is played once ends when the FIFO has run dry after its
+last sample. The under-run that the board then reports is the end, not a loss.
 
-What would break it: a stop word that is taken back in another tick than one that it stops (a press
-in between is lost), a level that is not of the newest frame.
+Limitations: a stop word that is written back in another tick than one that it stops (a press in
+between is lost), a level that is not of the newest frame.
 """
 
 import math

@@ -28,7 +28,7 @@ The cause is looked for once the tick has ended, before the slots that it lost a
 next tick is not held up: cold code takes tens of times longer. It goes into the record of the next
 tick, since the own one is out by then. A tick on time pays for two integers of its record.
 
-What would break it: a board that latches by a clock of its own, records that are not in the ring.
+Limitations: a board that latches by a clock of its own, records that are not in the ring.
 """
 
 import struct

@@ -16,7 +16,7 @@ ms whatever the ticks did. Clients ask and are answered in ticks. With the board
 on: records say so, the force is 0, and the board is looked for with back-off. The loop ends when
 `stopping` is set or `ticks` are done; `finish` fades what acts and lets the board go.
 
-What would break it: a name of `run` that a closure shares (it becomes a cell, slower at every use),
+Limitations: a name of `run` that a closure shares (it becomes a cell, slower at every use),
 something slow before the record is published.
 """
 

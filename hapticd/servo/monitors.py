@@ -18,8 +18,8 @@ Overspeed by default begins at 0.7 of the speed at which the encoder is not beli
 m/s on the device of the paper. In half of its 40 mm of travel a hand that accelerates 20 times as
 fast as gravity reaches 2.8 m/s; 8 g that are let go 20 mm off under K = 200 N/m reach 3.2 m/s.
 
-What would break it: a rate so low that FAST_S is less than a tick, a limit that changes while the
-force lies at it.
+Limitations: a rate so low that FAST_S is less than a tick, a limit that changes while the force
+lies at it.
 """
 
 from math import ceil

@@ -16,8 +16,8 @@ as the run that left it. Plain tuples are cheap to marshal (some 10 us, only whe
 after the record was published) and survive JSON. The order of the places is that of the first
 checkpoints ever written, which stay readable.
 
-What would break it: a field of Plan or ServoState that is added there and not in `flatten` (the
-tests replay and compare), a mutable value in a Plan.
+Limitations: a field of Plan or ServoState that is added there and not in `flatten` (the tests
+replay and compare), a mutable value in a Plan.
 """
 
 from collections.abc import Sequence

@@ -27,8 +27,8 @@ takes force away as a whole. So in any second a hand is given no more than the b
 single tick brings, which `limits.force_step_n` bounds. The window is kept in SHARES of a second, so
 it is 1.05 s at most.
 
-What would break it: a parameter that stores energy and says no `power`, a state in which force
-acts and parameters move past `eased`.
+Limitations: a parameter that stores energy and says no `power`, a state in which force acts and
+parameters move past `eased`.
 """
 
 from math import prod

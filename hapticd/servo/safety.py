@@ -14,7 +14,7 @@ STOP comes from anyone at any time and is idempotent; `reset` leads to disabled,
 fault keeps its first cause. A latched state fades the force that acts by authority in that tick,
 after the other commands: none when disabled, and never twice. `set` and `damping` are taken in
 every state and act where the table lets them; a perturbation plays while enabled and ends with it.
-Pure: no clock, no I/O. What would break it: a state added without its row (TABLE is checked to be
+Pure: no clock, no I/O. Limitations: a state added without its row (TABLE is checked to be
 complete when this module is imported).
 """
 

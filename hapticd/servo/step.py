@@ -9,7 +9,7 @@ through `slow_path`, which makes a new state; the fast path then follows as ever
 `tick` is time: periods since the start, those of lost slots included, so it rises but may skip.
 State is a short tuple (see `plan`) whose first place holds everything slow, so that a tick hands
 it on in one piece. The force limit is the last thing before the wire: the law clamps in newtons,
-this module clamps the count once more. What would break it: mutable values in the state, a time or
+this module clamps the count once more. Limitations: mutable values in the state, a time or
 a random number read here, a float that reaches the wire.
 """
 

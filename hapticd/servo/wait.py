@@ -7,7 +7,7 @@ fall. In a millisecond of sleep the caches go cold and a tick costs twice what i
 rehearsal of the tick on dummy data at the start of the spin warms them. In virtual time: move the
 clock.
 
-What would break it: a rehearsal that has an effect.
+Limitations: a rehearsal that has an effect.
 """
 
 import time

@@ -10,8 +10,8 @@ tripped answers it, says so, and does nothing in it, so its IN tells the damping
 next frame has no ENABLE again, which clears a tripped watchdog. A board that has not tripped has
 authority over no force for one period: that is the price of an answer.
 
-What would break it: a force in the state disabled, or a board that holds damping for less time than
-a silence may take.
+Limitations: a force in the state disabled, or a board that holds damping for less time than a
+silence may take.
 """
 
 from hapticd.core.params import ServoParams

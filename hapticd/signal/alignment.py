@@ -21,9 +21,9 @@ clock       exp(2 pi j (x - i)) does not know of k: by its phase from piece to p
             the rest, with bisquare weights.
 gaps        lie where k changes (`matching`).
 
-What would break it: a perturbation that repeats within a few seconds; a clock that wanders by half
-a sample over the record (refused: the pieces then do not agree); a gap in the half of a quarter of
-a second with which the record begins or ends, which is why those are left out.
+Limitations: a perturbation that repeats within a few seconds; a clock that wanders by half a sample
+over the record (refused: the pieces then do not agree); a gap in the half of a quarter of a second
+with which the record begins or ends, which is why those are left out.
 """
 
 from dataclasses import dataclass

@@ -13,8 +13,8 @@ by a section:
 Trends are taken out of the sums afterwards (`line_products`). float32 costs 1e-7 of the largest
 value of a spectrum.
 
-What would break it: a force record that differs between trials, or a window other than 2,048
-samples (`spa` is for those).
+Limitations: a force record that differs between trials, or a window other than 2,048 samples (`spa`
+is for those).
 """
 
 from dataclasses import dataclass

@@ -17,10 +17,9 @@ out. What 90 s of noise can show is a skew from 20 us (the coupling mode of the 
 up to 11 us of it) and a corner from about 0.4 Hz; a smaller one shows when the lower band edge of a
 stiffness limit is moved.
 
-What would break it: a device that is a mass nowhere between 0.06 and 0.4 of the sample rate (then
-nothing is said), or one with a mode in that band that is damped more than the paper's: two bodies
-of 5.5 and 2.5 g with a mode of 660 to 1090 Hz look like up to 27 us at 4 N s/m, which is then
-called skew.
+Limitations: a device that is a mass nowhere between 0.06 and 0.4 of the sample rate (then nothing
+is said), or one with a mode in that band that is damped more than the paper's: two bodies of 5.5
+and 2.5 g with a mode of 660 to 1090 Hz look like up to 27 us at 4 N s/m, which is then called skew.
 """
 
 from collections.abc import Iterator

@@ -31,8 +31,8 @@ bounds, by what the encoder's counts take from a slope, and by 3 % for the calib
 and force. An interval wider than +- 25 % of what is commanded is `unknown`: the handle rests, or
 force and velocity cannot be told apart.
 
-What would break it: a damping circuit much slower than 0.3 ms, a scale of current or position that
-is wrong (it is wrong by as much), sums over more than one level of damping.
+Limitations: a damping circuit much slower than 0.3 ms, a scale of current or position that is wrong
+(it is wrong by as much), sums over more than one level of damping.
 """
 
 from collections.abc import Sequence

@@ -10,7 +10,7 @@ by about one of its standard deviations; confirm an owner with a second trial be
 The envelope of the admittance is the same with maximum and minimum exchanged: 1/|Z|, minus the
 phase.
 
-What would break it: trials on other frequencies, or at another port or with another estimator (all
+Limitations: trials on other frequencies, or at another port or with another estimator (all
 refused).
 """
 

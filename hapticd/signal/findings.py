@@ -62,8 +62,8 @@ unconditional one.
 Skew, high-pass and units of the channels are in `channels`. Thresholds are those at which a 90 s
 trial of noise alone never raised them (tests).
 
-What would break it: a limit cycle that the perturbation drives in part, where there is no record;
-or spectra that are not on the window's own grid, which do not hold the covariances (then nothing is
+Limitations: a limit cycle that the perturbation drives in part, where there is no record; or
+spectra that are not on the window's own grid, which do not hold the covariances (then nothing is
 said of leakage).
 """
 

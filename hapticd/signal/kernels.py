@@ -17,8 +17,8 @@ by least squares over the bins p - half .. p + half, as far as there are such: Z
 by einsum, not by BLAS, whose threads wait for each other where every core has a trial of its own,
 and whose last bits depend on the number of cores.
 
-What would break it: columns that are the same to rounding, as where all of a motion is in one bin;
-`RIDGE` then leaves numbers, of which the variance says that nothing is known.
+Limitations: columns that are the same to rounding, as where all of a motion is in one bin; `RIDGE`
+then leaves numbers, of which the variance says that nothing is known.
 """
 
 import sys

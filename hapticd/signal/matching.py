@@ -5,7 +5,7 @@ The fraction is where the correlation between the samples, the real part of sum 
 has its peak: bent as it is there, Newton's way leads to it (Knapp and Carter 1976, "The generalized
 correlation method for estimation of time delay", IEEE ASSP-24).
 
-What would break it: a signal of one frequency, which fits itself a period later just as well.
+Limitations: a signal of one frequency, which fits itself a period later just as well.
 
 To the sample: where a file lost some, between stretches of which it is known how far they are
 moved.
@@ -16,7 +16,7 @@ at which the squares of what does not fit, with the k before it and the k after 
 all of them together, by dynamic programming. A stretch of fewer than 64 samples is chance, and left
 out. Gaps 200 samples apart are told apart; below 120 they are taken for one.
 
-What would break it: noise beyond the size of the signal; the sample is then known to some dozens.
+Limitations: noise beyond the size of the signal; the sample is then known to some dozens.
 """
 
 from dataclasses import dataclass

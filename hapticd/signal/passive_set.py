@@ -12,8 +12,8 @@ Where only yes and no are known, rays from inside the set find its boundary in t
 Swinbank and Purser 2006); each ray is halved between its start, which is inside, and the end of the
 box.
 
-What would break it: a grid that does not reach beyond the set, for then limits are those of the
-grid, and `open_ends` says so; or a set that a ray leaves twice, of which one exit is found.
+Limitations: a grid that does not reach beyond the set, for then limits are those of the grid, and
+`open_ends` says so; or a set that a ray leaves twice, of which one exit is found.
 """
 
 from collections.abc import Callable

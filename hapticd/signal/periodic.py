@@ -18,8 +18,8 @@ covers noise alone, and decides nothing. Several are told by what they are: thei
 the form of `spectra.Spectra`, with coherence 1 / (1 + (R - 1) s^2 / (R |Y|^2)), and `judge` takes
 them.
 
-What would break it: a motion that has not settled, samples that were lost (refused: the force does
-not repeat), or one realisation taken for the whole truth.
+Limitations: a motion that has not settled, samples that were lost (refused: the force does not
+repeat), or one realisation taken for the whole truth.
 """
 
 from collections.abc import Iterator

@@ -22,14 +22,12 @@ estimate; what lies between them is their trigonometric interpolation:
 So a band is looked at from end to end (`Spectra.band`) although 2 Hz is no line of the paper's
 window.
 
-What would break it:
-- a record shorter than a few windows, or a spring below 1/(M T): the window smooths the steep
-  spectrum and pulls the phase to 0;
-- channels that are not sampled together: a skew d turns the phase by 360 f d degrees. A velocity
-  sampled at the instant at which a held force changes is such a skew: record what the board's probe
-  records, means of force and velocity over the same interval, or undo it (`corrected`);
-- a drift: the window's side lobes, up to -0.03 of what is at 0 Hz, have their zeros on the lines
-  but not between them.
+Limitations: - a record shorter than a few windows, or a spring below 1/(M T): the window smooths
+the steep spectrum and pulls the phase to 0; - channels that are not sampled together: a skew d
+turns the phase by 360 f d degrees. A velocity sampled at the instant at which a held force changes
+is such a skew: record what the board's probe records, means of force and velocity over the same
+interval, or undo it (`corrected`); - a drift: the window's side lobes, up to -0.03 of what is at 0
+Hz, have their zeros on the lines but not between them.
 """
 
 from dataclasses import dataclass, replace

@@ -24,7 +24,7 @@ A trial says yes if its estimate of Re Z is not negative at any frequency. With 
 than the expected Re Z >= 0: the chance of a yes is the product of Phi(Re Z / sd) over as many
 frequencies as are independent (`log_chance`).
 
-Environments are scaled to a unit box. What would break it: trials that were not stable (their
+Environments are scaled to a unit box. Limitations: trials that were not stable (their
 spectra are of a limit cycle; leave them out), a device whose Re Z jumps, or a prior that does: what
 is learnt must be smooth. With fewer than `FEW` trials likelihood has nothing to say; then the
 length is a usual one.

@@ -36,8 +36,8 @@ The band is judged from edge to edge: an edge that is no line of the window is i
 (`Spectra.band`). Multisines, and frequencies of one's own choice, are judged where they are, so a
 verdict names its first and its last frequency.
 
-What would break it: a band below 1/(M T), where the window smooths, or a record of too few windows;
-both are refused.
+Limitations: a band below 1/(M T), where the window smooths, or a record of too few windows; both
+are refused.
 """
 
 from collections.abc import Iterator

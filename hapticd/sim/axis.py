@@ -19,9 +19,9 @@ the sum of torque x velocity x 250 us is the exact work. The next interval then 
 sample of the FIFO, or 0 when it is dry (an under-run). Pairs wait, 64 at most, until the host has
 read them; beyond, the oldest is lost and the gap shows in the index.
 
-What would break it: an OUT that arrives before the sub-step that the plant has reached, or an
-interval grid that is not the plant's sub-step grid. Where 250 us are no whole number of sub-steps
-(rates that are not multiples of 250 Hz) an interval ends at the nearest sub-step: 4 kHz on average.
+Limitations: an OUT that arrives before the sub-step that the plant has reached, or an interval grid
+that is not the plant's sub-step grid. Where 250 us are no whole number of sub-steps (rates that are
+not multiples of 250 Hz) an interval ends at the nearest sub-step: 4 kHz on average.
 """
 
 from collections import deque

@@ -23,8 +23,8 @@ NAK to each OUT once and is ready again some 30 us after each packet; one interr
 time takes 0.5 to 1 ms (rusb #21). Whatever is computed on it is called "model" and stated as a band
 over `BAND`, since no bus has been measured for it.
 
-What would break it: transfers of more than one packet, two of one direction at once, a controller
-that serves bulk by microframes only.
+Limitations: transfers of more than one packet, two of one direction at once, a controller that
+serves bulk by microframes only.
 """
 
 from math import ceil

@@ -5,7 +5,7 @@ As pyusb wants them these are objects with the fields of the USB 2.0 specificati
 on a bus they are bytes, which `packed` makes of the same objects. IndexError past the only one of a
 kind: pyusb's iteration relies on it.
 
-What would break it: a second interface, or endpoints of several packets.
+Limitations: a second interface, or endpoints of several packets.
 """
 
 import struct

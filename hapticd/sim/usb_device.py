@@ -8,7 +8,7 @@ becomes what a controller reports. EIO is a broken transaction (EPROTO), a packe
 endpoint's is babble (EOVERFLOW), a firmware that hangs is an endpoint that says NAK: the transfer
 waits until the host takes it back.
 
-What would break it: a read of more than one packet, which the first packet ends here.
+Limitations: a read of more than one packet, which the first packet ends here.
 """
 
 import errno

@@ -15,9 +15,9 @@ so one that an injected fault has pulled out refuses imports while it is away.
 One thread waits for sockets and for the board at once. Between transfers the board is played every
 HEARTBEAT_NS, or its watchdog would stand still with the host.
 
-What would break it: a client that reads nothing (it is dropped after PATIENCE_S), isochronous
-transfers, two boards in one server. There is no authentication in USB/IP: whoever reaches the port
-has the board.
+Limitations: a client that reads nothing (it is dropped after PATIENCE_S), isochronous transfers,
+two boards in one server. There is no authentication in USB/IP: whoever reaches the port has the
+board.
 """
 
 import errno

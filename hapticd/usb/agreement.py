@@ -18,7 +18,7 @@ computes for it is wrong. So
 
 NaN never agrees. And the rate has to carry what the board samples (`probe_shortage`).
 
-What would break it: a scale of the wire that the hello reply does not carry (back-EMF velocity,
+Limitations: a scale of the wire that the hello reply does not carry (back-EMF velocity,
 temperature); a nominal scale that is wrong by the very factor by which a step's mass is mistyped.
 """
 

@@ -17,8 +17,8 @@ Each look for the board has a libusb context of its own. A context lists the dev
 when it was made, and after that learns of others from udev's messages alone, which reach no
 container without udevd and no network namespace (PrivateNetwork=).
 
-What would break it: sharing a device between threads, a time-out used as a clock, since libusb
-fires late, and a device that outlives its context by more than one look.
+Limitations: sharing a device between threads, a time-out used as a clock, since libusb fires late,
+and a device that outlives its context by more than one look.
 """
 
 import errno

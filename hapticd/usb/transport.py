@@ -23,8 +23,8 @@ Whether there is a bus at all is asked first, by a control transfer, which no bo
 answers within 100 us is in the same process. Only then frames are exchanged, all of them without
 torque: an OUT, a pause of a period, so that its IN is there, and the read.
 
-What would break it: a board whose control transfers are quicker than its frames, a pause between
-measuring and use in which the bus got busier (the delay that each record shows would tell).
+Limitations: a board whose control transfers are quicker than its frames, a pause between measuring
+and use in which the bus got busier (the delay that each record shows would tell).
 """
 
 from math import floor
