@@ -1,27 +1,28 @@
-"""Where the servo and the rest meet: plain mapped files that nobody waits for.
+"""The mapped files between the servo and the other processes. No process waits for them.
 
 The servo creates and owns every file in the runtime folder; the gateway and others map them.
 
     mailbox         header, heartbeats and counters, command ring (gateway -> servo), answer ring
                     (servo -> gateway)
     telemetry.ring  one record per tick, SPSC; kept as last.ring for the flight recorder when a
-                    servo starts anew
-    stop            eight bytes; anything but zeros latches STOP (and is taken back to them); its
-                    group may write it, so it is read and never mapped
+                    servo restarts
+    stop            eight bytes; anything but zeros latches STOP, and the servo writes it back to
+                    zeros; its group may write it, so it is read and never mapped
     perturbation    waveform in probe counts, written by the gateway while no perturbation runs
-    servo.report    JSON: what the operating system granted, what the board said
+    servo.report    JSON: rights granted by the operating system, results of the board's checks
 
     layout       every offset, record and number of these files: State, Command, Value, Result, Flag
     files        runtime_folder; claims, maps, ordered words
-    daemons      daemon_folder; where daemons may run, which folders are believed, who is alive
-    environment_limits  how much K, B and M a client may ask of a device
+    daemons      daemon_folder; folders in which daemons may run, and whether they are trusted and
+                 their daemons alive
+    environment_limits  limits on the K, B and M that a client may request of a device
     servo_side   ServoMailbox
     client_side  GatewayMailbox
     stop_word    StopWord, press_stop
 
-Which mailbox for which need: every value, in order, once -> command and answer ring; every value,
-lossy but counted -> telemetry; the latest value -> a word. A writer never waits: a full ring
-answers busy, an unread record is overwritten.
+Three kinds of mailbox: every value, in order, once -> command and answer ring; every value, lossy
+but counted -> telemetry; the latest value -> a word. A writer never waits: a full ring answers
+busy, an unread record is overwritten.
 
 Limitations: a store of the head that overtakes the data it announces (see `files.word_access`), a
 reader that trusts what it maps (readers check magic, layout hash and epoch; the servo checks

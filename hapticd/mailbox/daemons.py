@@ -1,18 +1,18 @@
-"""Which daemons there are: the folders in which one may run, which of them are believed, and
-whether someone alive is in them.
+"""The folders in which a daemon may run: which of them are trusted, and which daemons are alive.
 
-A daemon has its folder where its environment said when it was started, which need not be the
-environment of who looks for it (a session, a ssh login, cron, systemd): all places are looked at.
+A daemon puts its folder where its own environment points at its start. The environment of another
+process (a session, an ssh login, cron, systemd) may differ, so every place is searched.
 
-A folder is believed if it is a folder and no link, belongs to us, and nobody else may write it. The
-service's folder belongs to another user; it is believed because only root can put something where
-it stands. Names in shared memory and in the temporary folder can be taken by anyone, so that what
-stands there may be a stranger's trap: it is refused by name, and nothing in it is opened.
+A folder is trusted if it is a folder and not a link, belongs to this user, and no other user may
+write it. The service's folder belongs to another user; it is trusted because only root can put
+anything at its path. Names in shared memory and in the temporary folder can be taken by anyone, and
+may be another user's trap. Such a folder is refused by name, and nothing in it is opened.
 
-Alive is who holds the stop word, or listens at the gateway's socket. Files alone mean nothing: a
-daemon that was killed leaves them all behind.
+A daemon is alive if it holds the stop word or listens at the gateway's socket. Files alone prove
+nothing: a daemon that was killed leaves them all behind.
 
-Limitations: a large import at the top or a wait in here (`hapticd stop` begins so).
+Limitations: no large import at the top and no wait in here (`hapticd stop` starts with this
+module).
 """
 
 import os

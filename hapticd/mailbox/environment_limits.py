@@ -1,8 +1,8 @@
-"""How much K, B and M a client may ask of a device: bounds that keep out mistaken units.
+"""Limits on the K, B and M that a client may request of a device: they keep out mistaken units.
 
-An end is ROOM times what the device renders passively there, on that axis alone and with the most
-active damping, where a model says so; else the stated number. Neither goes beyond VALUE_LIMITS,
-which the schema, the mailbox and the servo check by themselves.
+A limit is ROOM times the end of the range that the device renders passively on that axis alone,
+with the most active damping, if a model gives that range; otherwise the stated number. Neither goes
+beyond VALUE_LIMITS, which the schema, the mailbox and the servo check by themselves.
 
 Limitations: a unit that is wrong by less than ROOM.
 """

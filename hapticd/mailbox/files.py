@@ -1,16 +1,16 @@
-"""The runtime folder: where it is, who may own it, how its files are created, claimed, mapped and
-removed, and how a word in them is published so that no reader sees it before the data it announces.
+"""The runtime folder: its place and owner, the creation, claim, map and removal of its files, and
+the order in which a reader sees a word and the data that it announces.
 
 On x86-64 an aligned 8-byte store from a memoryview is one `mov`, stores are not reordered with
 earlier stores (TSO), and the call into C stops the compiler: a plain assignment is a release store.
-On aarch64 the same store is single-copy atomic but may overtake the data written before it, so the
-word is stored by libatomic's `__atomic_store_8(..., RELEASE)` and read by `__atomic_load_8(...,
-ACQUIRE)`. A Python lock or a bare `dmb`-less store would not do: neither is documented as a
+On aarch64 the same store is single-copy atomic but may overtake the data written before it. There
+the word is stored by libatomic's `__atomic_store_8(..., RELEASE)` and read by `__atomic_load_8(...,
+ACQUIRE)`. A Python lock or a bare `dmb`-less store would not be enough: neither is documented as a
 barrier. Records carry their number first and last and commands carry a CRC, so a mistake here is
-detected, not believed.
+detected.
 
 Limitations: a runtime folder on a network file system (locks, shared maps), or a large import at
-the top (`hapticd stop` and every command begin here).
+the top (`hapticd stop` and every command start with this module).
 """
 
 import fcntl

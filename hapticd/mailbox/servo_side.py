@@ -1,9 +1,9 @@
 """The servo's end: creates all files, takes commands, gives answers, publishes one record a tick.
 Never waits.
 
-What the servo itself counts (commands taken, answers given, events) it keeps here and only shows in
-the mapped words: it never reads back what others could have written over. Of the gateway's words it
-takes none for granted.
+The servo's own counts (commands taken, answers given, events) stay in this object, and the mapped
+words only show them. It never reads back a word that others could have overwritten, and takes no
+word of the gateway for granted.
 """
 
 import json

@@ -1,30 +1,31 @@
-"""The stop word: a file of eight bytes by which whoever may write it stops the servo, and no more.
+"""The stop word: a file of eight bytes. Any process that may write it can stop the servo, and
+nothing more.
 
-Zero bytes mean that nobody has pressed it. Everything else is a stop: another content, a file that
-is shorter or longer, one that was removed or replaced. Eight bytes that are the number of a
-client (little-endian, from FIRST_CLIENT on) make it that client's stop, so that it may reset it at
-once as if it had asked the gateway; every other press is ACTOR_STOP_WORD's. Who lies about it gives
-a stop of its own away, and takes nobody's.
+Zero bytes mean not pressed. Everything else is a stop: another content, a file that is shorter or
+longer, one that was removed or replaced. Eight bytes that are the number of a client
+(little-endian, from FIRST_CLIENT on) make it that client's stop. That client may reset it at once,
+as after a stop through the gateway. Every other press is ACTOR_STOP_WORD's. A process that writes
+another client's number gives away its own stop, and takes no other.
 
-The servo reads it in every tick with `pread`, from a descriptor that it opened itself: 0.4 us, and
-no page of a file that others may cut short is mapped (a load beyond its end kills with SIGBUS). A
-read of a regular file in memory does not wait, whoever writes it or holds locks on it, and no name
-is opened in a tick.
+The servo reads the word in every tick with `pread`, from a descriptor that it opened itself. This
+takes 0.4 us and maps no page of a file that others may cut short (a load beyond its end kills with
+SIGBUS). A read of a regular file in memory does not wait for writers or locks, and no name is
+opened in a tick.
 
-A write would wait: who writes 100 MB into the file or reserves them holds its inode all the while.
-So the servo never writes the word that others have, nor cuts it short. A press stands, and stops in
-every tick, until no force acts; then `take_back` makes the file anew under another name and renames
-it over, which needs nothing of the old one. That is the acknowledgement: who has pressed and reads
-zero again under the name knows that the servo has seen it and that the force is gone. The file that
-is left behind lives as long as someone has it open, and if it is large, whoever closes it last
-frees it; where that is the servo it may miss ticks (0.1 s for 1 GB), without force.
+A write would wait: a process that writes or reserves 100 MB in the file holds its inode meanwhile.
+So the servo never writes the word that others have, nor cuts it short. A press stops in every tick
+until no force acts. Then `take_back` creates a new file under another name and renames it over the
+old one, which needs no access to the old one. That is the acknowledgement: a process that has
+pressed and reads zero again under the name knows that the servo has read the press and that the
+force is off. The old file lives as long as a process has it open. If it is large, the process that
+closes it last frees it; if that is the servo it may miss ticks (0.1 s for 1 GB), without force.
 
-Every 256 ticks `mend` compares what stands under the name with what the servo made. If it differs,
-what the loop reads becomes an empty file: a press, which is taken back like any other.
+Every 256 ticks `mend` compares the file under the name with the one that the servo made. If they
+differ, the loop's file becomes an empty one: a press, which is taken back like any other.
 
-The file is made under another name and locked before it gets its own, so that nobody finds a word
-whose owner does not hold it yet: the lock tells who presses that someone is there. Who has opened
-the word just before it was renamed over presses once more (`press_stop`).
+The file is created under another name and locked before the rename, so every word under the name is
+locked by its owner: the lock shows a client that a servo is there. A client that opened the word
+just before the rename presses once more (`press_stop`).
 
 Limitations: a runtime folder on a file system where `pread` waits for a writer (XFS does, tmpfs and
 ext4 do not), or a group that may write the folder.

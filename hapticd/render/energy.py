@@ -1,28 +1,28 @@
-"""What the servo itself keeps of the energy: the work it did, and what it gave away without cover.
+"""The servo's own energy ledger: its work, and the energy that it gave out without cover.
 
-Positive is work done on the device. The force f of the sample before last, or of one earlier, gave
-way to the newer one a delay of d periods after that one's sample; so the interval between two
-samples, in which the device moves by dx, saw both:
+Positive is work done on the device. The force of the sample before last, or of an earlier one, gave
+way to the newer force d periods after the newer sample. The interval between two samples, in which
+the device moves by dx, therefore contains both:
 
     dW = dx (f_1 + d (f_2 - f_1))       0 <= d < 1; one sample earlier for every whole period
 
-Motion between samples is taken as straight; sums by cause are made from the records instead
-(`signal.ledger`). A display whose elements were ideal would give nothing away: its work would be
-what its springs, walls and virtual mass lose, or what its physical damping takes in the end. What
-goes beyond is
+Motion between samples is taken as straight; sums by cause are computed from the records instead
+(`signal.ledger`). A display with ideal elements would give nothing out: its work would equal the
+energy that its springs, walls and virtual mass lose, or that its physical damping takes in the end.
+The excess is
 
     E <- max(0, k E + dW - (F_e + F_e')/2 dx + M (v^2 - v'^2) / 2 - c dx^2 / T)
 
 with F_e the force of springs and walls, as far as it was not clamped, so that -F_e dx is the energy
-that they store; energy that a ramp or a moving wall brings in cancels in it. c is damping that is
-there for certain: the device's own, at least, and the active one as the board reports it. The sum
-leaks with k, slowly against any oscillation, and begins anew at 0 when the device took more than it
-was given. Steady motion under a passive environment (Colgate and Schenkel 1997, with c as the
-physical damping) takes more than it gets at every frequency: only what comes and goes within a
-swing is left in E. A limit cycle grows out of any bound.
+that they store. Energy that a ramp or a moving wall adds cancels in it. c is the damping that is
+certainly present: at least the device's own, and the active damping that the board reports. The sum
+leaks with k, slowly against any oscillation, and starts again at 0 when the device took more than
+it was given. Steady motion under a passive environment (Colgate and Schenkel 1997, with c as the
+physical damping) takes more than it gets at every frequency, so E keeps only the part that varies
+within a swing. A limit cycle grows out of any bound.
 
-Limitations: forces that stand beside the law and store energy (they count as work), a clamp that is
-not told.
+Limitations: forces outside the law that store energy (they count as work), a clamp that is not
+reported.
 """
 
 from typing import Final

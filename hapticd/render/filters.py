@@ -1,13 +1,13 @@
 """Second-order low-pass filters for the differentiated position.
 
 Continuous prototype H(s) = w^2 / (s^2 + 2 zeta w s + w^2); zeta = 1/sqrt(2) is Butterworth. The
-paper (Weir, Colgate and Peshkin 2008, section 2) says "100 Hertz second order digital filter" for
-velocity and 72 Hz for acceleration and neither damping ratio nor mapping, so both are parameters. A
-filter is five numbers (b0, b1, b2, a1, a2) of y = b0 u + z1; z1' = b1 u - a1 y + z2; z2' = b2 u -
-a2 y (transposed direct form II), gain 1 at DC.
+paper (Weir, Colgate and Peshkin 2008, section 2) states "100 Hertz second order digital filter" for
+velocity and 72 Hz for acceleration. It states neither damping ratio nor mapping, so both are
+parameters. A filter is five numbers (b0, b1, b2, a1, a2) of y = b0 u + z1; z1' = b1 u - a1 y + z2;
+z2' = b2 u - a2 y (transposed direct form II), gain 1 at DC.
 
-Limitations: a corner at or above half the rate (refused), coefficients swapped while their output
-is felt (a force that jumps now or swells for seconds), a rate other than the tick's.
+Limitations: a corner at or above half the rate (refused), coefficients swapped under force (a force
+that jumps now or swells for seconds), a rate other than the tick's.
 """
 
 import math

@@ -6,15 +6,15 @@
                                                     2008, section 2)
 
 The field is a unilateral wall and the springs at the ends of the workspace. The servo runs `render`
-in CPython; the batch engine compiles the very same functions with numba. Therefore: floats and
-tuples of floats in and out, no attribute access, no defaults, no keyword arguments, coefficients
-designed outside, both filters always running (so that B and M may be switched on without a jump),
-helpers called only in the rare case. The rate is folded into the filter coefficients: they act on
+in CPython; the batch engine compiles the same functions with numba. Therefore: floats and tuples of
+floats in and out, no attribute access, no defaults, no keyword arguments, coefficients designed
+outside, helpers called only in the rare case. Both filters always run, so that B and M may be
+switched on without a jump. The rate is folded into the filter coefficients: they act on
 differences. Positive force pushes to positive x.
 
-Limitations: fastmath or contraction in a compiler (bits differ from CPython), a limit that is asked
-whether the force lies outside it (the code asks whether it does not lie inside, which is also true
-of NaN, and `clamp` then makes that 0), coefficients for another rate.
+Limitations: fastmath or contraction in a compiler (bits differ from CPython), and coefficients for
+another rate. A limit must test that the force is not inside it, not that the force is outside: only
+the first is also true of NaN, which `clamp` then turns into 0.
 """
 
 from typing import Final

@@ -1,4 +1,4 @@
-"""Ramps: how a parameter goes from one value to the next. Each carries its own start tick, so
+"""Ramps: a parameter on its way from one value to the next. Each carries its own start tick, so
 several may overlap.
 """
 

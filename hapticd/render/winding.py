@@ -1,4 +1,4 @@
-"""How hot the winding can be and how hot it must be, and how much of its resistance a board may
+"""The range of the winding's temperature, and the part of its resistance that a board may
 compensate. Standard library only.
 
 The damping circuit (Weir 2008, section 5) takes the back-EMF from the motor's voltage by
@@ -7,22 +7,21 @@ subtracting R_hat i. Copper's resistance grows by 0.393 %/K, R_hat does not by i
     R(T)  = R_ref (1 + a (T - T_ref))        R_hat = base + trim        dR = R(T) - R_hat
     alpha = 1 / (1 + g dR / K^2)             K: endpoint force per ampere, g: active damping
 
-alpha scales damping AND force. A winding hotter than the circuit believes is safe but weak; one
-that is colder (dR < 0) makes both stronger, and the circuit oscillates at g dR / K^2 = -1. So the
-trim follows R(T) from below,
+alpha scales damping AND force. A winding hotter than the circuit assumes is safe but weak. A colder
+one (dR < 0) makes both stronger, and the circuit oscillates at g dR / K^2 = -1. So the trim follows
+R(T) from below,
 
     trim = R(T_c) - base - tolerance,   held in 0 .. full scale
 
-with T_c the sensor's temperature, but never more than the winding can have. Without a sensor T_c is
-what it must have at least. Both ends come from a winding that the motor's current heats,
+with T_c the sensor's temperature, but at most the hot end of the winding's range. Without a sensor
+T_c is the cold end. Both ends come from a winding that the motor's current heats,
 
     dT/dt = (T_ambient + R_th R(T) i^2 - T) / tau
 
-with everything that is not known (ambient, R_th, tau) at its hot end for the one and at its cold
-end for the other; in between the exact solution for a current that is held. Where nothing is known
-of the current it is taken to be 0: both ends cool down, and too little is compensated. Whatever the
-sensor says, the loop gain against the coldest possible winding stays above -0.3 at the highest
-damping of the device.
+with every uncertain value (ambient, R_th, tau) at its hot end for the one and at its cold end for
+the other. In between, the solution for a held current is exact. An unknown current is taken to be
+0: both ends cool down, and the compensation is too small. Whatever the sensor reads, the loop gain
+against the coldest possible winding stays above -0.3 at the highest active damping of the device.
 
 Limitations: a current that reads too high without a sensor, a winding below the coldest ambient of
 the device file, a second time constant (a housing that warms up) outside `model_error`.

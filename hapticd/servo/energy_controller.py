@@ -13,9 +13,9 @@ where a wall at five times its limit drives a light handle. So beyond SHARE of t
        damping had a chance), K, B and M and those of the wall are halved. The force steps by no
        more than `limits.force_step_n` on the way. The next halving waits until this one shows.
 
-The leak is counted from the last step on. E itself decays within about a second, so the rest of the
-former excess is subtracted. Credit is not stored: E starts at 0 whenever the device took more than
-it was given. Minutes without a leak therefore do not delay a step by a tick.
+The leak is counted from the last step on. E itself decays with a time constant of a second, so the
+rest of the former excess is subtracted. Credit is not stored: E starts at 0 whenever the device
+took more than it was given. Minutes without a leak therefore do not delay a step by a tick.
 
 Both are changes by the servo itself: revision and environment revision count them, the actor is 0,
 and they stay until a change names the value again. No virtual damping is added. Behind a lag or a

@@ -1,32 +1,33 @@
-"""Which part of a late tick took so long, from its record and those around it.
+"""The part of a tick that made it late, from its record and those around it.
 
-A tick is late when it ends after the next deadline. The loop times its parts anyway. What a part
-takes beyond its usual time, the median of three ticks on time at a tally, is its share of the
-lateness. The part with the greatest share is the cause:
+A tick is late when it ends after the next deadline. The loop times its parts anyway. The share of a
+part is its time beyond the usual, which is the median of three ticks on time at a tally. The part
+with the greatest share is the cause:
 
     deadline | wake | read     | step | write    | publish | end      next deadline
                WAKE   transfer   STEP   transfer   PUBLISH
 
 In flight (`usb.flight`) `write` hands both transfers to the kernel and waits for neither, so its
-share is SUBMISSION. `read` waits for an IN that is late, and the board's clock tells why. The board
-latches a sample a fixed time after it got the OUT before. So the time from that OUT (by the host's
-clock) to the sample (by the board's) is constant but for the offset of the clocks, which the two
-ticks before have as well:
+share is SUBMISSION. `read` waits for a late IN, and the board's clock shows the reason. The board
+latches a sample a fixed time after it got the previous OUT. So the time from that OUT (by the
+host's clock) to the sample (by the board's) is constant but for the offset of the clocks, which the
+two ticks before have as well:
 
-    BUS          that time is longer, because the OUT came late to the board; or the OUT before was
-                 still under way a period later; or no IN came within the time-out
+    BUS          that time is longer, because the OUT reached the board late; or the previous OUT
+                 was still under way a period later; or no IN came within the time-out
     COMPLETION   that time is as usual: the sample was ready, and the IN ended late
 
-A slow bus holds up OUT and IN, so it is BUS from a quarter of the lateness on the way out. An IN
-alone that is slow on the wire counts as COMPLETION: only the kernel could tell the two apart. A
+A slow bus delays OUT and IN, so the cause is BUS from a quarter of the lateness on the way out. An
+IN alone that is slow on the wire counts as COMPLETION: only the kernel could tell the two apart. A
 late tick sends its OUT late, so the next ones may wait for their IN: they have its cause. One after
-the other, libusb's call hides its parts: what is not BUS is TRANSFER. When the OUT of the late tick
-itself came to the board is in the sample of the next one, and even that would not tell submission
-from bus; when an IN was fetched is in none.
+the other, libusb's call hides its parts, and everything but BUS is TRANSFER. The sample of the next
+tick shows when the OUT of the late tick reached the board, but does not separate submission from
+bus. No sample shows when an IN was fetched.
 
-The cause is looked for once the tick has ended, before the slots that it lost are counted, so the
-next tick is not held up: cold code takes tens of times longer. It goes into the record of the next
-tick, since the own one is out by then. A tick on time pays for two integers of its record.
+The cause is computed after the end of the tick and before its lost slots are counted. The next tick
+is therefore not delayed: cold code takes tens of times longer. The cause goes into the record of
+the next tick, because its own record is out by then. A tick on time pays for two integers of its
+record.
 
 Limitations: a board that latches by a clock of its own, records that are not in the ring.
 """

@@ -2,22 +2,22 @@
 
     wait -> receive -> commands -> step -> send -> record -> next deadline
 
-Everything a tick needs is a local name that no closure shares, and what can be made ready before
-the wake is; what is rare (a lost link, commands, answers, late ticks) is a call. Three habits
-of CPython 3.11 show: the loop is a `while True`, because the instructions of a function that is
-entered once are specialised only after it has gone round a loop that ends in an unconditional jump
-(a seventh of a tick); a float stands before the integer it is multiplied by, because otherwise the
-integer is asked first; and no call has more than 30 arguments, which would go by way of a list.
+Everything a tick needs is a local name that no closure shares, prepared before the wake-up where
+possible. Rare work (a lost link, commands, answers, late ticks) is a call. Three properties of
+CPython 3.11 shape the code. The loop is a `while True`, because the instructions of a function that
+is entered once are specialised only after a loop that ends in an unconditional jump (a seventh of a
+tick). A float stands before the integer it is multiplied by, because otherwise the integer's method
+is tried first. No call has more than 30 arguments, which would go by way of a list.
 
-A late tick drops whole slots and never catches up; late events and lost slots are counted apart,
-those of the first second (`grace`) on their own. Ticks are numbered one after the other; the time
-that `step` is given is the slot, which counts the lost ones too, so a ramp of 20 ms ends after 20
-ms whatever the ticks did. Clients ask and are answered in ticks. With the board gone the ticks go
-on: records say so, the force is 0, and the board is looked for with back-off. The loop ends when
-`stopping` is set or `ticks` are done; `finish` fades what acts and lets the board go.
+A late tick drops whole slots and never catches up. Late events and lost slots are counted apart,
+those of the first second (`grace`) on their own. Ticks are numbered one after the other. `step`
+gets the slot, which counts the lost ones too, so a ramp of 20 ms ends after 20 ms whether or not
+ticks were lost. Requests and answers of clients are in ticks. Without the board the ticks go on:
+records show it, the force is 0, and the board is searched for with back-off. The loop ends when
+`stopping` is set or `ticks` are done; `finish` ramps the force down and releases the board.
 
-Limitations: a name of `run` that a closure shares (it becomes a cell, slower at every use),
-something slow before the record is published.
+Limitations: a name of `run` that a closure shares (it becomes a cell, slower at every use), slow
+work before the record is published.
 """
 
 import os

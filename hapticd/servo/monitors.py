@@ -1,22 +1,23 @@
-"""What ends a limit cycle: three signs that the display moves by itself, each a fault.
+"""Detection of a limit cycle: three signs that the display moves by itself, each a fault.
 
     force_at_limit  the force went REVERSALS times from one end of its limit to the other within
                     WINDOW_S: faster than 15 Hz. A hand taps at 7 Hz and trembles at 12; it may
-                    press at the limit for as long as it likes
-    overspeed       faster than the device file allows for FAST_S: no glitch of the encoder, which
-                    lasts for a sample or two, and no handle thrown by hand (see below)
-    energy          more energy given away without cover than the device file allows
+                    press at the limit for any length of time
+    overspeed       faster than the device file allows for FAST_S: longer than a glitch of the
+                    encoder, which lasts for a sample or two, and faster than a handle thrown by
+                    hand (see below)
+    energy          more energy given out without cover than the device file allows
                     (`render.energy`); it needs a lower bound of the physical damping, and is off
                     without one
 
-Their signs are seen in the tick (`step` calls this only when the force is clamped or the speed is
-high) and raise an alarm; the next tick takes the slow path, where the alarm becomes a fault while
-torque is granted. Trials that go to the edge of stability on purpose switch `force_at_limit` and
-`energy` off; which of them are on is in every record.
+The tick detects the signs (`step` calls this only when the force is clamped or the speed is high)
+and raises an alarm. The next tick takes the slow path, where the alarm becomes a fault while torque
+is granted. Trials that go to the edge of stability on purpose switch `force_at_limit` and `energy`
+off; every record shows which of them are on.
 
-Overspeed by default begins at 0.7 of the speed at which the encoder is not believed any more: 3.5
-m/s on the device of the paper. In half of its 40 mm of travel a hand that accelerates 20 times as
-fast as gravity reaches 2.8 m/s; 8 g that are let go 20 mm off under K = 200 N/m reach 3.2 m/s.
+The default limit of overspeed is 0.7 of the speed beyond which the encoder is doubted: 3.5 m/s on
+the device of the paper. In half of its 40 mm of travel a hand that accelerates 20 times as fast as
+gravity reaches 2.8 m/s; 8 g released 20 mm off under K = 200 N/m reach 3.2 m/s.
 
 Limitations: a rate so low that FAST_S is less than a tick, a limit that changes while the force
 lies at it.

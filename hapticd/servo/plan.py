@@ -1,18 +1,18 @@
-"""What the servo intends (Plan), what one tick needs of it (TickConstants), both as plain tuples
-(checkpoint).
+"""The servo's intended state (Plan) and the constants of one tick (TickConstants), both as plain
+tuples (checkpoint).
 
 A Plan is everything that changes by commands, ramps and transitions, and not by the sample. It is
-immutable; `with_values` gives the next one for a change of settings, `commands.obey` for any
-command. Ramps carry their own start tick, so a parameter that is set twice goes on from where it
-is. `tick_constants` makes of it what one tick needs, and until when that holds.
+immutable. `with_values` returns the next one for a change of settings, `commands.obey` for any
+command. Ramps carry their own start tick, so a parameter that is set twice continues from its
+present value. `tick_constants` computes the constants of a tick from it, and how long they hold.
 
-A tick passes on a ServoState. What changes with every sample in it is a plain tuple, which CPython
-takes apart and builds at the speed of C; what only `slow_path` changes is one frozen object with
-named slots (TickConstants) that a calm tick passes on untouched.
+A tick passes on a ServoState. Its part that changes with every sample is a plain tuple, which
+CPython takes apart and builds at the speed of C. Its part that only `slow_path` changes is one
+frozen object with named slots (TickConstants), which a calm tick passes on untouched.
 
-A checkpoint (`flatten`, `unflatten`) is the whole state as nested plain tuples: what a replay
-starts from. Every number stays the number it is, so a replay from a checkpoint gives the same bits
-as the run that left it. Plain tuples are cheap to marshal (some 10 us, only when the gateway asks,
+A checkpoint (`flatten`, `unflatten`) is the whole state as nested plain tuples, the start of a
+replay. Every number keeps its type and value, so a replay from a checkpoint gives the same bits as
+the run that left it. Plain tuples are cheap to marshal (about 10 us, only at the gateway's request,
 after the record was published) and survive JSON. The order of the places is that of the first
 checkpoints ever written, which stay readable.
 

@@ -1,13 +1,13 @@
-"""The energy that changes of parameters bring in, and the budget that makes ramps wait.
+"""The energy that changes of parameters add, and the budget that makes ramps wait.
 
-A display that is passive at every instant may still be pumped: who stiffens a spring while it is
-bent and softens it while it is not gives energy to the hand, and a fixed rhythm finds that phase by
+A display that is passive at every instant may still be pumped. Stiffening a spring while it is bent
+and softening it while it is not gives energy to the hand, and a fixed rhythm finds that phase by
 itself (parametric resonance). 1 kg under a spring that goes from 40 to 380 N/m and back, each in 50
-ms and every 110 ms, grows by 2.08 in 220 ms; with 2 N s/m by 1.68. No ledger of work shows it, for
-what a ramp brings in is not lost.
+ms and every 110 ms, grows by 2.08 in 220 ms; with 2 N s/m by 1.68. No ledger of work shows this,
+because the energy that a ramp adds is not lost.
 
-So what each tick's change of parameters adds to the energy stored where the handle is at that tick,
-element by element, is booked:
+So each tick books the energy that its change of parameters adds to the energy stored at the present
+position of the handle, element by element:
 
     spring K, wall, ends        k d^2 / 2 at the deflection d; beyond the force limit F that the
                                 law clamps to, F d - F^2 / (2 k)
@@ -15,19 +15,18 @@ element by element, is booked:
                                 D the deflection at which the force reaches it
     virtual mass M              M v^2 / 2 at the velocity of the law
 
-Each with the gain and at the wall's new place; so an enable, a stiffer wall and a wall that moves
-into the handle bring energy in like a stiffer spring. Only what is added counts: a softer spring
-takes energy out somewhere else than a stiffer one brings it in, and the difference is the pump.
+Each term includes the gain and the wall's new place. An enable, a stiffer wall and a wall that
+moves into the handle therefore add energy like a stiffer spring. Only increases count: a softer
+spring takes energy out at another place than a stiffer one adds it, and the difference is the pump.
 
-While the bookings of the last second and those of this tick come to more than
-`limits.ramp_energy_j` of the device file, ramps pause: every value stays where it is with what is
-left of its ramp before it, and goes on from there when the window frees. What falls is never held:
-stiffness and mass on their way down, damping on its way to 0, a wall that goes away, and all that
-takes force away as a whole. So in any second a hand is given no more than the budget, or what a
-single tick brings, which `limits.force_step_n` bounds. The window is kept in SHARES of a second, so
-it is 1.05 s at most.
+Ramps pause while the bookings of the last second and of this tick exceed `limits.ramp_energy_j` of
+the device file. Every value then stays where it is, keeps the rest of its ramp, and continues when
+the window frees. Decreases are never held: stiffness and mass on their way down, damping on its way
+to 0, a wall that is removed, and whatever removes the whole force. So in any second a hand gets no
+more than the budget, or the energy of a single tick, which `limits.force_step_n` bounds. The window
+is kept in SHARES of a second, so it is 1.05 s at most.
 
-Limitations: a parameter that stores energy and says no `power`, a state in which force acts and
+Limitations: a parameter that stores energy and has no `power`, a state in which force acts and
 parameters move past `eased`.
 """
 

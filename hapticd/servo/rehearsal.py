@@ -1,7 +1,7 @@
-"""The tick to no effect: on dummy data at the start of the spin it warms the caches (see `wait`).
+"""A tick without effect: on dummy data at the start of the spin it warms the caches (see `wait`).
 
-Limitations: a rehearsal that has an effect, a closure of the loop (what the loop shares with one
-costs a tick more than a local).
+Limitations: a rehearsal that has an effect, a closure of the loop (a variable that the loop shares
+with one costs a tick more than a local).
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The safety table: which command leads where, and what torque and damping a state allows.
+"""The safety table: the state after a command, and the torque and damping that a state allows.
 
     state      torque              active damping                         leaves by
     disabled   0                   0 unless asked                         enable, home, stop, fault
@@ -10,12 +10,14 @@
     fault      as in stopped       as in stopped                          reset, while no cause
                                                                           persists
 
-STOP comes from anyone at any time and is idempotent; `reset` leads to disabled, never further; a
-fault keeps its first cause. A latched state fades the force that acts by authority in that tick,
-after the other commands: none when disabled, and never twice. `set` and `damping` are taken in
-every state and act where the table lets them; a perturbation plays while enabled and ends with it.
-Pure: no clock, no I/O. Limitations: a state added without its row (TABLE is checked to be
-complete when this module is imported).
+Any client may send STOP at any time, and it is idempotent. `reset` leads to disabled, never
+further. A fault keeps its first cause. A latched state ramps down the force that acts with
+authority in that tick, after the other commands: none when disabled, and never twice. `set` and
+`damping` are accepted in every state and act where the table permits. A perturbation plays while
+enabled and ends with it. The module is pure: no clock, no I/O.
+
+Limitations: a state added without its row (the import of this module checks that TABLE is
+complete).
 """
 
 from hapticd.core.faults import BY_CODE

@@ -1,10 +1,9 @@
-"""Samples that were lost or are doubted: what the law gets in their place, and what is left of the
-origin behind them.
+"""Lost and doubted samples: their replacement for the law, and the state of the origin after them.
 
 The law's filters see every period. Up to `missing_frames_limit` lost samples are replaced by
 positions on the straight line between the samples on either side of them. The last force was held
-meanwhile. A sample that is far from where those before it lead is doubted (`servo.glitch`) until
-the next ones say whether the device moved.
+meanwhile. A sample that is far from the continuation of those before it is doubted (`servo.glitch`)
+until the next ones show whether the device moved.
 """
 
 from collections.abc import Sequence

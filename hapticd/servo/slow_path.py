@@ -1,11 +1,11 @@
 """The slow path of a tick: lost frames, causes of faults, commands, ramps, homing. It ends in a
 state for the fast path.
 
-Order within a tick: what arrived (`samples`) -> what is wrong (`causes`) -> commands -> scheduled
-changes -> homing -> active damping and ramps. So a stop that arrives with an enable wins, and a
-reset sees a fault that appears in this tick.
+Order within a tick: arrivals (`samples`) -> faults (`causes`) -> commands -> scheduled changes ->
+homing -> active damping and ramps. So a stop that arrives with an enable wins, and a reset sees a
+fault that appears in this tick.
 
-Limitations: the fast path looks only at `TickConstants`, so each change of the plan has to renew
+Limitations: the fast path looks only at `TickConstants`, so each change of the plan has to update
 it.
 """
 

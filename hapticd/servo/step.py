@@ -2,15 +2,17 @@
 no I/O.
 
 The same call runs live, in lock-step and in a replay. Almost every tick takes the fast path:
-position from the count, `render`, count from the force, ledger. A tick on which anything else
-happens (a command, a running ramp, a lost frame, a status bit, a missing heartbeat) first goes
-through `slow_path`, which makes a new state; the fast path then follows as ever.
+position from the count, `render`, count from the force, ledger. A tick with any other event (a
+command, a running ramp, a lost frame, a status bit, a missing heartbeat) first goes through
+`slow_path`, which makes a new state; the fast path follows as usual.
 
 `tick` is time: periods since the start, those of lost slots included, so it rises but may skip.
-State is a short tuple (see `plan`) whose first place holds everything slow, so that a tick hands
-it on in one piece. The force limit is the last thing before the wire: the law clamps in newtons,
-this module clamps the count once more. Limitations: mutable values in the state, a time or
-a random number read here, a float that reaches the wire.
+State is a short tuple (see `plan`). Its first place holds everything slow, so a tick passes that on
+in one piece. The force limit is the last step before the wire: the law clamps in newtons, this
+module clamps the count once more.
+
+Limitations: mutable values in the state, a time or a random number read here, a float that reaches
+the wire.
 """
 
 from collections.abc import Callable

@@ -1,11 +1,10 @@
-"""How the loop waits for its next deadline.
+"""The wait of the loop for its next deadline.
 
 Live: sleep to `spin` before the deadline, then spin on the clock. The kernel wakes a sleeper 10-60
-us late; the spin makes the tick start within 0.1 us for 10 % of a core at 1 kHz and warms the
-caches. Deadlines lie half a period off the millisecond, where the scheduler's own tick does not
-fall. In a millisecond of sleep the caches go cold and a tick costs twice what it costs hot; a
-rehearsal of the tick on dummy data at the start of the spin warms them. In virtual time: move the
-clock.
+us late. The spin makes the tick start within 0.1 us for 10 % of a core at 1 kHz and warms the
+caches. Deadlines lie half a period off the millisecond, away from the scheduler's own tick. In a
+millisecond of sleep the caches go cold, and a tick costs twice as much as a hot one. A rehearsal of
+the tick on dummy data at the start of the spin warms them. In virtual time: move the clock.
 
 Limitations: a rehearsal that has an effect.
 """

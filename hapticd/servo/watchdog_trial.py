@@ -1,14 +1,14 @@
-"""Frames withheld on purpose, to see what the board's watchdog does.
+"""Frames withheld on purpose, to test the board's watchdog.
 
-Only a servo that is disabled withholds them, and for a second at most: the board holds its damping
-for two. It sends nothing, and reads every 8 ms only, to notice a lost link: no frame answers, so
-each of these reads takes its time-out, and slots that are lost by it are not counted. Whatever ends
-the state (a stop, a fault, an enable) ends the silence in that tick.
+Only a disabled servo withholds them, for a second at most, because the board holds its damping for
+two. It sends nothing. It reads every 8 ms only, to notice a lost link: no frame answers, so each
+read takes its time-out, and slots that are lost by it are not counted. Every end of the state (a
+stop, a fault, an enable) ends the silence in that tick.
 
-The first frame after it asks for authority with the count of no force: a board whose watchdog has
-tripped answers it, says so, and does nothing in it, so its IN tells the damping that it holds. The
-next frame has no ENABLE again, which clears a tripped watchdog. A board that has not tripped has
-authority over no force for one period: that is the price of an answer.
+The first frame after the silence requests authority with the count of no force. A board whose
+watchdog has tripped reports this in its answer and does nothing else, so its IN contains the
+damping that it holds. The next frame has no ENABLE again, which clears a tripped watchdog. A board
+that has not tripped has authority over no force for one period: that is the price of an answer.
 
 Limitations: a force in the state disabled, or a board that holds damping for less time than a
 silence may take.
