@@ -115,7 +115,7 @@ def test_page_work_is_sum_over_pairs() -> None:
     [
         ("out", "OUT: host to board"),
         ("in", "IN: board to host"),
-        ("hello", "HELLO: the board about itself"),
+        ("hello", "HELLO: the properties of the board"),
     ],
 )
 def test_page_explains_every_member(kind: str, title: str) -> None:
