@@ -10,8 +10,8 @@ NOTES = Path(__file__).parents[1] / "faults"  # what to look at, one file per co
 REFUSED_EXIT = CommandError("stopped", "").exit_code
 INTRODUCTION = """# Faults
 
-The reasons for which the servo leaves `enabled` by itself. The number is in every tick record and recording, the code in
-state, events, `hapticd status` and error messages.
+A fault is a reason for which the servo leaves `enabled` by itself. Every tick record and recording contains its number. State,
+events, `hapticd status` and error messages contain its code.
 """
 TABLE_OF_CONTENTS = """
 ```{{toctree}}

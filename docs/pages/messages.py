@@ -17,20 +17,20 @@ from pages.schemas import Schema, described
 
 INTRODUCTION = """# Messages
 
-Commands are one msgpack or JSON map each, sent to the ROUTER socket `command` in the runtime folder; the reply has the encoding
+A command is one msgpack or JSON map, sent to the ROUTER socket `command` in the runtime folder. The reply has the encoding
 of the request: `{ok}`, or `{refused}`. Telemetry is
 two frames, `[topic, payload]`, on the XPUB socket `telemetry` and on TCP port 9872. Limits below are those of the simulated device
-at 1 kHz; `hapticd.client` speaks all of this.
+at 1 kHz. `hapticd.client` implements all of this.
 
-The gateway speaks ZMTP 3 itself (any ZeroMQ library since 4.0) and bounds every peer: a message has at most {message} bytes (a subscription {subscription}) in
-{parts} parts, and what breaks that ends its connection; {peers} connections a socket; {replies} replies or {messages} messages of telemetry wait for a reader, within {queued} MiB, and
-what comes then is dropped. Behind {requests} others a request is answered `busy`, and a stop goes before them all.
+The gateway implements ZMTP 3 itself (any ZeroMQ library since 4.0) and bounds every peer. A message has at most {message} bytes (a subscription {subscription}) in
+{parts} parts; a message beyond that ends its connection. A socket has {peers} connections. At most {replies} replies or {messages} messages of telemetry wait for a reader, within {queued} MiB;
+later ones are dropped. A request behind {requests} others is answered `busy`. A stop goes before them all.
 
 ## Commands
 """
 RECORDS = """## Records of `servo.raw`
 
-One per tick, little-endian, packed; `descr` in each message is this table as numpy reads it.
+One per tick, little-endian, packed. `descr` in each message is this table in numpy's form.
 """
 
 

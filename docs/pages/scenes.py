@@ -13,12 +13,12 @@ from pages.settings import settings_page
 COSTS = Path(__file__).parents[1] / "figures" / "effect-costs.json"
 EFFECTS = """# Effects
 
-What a simulated device may be made of. A scene names those that count, and a device file gives each its numbers in the table
-`[model.KEY]`; what is not named is not built. `{always}` are built without being named. Written in another order they are composed in this one.
+A simulated device consists of effects. A scene names those that count, and a device file gives each its numbers in the table
+`[model.KEY]`. Other effects are not simulated, except `{always}`, which are always present. The order below applies whatever the order in the file.
 
-Costs are shares of the scene `fig7`, which takes {engine_us:.0f} us of one core for a simulated second in the batch engine (one of 32
-trials together) and {lockstep_ms:.0f} ms as the whole product in lock-step; they were measured by `python docs/effect_costs.py`, on the machine that did it. Shares below some
-3 % are noise. `crowbar` stands in place of amplifier and damping circuit. `hapticd sim explain SCENE` times a scene on yours, `hapticd sim effects SCENE --for limits` says which effects its question needs.
+Costs are shares of the scene `fig7`. For a simulated second it takes {engine_us:.0f} us of one core in the batch engine (one of 32
+trials together), and {lockstep_ms:.0f} ms as the whole product in lock-step. `python docs/effect_costs.py` measured them on one machine. Shares below about
+3 % are noise. `crowbar` replaces amplifier and damping circuit. `hapticd sim explain SCENE` times a scene on your computer; `hapticd sim effects SCENE --for limits` lists the effects that its question needs.
 
 | effect | costs in the engine | in lock-step | not linear |
 | --- | --- | --- | --- |

@@ -1,4 +1,4 @@
-"""What may be asked of the simulated board, so that it is as unkind as a real one can be."""
+"""Settings of the simulated board that make it as difficult as a real one."""
 
 from typing import Any
 
@@ -9,28 +9,28 @@ from pages.schemas import described, resolved
 
 INTRODUCTION = """# The simulated board
 
-Without a word it is a board that does what it should. A configuration asks for more in
-`[simulation]`, live and in lock-step alike: traits last, and injections strike at a tick or at
-random. The same seed and the same transfers give the same faults.
+By default the simulated board has no faults. The table `[simulation]` of the configuration adds
+them, live and in lock-step alike: traits last, and injections act at a tick or at random. The same
+seed and the same transfers give the same faults.
 
 ## Traits: keys of `[simulation]`
 """
-TOUCH = """## What touches the device: `[simulation.touch]`
+TOUCH = """## Contacts of the device: `[simulation.touch]`
 
-Its stops yield, its bearing sticks, a hand holds, pushes or strikes the handle. All of it acts on
-the rotor. Any stiffness is stable: the force of a contact is that for which its law holds at the
-end of a sixteenth of a tick.
+Its stops yield, its bearing sticks, a hand holds, pushes or strikes the handle. All of these forces
+act on the rotor. Any stiffness is stable: the force of a contact satisfies its law at the end of a
+sixteenth of a tick.
 """
 HANDS = """## Hands: `[[simulation.touch.hands]]`
 
-`hold` is a spring and a damper from where the handle is when it is grasped, `push` a constant
-force, `strike` half a sine. A hand counts its time from the first frame; a board that restarts does
-not begin it anew.
+`hold` is a spring and a damper from the position at which the handle is grasped, `push` a constant
+force, `strike` half a sine. The time of a hand starts with the first frame, and continues when the
+board restarts.
 """
 INJECTIONS = """## Injections: `[[simulation.injections]]`
 
 An injection has a `kind`, a `tick` (or a `probability` at each tick; 1 is always), a `count` of
-ticks for which it lasts, and a `value`. Ticks count the OUT frames that the host tries to send.
+ticks that it lasts, and a `value`. Ticks count the OUT frames that the host tries to send.
 """
 
 

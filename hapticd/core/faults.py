@@ -1,9 +1,9 @@
 """Every reason for which the servo leaves `enabled` by itself: one table of code, cause, action,
 remedy.
 
-The number travels in every tick record and state message; the name is what people and scripts read.
-Numbers are never reused. `stop` is not a failure: it is the operator's (or anyone's) latched stop
-and shares the table so that one field says why the force is off.
+Every tick record and state message contains the number; people and scripts read the name. Numbers
+are never reused. `stop` is not a failure but a latched stop from any client. It shares the table so
+that one field shows why the force is off.
 """
 
 from typing import NamedTuple
@@ -28,16 +28,16 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         1,
         "stop",
-        "someone asked for a stop",
+        "a stop was requested",
         _TO_SAFE,
         "make sure it is safe, then `hapticd reset`",
     ),
     Fault(
         2,
         "gateway_lost",
-        "the gateway's heartbeat stayed away",
+        "the gateway stopped sending its heartbeat",
         _TO_SAFE,
-        "reset; if it comes again the computer is too busy, see `hapticd doctor`",
+        "reset; if it happens again the computer is too busy, see `hapticd doctor`",
     ),
     Fault(
         3,
@@ -51,14 +51,14 @@ FAULTS: tuple[Fault, ...] = (
         "frames_lost",
         "too many frames in a row were missing, bad or older than the last one sent",
         _TO_SAFE,
-        "check cable and hub, and what else shares the bus, then reset",
+        "check cable, hub and other devices on the bus, then reset",
     ),
     Fault(
         5,
         "lost_slots",
         "the host missed too many ticks in a second",
         _TO_SAFE,
-        "quiet the machine (see `status`), reset",
+        "reduce the load of the computer (see `status`), reset",
     ),
     Fault(
         6,
@@ -84,9 +84,9 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         9,
         "sensor_range",
-        "an encoder step that no hand can make",
+        "the encoder moved further in a tick than any hand can move it",
         _TO_SAFE,
-        "if it rang, ask for less; else check encoder and cable; then reset, and home or zero",
+        "if the handle rang, lower K, B or M; if not, check encoder and cable; reset, home or zero",
     ),
     Fault(
         10,
@@ -107,12 +107,12 @@ FAULTS: tuple[Fault, ...] = (
         "no_authority",
         "the board does not grant torque: emergency stop, or the amplifier is not ready",
         _TO_SAFE,
-        "release the emergency stop, look at the amplifier, then reset",
+        "release the emergency stop, check the amplifier, then reset",
     ),
     Fault(
         13,
         "force_at_limit",
-        "the force went to and fro between its limits faster than any hand",
+        "the force went back and forth between its limits faster than any hand",
         _TO_SAFE,
         "lower K, B or M, or ask for more active damping, then reset",
     ),
@@ -126,7 +126,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         15,
         "energy",
-        "the display gave away more energy than its damping and the user can account for",
+        "the display gave out more energy than its damping and the user can account for",
         _TO_SAFE,
         "lower K, B or M, or ask for more active damping, then reset",
     ),
@@ -140,9 +140,9 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         18,
         "board_restarted",
-        "the board's firmware started anew: its position origin is lost",
+        "the board's firmware restarted: its position origin is lost",
         _TO_SAFE,
-        "look at its supply, reset, home or zero again",
+        "check its supply, reset, home or zero again",
     ),
     Fault(
         20,
@@ -161,7 +161,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault(
         22,
         "home_not_confirmed",
-        "what homing found was not there the second time, or gives way",
+        "homing could not find the same stop twice, or the stop gives way",
         _TO_SAFE,
         "let go of the handle, check the mechanism, reset, home",
     ),
@@ -197,5 +197,5 @@ FAULTS: tuple[Fault, ...] = (
 
 BY_CODE = {fault.code: fault for fault in FAULTS}
 BY_NUMBER = {fault.number: fault for fault in FAULTS}
-# what the gateway may find and ask the servo to enter
+# faults that the gateway may detect and request
 FROM_GATEWAY = frozenset({BY_CODE["damping_not_delivered"].number})

@@ -144,7 +144,7 @@ def test_stop_from_before_this_gateway_is_nobodys_it_knows(rig: DeskRig) -> None
     rig.run(2)
     (reply,) = rig.send(packed(cmd="zero"))
     assert (
-        "zero in state stopped (someone asked for a stop): make sure" in reply["error"]["message"]
+        "zero in state stopped (a stop was requested): make sure" in reply["error"]["message"]
     )
 
 
@@ -602,7 +602,7 @@ def test_reset_is_refused_by_the_emergency_stop_and_not_by_what_it_ended(rig: De
     said = "the emergency stop is pressed, so the board makes no force; release it, then ask again"
     assert str(error) == f"reset: {said}"
     rig.view.record = {"status": 0}
-    assert "someone asked for a stop" in str(
+    assert "a stop was requested" in str(
         refusal(answer, "reset", rig.view, Actors(rig.view.next_actor))
     )
 
