@@ -4,7 +4,7 @@
 FD` says that it serves. Exit code 0: asked to end; otherwise that of the error, which is printed in
 one line on stderr.
 
-What would break it: importing the command line, which this process does not need.
+Limitations: importing the command line, which this process does not need.
 """
 
 import argparse

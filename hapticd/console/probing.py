@@ -7,7 +7,7 @@ what is seen now; it is no verdict: the time is short, parameters may change wit
 has judged the record.
 
 Samples that were lost are told, not mended: each gap spoils at most LAG of the products that are
-averaged. What would break it: a device that is excited by something that the probe does not see.
+averaged. Limitations: a device that is excited by something that the probe does not see.
 """
 
 import json

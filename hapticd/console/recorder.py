@@ -6,7 +6,7 @@ the console was started; nothing that a page sends becomes part of a path.
 
 The kernel is asked to send SIGTERM when the parent is gone, however it went:
 `python -m hapticd.console.recorder PARENT VERB ..` asks for that and becomes `hapticd VERB ..`,
-which keeps the wish. What would break it: starting it from a thread that ends, for the kernel means
+which keeps the wish. Limitations: starting it from a thread that ends, for the kernel means
 that thread.
 """
 

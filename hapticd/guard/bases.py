@@ -17,7 +17,7 @@ all of it eigenvalues.
 What is kept of levels is at most LEVELS, evenly up to the ceiling of the circuit, with the level
 that `damping on` means.
 
-What would break it: a delay that changes from tick to tick; `theorem` and `predicted` know one.
+Limitations: a delay that changes from tick to tick; `theorem` and `predicted` know one.
 """
 
 from collections.abc import Callable

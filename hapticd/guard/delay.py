@@ -7,7 +7,7 @@ is longer, and as shorter only once it was so for 10 s: each new delay costs the
 second. One delay is one number for a theorem that knows no varying one: that is said beside every
 verdict.
 
-What would break it: rounding down, or a minute without records that still counts the one before.
+Limitations: rounding down, or a minute without records that still counts the one before.
 """
 
 import numpy as np

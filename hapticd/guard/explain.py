@@ -1,8 +1,8 @@
 """Explain a verdict: the verdict as it is sent, the reasons and remedies for an environment, and
 the hand that shakes it.
 
-What would break it: a sentence without value, unit and remedy, or `safe` without what no verdict
-promises (NOT_COVERED) beside it.
+Limitations: a sentence without value, unit and remedy, or `safe` without what no verdict promises
+(NOT_COVERED) beside it.
 """
 
 from collections.abc import Sequence

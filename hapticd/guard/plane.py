@@ -6,7 +6,7 @@ that what a picture of the plane shows is what the guard would say. For each K t
 are taken as one interval, the one nearest to its middle; the set of the theorem is convex for a
 rigid device, and at one delay an interval in B for those that were looked at.
 
-What would break it: an interval of B that is narrower than a step of the grid, which is not seen.
+Limitations: an interval of B that is narrower than a step of the grid, which is not seen.
 """
 
 from collections.abc import Callable

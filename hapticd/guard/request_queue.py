@@ -20,8 +20,8 @@ A change of several stages goes on by itself (`stages`) while the next ones are 
 judged by other terms (policy, basis, margin) and is still to come, as a stage or scheduled, is
 cancelled where the policy is strict.
 
-What would break it: a request that waits for ever (each has a deadline), or a verdict that is
-believed after policy or environment have changed.
+Limitations: a request that waits for ever (each has a deadline), or a verdict that is believed
+after policy or environment have changed.
 """
 
 from collections import deque

@@ -5,10 +5,9 @@ An environment is safe if its K, B, M in free space and those in its wall are, b
 at each delay that is judged. How far K, B or M may go is looked for on a grid that gets
 finer towards the environment's own value, and then between its last two points at either end.
 
-What would break it: a device that renders nothing of one axis alone and much of it beside another;
-a delay that changes from tick to tick; or a hand that makes and breaks
-contact with the wall in step with its motion: each side is judged for itself, and neither is
-covered.
+Limitations: a device that renders nothing of one axis alone and much of it beside another; a delay
+that changes from tick to tick; or a hand that makes and breaks contact with the wall in step with
+its motion: each side is judged for itself, and neither is covered.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -6,8 +6,8 @@ timer. Each is posted with the revision of the environment that it was judged fo
 refuse, follow). A newer request supersedes what is left; the end of the state in which it began
 cancels it. What is in force then stays.
 
-What would break it: a stage that is posted on the word of anything but the newest record, or one
-that waits for ever (it has a deadline).
+Limitations: a stage that is posted on the word of anything but the newest record, or one that waits
+for ever (it has a deadline).
 """
 
 from collections.abc import Callable

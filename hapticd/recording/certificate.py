@@ -6,8 +6,8 @@ first digits of the SHA-256 of the device file as it was then. So a file that wa
 of its own, and the newest one that is there says what it was before. Recordings, run folders and
 .zwidth files carry what `certificate_of` and `certificate_beside` say, not the certificate itself.
 
-What would break it: a device file on another machine than the client that asks (there is none then,
-and nothing is said).
+Limitations: a device file on another machine than the client that asks (there is none then, and
+nothing is said).
 """
 
 import hashlib

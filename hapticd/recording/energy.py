@@ -5,7 +5,7 @@ records, by the gateway's own ledger. Across a gap, and from one servo life to t
 is booked. Recordings of boards that did not say which force was in effect are booked with the delay
 that was assumed then, so nothing in them is unexplained.
 
-What would break it: records that lack a field which the ledger reads (`Recording.records` says so).
+Limitations: records that lack a field which the ledger reads (`Recording.records` says so).
 """
 
 from collections.abc import Iterator

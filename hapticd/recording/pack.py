@@ -11,8 +11,8 @@ the probe's signals in SI and seconds, is in the export of an unfinished one too
 with a line that begins with # and says where it comes from, SIMULATED or not, and which part is one
 trial.
 
-What would break it: a filter that HDF5 1.8 does not have, or the removal of the live file before
-the final one is on the disk.
+Limitations: a filter that HDF5 1.8 does not have, or the removal of the live file before the final
+one is on the disk.
 """
 
 import csv

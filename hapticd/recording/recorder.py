@@ -8,8 +8,8 @@ loses about a second. A slow disk delays the flush: what comes meanwhile waits i
 is full the recording ends in order; after a write error it ends at once, and what was flushed stays
 for `hapticd rec recover`.
 
-What would break it: `fdatasync` in the loop itself, which a slow disk delays for seconds; or a
-write after one that failed (see `live`).
+Limitations: `fdatasync` in the loop itself, which a slow disk delays for seconds; or a write after
+one that failed (see `live`).
 """
 
 import os

@@ -8,8 +8,8 @@ settles after the perturbation began is left out, as in a live trial.
 An exported table of text has no attributes, so its last line, the remark, says where it comes from
 and, beside the probe's samples, which part is the trial.
 
-What would break it: a recording whose board began anew in the middle; then another servo life
-begins, which ends the stretch.
+Limitations: a recording whose board began anew in the middle; then another servo life begins, which
+ends the stretch.
 """
 
 import json

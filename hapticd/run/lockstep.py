@@ -5,7 +5,7 @@ Nothing sleeps, nothing depends on the machine, and two runs with the same param
 seeds give the same bytes. The gateway's place is taken by `command`. `scene_params` makes the
 parameters of servo and simulated board for a scene.
 
-What would break it: code in the servo that reads a clock of its own instead of the one it is given.
+Limitations: code in the servo that reads a clock of its own instead of the one it is given.
 """
 
 import tempfile

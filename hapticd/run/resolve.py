@@ -2,7 +2,7 @@
 
 The processes start from these files alone: they read no TOML and load no pydantic.
 
-What would break it: a parameter that `to_plain` and `from_plain` do not carry to the last bit.
+Limitations: a parameter that `to_plain` and `from_plain` do not carry to the last bit.
 """
 
 import json

@@ -18,8 +18,8 @@ supervisor prints nothing: progress goes to a callback.
 The operators' page is a third child, started once the two serve. It is nobody's safety: however it
 ends it comes back like a gateway, and if it never served it is told and left out.
 
-What would break it: a second supervisor in the folder (its claim is refused), or waiting without
-looking at signals: every wait here is a poll of POLL_NS.
+Limitations: a second supervisor in the folder (its claim is refused), or waiting without looking at
+signals: every wait here is a poll of POLL_NS.
 """
 
 import os

@@ -4,7 +4,7 @@ The templates are shipped with the package (systemd/). Three words in them are f
 interpreter that runs this, and vendor and product of the board in the configuration. Files are
 written and nothing else: no user is made, no unit started.
 
-What would break it: an interpreter in a folder that the units do not see (`hidden_interpreter`).
+Limitations: an interpreter in a folder that the units do not see (`hidden_interpreter`).
 """
 
 import os

@@ -9,7 +9,7 @@ that a process exists (ADR-0021).
 It maps the ring for reading, starts before the servo takes real-time rights (so it has none), and
 dies with the servo. Standard library alone.
 
-What would break it: a ring that is replaced while the servo lives (a servo makes it once), or
+Limitations: a ring that is replaced while the servo lives (a servo makes it once), or
 NotifyAccess=main in the unit.
 """
 

@@ -3,8 +3,8 @@
 Opening a pipe waits for its other end, and a device such as /dev/zero has none. So a file is looked
 at before it is opened, here and nowhere else. Links are followed.
 
-What would break it: a file that becomes another one between the look and the opening; whoever names
-it would hang himself.
+Limitations: a file that becomes another one between the look and the opening; whoever names it
+would hang himself.
 """
 
 import stat

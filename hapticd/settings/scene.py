@@ -8,8 +8,8 @@ the wrong number came from.
 The JSON schemas of all kinds of file stand here too. They serve editors (`#:schema` in the first
 line of a file) and `taplo check`.
 
-What would break it: a scene that changes a number of a table which its device does not have (the
-table then lacks its other numbers, and the message says so).
+Limitations: a scene that changes a number of a table which its device does not have (the table then
+lacks its other numbers, and the message says so).
 """
 
 import copy

@@ -10,7 +10,7 @@ Tables are strict (no "100" for 100), closed (no unknown key), frozen, and refus
 Units live in the names of fields; `core.units.unit_of` reads them for messages and for the JSON
 schema.
 
-What would break it: a pydantic release that renames its error types (`REASONS` would fall back to
+Limitations: a pydantic release that renames its error types (`REASONS` would fall back to
 pydantic's own words); a rule whose limit comes from another table that it does not name.
 """
 

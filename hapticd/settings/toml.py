@@ -4,8 +4,8 @@ Standard library alone. tomllib does not tell line numbers, so `read` scans the 
 for headers and keys; a `Document` answers `where(path)` with file:line of a key or of the nearest
 table around it.
 
-What would break it: a header or key whose quoted name holds the quote itself (the message would
-name the table around it).
+Limitations: a header or key whose quoted name holds the quote itself (the message would name the
+table around it).
 """
 
 import difflib

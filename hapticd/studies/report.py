@@ -5,8 +5,8 @@ explicit methods blow up.
 One section a study: figure, table and sentences of the same result stand together. Lines and
 colours are those of `zwidth.report.style`: with active damping solid, without it dashed.
 
-What would break it: an error of 0 on a logarithmic axis. Those that are none are drawn below all
-others and called exact; a change that is out of range is drawn at the end of its axis.
+Limitations: an error of 0 on a logarithmic axis. Those that are none are drawn below all others and
+called exact; a change that is out of range is drawn at the end of its axis.
 """
 
 from itertools import cycle

@@ -26,8 +26,8 @@ bandwidth ask RK4 for a step below 88 us although the answer is spoken in millis
 that is let go with all bodies at one speed, over 20 ms; the error is that of the state, each
 coordinate over its largest value on the way.
 
-What would break it: a range of stable levels with a gap in it, narrower than the scan that begins
-the bisection (`SCAN` levels).
+Limitations: a range of stable levels with a gap in it, narrower than the scan that begins the
+bisection (`SCAN` levels).
 """
 
 from collections.abc import Sequence

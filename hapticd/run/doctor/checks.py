@@ -6,7 +6,7 @@
 
 Nothing is measured and nothing is changed. A simulated board needs none of the USB checks.
 
-What would break it: a fix that the reader cannot paste into a shell.
+Limitations: a fix that the reader cannot paste into a shell.
 """
 
 from collections.abc import Callable

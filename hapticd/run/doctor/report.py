@@ -6,7 +6,7 @@ its faults; names of clients, leases, addresses and the texts of events stay out
 has ids and places, of the board what the checks say. No key is read. The home folder is written as
 ~ wherever it occurs.
 
-What would break it: a new field of KEPT that holds what a person named.
+Limitations: a new field of KEPT that holds what a person named.
 """
 
 import json
