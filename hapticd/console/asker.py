@@ -79,7 +79,7 @@ class Asker:
         try:
             if cmd == EXCITE:
                 if strange := fields.keys() - {"on"}:
-                    text = f"{EXCITE}: {min(strange)!r} is no field of it; there is 'on'"
+                    text = f"{EXCITE}: {min(strange)!r} is not a field of it; there is 'on'"
                     return _refused(number, "invalid", text)
                 return self._excited(number, bool(fields.get("on")))
             return _accepted(number, cmd, self._client.call(cmd, **fields))

@@ -132,7 +132,7 @@ class Worker:
         try:
             self._take_messages()
         except (ValueError, msgpack.UnpackException) as error:
-            self.give_up(f"it sent what is no message: {error}")
+            self.give_up(f"it sent an invalid message: {error}")
 
     def _take_messages(self) -> None:
         while len(self._buffer) >= LENGTH.size:

@@ -148,7 +148,7 @@ def check_closed(folder: Path) -> None:
     if stat.S_ISLNK(mode):
         raise MailboxError(f"{folder} is a link", "remove it or set XDG_RUNTIME_DIR")
     if not stat.S_ISDIR(mode):
-        raise MailboxError(f"{folder} is no folder", "remove it or set XDG_RUNTIME_DIR")
+        raise MailboxError(f"{folder} is not a folder", "remove it or set XDG_RUNTIME_DIR")
     if mode & 0o022:
         raise MailboxError(
             f"{folder} may be written by others (mode {stat.S_IMODE(mode):o})", "chmod 700 it"

@@ -200,7 +200,7 @@ def _opened(path: Path, access: int) -> Iterator[int]:
         ) from error
     try:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise MailboxError(f"{path} is no file; remove it, the next servo makes it again")
+            raise MailboxError(f"{path} is not a file; remove it, the next servo makes it again")
         yield descriptor
     finally:
         os.close(descriptor)

@@ -247,7 +247,7 @@ class PassiveHand(Effect):
     """
 
     key: ClassVar[str] = "hand"
-    why: ClassVar[str] = "somebody holds the endpoint"
+    why: ClassVar[str] = "a person holds the endpoint"
     mass_kg: float = number(gt=0, le=100)  # of the finger
     damping_ns_per_m: float = number(ge=0, le=1e5)  # of the arm, against ground
     stiffness_n_per_m: float = number(ge=0, le=1e8)  # of the arm, against ground

@@ -121,7 +121,7 @@ def read_flight(path: Path) -> Flight:
         raise ConfigError(f"{path}: {error.strerror}; check the path") from error
     if len(data) < len(_MAGIC) + _LENGTH.size or not data.startswith(_MAGIC):
         raise ConfigError(
-            f"{path} is no flight recording; they are made by `hapticd dump` and at faults"
+            f"{path} is not a flight recording; they are made by `hapticd dump` and at faults"
         )
     try:
         header, offset = read_header(data, _MAGIC)

@@ -161,7 +161,7 @@ class Leases:
         lease = self._held.get(what)
         if lease is None or lease.actor != actor:
             raise self.may(actor, what) or CommandError(
-                "refused", f"nobody holds the lease of {what}; take it first"
+                "refused", f"no client holds the lease of {what}; take it first"
             )
         self.heard(actor)
 
@@ -179,7 +179,7 @@ class Leases:
             self._acknowledge(actor, what)
             return found[0]
         raise self.may(actor, what) or CommandError(
-            "refused", f"nobody holds the lease of {what}: there is nothing to release"
+            "refused", f"no client holds the lease of {what}: there is nothing to release"
         )
 
     def heard(self, actor: int) -> None:

@@ -107,7 +107,7 @@ def _reasons(scale: Mapping[str, Any], serial: str, most: int, day: datetime.dat
     if of not in ("", serial):
         yield f"it is of the board {of!r}, this one is {serial!r}"
     if not scale["measured_on"]:
-        yield "it has no date, so nobody is known to have measured it"
+        yield "it has no date, so no measurement of it is known"
         return
     age = (day - datetime.date.fromisoformat(scale["measured_on"])).days
     if age > most:

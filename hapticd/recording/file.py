@@ -265,7 +265,9 @@ def _hdf5(path: Path) -> Recording:
 def _check_schema(path: Path, attributes: Mapping[str, Any]) -> None:
     if attributes.get("schema") != SCHEMA:
         found = attributes.get("schema", "without a schema")
-        raise ConfigError(f"{path} is no hapticd recording ({found}); its schema must be {SCHEMA}")
+        raise ConfigError(
+            f"{path} is not a hapticd recording ({found}); its schema must be {SCHEMA}"
+        )
 
 
 def as_text(value: Any) -> Any:
@@ -279,7 +281,7 @@ def _damage(path: Path, kind: str = "HDF5 file") -> Iterator[None]:
     try:
         yield
     except _UNREADABLE as error:
-        raise ConfigError(f"{path}: {error}; it is no {kind}, or damaged") from error
+        raise ConfigError(f"{path}: {error}; it is not a valid {kind}, or damaged") from error
 
 
 def _flight(path: Path) -> Recording:

@@ -70,7 +70,7 @@ class Measured(Provenance):
     @classmethod
     def _of_own_keys(cls, halves: dict[str, float]) -> dict[str, float]:
         if unknown := sorted(set(halves) - set(cls.model_fields)):
-            raise ValueError(f"{unknown[0]!r} is no number of this table")
+            raise ValueError(f"{unknown[0]!r} is not a key of this table")
         return halves
 
 

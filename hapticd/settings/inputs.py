@@ -33,7 +33,7 @@ def regular(path: Path, most_bytes: int | None = None) -> Path:
         raise ConfigError(f"{path}: {reason}; check the path and its permissions") from error
     if not stat.S_ISREG(found.st_mode):
         raise ConfigError(
-            f"{path} is no regular file (a folder, pipe or device); copy its content into one"
+            f"{path} is not a regular file (a folder, pipe or device); copy its content into one"
         )
     if most_bytes is not None and found.st_size > most_bytes:
         raise ConfigError(

@@ -469,7 +469,7 @@ def model_rules(device: DeviceFile) -> Iterator[Mistake]:
         for name in () if table is None else table.sources:
             if name not in type(table).model_fields:
                 hint = did_you_mean(name, list(type(table).model_fields))
-                yield Mistake(("model", key, "sources"), name, f"is no number of this table{hint}")
+                yield Mistake(("model", key, "sources"), name, f"is not a key of this table{hint}")
     if model.table("coupling") is not None and model.table("masses").slider_kg == 0.0:
         yield Mistake(
             ("model", "masses", "slider_kg"),
@@ -491,7 +491,7 @@ def chosen_rules(
     for place, name in enumerate(names):
         if name not in BY_KEY:
             hint = did_you_mean(name, list(BY_KEY))
-            yield Mistake(path, name, f"is no effect{hint}; known: {', '.join(BY_KEY)}")
+            yield Mistake(path, name, f"is not an effect{hint}; known: {', '.join(BY_KEY)}")
         elif name in ALWAYS:
             yield Mistake(path, name, "is always built; leave it out")
         elif name in names[:place]:

@@ -130,7 +130,7 @@ def periodic(
     if (share := changing(force)) > CHANGING:
         raise AnalysisError(
             f"the force does not repeat from period to period ({percent(share)} of it changes):"
-            " samples were lost, or it is no multisine of that period; record it again"
+            " samples were lost, or it is not a multisine of that period; record it again"
         )
     return _spectra(f, v, rate_hz, force.shape[2])
 

@@ -47,11 +47,11 @@ __all__ = ["UsbLink"]
 
 _AGAIN = "it is opened again when it comes back; check plug, cable and hub"
 _RIGHTS = (
-    "as root run `hapticd install-system --root /` and what it says next, join group hapticd"
-    " (`usermod --append --groups hapticd NAME`, then log in anew), plug the board in again"
+    "as root run `hapticd install-system --root /` and follow its output, join group hapticd"
+    " (`usermod --append --groups hapticd NAME`, then log in again), plug the board in again"
 )
 _PUT_ASIDE = (
-    "the kernel lists the board and gives it to nobody: it was de-authorized, by USBGuard or by"
+    "the kernel lists the board but no program can open it: it was de-authorized, by USBGuard or by"
     " hand; allow it there, or write 1 into its `authorized` in /sys/bus/usb/devices"
 )
 _OWNER = "another program has claimed the board: stop it and try again"

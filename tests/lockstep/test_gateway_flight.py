@@ -224,8 +224,8 @@ def test_half_a_file_never_appears(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "is no flight recording"),
-        (b"HDF", "is no flight recording"),
+        (b"", "is not a flight recording"),
+        (b"HDF", "is not a flight recording"),
         (b"hapticd-flight/1\n" + bytes(8), "is damaged"),
     ],
 )

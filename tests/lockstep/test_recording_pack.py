@@ -70,7 +70,7 @@ def test_packing_never_replaces_a_file(recording_file: Path, tmp_path: Path) -> 
 def test_packing_that_fails_keeps_the_source(tmp_path: Path) -> None:
     part = tmp_path / "bad.part.h5"
     part.write_text("nothing")
-    with pytest.raises(HapticdError, match="it is no HDF5 file"):
+    with pytest.raises(HapticdError, match="it is not a valid HDF5 file"):
         pack.pack(part, tmp_path / "bad.h5")
     assert part.exists()
 

@@ -326,7 +326,7 @@ def test_word_is_held_as_soon_as_it_has_its_name(
 @pytest.mark.parametrize(
     ("mischief", "said"),
     [
-        (made_a_pipe, "is no file; remove it"),
+        (made_a_pipe, "is not a file; remove it"),
         (made_a_folder, "Is a directory"),
         (made_a_link, "Too many levels of symbolic links"),
         (removed, "No such file or directory; no servo runs there"),

@@ -143,9 +143,7 @@ def test_stop_from_before_this_gateway_is_nobodys_it_knows(rig: DeskRig) -> None
     rig.start_gateway()
     rig.run(2)
     (reply,) = rig.send(packed(cmd="zero"))
-    assert (
-        "zero in state stopped (a stop was requested): make sure" in reply["error"]["message"]
-    )
+    assert "zero in state stopped (a stop was requested): make sure" in reply["error"]["message"]
 
 
 def test_early_refusal_waits_for_settled_state(rig: DeskRig) -> None:

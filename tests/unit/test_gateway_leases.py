@@ -185,7 +185,7 @@ def test_lease_of_nothing_known_is_refused(rig: DeskRig, fields: dict[str, Any])
 @pytest.mark.parametrize("action", ["renew", "release"])
 def test_nobodys_lease_is_neither_renewed_nor_released(rig: DeskRig, action: str) -> None:
     reply = rig.ask(A, cmd="lease", what="environment", action=action)
-    assert "nobody holds the lease of environment" in reply["error"]["message"]
+    assert "no client holds the lease of environment" in reply["error"]["message"]
 
 
 # --- how long -------------------------------------------------------------------------------------

@@ -30,11 +30,11 @@ def test_probe_samples_of_lost_frames_are_a_gap(recording_file: Path) -> None:
 
 def test_foreign_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_text("not HDF5")
-    with pytest.raises(ConfigError, match="it is no HDF5 file, or damaged"):
+    with pytest.raises(ConfigError, match="it is not a valid HDF5 file, or damaged"):
         open_recording(tmp_path / "a.h5")
     with h5py.File(tmp_path / "b.h5", "w"):
         pass
-    with pytest.raises(ConfigError, match="is no hapticd recording"):
+    with pytest.raises(ConfigError, match="is not a hapticd recording"):
         open_recording(tmp_path / "b.h5")
     with pytest.raises(ConfigError, match="no such file"):
         open_recording(tmp_path / "c.h5")

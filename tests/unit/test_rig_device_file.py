@@ -152,7 +152,7 @@ def test_a_step_that_is_none_and_a_width_of_nothing_are_refused(file: Path) -> N
         write(file, [Change("force", "full_scale_n", 7.5)], "rig moter", DAY)
     text = file.read_text().replace("[force]", "[force]\nhalf_width_95 = { full_scale = 1.0 }")
     file.write_text(text)
-    with pytest.raises(ConfigError, match="'full_scale' is no number of this table"):
+    with pytest.raises(ConfigError, match="'full_scale' is not a key of this table"):
         write(file, [Change("force", "sign", 1)], "rig motor", DAY)
 
 

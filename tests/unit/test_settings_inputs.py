@@ -48,7 +48,7 @@ def test_what_is_no_regular_file_is_refused_at_once(
     tmp_path: Path, name: str, reader: Callable[[Path], object], made: Callable[[Path], None]
 ) -> None:
     made(tmp_path / name)
-    with pytest.raises(ConfigError, match=f"{name} is no regular file"):
+    with pytest.raises(ConfigError, match=f"{name} is not a regular file"):
         reader(tmp_path / name)
 
 
@@ -56,7 +56,7 @@ def test_what_is_no_regular_file_is_refused_at_once(
 def test_device_file_that_is_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
     pipe(tmp_path / "board.toml")
     (tmp_path / "hapticd.toml").write_text('device = "board.toml"')
-    with pytest.raises(ConfigError, match=r"board\.toml is no regular file"):
+    with pytest.raises(ConfigError, match=r"board\.toml is not a regular file"):
         load(tmp_path / "hapticd.toml")
 
 
@@ -66,12 +66,12 @@ def test_waveform_that_is_a_pipe_is_refused_at_once(
 ) -> None:
     pipe(tmp_path / "push.txt")
     assert main(["perturb", "load", str(tmp_path / "push.txt")]) == ConfigError.exit_code
-    assert "push.txt is no regular file" in capsys.readouterr().err
+    assert "push.txt is not a regular file" in capsys.readouterr().err
 
 
 def test_folder_is_not_said_to_be_absent(tmp_path: Path) -> None:
     folder(tmp_path / "a.h5")
-    with pytest.raises(ConfigError, match=r"a\.h5 is no regular file"):
+    with pytest.raises(ConfigError, match=r"a\.h5 is not a regular file"):
         open_recording(tmp_path / "a.h5")
 
 

@@ -131,7 +131,7 @@ def test_simulation_may_build_fewer_effects(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError,
         match=(
-            r"toml:3: simulation.effects = prob: is no effect; did you mean 'probe'\?; known:"
+            r"toml:3: simulation.effects = prob: is not an effect; did you mean 'probe'\?; known:"
             r" masses"
         ),
     ):
@@ -166,7 +166,7 @@ CASES = (
     (
         "",
         "effects",
-        "mine.toml:3: effects = viscos: is no effect; did you mean 'viscous'?; known: ",
+        "mine.toml:3: effects = viscos: is not an effect; did you mean 'viscous'?; known: ",
         ('"viscous"', '"viscos"'),
     ),
     ("", "twice", "mine.toml:3: effects = probe: is named twice", ('"viscous"', '"probe"')),
@@ -232,7 +232,7 @@ CASES = (
         "[model.delay]\nsources = { period = 'paper' }\n",
         "sources",
         (
-            "mine.toml:5: model.delay.sources = period: is no number of this table; did you mean"
+            "mine.toml:5: model.delay.sources = period: is not a key of this table; did you mean"
             " 'periods'?"
         ),
         ("", ""),

@@ -265,7 +265,7 @@ def irq_priority(machine: Machine, asked: Requirements) -> str | Flaw:
     threads = list(_irq_threads(machine))
     low = [(pid, comm, priority) for pid, comm, priority in threads if priority <= servo]
     if not threads:
-        return "USB interrupts are no threads: they come before any process"
+        return "USB interrupts are not threads: they come before any process"
     if not low:
         return f"USB interrupt threads run above the servo's {servo}"
     _, comm, priority = low[0]
