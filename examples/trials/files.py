@@ -23,6 +23,7 @@ import io
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -115,7 +116,7 @@ def recorded(spec: TrialSpec, seconds: float) -> tuple[Floats, Floats]:
         keep="records",
     )
     force, velocity = (
-        np.round(np.asarray(channel, np.float64), digits) + 0.0  # no -0
+        np.asarray(np.round(channel, digits) + 0.0, np.float64)  # no -0
         for channel, digits in zip(found.record(0), DECIMALS, strict=True)
     )
     return force, velocity
@@ -126,13 +127,11 @@ def write_trial(folder: Path, spec: TrialSpec, force_n: Floats, velocity: Floats
     values = (RATE_HZ, *spec.environment, spec.active_damping_ns_per_m)
     metadata = dict(zip(METADATA, values, strict=True))
     text, arrays = folder / f"{spec.name}.csv.gz", folder / f"{spec.name}.npz"
-    content = csv(metadata, force_n, velocity).encode()
-    text.write_bytes(gzip.compress(content, compresslevel=9, mtime=0))
-    np.savez_compressed(
-        arrays,
-        **{FORCE: force_n.astype(np.float32), VELOCITY: velocity.astype(np.float32)},
-        **{name: np.float64(value) for name, value in metadata.items()},
-    )
+    lines = csv(metadata, force_n, velocity).encode()
+    text.write_bytes(gzip.compress(lines, compresslevel=9, mtime=0))
+    columns = {FORCE: force_n.astype(np.float32), VELOCITY: velocity.astype(np.float32)}
+    content: dict[str, Any] = {**columns, **metadata}
+    np.savez_compressed(arrays, **content)
     return [text, arrays]
 
 

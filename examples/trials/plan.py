@@ -12,9 +12,9 @@ The truth is that of the exact linear theory of the scene:
     not passive   stable, and Re Z is below 0 somewhere in it
     margin        the least Re Z there [N s/m]; an unstable trial has none
 
-Dry friction is not linear. Re Z of a device with friction has that of its first harmonic under the
-perturbation of the trial (`hapticd.model.linearise`), which is exact for white noise up to the
-shape of the velocity's distribution. Long simulated trials agree with it
+Dry friction is not linear. It counts as its equivalent damping under the perturbation of the trial
+(`hapticd.model.linearise`). Re Z of simulated trials of 600 s is within 0.15 N s/m of that, and
+within 0.07 N s/m near the edge, where no margin of a device with friction is smaller than 0.1
 (tests/acceptance/test_example_trials.py). Counts of encoder and converter are left out: they add
 noise, and no force that follows the motion.
 
@@ -86,7 +86,7 @@ CHOSEN = {
         (0.5, 0.5, 0.0, 0.0),
         (0.5, 0.0, 0.005, 2.0),
         (0.95, 0.5, 0.005, 2.0),
-        (1.05, 1.0, 0.005, 1.0),
+        (1.05, 0.0, 0.005, 2.0),
         (1.5, 0.0, 0.005, 1.0),
         (4.0, 1.0, 0.0, 1.0),
     ),
