@@ -16,7 +16,7 @@ from examples.trials.judge import judge, verdicts_csv
 from examples.trials.plan import SECONDS, specs
 from examples.trials.score import read_truth, read_verdicts, score, score_json, score_table
 from hapticd.cli.terminal import progress, talk
-from hapticd.core.errors import ConfigError, HapticdError
+from hapticd.core.errors import HapticdError
 from hapticd.core.extras import need
 from hapticd.zwidth.report.table import text
 
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         {"make": made, "judge": judged, "score": shown}[asked.verb](asked)
     except KeyboardInterrupt:
-        talk("interrupted")
+        talk("interrupted; what `make` wrote so far is not whole: run it again")
         return INTERRUPTED
     except HapticdError as error:
         talk(f"trials: {error}")
@@ -89,11 +89,7 @@ def judged(asked: Namespace) -> None:
 
 def shown(asked: Namespace) -> None:
     """Print the score."""
-    truth = read_truth(asked.truth)
-    try:
-        found = score(read_verdicts(asked.verdicts), truth)
-    except ConfigError as error:
-        raise ConfigError(f"{asked.verdicts}: {error}") from error
+    found = score(read_verdicts(asked.verdicts), read_truth(asked.truth))
     print(json.dumps(score_json(found)) if asked.json else text(score_table(found)))
 
 

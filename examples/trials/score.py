@@ -58,13 +58,16 @@ HEADINGS = (
 
 @dataclass(frozen=True)
 class GivenVerdict:
-    """What an estimator says of a trial: margin and interval [N s/m], None where it gives none."""
+    """What an estimator says of a trial: margin and interval [N s/m], None where it gives none;
+    `where`: file and line of it.
+    """
 
     trial: str
     verdict: str
     margin_ns_per_m: float | None = None
     low_ns_per_m: float | None = None
     high_ns_per_m: float | None = None
+    where: str = ""
 
 
 @dataclass(frozen=True)
@@ -203,7 +206,7 @@ def given_verdict(where: str, cells: Mapping[str, str]) -> GivenVerdict:
         raise ConfigError(
             f"{where}: {COLUMNS[3]} {low:g} is above {COLUMNS[4]} {high:g} N s/m; exchange them"
         )
-    return GivenVerdict(cells["trial"], cells["verdict"], margin, low, high)
+    return GivenVerdict(cells["trial"], cells["verdict"], margin, low, high, where)
 
 
 def number(where: str, name: str, text: str) -> float | None:
@@ -233,10 +236,13 @@ def score(given: Iterable[GivenVerdict], truth: Mapping[str, TrueAnswer]) -> lis
     for one in given:
         if one.trial not in truth:
             raise ConfigError(
-                f"verdict on {one.trial!r}: no such trial; the truth has {', '.join(truth)}"
+                f"{one.where}: trial {one.trial!r}: no such trial; the truth has {', '.join(truth)}"
             )
         if one.trial in said:
-            raise ConfigError(f"two verdicts on {one.trial}: leave one of them out")
+            raise ConfigError(
+                f"{one.where}: a second verdict on {one.trial}, the first is in"
+                f" {said[one.trial].where}; leave one of them out"
+            )
         said[one.trial] = one
     if missing := [name for name in truth if name not in said]:
         raise ConfigError(

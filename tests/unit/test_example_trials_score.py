@@ -133,8 +133,8 @@ def test_table_and_json_say_the_same(
         (("a,passive", "b,passive,1,2,0"), ("verdicts.csv:3", "2 is above", "exchange")),
         (("a,passive,1,0",), ("verdicts.csv:2", "both")),
         (("a,passive,1,0,2,3",), ("verdicts.csv:2", "6 cells", "has 5")),
-        ((*RIGHT, "z,passive"), ("'z'", "no such trial", "a, b, c, d, e")),
-        ((*RIGHT, "b,passive"), ("two verdicts on b",)),
+        ((*RIGHT, "z,passive"), ("verdicts.csv:7", "'z'", "no such trial", "a, b, c, d, e")),
+        ((*RIGHT, "b,passive"), ("verdicts.csv:7", "second verdict on b", "verdicts.csv:3")),
         (RIGHT[:3], ("no verdict on d, e", "3 of 5", "undecided")),
     ],
 )
