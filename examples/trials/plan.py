@@ -14,7 +14,7 @@ The truth is that of the exact linear theory of the scene:
 
 Dry friction is not linear. It counts as its equivalent damping under the perturbation of the trial
 (`hapticd.model.linearise`). Re Z of simulated trials of 600 s is within 0.15 N s/m of that, and
-within 0.07 N s/m near the edge, where no margin of a device with friction is smaller than 0.1
+within 0.1 N s/m near the edge. No margin of a device with friction is smaller than 0.1
 (tests/acceptance/test_example_trials.py). Counts of encoder and converter are left out: they add
 noise, and no force that follows the motion.
 
