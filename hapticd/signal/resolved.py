@@ -111,25 +111,31 @@ class Resolved(Spectra):
 
     @property
     def ring(self) -> tuple[float, float]:
-        """Time [s] in which the strongest motion falls by e once it is left alone, and its
-        frequency [Hz]: the slope of Im Z over Re Z there; inf where Re Z does not damp it.
+        """Time [s] in which the strongest motion falls by e once it is left alone, 2 m / Re Z, and
+        the frequency [Hz] of the line next to it; inf where Re Z does not damp it.
+
+        2 pi m is the slope of f Im Z over f^2. The velocity is a mean over the width of a fit, so
+        it is as large at all lines that are less than half of that from the resonance. It is where
+        Z is least.
         """
-        inside = (self.frequency_hz >= self.from_hz) & (self.frequency_hz <= self.to_hz)
-        f = self.frequency_hz[inside]
-        z = impedance(self.part(inside)).impedance_ns_per_m
-        at = int(np.clip(np.argmax(self.velocity[inside]), 1, f.size - 2))
-        slope_kg = (z[at + 1] - z[at - 1]).imag / (2.0 * np.pi * (f[at + 1] - f[at - 1]))
-        return (float(slope_kg / z[at].real) if z[at].real > 0.0 else np.inf), float(f[at])
+        fitted = self.part((self.frequency_hz >= self.from_hz) & (self.frequency_hz <= self.to_hz))
+        f = fitted.frequency_hz
+        z = impedance(fitted).impedance_ns_per_m
+        loud = fitted.velocity > 0.5 * fitted.velocity.max()
+        at = int(np.clip(np.argmin(np.where(loud, np.abs(z), np.inf)), 1, f.size - 2))
+        beside = [at - 1, at + 1]
+        mass_kg = np.diff((f * z.imag)[beside]) / (2.0 * np.pi * np.diff(f[beside] ** 2))
+        ring_s = 2.0 * mass_kg.item() / z[at].real if z[at].real > 0.0 else np.inf
+        return float(ring_s), float(f[at])
 
     @property
     def said(self) -> str:
         """How Z was found, in words."""
-        step_hz = self.rate_hz / self.n_samples
         width_hz = WIDTH * self.rate_hz / self.lag
         return (
             f"motion narrower than the window of {self.lag} samples: judged again by the record's "
-            f"own frequencies, {step_hz:.2g} Hz apart, by local polynomials {width_hz:.2g} Hz wide "
-            f"from {self.from_hz:.3g} to {self.to_hz:.3g} Hz"
+            f"own frequencies, {1.0 / self.seconds:.2g} Hz apart, by local polynomials"
+            f" {width_hz:.2g} Hz wide from {self.from_hz:.3g} to {self.to_hz:.3g} Hz"
         )
 
 
@@ -289,7 +295,7 @@ def low_line(
     velocity = np.asarray(velocity_m_per_s, np.float64)
     same_length(force, velocity)
     found = _fitted(force, velocity, trial)
-    widest = int(WIDEST * trial.lowest_hz * trial.n_samples / trial.rate_hz)
+    widest = int(WIDEST * trial.lowest_hz * trial.seconds)
     widths = {min(width, widest) for width in WIDTHS if widest >= WIDTHS[0]}
     lines = [_strongest(found, trial, width) for width in sorted(widths)]
     share, frequency_hz = max(lines, default=(0.0, 0.0))
@@ -298,11 +304,10 @@ def low_line(
 
 def _fitted(force_n: Floats, velocity_m_per_s: Floats, trial: Spectra) -> LowFit:
     """From half the window's lowest frequency to a little above the first that it shows."""
-    seconds = trial.n_samples / trial.rate_hz
     low = 0.5 * trial.lowest_hz
     high = (0.5 * FIRST_SHOWN + 1.0) * trial.lowest_hz
-    bins = np.arange(int(np.ceil(low * seconds)), int(high * seconds) + 1)
-    f = bins / seconds
+    bins = np.arange(int(np.ceil(low * trial.seconds)), int(high * trial.seconds) + 1)
+    f = bins / trial.seconds
     force = np.fft.rfft(force_n)[bins]
     moved = np.fft.rfft(detrended(velocity_m_per_s))
     whole = float(np.vdot(moved[1:], moved[1:]).real)

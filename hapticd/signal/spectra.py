@@ -97,6 +97,11 @@ class Spectra:
     resolved: ClassVar[bool] = False
 
     @property
+    def seconds(self) -> float:
+        """Length of the record."""
+        return self.n_samples / self.rate_hz
+
+    @property
     def variance_factor(self) -> float:
         """Relative variance C / N of a spectrum inside the band."""
         return 0.75 * self.lag / self.n_samples

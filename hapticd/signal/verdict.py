@@ -18,8 +18,10 @@ the number of independent ones (band over bandwidth) is smaller, but with it a l
 raises twice the promised false alarms, because the extreme of a smooth curve lies between them.
 
 A resonance that rings for a good part of the record swells as a random walk does. What the
-perturbation explains of it is judged by its Re Z; what it does not is called passive only by a
-record of `RINGS` rings, and active where Re Z says so.
+perturbation explains of it is judged by its Re Z. What it does not is active where Re Z says so,
+and else undecided: noise leaves the record's end with a share of the force of ring / (2 length) on
+average, exponentially distributed. The length that is asked for is that of `RINGS` rings, or that
+in which the same end would have a share of 1 - `DRIVEN`.
 
 A device that is not stable is not passive, whatever its Re Z: with a virtual K < 0 or a closed loop
 of spectral radius above 1 the real part may be positive throughout. Findings that turn the phase
@@ -104,6 +106,9 @@ LEAST_TOLD = 1e-4  # of Re Z
 LOST_EDGE = "lost_edge"
 SHORT_RECORD = "short_record"
 RINGS = 8.0  # in a record, from which its calm seconds are calm and not merely early
+LOUD_END = (
+    20.0  # rings in a record, from which its end leaves less than DRIVEN once in 3000 records
+)
 
 
 def sidak(confidence: float, statements: int) -> float:
@@ -272,23 +277,24 @@ class Verdict:
         low, high = self.band_hz
         density = self.amplitude.force_psd_n2_per_hz
         speed = 1e3 * self.amplitude.velocity_sd_m_per_s
-        words = (
+        return "; ".join(
             (
-                f"{_WORDS[self.answer]} [{low:g}, {high:g}] Hz at {100 * self.confidence:g} %"
-                " confidence"
-            ),
-            self._stability(),
-            (
-                f"margin at a resolution of {self.resolution_hz:.2g} Hz, {self.judged}:"
-                f" {self.margin_ns_per_m} N s/m, {self.margin_deg} deg{self._read_high()}"
-            ),
-            (
-                f"perturbation {density:.3g} N^2/Hz, velocity {speed:.3g} mm/s rms over"
-                f" {self.seconds:.3g} s at the {self.port}"
-            ),
-            *(finding.message for finding in self.findings),
+                (
+                    f"{_WORDS[self.answer]} [{low:g}, {high:g}] Hz at {100 * self.confidence:g} %"
+                    " confidence"
+                ),
+                self._stability(),
+                (
+                    f"margin at a resolution of {self.resolution_hz:.2g} Hz, {self.judged}:"
+                    f" {self.margin_ns_per_m} N s/m, {self.margin_deg} deg{self._read_high()}"
+                ),
+                (
+                    f"perturbation {density:.3g} N^2/Hz, velocity {speed:.3g} mm/s rms over"
+                    f" {self.seconds:.3g} s at the {self.port}"
+                ),
+                *(finding.message for finding in self.findings),
+            )
         )
-        return "; ".join(words)
 
     @property
     def judged(self) -> Judged:
@@ -348,7 +354,6 @@ def judge(
     resistance_ns_per_m = z.impedance_ns_per_m.real
     known = _known_to(trial, inside, at_port, sidak(confidence, f.size))
     margin_ns_per_m = _least(resistance_ns_per_m, known.chance + np.abs(known.bias.real), f)
-    across_deg = _angle_deg(known.across, np.abs(z.impedance_ns_per_m))
     findings = (
         *_reread(trial, record.findings if record else ()),
         *coherence_findings(trial, band_hz, estimator),
@@ -364,16 +369,20 @@ def judge(
         last_judged_hz=float(f[-1]),
         n_frequencies=f.size,
         margin_ns_per_m=margin_ns_per_m,
-        margin_deg=_least(90.0 - np.abs(z.phase_deg), across_deg, f),
+        margin_deg=_least(
+            90.0 - np.abs(z.phase_deg),
+            _angle_deg(known.across, np.abs(z.impedance_ns_per_m)),
+            f,
+        ),
         # the sign of Re Z is that of the cross-power
         within_90_deg=bool((inside.cross.real > 0.0).all()),
         stability=stability,
         amplitude=Amplitude(float(2.0 * inside.force.mean() / trial.rate_hz), _velocity_sd(trial)),
         port=z.port,
-        seconds=trial.n_samples / trial.rate_hz,
+        seconds=trial.seconds,
         seconds_needed=max(
             _seconds_needed(resistance_ns_per_m, known, trial),
-            RINGS * trial.ring[0]
+            _seconds_of_rings(trial)
             if isinstance(trial, Resolved) and _has(SHORT_RECORD, findings)
             else 0.0,
         ),
@@ -392,25 +401,31 @@ def _reread(trial: Spectra, findings: tuple[Finding, ...]) -> tuple[Finding, ...
     """
     if not isinstance(trial, Resolved):
         return findings
-    said = Finding("resolved", trial.said)
     instead: dict[str, Finding] = {}
     if trial.explained > DRIVEN:
         instead = dict.fromkeys(("escape", "swells"), Finding("swells", SWELLS))
-    elif RINGS * trial.ring[0] > trial.n_samples / trial.rate_hz:
+    elif LOUD_END * trial.ring[0] > trial.seconds:
         instead = {"swells": _short_record(trial)}
-    return (*(instead.get(one.code, one) for one in findings), said)
+    return (*(instead.get(one.code, one) for one in findings), Finding("resolved", trial.said))
+
+
+def _seconds_of_rings(trial: Resolved) -> float:
+    """Length of a record that would tell a ring from a loop that runs away slowly: the share of
+    its ends falls as 1 / length.
+    """
+    return max(RINGS * trial.ring[0], (1.0 - trial.explained) / (1.0 - DRIVEN) * trial.seconds)
 
 
 def _short_record(trial: Resolved) -> Finding:
     """Say how long a record must be to tell a ring from a loop that runs away slowly."""
     ring_s, at_hz = trial.ring
-    seconds = trial.n_samples / trial.rate_hz
+    longer_s = _seconds_of_rings(trial)
     rings = (
-        f"rings for {two_digits(ring_s)} s: the record of {seconds:.3g} s is shorter than"
-        f" {RINGS:g} rings; take {two_digits(RINGS * ring_s)} s"
-        if RINGS * ring_s <= FORESEEABLE * seconds
-        else f"has no damping that shows in {seconds:.3g} s; take a record of"
-        f" {two_digits(FORESEEABLE * seconds)} s, or add damping"
+        f"rings for {two_digits(ring_s)} s: the record of {trial.seconds:.3g} s is shorter"
+        f" than {two_digits(longer_s / ring_s)} rings; take {two_digits(longer_s)} s"
+        if longer_s <= FORESEEABLE * trial.seconds
+        else f"has no damping that shows in {trial.seconds:.3g} s; take a record of"
+        f" {two_digits(FORESEEABLE * trial.seconds)} s, or add damping"
     )
     return Finding(
         SHORT_RECORD,
@@ -445,10 +460,9 @@ def _judged(trial: Spectra, band_hz: tuple[float, float], below_window: bool) ->
         )
     least = LEAST_EXACT if trial.exact else LEAST_FREEDOM
     if trial.degrees_of_freedom < least:
-        seconds = trial.n_samples / trial.rate_hz
         raise AnalysisError(
-            f"record of {seconds:.3g} s: too short for a verdict with a {trial.span}; record"
-            f" {least / trial.degrees_of_freedom * seconds:.3g} s or more"
+            f"record of {trial.seconds:.3g} s: too short for a verdict with a {trial.span}; record"
+            f" {least / trial.degrees_of_freedom * trial.seconds:.3g} s or more"
         )
     half_rate_hz = 0.5 * trial.rate_hz
     if low <= half_rate_hz and high > half_rate_hz * (1.0 + 1e-12):
@@ -551,17 +565,15 @@ def _velocity_sd(trial: Spectra) -> float:
     """Standard deviation [m/s] from the spectrum: its mean over all lines is the variance; on
     other frequencies a trapezoid over those there are.
     """
-    power = float(np.trapezoid(trial.velocity, trial.frequency_hz)) * 2.0 / trial.rate_hz
-    return float(np.sqrt(power))
+    return float(np.sqrt(2.0 * np.trapezoid(trial.velocity, trial.frequency_hz) / trial.rate_hz))
 
 
 def _seconds_needed(values: Floats, known: _Known, trial: Spectra) -> float:
     """Length of a record that would decide: one longer by (chance / value)^2 brings the limit of a
     value to 0; all values must be above, or one below. What is not chance stays, however long.
     """
-    seconds = trial.n_samples / trial.rate_hz
     left = np.maximum(np.abs(values) - np.abs(known.bias.real), 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.where(np.isfinite(values) & (left > 0.0), (known.chance / left) ** 2, np.inf)
     below = values < 0.0
-    return float(seconds * (factor[below].min() if below.any() else factor.max()))
+    return float(trial.seconds * (factor[below].min() if below.any() else factor.max()))

@@ -139,6 +139,45 @@ def test_endpoints_come_from_the_descriptors(transfer):
     assert [bench.pair().echo for _ in range(3)] == [0, 1, 2]
 
 
+class WithoutContext:
+    """A pyusb device that has another name for its private context."""
+
+    def __init__(self, device):
+        self.device = device
+
+    def __getattr__(self, name):
+        if name == "_ctx":
+            raise AttributeError(name)
+        return getattr(self.device, name)
+
+
+@pytest.fixture
+def without_context(monkeypatch):
+    """Such a pyusb; only its own functions know the context."""
+    find = usb.core.find
+
+    def found(**asked):
+        return map(WithoutContext, find(**asked))
+
+    monkeypatch.setattr(usb.core, "find", found)
+    for name in ("claim_interface", "dispose_resources"):
+        own = getattr(usb.util, name)
+
+        def inside(device, *more, own=own):
+            return own(device.device, *more)
+
+        monkeypatch.setattr(usb.util, name, inside)
+
+
+@pytest.mark.parametrize("path", [False], indirect=True, ids=["in_turn"])
+@pytest.mark.parametrize("transfer", ["bulk", "interrupt"])
+def test_pyusb_without_its_private_context_transfers_by_its_own_calls(without_context, transfer):
+    bench = Bench(InjectionParams("drop_in", tick=2), transfer=transfer, timeout_ms=2)
+    assert [bench.pair().echo for _ in range(2)] == [0, 1]
+    with pytest.raises(LinkTimeout):
+        bench.pair()
+
+
 def test_configured_board_is_not_configured_again(bench):
     bench.pair()
     assert bench.backend.configured == 0

@@ -10,7 +10,8 @@ import pytest
 from support.analysis_resolved import NOISE, T, display, outcomes
 
 from hapticd.model.scene import Scene
-from hapticd.signal.verdict import Verdict
+from hapticd.signal.resolved import Resolved
+from hapticd.signal.verdict import Verdict, two_digits
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.trial import TrialParams, TrialResult, plan_trial, run_trial
@@ -24,6 +25,11 @@ def trial(device: Scene, stiffness: float, seed: int, known: bool = False) -> Tr
     asked = Trial((stiffness, 0.0, 0.0), excitation=replace(NOISE, seed=seed))
     plan = plan_trial(TrialParams(asked, device if known else None))
     return run_trial(plan, engine_source(device))
+
+
+def spring(mass_kg: float, viscous: float, ring_s: float) -> float:
+    """K [N/m] under which a device rings for that time."""
+    return (viscous - 2.0 * mass_kg / ring_s) * 2.0 / T
 
 
 def verdict(device: Scene, stiffness: float, seed: int, known: bool = False) -> Verdict:
@@ -46,6 +52,34 @@ def test_record_of_few_rings_leaves_it_undecided_and_says_how_long_to_take():
     assert found.answer == "undecided"
     assert "rings for 35 s: the record of 90 s is shorter than 8 rings; take 280 s" in short.message
     assert found.seconds_needed == pytest.approx(8.0 * ring_s, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "viscous", "seed"), [(0.093, 0.11, 4), (0.043, 0.05, 8)], ids=["93 g", "43 g"]
+)
+def test_record_that_ends_loud_is_undecided_and_says_how_long_to_take(mass_kg, viscous, seed):
+    """It has more than 8 rings, but its end explains more of the motion than it should."""
+    stiffness = spring(mass_kg, viscous, 11.0)
+    found = verdict(display(viscous, mass_kg=mass_kg), stiffness, seed)
+    (short,) = (one for one in found.findings if one.code == "short_record")
+    assert (found.answer, found.stability) == ("undecided", "stable")
+    assert 90.0 < found.seconds_needed < 180.0
+    assert "rings for 11 s: the record of 90 s is shorter than" in short.message
+    assert short.message.endswith(f"rings; take {two_digits(found.seconds_needed)} s")
+
+
+@pytest.mark.parametrize(
+    ("mass_kg", "viscous", "ring_s"),
+    [(0.2, 0.05, 11.0), (0.093, 0.05, 11.0), (0.2, 0.11, 60.0), (0.02, 0.05, 26.0)],
+    ids=["1.9 Hz", "4.2 Hz", "5.1 Hz", "11 Hz"],
+)
+def test_ring_is_measured_wherever_its_resonance_lies(mass_kg, viscous, ring_s):
+    """The lines of the window are 1 Hz apart, and the lowest is beside the resonance."""
+    found = trial(
+        display(viscous, mass_kg=mass_kg), spring(mass_kg, viscous, ring_s), seed=1, known=True
+    )
+    assert isinstance(found.spectra, Resolved)
+    assert found.spectra.ring[0] == pytest.approx(ring_s, rel=0.03)
 
 
 @pytest.mark.parametrize("seed", [1, 2])

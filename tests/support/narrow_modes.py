@@ -84,9 +84,14 @@ def dense_angles(device):
 
 
 class ClosedForm:
-    """The condition |1 + C g|^2 >= R^2 |C|^2 at dense angles."""
+    """The condition |1 + C g|^2 >= R^2 |C|^2 at dense angles.
 
-    def __init__(self, device):
+    R^2 is that of the theorem, sum |h|^2/r sum |q|^2/r / 4, which holds for hands that change with
+    time as well; `constant`: the smaller (sum |hq|/r)^2 / 4 of those that do not. They reach every
+    point of that circle, so beyond it some hand shakes the device.
+    """
+
+    def __init__(self, device, constant=False):
         angles = dense_angles(device)
         phase = angles[:, None] + 2.0 * np.pi * HARMONICS
         s = 1j * phase / PERIOD_S
@@ -101,11 +106,12 @@ class ClosedForm:
         a += (1.0 - (np.abs(held) ** 2).sum(axis=1)) / (device.viscous_ns_per_m + c)
         b = (np.abs(seen) ** 2 / resistance).sum(axis=1)
         centre = 0.5 * (held * seen / resistance).sum(axis=1)
+        square = (np.abs(held * seen) / resistance).sum(axis=1) ** 2 if constant else a * b
         turn = np.exp(1j * angles)
         law = np.stack((np.ones_like(turn), *derivatives(turn, 1000.0, PAPER_FILTERS)))
         products = (law[FIRST] * law[SECOND].conj()).real
         self.terms = np.vstack(  # of K, B, M and of their products, (9, A)
-            (2.0 * (law * centre).real, products * (np.abs(centre) ** 2 - 0.25 * a * b))
+            (2.0 * (law * centre).real, products * (np.abs(centre) ** 2 - 0.25 * square))
         )
 
     def holds(self, points):
