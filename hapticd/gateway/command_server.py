@@ -73,6 +73,9 @@ MOST_QUEUED = 100  # requests that wait for their turn
 TOO_MANY = CommandError(
     "busy", f"{MOST_QUEUED} requests wait for the gateway already; slow down and ask again"
 )
+OVERTAKEN = CommandError(
+    "refused", "reset: a stop came after it; look whether it is safe, ask again"
+)
 OUTDATED = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
 SERVO_ENDED = CommandError(
     "servo_down", "the servo ended before it answered; when it starts anew it is disabled"
@@ -139,9 +142,10 @@ class CommandServer:
         for message in messages:
             self._queue.append(unpacked(message))
             in_time()
+        replies = self._resets_overtaken()
         # the sort is stable: all others keep the order in which they came
         self._queue.sort(key=lambda one: one.cmd != "stop")
-        replies = [self._refused(one, TOO_MANY) for one in self._queue[MOST_QUEUED:]]
+        replies += [self._refused(one, TOO_MANY) for one in self._queue[MOST_QUEUED:]]
         del self._queue[MOST_QUEUED:]
         while self._queue:
             reply = self._attend(self._queue.pop(0), now_ns, outdated)
@@ -149,6 +153,14 @@ class CommandServer:
             if not in_time():
                 break
         return replies
+
+    def _resets_overtaken(self) -> list[Reply]:
+        """The refusals of resets that came before a stop, which goes first: none may undo it."""
+        last = max((at for at, one in enumerate(self._queue) if one.cmd == "stop"), default=0)
+        resets = [one for one in self._queue[:last] if one.cmd == "reset"]
+        kept = [one for one in self._queue[:last] if one.cmd != "reset"]
+        self._queue[:last] = kept
+        return [self._refused(one, OVERTAKEN) for one in resets]
 
     def collect(self, now_ns: int) -> list[Reply]:
         """Read the servo's answers; the replies that are due."""
