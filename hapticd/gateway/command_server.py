@@ -28,7 +28,7 @@ from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, values_of
+from hapticd.mailbox.layout import Command, State, values_of
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.answers import InForce
 from hapticd.protocol.codec import RequestMessage, unpacked
@@ -194,6 +194,9 @@ class CommandServer:
         self._leasing.leave(actor)
         self._guarded.leave(actor)
         self._queue = [one for one in self._queue if one.client != client or one.cmd in OBEYED]
+        if self._view.state is State.DISABLED:  # a servo that stands would obey it once it goes on
+            for message in self._outstanding.asked_by(actor):
+                self._taken_back(message)
 
     def _attend(self, message: RequestMessage, now_ns: int, outdated: bool) -> Reply | None:
         try:

@@ -104,6 +104,19 @@ def test_an_enable_that_was_taken_back_is_not_asked_again(flight: Flight, end: s
     assert flight.view.state is State.DISABLED
 
 
+@pytest.mark.parametrize("policy", ["off", "warn"])
+def test_an_enable_that_the_servo_has_not_taken_ends_with_its_connection(
+    flight: Flight, policy: str
+) -> None:
+    """The servo stands from the posting until the client is gone."""
+    assert flight.ask(cmd="guard", policy=policy)["ok"]
+    send(flight, {"cmd": "enable"})
+    until_posted(flight)
+    flight.desk.leave(b"a")
+    assert not flight.fly(50)["gain"][2:].any()
+    assert flight.view.state is State.DISABLED
+
+
 @pytest.mark.parametrize("policy", ["warn", "refuse"])
 def test_a_client_that_fails_ends_the_stages_after_the_one_with_the_servo(
     flight: Flight, policy: str
