@@ -28,7 +28,7 @@ from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, values_of
+from hapticd.mailbox.layout import Command, State, values_of
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.answers import InForce
 from hapticd.protocol.codec import RequestMessage, unpacked
@@ -72,6 +72,9 @@ IN_FORCE = tuple(one.name for one in fields(InForce))  # of the newest record, i
 MOST_QUEUED = 100  # requests that wait for their turn
 TOO_MANY = CommandError(
     "busy", f"{MOST_QUEUED} requests wait for the gateway already; slow down and ask again"
+)
+OVERTAKEN = CommandError(
+    "refused", "reset: a stop came after it; look whether it is safe, ask again"
 )
 OUTDATED = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
 SERVO_ENDED = CommandError(
@@ -139,9 +142,10 @@ class CommandServer:
         for message in messages:
             self._queue.append(unpacked(message))
             in_time()
+        replies = self._resets_overtaken()
         # the sort is stable: all others keep the order in which they came
         self._queue.sort(key=lambda one: one.cmd != "stop")
-        replies = [self._refused(one, TOO_MANY) for one in self._queue[MOST_QUEUED:]]
+        replies += [self._refused(one, TOO_MANY) for one in self._queue[MOST_QUEUED:]]
         del self._queue[MOST_QUEUED:]
         while self._queue:
             reply = self._attend(self._queue.pop(0), now_ns, outdated)
@@ -149,6 +153,14 @@ class CommandServer:
             if not in_time():
                 break
         return replies
+
+    def _resets_overtaken(self) -> list[Reply]:
+        """The refusals of resets that came before a stop, which goes first: none may undo it."""
+        last = max((at for at, one in enumerate(self._queue) if one.cmd == "stop"), default=0)
+        resets = [one for one in self._queue[:last] if one.cmd == "reset"]
+        kept = [one for one in self._queue[:last] if one.cmd != "reset"]
+        self._queue[:last] = kept
+        return [self._refused(one, OVERTAKEN) for one in resets]
 
     def collect(self, now_ns: int) -> list[Reply]:
         """Read the servo's answers; the replies that are due."""
@@ -182,6 +194,9 @@ class CommandServer:
         self._leasing.leave(actor)
         self._guarded.leave(actor)
         self._queue = [one for one in self._queue if one.client != client or one.cmd in OBEYED]
+        if self._view.state is State.DISABLED:  # a servo that stands would obey it once it goes on
+            for message in self._outstanding.asked_by(actor):
+                self._taken_back(message)
 
     def _attend(self, message: RequestMessage, now_ns: int, outdated: bool) -> Reply | None:
         try:

@@ -155,6 +155,7 @@ class LeaseServer:
         """What becomes of force and environment; nothing is done to the damping."""
         if lease.at_end == "zero" and ENVIRONMENT in PARTS[lease.what]:
             self._do(Command.SET, dict.fromkeys(STRENGTH_VALUES, 0.0))
+            self._cancel(lease.what, 0)  # an end that would bring more back than 0
         elif lease.at_end == "disable":
             self._do(Command.DISABLE, {})
 

@@ -194,6 +194,10 @@ class Outstanding:
         """Whether a command of that name has no reply yet."""
         return any(one.message.cmd == cmd for one in self._pending.values())
 
+    def asked_by(self, actor: int) -> list[RequestMessage]:
+        """What `actor` asked and has no reply to yet."""
+        return [one.message for one in self._pending.values() if one.actor == actor]
+
     def post(
         self,
         message: RequestMessage,

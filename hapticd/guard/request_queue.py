@@ -202,11 +202,13 @@ class GuardedQueue:
         return {"safe": None, "text": "", **verdict, "number": change.number, "cmd": change.cmd}
 
     def take_back_enables(self, why: str) -> None:
-        """No enable that waits shall come after `why`, which was asked later."""
+        """No enable that waits shall come after the command `why`, which was asked later; nor what
+        is to be scheduled after a stop, which cancels what is.
+        """
         for change in self._waits():
-            if isinstance(change.request, Enable):
+            if _enables(change) or (change.at_tick and why == "stop"):
                 self._end(change, "refused", f"{why} was asked before it was judged; ask again")
-        self._under_way.take_back(lambda change: True, f"{why} was asked meanwhile")
+        self._under_way.take_back(_enables, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
         """The connection of `actor` is gone: of what it asked nothing more is posted, but for the
@@ -214,15 +216,17 @@ class GuardedQueue:
         """
         for change in self._waits_of(actor):
             self._drop(change)
-        self._under_way.take_back(lambda change: change.actor == actor, "its connection is gone")
+
+        def concerned(change: PendingChange) -> bool:
+            return _enables(change) and change.actor == actor
+
+        self._under_way.take_back(concerned, "its connection is gone")
 
     def give_up(self, actor: int) -> None:
         """The client `actor` has failed: of what it asked nothing more is posted."""
         why = "its client has failed"
         for change in self._waits_of(actor):
             self._end(change, "refused", why)
-        if self._under_way.change is not None and self._under_way.change.actor == actor:
-            self._under_way.cancel(why)
         self._under_way.take_back(lambda change: change.actor == actor, why)
 
     def _waits(self) -> list[PendingChange]:
@@ -339,7 +343,9 @@ class GuardedQueue:
 
     def _begin(self, now_ns: int) -> None:
         change = self._queue[0]
-        if isinstance(change.request, Enable) and self._under_way.change is not None:
+        under_way = self._under_way.change
+        # what is scheduled is judged with the force that acts, an enable with what is scheduled
+        if under_way is not None and (_enables(change) or (change.at_tick and _enables(under_way))):
             return
         if self._must(change) and not self._guard.settled and self._asks(change):
             if now_ns - change.came_ns >= SETTLING_NS:
@@ -586,7 +592,7 @@ class GuardedQueue:
                 self._scheduled.pop(-answer.seq, None)
         if result is Result.APPLIED:
             return self._applied(change, answer, now_ns)
-        if result in JUDGED_OTHERWISE and change.tries < TRIES:
+        if result in JUDGED_OTHERWISE and change.tries < TRIES and not change.taken_back:
             self._again(change, now_ns)
             return None
         if scheduled:
@@ -614,6 +620,10 @@ class GuardedQueue:
         if change.at_tick <= self._view.tick and not until_tick(change.request):
             change.at_tick = 0  # a bounded change that is late is refused: it was to last so long
         self._queue.appendleft(change)
+
+
+def _enables(change: PendingChange) -> bool:
+    return isinstance(change.request, Enable)
 
 
 def _refused(change: PendingChange, why: Explanation) -> CommandError:

@@ -124,12 +124,12 @@ class StagedChange:
             self.cancel(f"the next stage waited too long: {lacks}")
 
     def take_back(self, concerned: Callable[[PendingChange], bool], why: str) -> None:
-        """Of an enable that is `concerned` no further stage comes, because of `why`."""
+        """Of a change that is `concerned` no further stage comes, because of `why`."""
         change = self.change
-        if change is not None and isinstance(change.request, Enable) and concerned(change):
+        if change is not None and concerned(change):
             self.cancel(why)
         posted = self._posted
-        if posted is not None and isinstance(posted.request, Enable) and concerned(posted):
+        if posted is not None and concerned(posted):
             posted.taken_back = why
 
     def taken_back(self, change: PendingChange) -> ChangeReply:

@@ -24,6 +24,7 @@ from hapticd.core.units import round_half_up
 from hapticd.mailbox.layout import (
     ANY_TERMS,
     COMMAND_VALUES,
+    STRENGTH_VALUES,
     Command,
     Result,
     Value,
@@ -55,6 +56,7 @@ from hapticd.servo.safety import GRANTED, LATCHED, State
 MOST_SCHEDULED = 16
 # places of a bounded change that its end does not bring back
 UNBOUNDED = frozenset({Value.ENVIRONMENT_REVISION, Value.TERMS, Value.UNTIL_TICK})
+STRENGTHS = frozenset({*STRENGTH_VALUES, Value.WALL_SIDE})
 SETTINGS = frozenset({Command.SET, Command.DAMPING})
 # whose mask is looked at
 MASKED = SETTINGS | {
@@ -351,7 +353,7 @@ def _schedule(plan: Plan, new: Scheduled, params: ServoParams) -> tuple[Plan, li
     gone = [
         old
         for old in plan.scheduled
-        if old.tick == new.tick and places.issuperset(masked_places(old.values))
+        if old.tick == new.tick and places.issuperset(masked_places(old.values)) and not _ends(old)
     ]
     kept = tuple(old for old in plan.scheduled if old not in gone)
     if _taken((*kept, new)) > MOST_SCHEDULED:
@@ -375,15 +377,21 @@ def _cancel(
         for one in plan.scheduled
         if one.actor != actor
         and not set(places).isdisjoint(masked_places(one.values))
-        and not _ends(one)
+        and not _stays(one, plan)
     ]
     after, answers = _without(plan, gone, params)
     return after, [*answers, answer(after, seq, Result.APPLIED, here, params)]
 
 
 def _ends(one: Scheduled) -> bool:
-    """Whether it is the end of a bounded change, which only what ends force cancels."""
+    """Whether it is the end of a bounded change."""
     return Value.TERMS in masked_places(one.values) and one.values[Value.TERMS] == ANY_TERMS
+
+
+def _stays(one: Scheduled, plan: Plan) -> bool:
+    """Whether it is such an end, and brings back no more than there is: none of it pushes."""
+    named = STRENGTHS.intersection(masked_places(one.values))
+    return _ends(one) and all(abs(one.values[at]) <= abs(plan.values[at].end) for at in named)
 
 
 def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Plan, list[Answer]]:
@@ -407,7 +415,7 @@ def _terms(
     gone = [
         one
         for one in plan.scheduled
-        if not _ends(one)
+        if not _stays(one, plan)
         and (Value.TERMS not in masked_places(one.values) or one.values[Value.TERMS] != number)
     ]
     after, answers = _without(plan._replace(terms=number), gone, params)
@@ -446,14 +454,19 @@ def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Pla
 
 def _end(before: Plan, one: Scheduled, params: ServoParams) -> Scheduled:
     """What brings back what `one` changes of `before`, at the tick at which it ends."""
-    effective = _effective(before, params)
+    effective = list(_effective(before, params))
+    until = one.values[Value.UNTIL_TICK]
+    for end in before.scheduled:  # what has ended by then is not brought back
+        if _ends(end) and end.tick <= until:
+            for place in masked_places(end.values):
+                effective[place] = end.values[place]
     given = {
         Value(place): one.values[place] if place == Value.RAMP_S else effective[place]
         for place in masked_places(one.values)
         if place not in UNBOUNDED
     }
     values = values_of(given | {Value.TERMS: float(ANY_TERMS)})
-    return Scheduled(one.seq, one.actor, int(one.values[Value.UNTIL_TICK]), values)
+    return Scheduled(one.seq, one.actor, int(until), values)
 
 
 def filters_idle(plan: Plan, tick: int) -> bool:

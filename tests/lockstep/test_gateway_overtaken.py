@@ -1,0 +1,208 @@
+"""What was cancelled, overtaken or judged without force does not come into force: the desk with the
+guard's judge in front of the servo itself, on virtual time.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from support.gateway_rig import decoded, packed
+from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight, rendering
+
+from hapticd.mailbox.layout import State
+
+NOTHING = {"K": 0.0, "B": 0.0}
+
+
+@pytest.fixture
+def flight() -> Iterator[Flight]:
+    flight = Flight()
+    yield flight
+    flight.stack.close()
+
+
+def send(flight: Flight, *requests: dict[str, Any], client: bytes = b"a") -> None:
+    """Requests that come together."""
+    messages = [[client, packed(**one)] for one in requests]
+    replies = flight.desk.serve(messages, flight.stack.clock.now_ns())
+    flight.replies = [decoded(reply) for reply in replies]
+
+
+def until_posted(flight: Flight) -> None:
+    """Passes of the gateway, without a tick, until a command is in the servo's ring."""
+    for _ in range(10):
+        flight.view.refresh(flight.stack.clock.now_ns())
+        flight.desk.collect(flight.stack.clock.now_ns())
+        if flight.stack.gateway.backlog:
+            return
+    raise AssertionError("nothing was posted")
+
+
+def enabled(flight: Flight, policy: str) -> None:
+    assert flight.ask(cmd="guard", policy=policy)["ok"]
+    assert flight.ask(cmd="enable")["ok"]
+    flight.fly(500)
+
+
+def stiff_without_damping(records: Any) -> bool:
+    """Whether the whole of STIFF was rendered without the damping that it needs."""
+    stiff = records["stiffness_n_per_m"] > 100.0
+    undamped = records["active_damping_effect_ns_per_m"] < 0.2
+    return bool((stiff & undamped & (records["gain"] == 1.0)).any())
+
+
+# --- stops ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("policy", ["off", "refuse"])
+def test_a_stop_that_is_asked_last_stands_though_it_goes_first(flight: Flight, policy: str) -> None:
+    assert flight.ask(cmd="guard", policy=policy)["ok"]
+    assert flight.ask(cmd="stop")["ok"]
+    flight.fly(50)
+    send(flight, {"cmd": "perturb", "action": "stop"})  # so that stop and reset meet no one tick
+    send(flight, {"cmd": "reset"}, {"cmd": "enable"}, {"cmd": "stop"})
+    (refused,) = (one for one in flight.replies if not one["ok"])
+    assert refused["error"]["message"].startswith("reset: a stop came after it")
+    flight.fly(200)
+    assert flight.view.state is State.STOPPED
+
+
+def test_a_stop_ends_what_waits_to_be_scheduled(flight: Flight) -> None:
+    enabled(flight, "refuse")
+    flight.worker.silent = True
+    at = flight.view.tick + 700
+    send(flight, {"cmd": "set", "K": 30.0, "at_tick": at})
+    flight.fly(5)
+    asked = flight.worker.changes[-1]
+    for cmd in ("stop", "reset"):
+        send(flight, {"cmd": cmd}, client=b"b")
+        flight.fly(50)
+    flight.worker.silent = False
+    flight.worker.said.append({**flight.judge.answer(asked), "n": asked["n"]})
+    send(flight, {"cmd": "enable"}, client=b"b")
+    assert not flight.fly(800)["stiffness_n_per_m"].any()
+    assert flight.view.state is State.ENABLED
+
+
+@pytest.mark.parametrize("end", ["disable", "leave", "reset"])
+def test_an_enable_that_was_taken_back_is_not_asked_again(flight: Flight, end: str) -> None:
+    """The servo refuses it, since a scheduled change came into force before it was taken."""
+    assert flight.ask(cmd="guard", policy="refuse")["ok"]
+    at = flight.view.tick + 20
+    assert flight.ask(cmd="set", K=20.0, ramp_s=0.0, at_tick=at)["ok"]
+    send(flight, {"cmd": "enable"})
+    until_posted(flight)
+    take = flight.stack.mailbox.take
+    flight.stack.mailbox.take = lambda: None  # type: ignore[method-assign]
+    flight.stack.run(at - flight.view.tick + 2)
+    flight.stack.mailbox.take = take  # type: ignore[method-assign]
+    if end == "leave":
+        flight.desk.leave(b"a")
+    else:
+        send(flight, {"cmd": end}, client=b"b")
+    flight.fly(100)
+    assert flight.view.state is State.DISABLED
+
+
+@pytest.mark.parametrize("policy", ["off", "warn"])
+def test_an_enable_that_the_servo_has_not_taken_ends_with_its_connection(
+    flight: Flight, policy: str
+) -> None:
+    """The servo stands from the posting until the client is gone."""
+    assert flight.ask(cmd="guard", policy=policy)["ok"]
+    send(flight, {"cmd": "enable"})
+    until_posted(flight)
+    flight.desk.leave(b"a")
+    assert not flight.fly(50)["gain"][2:].any()
+    assert flight.view.state is State.DISABLED
+
+
+@pytest.mark.parametrize("policy", ["warn", "refuse"])
+def test_a_client_that_fails_ends_the_stages_after_the_one_with_the_servo(
+    flight: Flight, policy: str
+) -> None:
+    enabled(flight, policy)
+    assert flight.ask(cmd="lease", what="environment", at_end="zero")["ok"]
+    flight.fly(5)
+    send(flight, {"cmd": "set", **STIFF, "active_damping": LEVEL_NS_PER_M})
+    until_posted(flight)
+    send(flight, {"cmd": "lease", "what": "environment", "action": "fail"})
+    assert not flight.fly(500)["stiffness_n_per_m"].any()
+
+
+# --- schedules ------------------------------------------------------------------------------------
+
+
+def test_what_is_scheduled_waits_for_an_enable_in_stages(flight: Flight) -> None:
+    """Judged without force, its ways would not be: the damping would go before K does."""
+    assert flight.ask(cmd="guard", policy="refuse")["ok"]
+    assert flight.ask(cmd="damping", value=LEVEL_NS_PER_M)["ok"]
+    assert flight.ask(cmd="set", **STIFF)["ok"]
+    assert flight.ask(cmd="enable")["receipt"]["result"] == "staged"
+    at = flight.view.tick + 800
+    send(flight, {"cmd": "set", **NOTHING, "ramp_s": 5.0, "active_damping": 0.0, "at_tick": at})
+    assert not stiff_without_damping(flight.fly(1500))
+    assert flight.view.state is State.ENABLED
+
+
+@pytest.mark.parametrize("terms", ["another gateway", "policy", "measuring"])
+def test_an_end_that_others_judged_brings_no_strength_back(flight: Flight, terms: str) -> None:
+    """K is taken away for a while, and meanwhile its damping is."""
+    rendering(flight, "refuse")
+    if terms == "policy":
+        assert flight.ask(cmd="guard", policy="warn")["ok"]
+    if terms == "measuring":
+        assert flight.ask(cmd="lease", what="measuring")["ok"]
+    at = flight.view.tick + 50
+    asked = flight.ask(cmd="set", **NOTHING, ramp_s=0.02, at_tick=at, until_tick=at + 1200)
+    assert asked["receipt"]["result"] == "scheduled"
+    flight.fly(200)
+    if terms == "another gateway":
+        flight.another_gateway()
+        flight.fly(650)
+        assert flight.ask(cmd="guard", policy="refuse")["ok"]
+        flight.fly(5)
+    assert flight.ask(cmd="damping", value="off")["ok"]
+    if terms == "policy":
+        assert flight.ask(cmd="guard", policy="refuse")["ok"]
+    if terms == "measuring":
+        assert flight.ask(cmd="lease", what="measuring", action="release")["ok"]
+    records = flight.fly(at + 1300 - flight.view.tick)
+    assert not stiff_without_damping(records)
+    assert records["stiffness_n_per_m"][-1] == 0.0
+
+
+def test_an_end_brings_nothing_back_once_its_clients_lease_ended_at_zero(flight: Flight) -> None:
+    enabled(flight, "refuse")
+    assert flight.ask(cmd="lease", what="environment", at_end="zero")["ok"]
+    assert flight.ask(cmd="set", K=20.0)["ok"]
+    flight.fly(50)
+    at = flight.view.tick + 50
+    assert flight.ask(cmd="set", K=30.0, ramp_s=0.0, at_tick=at, until_tick=at + 500)["ok"]
+    flight.fly(100)
+    flight.desk.leave(b"a")
+    assert flight.fly(600)["stiffness_n_per_m"][-1] == 0.0
+
+
+def test_the_end_of_a_push_is_not_replaced_by_what_is_scheduled_for_its_tick(
+    flight: Flight,
+) -> None:
+    """What came in its place would be refused, since it was judged for what the end leaves."""
+    enabled(flight, "refuse")
+    at = flight.view.tick + 20
+    assert flight.ask(cmd="set", K=30.0, at_tick=at, until_tick=at + 200)["ok"]
+    flight.fly(50)
+    assert flight.ask(cmd="set", K=20.0, at_tick=at + 200)["ok"]
+    flight.worker.silent = True
+    assert flight.fly(600)["stiffness_n_per_m"][-1] != 30.0
+
+
+def test_bounded_changes_that_overlap_bring_no_push_back(flight: Flight) -> None:
+    enabled(flight, "refuse")
+    at = flight.view.tick + 50
+    for begin, stiffness in ((at, 30.0), (at + 100, 20.0)):
+        asked = {"K": stiffness, "at_tick": begin, "until_tick": begin + 200}
+        assert flight.ask(cmd="set", ramp_s=0.0, **asked)["ok"]
+    records = flight.fly(400)
+    rendered = dict(zip(records["tick"].tolist(), records["stiffness_n_per_m"], strict=True))
+    assert [rendered[at + after] for after in (50, 150, 250, 350)] == [30.0, 20.0, 0.0, 0.0]
