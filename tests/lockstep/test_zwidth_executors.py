@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from contextlib import closing
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,11 +33,15 @@ from hapticd.signal import assess
 from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.engine.batch import at_most, workers
 from hapticd.zwidth.executors import executor, pool_of
-from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
+from hapticd.zwidth.limits import LimitsParams, LimitsPlan, plan_limits, run_limits
 from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, TrialBatch, run_trials
 from hapticd.zwidth.store import TrialStore, to_json
 
-LIMITS = plan_limits(LimitsParams(SHORT))
+
+@cache  # not when it is imported: each worker collects all tests
+def limits() -> LimitsPlan:
+    """What the limits of a few trials take."""
+    return plan_limits(LimitsParams(SHORT))
 
 
 @pytest.fixture(scope="module")
@@ -344,8 +349,8 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_limits(LIMITS, TrialStore(None), executor=pool, on_outcomes=hear)
-    assert heard == [LIMITS.scans[0]]
+        run_limits(limits(), TrialStore(None), executor=pool, on_outcomes=hear)
+    assert heard == [limits().scans[0]]
     assert (
         len(pool.futures) == 6
     )  # each of the six limits its first round; outcomes are told before the next one
@@ -354,10 +359,10 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
 
 def test_limits_do_not_depend_on_who_else_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[tuple[str, int]] = []
-    one_by_one = run_limits(LIMITS, TrialStore(None), executor=StandIn(stand_in))
+    one_by_one = run_limits(limits(), TrialStore(None), executor=StandIn(stand_in))
     monkeypatch.setattr(outcomes, "run_trials", stand_in)
     side_by_side = run_limits(
-        LIMITS,
+        limits(),
         TrialStore(None),
         on_outcomes=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))),
     )
