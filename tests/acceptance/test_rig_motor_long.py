@@ -1,10 +1,13 @@
 """`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
 
+import pytest
 from support.models import COUNT_N
 from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 
+from hapticd.core.errors import HapticdError
 from hapticd.core.params import TouchParams
+from hapticd.protocol.view import as_records
 from hapticd.rig.steps.motor import (
     measure_gain,
     measure_sign,
@@ -44,3 +47,26 @@ def test_gain_and_offset_lie_in_their_intervals():
     assert offset.low <= -0.01 / 1.2 / COUNT_N <= offset.high
     assert result.settled
     assert hand.bench.status().state == "disabled"
+
+
+def test_a_cable_that_is_pulled_ends_the_step_and_can_be_plugged_again():
+    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
+        board = hand.bench.stack.backend
+
+        def out(cmd, **fields):
+            if cmd == "set" and fields.get("at_tick"):
+                board.unplug()
+            return type(hand.bench).call(hand.bench, cmd, **fields)
+
+        hand.bench.call = out
+        with pytest.raises(HapticdError):
+            measure_sign(hand.bench, nothing)
+        records = as_records(hand.bench.run(50))
+        assert not records["force_n"].any()
+        assert hand.bench.status().state in ("fault", "disabled")
+        del hand.bench.call
+        board.plug()
+        hand.bench.run(3000)
+        hand.bench.reset()
+        hand.bench.zero()
+        assert measure_sign(hand.bench, nothing).settled

@@ -9,7 +9,7 @@ from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 from support.tree import ROOT
 
-from hapticd.core.errors import AnalysisError, CommandError, HapticdError
+from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.core.params import ScaleParams, TouchParams, to_plain
 from hapticd.protocol.view import as_records
 from hapticd.rig.device_file import write
@@ -176,26 +176,3 @@ def test_a_push_ends_though_nobody_is_there_any_more():
         pushed = np.flatnonzero(records["force_n"])
         assert len(pushed) == 20
         assert np.ptp(pushed) == 19
-
-
-def test_a_cable_that_is_pulled_ends_the_step_and_can_be_plugged_again():
-    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
-        board = hand.bench.stack.backend
-
-        def out(cmd, **fields):
-            if cmd == "set" and fields.get("at_tick"):
-                board.unplug()
-            return type(hand.bench).call(hand.bench, cmd, **fields)
-
-        hand.bench.call = out
-        with pytest.raises(HapticdError):
-            measure_sign(hand.bench, nothing)
-        records = as_records(hand.bench.run(50))
-        assert not records["force_n"].any()
-        assert hand.bench.status().state in ("fault", "disabled")
-        del hand.bench.call
-        board.plug()
-        hand.bench.run(3000)
-        hand.bench.reset()
-        hand.bench.zero()
-        assert measure_sign(hand.bench, nothing).settled

@@ -185,11 +185,6 @@ def test_the_probe_waits_for_verified_signs():
         assert hand.bench.status().state == "disabled"
 
 
-def test_a_board_without_a_probe_is_told_so():
-    with Hand(lacks=("probe",)) as hand, pytest.raises(AnalysisError, match="no probe inputs"):
-        measure(hand.bench, hand.ask, MASS)
-
-
 def test_ctrl_c_ends_perturbation_and_force():
     with Hand(touch=FRICTION, **FREE) as hand:
 

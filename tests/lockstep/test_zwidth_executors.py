@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.measured_scenes import MOTOR, scene
 from support.stand_in import StandIn
 from support.zwidth_executors import SHORT
 
@@ -28,14 +27,12 @@ from hapticd.core.errors import (
     MissingLibrary,
     SequenceError,
 )
-from hapticd.model.effects import Masses, ProbeMass, Viscous
-from hapticd.signal import assess
 from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.engine.batch import at_most, workers
 from hapticd.zwidth.executors import executor, pool_of
 from hapticd.zwidth.limits import LimitsParams, LimitsPlan, plan_limits, run_limits
 from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, TrialBatch, run_trials
-from hapticd.zwidth.store import TrialStore, to_json
+from hapticd.zwidth.store import TrialStore
 
 
 @cache  # not when it is imported: each worker collects all tests
@@ -241,21 +238,6 @@ def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.Monkey
     points = np.zeros((200, 3))  # several groups of lanes
     executors.alone(run_trials, SHORT, 0.0, points)
     assert asked == [1]
-
-
-def test_outcomes_do_not_depend_on_the_size_of_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    """More than a group of them are judged again by their records, flown together or not."""
-    again: list[object] = []
-    resolved = assess.resolved
-    monkeypatch.setattr(assess, "resolved", lambda *given: again.append(given) or resolved(*given))
-    bare = (Masses(rotor_kg=0.005), MOTOR, ProbeMass(mass_kg=0.003), Viscous(rotor_ns_per_m=0.3))
-    given = Conditions(scene(bare, seconds=20.0), 20.0)
-    points = np.zeros((TOGETHER + 6, 3))
-    points[:, 0] = np.linspace(300.0, 590.0, len(points))
-    together = run_trials(given, 0.0, points)
-    assert len(again) > TOGETHER
-    alone = [one for part in np.array_split(points, 5) for one in run_trials(given, 0.0, part)]
-    assert to_json([vars(one) for one in together]) == to_json([vars(one) for one in alone])
 
 
 @pytest.mark.parametrize(("points", "size"), [(40, 40), (600, 64), (1100, 128), (5000, 256)])
