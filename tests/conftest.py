@@ -1,5 +1,6 @@
 """Fixtures that several files use, and which tests may be skipped where every test has to run."""
 
+import gc
 import os
 import shutil
 import tempfile
@@ -48,6 +49,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """On workers slow tests, and files of them, go first: none of them is alone at the end."""
     if "PYTEST_XDIST_WORKER" in os.environ:
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish() -> None:
+    """Tests and modules stay to the end: searches for garbage need not look at them again."""
+    gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)

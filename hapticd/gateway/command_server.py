@@ -213,7 +213,7 @@ class CommandServer:
                 self.leases, self.actors,
             )  # fmt: skip
             request = admit(message.plain, actor, situation)
-            result = self._answered_here(request, message)
+            result = self._answered_here(request, message, actor)
             self._leasing.tend(now_ns)  # what a lease changes goes before what is asked next
             if result is not None:
                 return self._accepted(message, {"result": result})
@@ -230,17 +230,18 @@ class CommandServer:
         except (CommandError, MailboxError) as error:
             return self._refused(message, error)
 
-    def _answered_here(self, request: Request, message: RequestMessage) -> dict[str, Any] | None:
+    def _answered_here(
+        self, request: Request, message: RequestMessage, actor: int
+    ) -> dict[str, Any] | None:
         if isinstance(request, Hello):
             self.actors.call(message.client, request.name)
             return self._inquire("hello") | {
-                "actor": self.actors.number(message.client),
+                "actor": actor,
                 "limits": self.limits.plain(),
             }
         if isinstance(request, Perturb) and request.action == "load":
-            return self._load(request, self.actors.number(message.client))
+            return self._load(request, actor)
         if isinstance(request, LeaseRequest):
-            actor = self.actors.number(message.client)
             if request.action == "fail":
                 self._guarded.give_up(actor)
             return self._leasing.answer(request, actor)
@@ -248,7 +249,7 @@ class CommandServer:
             self._guard.change(request)
             return None if request.mode else self.guard_summary()
         if isinstance(request, Mark):
-            return self._mark(request.text, self.actors.number(message.client))
+            return self._mark(request.text, actor)
         if request.cmd == "status":
             return self._inquire("status") | {"requests": dict(self.counts)}
         if request.cmd == "dump":

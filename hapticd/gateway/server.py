@@ -193,9 +193,8 @@ class GatewayServer:
                 self._sockets.telemetry.send(identity, data)
 
     def _inquire(self, cmd: str) -> dict[str, Any]:
-        if cmd == "dump":
-            return self._publisher.flight.dump_asked()
-        return self._hello() if cmd == "hello" else self._status()
+        dump = self._publisher.flight.dump_asked
+        return {"hello": self._hello, "status": self._status, "dump": dump}[cmd]()
 
     def _hello(self) -> dict[str, Any]:
         servo = self._setup.servo

@@ -99,8 +99,9 @@ class CommandLimits:
         """
         numbers = [(name, value) for name, value in flat(given) if isinstance(value, (int, float))]
         if unknown := [name for name, _ in numbers if name not in self.of]:
-            known = ", ".join(self.of)
-            raise ConfigError(f"{unknown[0]}: no limit is known of it; there are {known}")
+            raise ConfigError(
+                f"{unknown[0]}: no limit is known of it; there are {', '.join(self.of)}"
+            )
         return [
             {"loc": name, "msg": self.complaint(name, value), **self.numbers(name, value)}
             for name, value in numbers
@@ -124,8 +125,12 @@ class CommandLimits:
         not finite is None, which any encoding has.
         """
         limit = self.of[name]
-        shown = float(value) if isfinite(value) else None
-        return {"value": shown, "unit": limit.unit, "low": limit.low, "high": limit.high}
+        return {
+            "value": float(value) if isfinite(value) else None,
+            "unit": limit.unit,
+            "low": limit.low,
+            "high": limit.high,
+        }
 
     def _instead(self, name: str, value: float) -> str:
         """What to ask for in place of `value`: of a mass the same number in grams, if that fits."""

@@ -7,7 +7,9 @@ and limit, and what to do; nothing that a client sent is repeated but in printab
 short. `json_schema` is the same for machines.
 """
 
+from copy import deepcopy
 from difflib import get_close_matches
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import (
@@ -455,8 +457,8 @@ def _explained(item: ErrorDetails, limits: CommandLimits) -> dict[str, str]:
     if item["type"] == "value_error" and not loc:
         return {"loc": command, "msg": f"{command}: {item['ctx']['error']}"}
     context = item.get("ctx", {})
-    own = item["type"] == "value_error"  # of a validator of ours
-    said = str(context["error"]) if own else item["msg"]
+    # a value_error is of a validator of ours
+    said = str(context["error"]) if item["type"] == "value_error" else item["msg"]
     known = _REASONS.get(item["type"])
     reason = known.format(context.get("expected")) if known else said
     remedy = limits.remedy(loc.partition(".")[0] if loc.startswith("samples_n") else loc) or _REMEDY
@@ -480,10 +482,7 @@ def _fields(command: str, names: list[str]) -> tuple[str, ...]:
 
 def json_schema(limits: CommandLimits) -> dict[str, Any]:
     """The protocol as JSON schema, with unit, minimum and maximum on this device."""
-    schema: dict[str, Any] = ADAPTER.json_schema()
-    for one in ANSWERS:
-        answer = TypeAdapter(one).json_schema()
-        schema["$defs"] |= answer.pop("$defs", {}) | {f"{one.__name__}Answer": answer}
+    schema = deepcopy(_schema_of_any_device())
     for title, model in schema["$defs"].items():
         part = {"Filters": "filters.", "Wall": "wall."}.get(title, "")
         for name, field in model.get("properties", {}).items():
@@ -492,4 +491,13 @@ def json_schema(limits: CommandLimits) -> dict[str, Any]:
             if part + name in limits.of and name != "samples_n":
                 limit = limits.of[part + name]
                 field |= {"unit": limit.unit, "minimum": limit.low, "maximum": limit.high}
+    return schema
+
+
+@cache  # it takes a tenth of a second
+def _schema_of_any_device() -> dict[str, Any]:
+    schema: dict[str, Any] = ADAPTER.json_schema()
+    for one in ANSWERS:
+        answer = TypeAdapter(one).json_schema()
+        schema["$defs"] |= answer.pop("$defs", {}) | {f"{one.__name__}Answer": answer}
     return schema

@@ -71,3 +71,8 @@ def test_limit_cycles_stay_found_over_seeds(device, stiffness, source):
     found = [one for seed in range(1, 5) for one in outcomes(device, stiffness, seed, source)]
     assert np.mean([one.answer == "not_passive" for one in found]) >= 0.95
     assert not any(one.passes for one in found)
+
+
+def test_axis_limit_of_a_lightly_damped_display_is_that_of_theory(tmp_path):
+    """K = 2 b / T, within 1 %; the window alone says that such a display is passive nowhere."""
+    assert limit_of(0.12, tmp_path, seeds=1) == pytest.approx(2.0 * 0.12 / T, rel=0.01)

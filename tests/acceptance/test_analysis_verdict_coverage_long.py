@@ -11,6 +11,7 @@ from support.spectral_trials import mass_damper, record, with_phase_margin
 
 from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
+from hapticd.signal.verdict import judge
 
 pytestmark = pytest.mark.slow
 
@@ -44,3 +45,18 @@ def test_95_percent_intervals_cover_95_percent(estimator):
         assert 0.93 <= np.mean(np.abs(error.imag) < half) <= 0.97
         if estimator == "h_force":
             assert 0.93 <= np.mean(np.abs(error.real) < half) <= 0.97
+
+
+def test_active_device_is_never_called_passive():
+    def active(f):
+        return mass_damper(0.008, 1.0)(f) - 1.02 * ((f > 60.0) & (f < 70.0))
+
+    found = [
+        judge(
+            spa(*record(active, seed, 90_000, rate_hz=1000.0), 1000.0, 512),
+            band_hz=(2.0, 400.0),
+            channels=False,
+        )
+        for seed in range(200)
+    ]
+    assert sum(one.answer == "passive" for one in found) == 0

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from support.cli_sim import MINE, spoken
+from support.cli_sim import MINE, spoken, told
 
 
 @pytest.fixture
@@ -32,3 +32,30 @@ def test_quick_accuracy_prints_draws_and_says_what_defaults_buy(
         "mine-integrators.svg",
     ]
     assert sorted(path.name for path in (tmp_path / "f").iterdir()) == names
+
+
+def test_run_draws_where_it_is_told(
+    capsys: pytest.CaptureFixture[str], mine: str, tmp_path: Path
+) -> None:
+    folder = tmp_path / "figures"
+    code, _, err = spoken(capsys, "sim", "run", mine, "--plot", "--out", str(folder))
+    assert code == 0
+    assert err == f"drawn: {folder}/mine.png, {folder}/mine.svg, {folder}/mine.pdf\n"
+    assert sorted(path.name for path in folder.iterdir()) == ["mine.pdf", "mine.png", "mine.svg"]
+
+
+def test_quick_accuracy_as_json_has_every_tier(
+    capsys: pytest.CaptureFixture[str], mine: str
+) -> None:
+    found = told(capsys, "accuracy", mine, "--quick", "--no-plot")
+    assert {row["sweep"] for row in found["rows"]} == {
+        "tier",
+        "sub-steps",
+        "precision",
+        "trial length",
+        "window",
+        "effect",
+    }
+    assert sum(row["knee"] for row in found["rows"]) == 5
+    assert found["integrators"]["longest_s"]["exact"] is None
+    assert (found["unit"], found["quick"], found["simulated"]) == ("deg", True, True)

@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from support.cli_zwidth_folders import LIMITS, MAP, interrupted, run
+from support.cli_zwidth_folders import LIMITS, MAP, SHORT, interrupted, run
 from support.measured_scenes import RIGID
 
 from hapticd.cli.app import main
@@ -127,3 +127,20 @@ def test_report_of_a_device_of_ones_own_is_written(tmp_path, capsys, monkeypatch
         == device_hash(str(file))
     )
     assert scene_of("devices/mine.toml").device == "mine"
+
+
+def test_interrupted_report_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from hapticd.zwidth import map
+
+    monkeypatch.setattr(map, "run_map", interrupted)
+    code, _, err = run(
+        ["report", "weir2008", *SHORT, "--active-damping", "1.74", "--out", str(tmp_path)], capsys
+    )
+    kept = len(set((tmp_path / "trials.jsonl").read_text().splitlines()))
+    assert code == 130
+    assert (
+        f"{kept} trials are kept in {tmp_path}; the same command with --out {tmp_path} goes on"
+        " there" in err
+    )

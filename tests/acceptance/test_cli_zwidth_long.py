@@ -246,3 +246,27 @@ def test_report_of_a_device_has_every_figure(tmp_path, capsys, monkeypatch):
         assert name in out
     assert not (tmp_path / "walls.png").exists()
     assert json.loads((tmp_path / "run.json").read_text())["kind"] == "report"
+
+
+def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
+    from hapticd.cli.zwidth import map as verb
+    from hapticd.settings.scene import load_scene
+    from hapticd.zwidth.outcomes import Conditions, run_trials
+    from hapticd.zwidth.scenes import noise
+    from hapticd.zwidth.store import write_run
+
+    scene = load_scene("theory")
+    conditions = Conditions(scene, 20.0, noise(scene))
+    monkeypatch.setattr(verb, "REDRAW_S", -1.0)
+    redrawn = verb._Redrawn(conditions, tmp_path, None)
+    failed, passed = run_trials(conditions, 0.0, np.array([[9000.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+    redrawn([failed])
+    assert not list(tmp_path.iterdir())
+    redrawn([passed])
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "envelope_so_far.png",
+        "envelope_so_far.svg",
+        "envelope_so_far.pdf",
+    }
+    write_run(tmp_path, {"kind": "map"})
+    assert {path.name for path in tmp_path.iterdir()} == {"run.json"}

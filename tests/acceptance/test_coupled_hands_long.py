@@ -12,7 +12,7 @@ display.
 import numpy as np
 import pytest
 from support.analysis_devices import rigid
-from support.coupled_hands import HANDS, LEVEL, ROUNDING, called
+from support.coupled_hands import LEVEL, ROUNDING, called, hands
 
 from examples.weir2008.paper import ADDED_NS_PER_M, LEVELS, MAIN
 from examples.weir2008.run import POINTS, SCENES, conditions
@@ -40,7 +40,7 @@ def test_no_hand_leaves_its_circle(name, level):
     turn = np.exp(1j * lifted.angles)
     centre, radius = reach(lifted)
     most = 0.0
-    for hand in HANDS if name == MAIN else HANDS[:200]:
+    for hand in hands() if name == MAIN else hands()[:200]:
         out = np.abs(pulse_transfer(held_by(device.model, hand), turn, level) - centre) / radius
         assert out.max() <= 1.0 + 1e-6
         most = max(most, out[lifted.angles > 0.1].max())
@@ -57,7 +57,7 @@ def test_called_environments_stay_stable_in_every_hand(level):
     edge = points[~lifted_passive(lifted, 1.1 * points)]
     nearest = edge[random.permutation(len(edge))[:10]]
     assert len(nearest) > 3
-    for hand in HANDS:
+    for hand in hands():
         some = np.vstack((nearest, points[random.integers(len(points), size=10)]))
         assert coupled_radius(model, some, [hand], level, filters).max() < 1.0 + ROUNDING
 

@@ -143,3 +143,9 @@ def test_there_is_no_way_past_the_guard(way: Callable[[Client], None], policy: s
     client = Client(policy)
     way(client)
     assert not client.ringing
+
+
+def test_guard_that_lets_everything_pass_is_found_out() -> None:
+    found = attack(FEW[:3], lambda request: answering("apply", request))
+    assert len(found.unsafe) > 10
+    assert not found.refused

@@ -1,5 +1,6 @@
 """Figures at the width of a column: type, panels, words, ticks; the same bytes each time."""
 
+import struct
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -88,3 +89,10 @@ def test_data_stay_what_they_were(column: Any) -> None:
     for before, after in zip(drawn().axes, column.axes, strict=True):
         assert np.array_equal(before.lines[0].get_xydata(), after.lines[0].get_xydata())
         assert (before.get_xlim(), before.get_ylim()) == (after.get_xlim(), after.get_ylim())
+
+
+def test_picture_is_as_wide_as_asked_at_300_dpi(tmp_path: Path) -> None:
+    png, _, pdf = save(drawn(WIDTHS_MM["column"]), tmp_path, "x")
+    (pixels,) = struct.unpack(">I", png.read_bytes()[16:20])
+    assert pixels == 1050  # 3.5 in
+    assert b"/MediaBox [ 0 0 252 " in pdf.read_bytes()  # 3.5 in of 72 pt

@@ -8,11 +8,12 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from support.models import COUNT_M, COUNT_N
-from support.rig_damping import FREE, FRICTION, RATE_HZ, nothing
+from support.rig_damping import FREE, FRICTION, RATE_HZ, TRUTH, made_up, nothing
 from support.rig_hand import Hand
 
 from hapticd.cli.app import main
 from hapticd.cli.rig import steps
+from hapticd.core.errors import AnalysisError, HapticdError
 from hapticd.core.params import ScaleParams
 from hapticd.core.units import COPPER_PER_K
 from hapticd.model.compose import compose_device
@@ -27,6 +28,7 @@ from hapticd.model.effects import (
 )
 from hapticd.model.tables import board_fields
 from hapticd.protocol.view import as_records
+from hapticd.rig.steps.coast_down import fit_momentum
 from hapticd.rig.steps.damping import measure
 from hapticd.settings.load import load
 from hapticd.settings.toml import shipped
@@ -162,3 +164,52 @@ def test_ctrl_c_ends_force_and_damping():
         assert hand.bench.status().state == "disabled"
         assert not records["force_n"].any()
         assert not records["active_damping_ns_per_m"][-1]
+
+
+@pytest.mark.parametrize("current", [1.0, 0.0])
+def test_intervals_hold_nineteen_times_in_twenty(current):
+    random = np.random.default_rng(5)
+    truth = np.array([TRUTH["gain"], TRUTH["loop"], TRUTH["physical"], TRUTH["friction"]])
+    inside = np.zeros(4)
+    for _ in range(300):
+        found = fit_momentum(made_up(random, current), 1e-5)
+        assert found.by_current is bool(current)
+        seen = np.array(
+            [found.gain, found.loop_per_ns_per_m, found.physical_ns_per_m, found.coulomb_n]
+        )
+        half = np.array([found.gain_half, found.loop_half, found.physical_half, found.coulomb_half])
+        inside += np.abs(seen - truth) <= half
+    assert (inside >= 0.93 * 300).all()
+
+
+def test_a_hand_that_does_not_let_go_ends_the_step():
+    """It is on the handle again after the first pushes, and draws it away."""
+    with Hand(touch=FRICTION, **FREE) as hand:
+        pushes = []
+
+        def counted(**fields):
+            pushes.append(fields.get("at_tick"))
+            hand.pull_n = 0.0 if len(pushes) < 30 else 0.06
+            return type(hand.bench).set(hand.bench, **fields)
+
+        hand.bench.set = counted
+        with pytest.raises(AnalysisError, match="take your hand off"):
+            measure(hand.bench, nothing)
+        assert hand.bench.status().state == "disabled"
+
+
+def test_authority_that_is_lost_ends_the_step():
+    with Hand(touch=FRICTION, **FREE) as hand:
+        pressed = []
+
+        def stopped(**fields):
+            if fields.get("active_damping") and not pressed:
+                pressed.append(True)
+                hand.axis.press_stop(True)
+            return type(hand.bench).set(hand.bench, **fields)
+
+        hand.bench.set = stopped
+        with pytest.raises(HapticdError):
+            measure(hand.bench, nothing)
+        assert pressed
+        assert not as_records(hand.bench.run(50))["force_n"].any()

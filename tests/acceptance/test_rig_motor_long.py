@@ -1,14 +1,19 @@
 """`rig motor` on a board whose true sign, gain and offset are others than its device file's."""
 
+import numpy as np
+import pytest
 from support.models import COUNT_N
 from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 
-from hapticd.core.params import TouchParams
+from hapticd.core.errors import HapticdError
+from hapticd.core.params import ScaleParams, TouchParams
+from hapticd.protocol.view import as_records
 from hapticd.rig.steps.motor import (
     measure_gain,
     measure_sign,
 )
+from hapticd.settings.device import signs_hash
 
 
 def test_a_board_without_authority_is_refused_by_name():
@@ -44,3 +49,48 @@ def test_gain_and_offset_lie_in_their_intervals():
     assert offset.low <= -0.01 / 1.2 / COUNT_N <= offset.high
     assert result.settled
     assert hand.bench.status().state == "disabled"
+
+
+def test_a_cable_that_is_pulled_ends_the_step_and_can_be_plugged_again():
+    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
+        board = hand.bench.stack.backend
+
+        def out(cmd, **fields):
+            if cmd == "set" and fields.get("at_tick"):
+                board.unplug()
+            return type(hand.bench).call(hand.bench, cmd, **fields)
+
+        hand.bench.call = out
+        with pytest.raises(HapticdError):
+            measure_sign(hand.bench, nothing)
+        records = as_records(hand.bench.run(50))
+        assert not records["force_n"].any()
+        assert hand.bench.status().state in ("fault", "disabled")
+        del hand.bench.call
+        board.plug()
+        hand.bench.run(3000)
+        hand.bench.reset()
+        hand.bench.zero()
+        assert measure_sign(hand.bench, nothing).settled
+
+
+LIMIT_N = 0.8
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_sign_is_found_and_the_force_stays_below_a_tenth(sign):
+    file = {"force": ScaleParams(COUNT_N, sign), "commissioning": True}
+    with Hand(file, touch=FRICTION, **FREE) as hand:
+        result = measure_sign(hand.bench, nothing)
+        assert result.settled
+        assert {(one.table, one.key): one.value for one in result.changes} == {
+            ("force", "sign"): 1,
+            ("commissioning", "signs_verified"): True,
+            ("commissioning", "serial"): "SIM0001",
+            ("commissioning", "firmware"): "1.0",
+            ("commissioning", "signs"): signs_hash("SIM0001", "1.0", 1, 1),
+            ("commissioning", "life"): hand.life,
+        }
+        worst_n = max(np.abs(result.arrays[f"force_n_{one}"]).max() for one in (0, 1))
+        assert 0.0 < worst_n <= LIMIT_N + COUNT_N
+        assert hand.bench.status().state == "disabled"

@@ -5,9 +5,11 @@ than its device file's.
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from support.rig_hand import Hand
 from support.rig_probe import FREE, FRICTION, MASS, N, motion, told
 
+from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
 from hapticd.rig.excitation import LINES_HZ, lines, sine_run
 from hapticd.rig.steps.probe import (
@@ -76,3 +78,24 @@ def test_what_shakes_is_kept_by_a_lease():
         assert not hand.bench.status().leases
     assert leased
     assert all("measuring" in one for one in leased)
+
+
+def test_a_board_without_a_probe_is_told_so():
+    with Hand(lacks=("probe",)) as hand, pytest.raises(AnalysisError, match="no probe inputs"):
+        measure(hand.bench, hand.ask, MASS)
+
+
+def test_ctrl_c_ends_perturbation_and_force():
+    with Hand(touch=FRICTION, **FREE) as hand:
+
+        def interrupted(topics, look_s=0.05):
+            if hand.bench.newest["perturbing"]:
+                raise KeyboardInterrupt
+            return type(hand.bench).messages(hand.bench, topics, look_s)
+
+        hand.bench.messages = interrupted
+        with pytest.raises(KeyboardInterrupt):
+            measure(hand.bench, hand.ask, MASS)
+        hand.bench.run(5)
+        assert hand.bench.status().state == "disabled"
+        assert not hand.bench.newest["perturbing"]

@@ -72,3 +72,14 @@ def test_a_day_of_heating_cycles_leaves_no_trace():
     assert warm.least > 0.02
     assert found[23][1] < 0.06
     assert max(hour[2] for hour in found.values()) <= 120.0
+
+
+def test_delivered_damping_and_force_stay_within_two_percent_while_the_winding_heats():
+    moments = list(flown(*device(), 6))
+    assert moments[0].winding_c == pytest.approx(20.0, abs=0.1)
+    assert moments[-1].winding_c > 80.0
+    assert deviation_pct(moments) <= 2.0
+    gain = 1.0 / (1.0 + DAMPING_NS_PER_M * 0.03 / 1.65**2)  # the tolerance stays at any temperature
+    for one in moments:
+        assert one.active_damping_ns_per_m == pytest.approx(DAMPING_NS_PER_M * gain, rel=0.01)
+        assert one.torque_gain == pytest.approx(gain, rel=0.01)

@@ -7,12 +7,18 @@ from concurrent.futures import CancelledError
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+from support.measured_scenes import MOTOR, scene
 from support.zwidth_executors import made, refuse, same_error
 
 from hapticd.core.errors import CommandError, HapticdError
+from hapticd.model.effects import Masses, ProbeMass, Viscous
+from hapticd.signal import assess
 from hapticd.zwidth.engine.batch import workers
 from hapticd.zwidth.executors import executor
+from hapticd.zwidth.outcomes import TOGETHER, Conditions, run_trials
+from hapticd.zwidth.store import to_json
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +74,18 @@ def test_lost_dask_workers_are_told(what: str, scheduler: str) -> None:
     )
     with pytest.raises(HapticdError, match=told), executor(scheduler):
         raise lost
+
+
+def test_outcomes_do_not_depend_on_the_size_of_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More than a group of them are judged again by their records, flown together or not."""
+    again: list[object] = []
+    resolved = assess.resolved
+    monkeypatch.setattr(assess, "resolved", lambda *given: again.append(given) or resolved(*given))
+    bare = (Masses(rotor_kg=0.005), MOTOR, ProbeMass(mass_kg=0.003), Viscous(rotor_ns_per_m=0.3))
+    given = Conditions(scene(bare, seconds=20.0), 20.0)
+    points = np.zeros((TOGETHER + 6, 3))
+    points[:, 0] = np.linspace(300.0, 590.0, len(points))
+    together = run_trials(given, 0.0, points)
+    assert len(again) > TOGETHER
+    alone = [one for part in np.array_split(points, 5) for one in run_trials(given, 0.0, part)]
+    assert to_json([vars(one) for one in together]) == to_json([vars(one) for one in alone])

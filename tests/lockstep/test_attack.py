@@ -32,10 +32,6 @@ def test_every_fault_of_the_simulated_board_is_tried() -> None:
     assert set(RARE) <= set(TRAITS)
 
 
-def test_a_flight_is_its_seed() -> None:
-    assert fly(5) == fly(5)
-
-
 class Rigged:
     """A servo under force whose motor the judge watches, for a board that does what it must not."""
 

@@ -1,12 +1,10 @@
 """hapticd sim and hapticd accuracy: what they print, draw, return and refuse."""
 
-import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
-from support.cli_sim import MINE, spoken
+from support.cli_sim import MINE, spoken, told
 
 from hapticd.cli.terminal import progress
 
@@ -16,13 +14,6 @@ def mine(tmp_path: Path) -> str:
     file = tmp_path / "mine.toml"
     file.write_text(MINE)
     return str(file)
-
-
-def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> Any:
-    code, out, _ = spoken(capsys, *arguments, "--json")
-    assert code == 0
-    assert out.count("\n") == 1
-    return json.loads(out)
 
 
 # --- run ------------------------------------------------------------------------------------------
@@ -36,16 +27,6 @@ def test_run_compares_with_and_without_damping(
     assert out.startswith("mine: 8 s, SIMULATED ideal\n")
     assert "no active damping (the scene)" in out
     assert "active damping 1.74 N s/m: passive in band [2, 500] Hz at 95 % confidence" in out
-
-
-def test_run_draws_where_it_is_told(
-    capsys: pytest.CaptureFixture[str], mine: str, tmp_path: Path
-) -> None:
-    folder = tmp_path / "figures"
-    code, _, err = spoken(capsys, "sim", "run", mine, "--plot", "--out", str(folder))
-    assert code == 0
-    assert err == f"drawn: {folder}/mine.png, {folder}/mine.svg, {folder}/mine.pdf\n"
-    assert sorted(path.name for path in folder.iterdir()) == ["mine.pdf", "mine.png", "mine.svg"]
 
 
 def test_run_draws_nothing_unasked(
@@ -210,23 +191,6 @@ def test_tolerance_of_nothing_is_refused(capsys: pytest.CaptureFixture[str]) -> 
     code, _, err = spoken(capsys, "sim", "effects", "theory", "--tolerance", "0", "--no-plot")
     assert code == 78
     assert "tolerance 0: must be above 0" in err
-
-
-def test_quick_accuracy_as_json_has_every_tier(
-    capsys: pytest.CaptureFixture[str], mine: str
-) -> None:
-    found = told(capsys, "accuracy", mine, "--quick", "--no-plot")
-    assert {row["sweep"] for row in found["rows"]} == {
-        "tier",
-        "sub-steps",
-        "precision",
-        "trial length",
-        "window",
-        "effect",
-    }
-    assert sum(row["knee"] for row in found["rows"]) == 5
-    assert found["integrators"]["longest_s"]["exact"] is None
-    assert (found["unit"], found["quick"], found["simulated"]) == ("deg", True, True)
 
 
 # --- progress -------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ named and nothing is started.
 import json
 import re
 
-import numpy as np
 import pytest
 from support.cli_zwidth import OUTCOME, SHORT, run, small_map, trials
 
@@ -127,30 +126,6 @@ def test_mistakes_are_answered_in_words(words, code, said, tmp_path, capsys):
     found, _, err = run([*words, "--out", str(tmp_path / "x")], capsys)
     assert found == code
     assert said in " ".join(err.replace("│", " ").split())
-
-
-def test_envelope_is_drawn_while_trials_arrive(tmp_path, monkeypatch):
-    from hapticd.cli.zwidth import map as verb
-    from hapticd.settings.scene import load_scene
-    from hapticd.zwidth.outcomes import Conditions, run_trials
-    from hapticd.zwidth.scenes import noise
-    from hapticd.zwidth.store import write_run
-
-    scene = load_scene("theory")
-    conditions = Conditions(scene, 20.0, noise(scene))
-    monkeypatch.setattr(verb, "REDRAW_S", -1.0)
-    redrawn = verb._Redrawn(conditions, tmp_path, None)
-    failed, passed = run_trials(conditions, 0.0, np.array([[9000.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
-    redrawn([failed])
-    assert not list(tmp_path.iterdir())
-    redrawn([passed])
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "envelope_so_far.png",
-        "envelope_so_far.svg",
-        "envelope_so_far.pdf",
-    }
-    write_run(tmp_path, {"kind": "map"})
-    assert {path.name for path in tmp_path.iterdir()} == {"run.json"}
 
 
 TRIAL = ["trial", "--seconds", "8"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.cli_zwidth_folders import LIMITS, MAP, SHORT, interrupted, run
+from support.cli_zwidth_folders import LIMITS, MAP, interrupted, run
 
 
 @pytest.mark.parametrize("verb", ["trial", "walls"])
@@ -130,21 +130,4 @@ def test_run_that_is_drawn_by_its_own_command_says_so(
     assert (
         f"{tmp_path}: a run of kind '{kind}' can only be redrawn by the command that made it"
         f" (--out {tmp_path}); this verb redraws trials and maps" in err
-    )
-
-
-def test_interrupted_report_goes_on(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from hapticd.zwidth import map
-
-    monkeypatch.setattr(map, "run_map", interrupted)
-    code, _, err = run(
-        ["report", "weir2008", *SHORT, "--active-damping", "1.74", "--out", str(tmp_path)], capsys
-    )
-    kept = len(set((tmp_path / "trials.jsonl").read_text().splitlines()))
-    assert code == 130
-    assert (
-        f"{kept} trials are kept in {tmp_path}; the same command with --out {tmp_path} goes on"
-        " there" in err
     )

@@ -14,7 +14,7 @@ import re
 import numpy as np
 import pytest
 from support.analysis_devices import rigid
-from support.coupled_hands import HANDS, LEVEL, ROUNDING, called
+from support.coupled_hands import LEVEL, ROUNDING, called, hands
 
 from examples.weir2008.paper import ADDED_NS_PER_M, MAIN
 from examples.weir2008.run import conditions
@@ -31,18 +31,18 @@ def test_random_hands_are_positive_real():
     random = np.random.default_rng(0)
     angle = random.uniform(-0.5, 0.5, 60) * np.pi
     size = 10.0 ** random.uniform(-1, 5, 60)
-    for hand in HANDS:
+    for hand in hands():
         z = hand.impedance(size * np.exp(1j * angle))
         assert (z.real >= -ROUNDING * np.abs(z)).all()
 
 
 def test_random_hands_are_of_many_kinds():
-    size = [abs(hand.impedance(np.array([20j * np.pi]))[0]) for hand in HANDS]
+    size = [abs(hand.impedance(np.array([20j * np.pi]))[0]) for hand in hands()]
     assert max(size) / min(size[place] for place in range(1000) if size[place] > 0.0) > 1e9
-    assert sum(not hand.damping_ns_per_m.any() for hand in HANDS) > 20
-    assert sum(not hand.stiffness_n_per_m.sum(axis=0).any() for hand in HANDS) > 50
-    assert sum(bool(hand.loose.any()) for hand in HANDS) > 300
-    assert max(hand.mass_kg.size for hand in HANDS) >= 9
+    assert sum(not hand.damping_ns_per_m.any() for hand in hands()) > 20
+    assert sum(not hand.stiffness_n_per_m.sum(axis=0).any() for hand in hands()) > 50
+    assert sum(bool(hand.loose.any()) for hand in hands()) > 300
+    assert max(hand.mass_kg.size for hand in hands()) >= 9
 
 
 @LEVEL
@@ -51,7 +51,7 @@ def test_held_device_has_both_impedances(level):
     model = conditions(MAIN).display.model
     f = np.geomspace(0.1, 3000.0, 40)
     alone = 1.0 / responses(model, f, level).velocity[0, 1]
-    for hand in HANDS[:100]:
+    for hand in hands()[:100]:
         together = 1.0 / responses(held_by(model, hand), f, level).velocity[0, 1]
         parts = alone, hand.impedance(2j * np.pi * f)
         assert (
@@ -86,7 +86,7 @@ def test_whatever_a_hand_shakes_was_not_called():
     points = points[spectral_radius(device.model, points, ADDED_NS_PER_M, device.filters) < 1.0]
     holds = coupled_stable(lifted_system(device.model, ADDED_NS_PER_M, device.filters), points)
     shaken = (
-        coupled_radius(device.model, points, HANDS[:150], ADDED_NS_PER_M, device.filters)
+        coupled_radius(device.model, points, hands()[:150], ADDED_NS_PER_M, device.filters)
         > 1.0 + ROUNDING
     )
     assert shaken.sum() > 100

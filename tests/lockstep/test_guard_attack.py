@@ -4,10 +4,10 @@ in ours. Then ways to get past it, one by one.
 
 import numpy as np
 import pytest
-from support.guard_attack import FEW, answering
+from support.guard_attack import answering
 from support.whole_tick import Display, Point, radius
 
-from benchmarks.guard_attack import SHIPPED, WEIR, attack, chunks, device, fly_one
+from benchmarks.guard_attack import SHIPPED, WEIR, chunks, device, fly_one
 from benchmarks.guard_flown import flown
 from hapticd.model.loop import spectral_radius
 
@@ -21,12 +21,6 @@ def test_second_opinion_has_the_numbers_of_the_device_file(name: str, known: Dis
         own = radius(known, [Point(*one, level) for one in POINTS])
         theirs = spectral_radius(model, np.array(POINTS), level)
         assert own == pytest.approx(theirs, abs=1e-7)
-
-
-def test_guard_that_lets_everything_pass_is_found_out() -> None:
-    found = attack(FEW[:3], lambda request: answering("apply", request))
-    assert len(found.unsafe) > 10
-    assert not found.refused
 
 
 def test_every_sequence_is_flown_once_on_one_device() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.measured_scenes import scene
+from support.measured_scenes import noisy_scene, scene
 
 from hapticd.core.errors import ConfigError, MissingLibrary
 from hapticd.model.scene import Excitation
@@ -32,12 +32,10 @@ from hapticd.studies.scene import SceneResult, compare_integrators, plan_scene, 
 from hapticd.zwidth.report import style
 from hapticd.zwidth.report.table import text
 
-PNG = b"\x89PNG\r\n\x1a\n"
-
 
 @pytest.fixture(scope="module")
 def noisy() -> SceneResult:
-    return run_scene(plan_scene(scene(seconds=8.0, kbm=(100.0, 0.5, 0.0))))
+    return noisy_scene()
 
 
 def labels(figure: Any) -> list[tuple[str, str]]:
@@ -54,19 +52,6 @@ def written(figure: Any) -> set[str]:
 
 
 # --- files ----------------------------------------------------------------------------------------
-
-
-def test_figure_is_kept_as_png_svg_and_pdf(tmp_path: Path, noisy: SceneResult) -> None:
-    png, svg, pdf = style.save(scene_figure(noisy), tmp_path / "new", "small")
-    assert png.read_bytes().startswith(PNG)
-    assert svg.read_text().startswith("<?xml")
-    assert pdf.read_bytes().startswith(b"%PDF")
-    assert (png.name, svg.name, pdf.name) == ("small.png", "small.svg", "small.pdf")
-
-
-def test_same_result_gives_the_same_bytes(tmp_path: Path, noisy: SceneResult) -> None:
-    first, second = (style.save(scene_figure(noisy), tmp_path / name, "x") for name in "ab")
-    assert [one.read_bytes() for one in first] == [other.read_bytes() for other in second]
 
 
 def test_folder_that_cannot_be_written_is_named(tmp_path: Path, noisy: SceneResult) -> None:

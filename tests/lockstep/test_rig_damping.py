@@ -7,17 +7,15 @@ from math import exp, log
 import numpy as np
 import pytest
 from support.models import COUNT_M, COUNT_N
-from support.rig_damping import FREE, FRICTION, RATE_HZ, device, nothing
+from support.rig_damping import FREE, FRICTION, RATE_HZ, device, made_up, nothing
 from support.rig_hand import Hand
 
-from hapticd.core.errors import AnalysisError, HapticdError
+from hapticd.core.errors import AnalysisError
 from hapticd.core.params import ScaleParams
-from hapticd.protocol.view import as_records
 from hapticd.rig.experiment import push, ready
-from hapticd.rig.steps.coast_down import Row, analyse, fit_momentum, row_of
+from hapticd.rig.steps.coast_down import analyse, row_of
 from hapticd.rig.steps.damping import measure
 
-N_PER_A = 1.65
 FORCE = ScaleParams(COUNT_N)
 RECORD = np.dtype(
     [
@@ -138,50 +136,6 @@ def test_a_push_that_misses_slots_or_rest_is_no_row(spoilt):
     assert row_of(records, FORCE, COUNT_M, RATE_HZ) is None
 
 
-TRUTH = {"gain": 1.13, "loop": 0.03, "physical": 0.36, "friction": 0.03, "gravity": 0.004}
-
-
-def made_up(random, current, gain=TRUTH["gain"], loop=TRUTH["loop"]):
-    """Rows as a step makes them, with errors in time and force."""
-    rows = []
-    for level in (0.0, 0.0, 0.3125, 0.625, 1.25, 2.5, 5.0, 10.0):
-        for seconds, way in ((0.05, 4e-3), (0.3, 1.5e-3)):
-            for side in (1.0, -1.0):
-                true_s = seconds * random.uniform(0.8, 1.2)
-                load = TRUTH["physical"] * way + true_s * (
-                    TRUTH["friction"] - side * TRUTH["gravity"]
-                )
-                impulse = gain * level * way + load * (1.0 + loop * level)
-                rows.append(
-                    Row(
-                        impulse * (1.0 + 0.002 * random.standard_normal()),
-                        way,
-                        true_s + 3e-4 * random.standard_normal(),
-                        level * way,
-                        current * load / N_PER_A * (1.0 + 0.002 * random.standard_normal()),
-                        level,
-                        side,
-                    )
-                )
-    return rows
-
-
-@pytest.mark.parametrize("current", [1.0, 0.0])
-def test_intervals_hold_nineteen_times_in_twenty(current):
-    random = np.random.default_rng(5)
-    truth = np.array([TRUTH["gain"], TRUTH["loop"], TRUTH["physical"], TRUTH["friction"]])
-    inside = np.zeros(4)
-    for _ in range(300):
-        found = fit_momentum(made_up(random, current), 1e-5)
-        assert found.by_current is bool(current)
-        seen = np.array(
-            [found.gain, found.loop_per_ns_per_m, found.physical_ns_per_m, found.coulomb_n]
-        )
-        half = np.array([found.gain_half, found.loop_half, found.physical_half, found.coulomb_half])
-        inside += np.abs(seen - truth) <= half
-    assert (inside >= 0.93 * 300).all()
-
-
 def test_too_much_compensation_is_warned_about_and_refused():
     """At a loop gain of -0.2 and of -0.317 at the limit."""
     random = np.random.default_rng(6)
@@ -224,22 +178,6 @@ def test_a_handle_that_is_held_is_refused():
     assert "let the handle go" in result.findings[0].remedy
 
 
-def test_a_hand_that_does_not_let_go_ends_the_step():
-    """It is on the handle again after the first pushes, and draws it away."""
-    with Hand(touch=FRICTION, **FREE) as hand:
-        pushes = []
-
-        def counted(**fields):
-            pushes.append(fields.get("at_tick"))
-            hand.pull_n = 0.0 if len(pushes) < 30 else 0.06
-            return type(hand.bench).set(hand.bench, **fields)
-
-        hand.bench.set = counted
-        with pytest.raises(AnalysisError, match="take your hand off"):
-            measure(hand.bench, nothing)
-        assert hand.bench.status().state == "disabled"
-
-
 def test_a_host_that_takes_its_time_gets_more_of_it():
     """Each request takes a third of a second, which is more than the shortest lead."""
     with Hand(touch=FRICTION, **FREE) as hand:
@@ -254,23 +192,6 @@ def test_a_host_that_takes_its_time_gets_more_of_it():
             found = push(bench, 0.2, 0.02, 0.3)
         assert np.count_nonzero(found.records["force_n"]) == 20
         assert found.moved_m > 1e-4
-
-
-def test_authority_that_is_lost_ends_the_step():
-    with Hand(touch=FRICTION, **FREE) as hand:
-        pressed = []
-
-        def stopped(**fields):
-            if fields.get("active_damping") and not pressed:
-                pressed.append(True)
-                hand.axis.press_stop(True)
-            return type(hand.bench).set(hand.bench, **fields)
-
-        hand.bench.set = stopped
-        with pytest.raises(HapticdError):
-            measure(hand.bench, nothing)
-        assert pressed
-        assert not as_records(hand.bench.run(50))["force_n"].any()
 
 
 def test_damping_waits_for_the_signs():

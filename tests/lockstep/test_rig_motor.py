@@ -4,12 +4,12 @@ from datetime import date
 
 import numpy as np
 import pytest
-from support.models import COUNT_M, COUNT_N, device_params
+from support.models import COUNT_M, device_params
 from support.rig_hand import Hand
 from support.rig_motor import FREE, FRICTION, HUNG, nothing
 from support.tree import ROOT
 
-from hapticd.core.errors import AnalysisError, CommandError, HapticdError
+from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.core.params import ScaleParams, TouchParams, to_plain
 from hapticd.protocol.view import as_records
 from hapticd.rig.device_file import write
@@ -22,30 +22,9 @@ from hapticd.rig.steps.motor import (
     measure_sign,
 )
 from hapticd.settings.build import device_params as device_params_of
-from hapticd.settings.device import signs_hash
 from hapticd.settings.load import load_device
 
 DEVICES = ROOT / "config" / "devices"
-LIMIT_N = 0.8
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_the_sign_is_found_and_the_force_stays_below_a_tenth(sign):
-    file = {"force": ScaleParams(COUNT_N, sign), "commissioning": True}
-    with Hand(file, touch=FRICTION, **FREE) as hand:
-        result = measure_sign(hand.bench, nothing)
-        assert result.settled
-        assert {(one.table, one.key): one.value for one in result.changes} == {
-            ("force", "sign"): 1,
-            ("commissioning", "signs_verified"): True,
-            ("commissioning", "serial"): "SIM0001",
-            ("commissioning", "firmware"): "1.0",
-            ("commissioning", "signs"): signs_hash("SIM0001", "1.0", 1, 1),
-            ("commissioning", "life"): hand.life,
-        }
-        worst_n = max(np.abs(result.arrays[f"force_n_{one}"]).max() for one in (0, 1))
-        assert 0.0 < worst_n <= LIMIT_N + COUNT_N
-        assert hand.bench.status().state == "disabled"
 
 
 def test_the_sign_waits_for_the_encoder():
@@ -176,26 +155,3 @@ def test_a_push_ends_though_nobody_is_there_any_more():
         pushed = np.flatnonzero(records["force_n"])
         assert len(pushed) == 20
         assert np.ptp(pushed) == 19
-
-
-def test_a_cable_that_is_pulled_ends_the_step_and_can_be_plugged_again():
-    with Hand({"commissioning": True}, touch=FRICTION, **FREE) as hand:
-        board = hand.bench.stack.backend
-
-        def out(cmd, **fields):
-            if cmd == "set" and fields.get("at_tick"):
-                board.unplug()
-            return type(hand.bench).call(hand.bench, cmd, **fields)
-
-        hand.bench.call = out
-        with pytest.raises(HapticdError):
-            measure_sign(hand.bench, nothing)
-        records = as_records(hand.bench.run(50))
-        assert not records["force_n"].any()
-        assert hand.bench.status().state in ("fault", "disabled")
-        del hand.bench.call
-        board.plug()
-        hand.bench.run(3000)
-        hand.bench.reset()
-        hand.bench.zero()
-        assert measure_sign(hand.bench, nothing).settled

@@ -185,27 +185,6 @@ def test_the_probe_waits_for_verified_signs():
         assert hand.bench.status().state == "disabled"
 
 
-def test_a_board_without_a_probe_is_told_so():
-    with Hand(lacks=("probe",)) as hand, pytest.raises(AnalysisError, match="no probe inputs"):
-        measure(hand.bench, hand.ask, MASS)
-
-
-def test_ctrl_c_ends_perturbation_and_force():
-    with Hand(touch=FRICTION, **FREE) as hand:
-
-        def interrupted(topics, look_s=0.05):
-            if hand.bench.newest["perturbing"]:
-                raise KeyboardInterrupt
-            return type(hand.bench).messages(hand.bench, topics, look_s)
-
-        hand.bench.messages = interrupted
-        with pytest.raises(KeyboardInterrupt):
-            measure(hand.bench, hand.ask, MASS)
-        hand.bench.run(5)
-        assert hand.bench.status().state == "disabled"
-        assert not hand.bench.newest["perturbing"]
-
-
 def test_authority_that_is_lost_ends_the_step():
     with Hand(touch=FRICTION, **FREE) as hand:
 

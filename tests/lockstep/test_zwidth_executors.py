@@ -10,12 +10,12 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from contextlib import closing
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from support.measured_scenes import MOTOR, scene
 from support.stand_in import StandIn
 from support.zwidth_executors import SHORT
 
@@ -27,16 +27,18 @@ from hapticd.core.errors import (
     MissingLibrary,
     SequenceError,
 )
-from hapticd.model.effects import Masses, ProbeMass, Viscous
-from hapticd.signal import assess
 from hapticd.zwidth import executors, outcomes
 from hapticd.zwidth.engine.batch import at_most, workers
 from hapticd.zwidth.executors import executor, pool_of
-from hapticd.zwidth.limits import LimitsParams, plan_limits, run_limits
+from hapticd.zwidth.limits import LimitsParams, LimitsPlan, plan_limits, run_limits
 from hapticd.zwidth.outcomes import TOGETHER, Conditions, Outcome, TrialBatch, run_trials
-from hapticd.zwidth.store import TrialStore, to_json
+from hapticd.zwidth.store import TrialStore
 
-LIMITS = plan_limits(LimitsParams(SHORT))
+
+@cache  # not when it is imported: each worker collects all tests
+def limits() -> LimitsPlan:
+    """What the limits of a few trials take."""
+    return plan_limits(LimitsParams(SHORT))
 
 
 @pytest.fixture(scope="module")
@@ -238,21 +240,6 @@ def test_engine_begins_no_threads_in_a_task_of_a_pool(monkeypatch: pytest.Monkey
     assert asked == [1]
 
 
-def test_outcomes_do_not_depend_on_the_size_of_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    """More than a group of them are judged again by their records, flown together or not."""
-    again: list[object] = []
-    resolved = assess.resolved
-    monkeypatch.setattr(assess, "resolved", lambda *given: again.append(given) or resolved(*given))
-    bare = (Masses(rotor_kg=0.005), MOTOR, ProbeMass(mass_kg=0.003), Viscous(rotor_ns_per_m=0.3))
-    given = Conditions(scene(bare, seconds=20.0), 20.0)
-    points = np.zeros((TOGETHER + 6, 3))
-    points[:, 0] = np.linspace(300.0, 590.0, len(points))
-    together = run_trials(given, 0.0, points)
-    assert len(again) > TOGETHER
-    alone = [one for part in np.array_split(points, 5) for one in run_trials(given, 0.0, part)]
-    assert to_json([vars(one) for one in together]) == to_json([vars(one) for one in alone])
-
-
 @pytest.mark.parametrize(("points", "size"), [(40, 40), (600, 64), (1100, 128), (5000, 256)])
 def test_tasks_grow_with_their_lot_but_for_the_last(points: int, size: int) -> None:
     lot = TrialBatch(SHORT, 0.0, tuple((float(k), 0.0, 0.0) for k in range(points)))
@@ -344,8 +331,8 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_limits(LIMITS, TrialStore(None), executor=pool, on_outcomes=hear)
-    assert heard == [LIMITS.scans[0]]
+        run_limits(limits(), TrialStore(None), executor=pool, on_outcomes=hear)
+    assert heard == [limits().scans[0]]
     assert (
         len(pool.futures) == 6
     )  # each of the six limits its first round; outcomes are told before the next one
@@ -354,10 +341,10 @@ def test_given_up_limits_cancel_what_has_not_begun() -> None:
 
 def test_limits_do_not_depend_on_who_else_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
     heard: list[tuple[str, int]] = []
-    one_by_one = run_limits(LIMITS, TrialStore(None), executor=StandIn(stand_in))
+    one_by_one = run_limits(limits(), TrialStore(None), executor=StandIn(stand_in))
     monkeypatch.setattr(outcomes, "run_trials", stand_in)
     side_by_side = run_limits(
-        LIMITS,
+        limits(),
         TrialStore(None),
         on_outcomes=lambda scan, given, new: heard.append(("KBM"[scan.axis], len(new))),
     )

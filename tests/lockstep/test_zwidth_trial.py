@@ -207,31 +207,6 @@ def test_lockstep_trial_of_a_runaway_loop_ends_early_and_disabled(rigid):
     assert found.seconds < 5.0
 
 
-@pytest.fixture
-def weak(rigid):
-    """The rigid display with a force limit of 0.16 N."""
-    servo, board = scene_params(rigid)
-    with LockStepClient(
-        replace(servo, safety=replace(servo.safety, force_limit_n=0.16)), board
-    ) as bench:
-        yield bench
-
-
-def test_lockstep_trial_whose_command_saturates_is_ended_and_named(weak):
-    """Passive and calm, but the force it commands is cut at 0.16 N: what was asked is not
-    rendered.
-    """
-    trial = Trial((100.0, 1.0, 0.002), seconds=60.0)
-    found = daemon_source(weak)(trial, lambda *_: None)
-    assert weak.status().state == "disabled"
-    assert str(found.ended) == "saturation: the command reached its limit of 0.16 N"
-    assert 5.0 < found.seconds < 60.0
-    assert found.max_command_n == found.command_limit_n == 0.16
-    verdict = judged(plan_trial(TrialParams(trial)), found).verdict
-    assert verdict.answer == "undecided"
-    assert "command saturated at 0.16 N; lower the perturbation or the stiffness" in str(verdict)
-
-
 def test_engine_trial_whose_command_saturates_is_ended_alike(rigid):
     rigid.write_text(RIGID.replace('"viscous"]', '"viscous", "saturation"]'))
     scene = load_scene(rigid)

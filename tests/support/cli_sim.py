@@ -1,5 +1,8 @@
 """hapticd sim and hapticd accuracy: what they print, draw, return and refuse."""
 
+import json
+from typing import Any
+
 import pytest
 
 from hapticd.cli.app import main
@@ -22,3 +25,10 @@ def spoken(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, st
     code = main(arguments)
     captured = capsys.readouterr()
     return code, captured.out, captured.err
+
+
+def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> Any:
+    code, out, _ = spoken(capsys, *arguments, "--json")
+    assert code == 0
+    assert out.count("\n") == 1
+    return json.loads(out)

@@ -9,17 +9,24 @@ all hands, and of random pairs, inside and outside. And it can fail: 5 % outside
 display.
 """
 
+from functools import cache
+
 import pytest
 
 from examples.weir2008.paper import LEVELS
 from examples.weir2008.run import POINTS, conditions
 from hapticd.model.loop import spectral_radius
 from hapticd.model.theorem import lifted_passive, lifted_system
-from support.passive_hands import random_hands
+from support.passive_hands import Hand, random_hands
 
-HANDS = random_hands(1000)
 ROUNDING = 1e-9  # of an eigenvalue of a mode without loss
 LEVEL = pytest.mark.parametrize("level", LEVELS)
+
+
+@cache  # not when it is imported: each worker collects all tests
+def hands() -> list[Hand]:
+    """A thousand random passive hands."""
+    return random_hands(1000)
 
 
 def called(name, level):

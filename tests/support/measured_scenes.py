@@ -6,6 +6,7 @@ from typing import Any
 from hapticd.core.environment import Environment
 from hapticd.model.effects import Coulomb, Effect, Masses, Motor, Viscous
 from hapticd.model.scene import DampingStep, Excitation, Scene
+from hapticd.studies.scene import SceneResult, plan_scene, run_scene
 
 MOTOR = Motor(torque_constant_nm_per_a=0.0165, lever_m=0.01, resistance_ohm=1.6)
 # options of `zwidth map`: 27 points about the set of the calibrated display
@@ -71,3 +72,8 @@ def stopwatch() -> Callable[[], int]:
     """Every reading is a millisecond after the one before: each call that is timed takes 1 ms."""
     now = iter(range(0, 10**15, 1_000_000))
     return lambda: next(now)
+
+
+def noisy_scene() -> SceneResult:
+    """Two trials of 8 s under noise, for figures and tables."""
+    return run_scene(plan_scene(scene(seconds=8.0, kbm=(100.0, 0.5, 0.0))))

@@ -3,6 +3,7 @@ that come home, one core a task.
 """
 
 from concurrent.futures import Executor
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from hapticd.core.errors import AnalysisError, CommandError
 from hapticd.settings.scene import load_scene
 from hapticd.zwidth import executors
-from hapticd.zwidth.map import MapParams, plan_map, run_map
+from hapticd.zwidth.map import MapParams, MapPlan, plan_map, run_map
 from hapticd.zwidth.outcomes import Conditions, run_trials
 from hapticd.zwidth.scenes import noise
 from hapticd.zwidth.store import TrialStore, to_json
@@ -19,13 +20,18 @@ from hapticd.zwidth.store import TrialStore, to_json
 SCENE = load_scene("fig7")  # friction and all: what the last bit depends on
 SHORT = Conditions(SCENE, 20.0, noise(SCENE))
 AXES = (np.linspace(0.0, 600.0, 5), np.linspace(0.0, 6.0, 4), np.linspace(-0.01, 0.01, 4))
-PLAN = plan_map(MapParams(SHORT, AXES, (0.0, 1.74), everywhere=True))
+
+
+@cache  # not when it is imported: each worker collects all tests
+def plan() -> MapPlan:
+    """160 trials."""
+    return plan_map(MapParams(SHORT, AXES, (0.0, 1.74), everywhere=True))
 
 
 def made(pool: Executor | None) -> dict[str, Any]:
     """Every number of every trial as the store has it: floats in full, nan as null."""
     store = TrialStore(None)
-    assert run_map(PLAN, store, executor=pool).made == len(store.known) == PLAN.trials == 160
+    assert run_map(plan(), store, executor=pool).made == len(store.known) == plan().trials == 160
     return dict(to_json(store.known))
 
 

@@ -2,20 +2,27 @@
 
 import ast
 import re
+from collections.abc import Iterator
+from functools import cache
 
 import pytest
 from support.tree import ROOT
 
-TREES = {
-    ".".join(path.relative_to(ROOT).with_suffix("").parts): ast.parse(path.read_text())
-    for path in sorted((ROOT / "hapticd").rglob("*.py"))
-}
+
+@cache  # not when it is imported: each worker collects all tests
+def trees(folder: str) -> dict[str, ast.Module]:
+    """The syntax of all modules below `folder`, by name."""
+    return {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts): ast.parse(path.read_text())
+        for path in sorted((ROOT / folder).rglob("*.py"))
+    }
 
 
-EXAMPLES = {
-    ".".join(path.relative_to(ROOT).with_suffix("").parts): ast.parse(path.read_text())
-    for path in sorted((ROOT / "examples").rglob("*.py"))
-}
+@pytest.fixture(autouse=True, scope="module")
+def none_is_kept() -> Iterator[None]:
+    """A million nodes of syntax would slow every later collection of garbage."""
+    yield
+    trees.cache_clear()
 
 
 def package(module: str) -> str:
@@ -37,7 +44,7 @@ def taken(module: str, tree: ast.Module) -> set[tuple[str, str]]:
     return {
         (node.module, alias.name)
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module in TREES
+        if isinstance(node, ast.ImportFrom) and node.module in trees("hapticd")
         for alias in node.names
         if package(node.module) != package(module)
     }
@@ -48,7 +55,7 @@ def unnamed(module: str, tree: ast.Module) -> list[str]:
     return [
         f"{module}: {other}.{name}"
         for other, name in sorted(taken(module, tree))
-        if name not in offered(TREES[other])
+        if name not in offered(trees("hapticd")[other])
     ]
 
 
@@ -58,17 +65,21 @@ def modules_taken(tree: ast.Module) -> list[str]:
              for alias in node.names]  # fmt: skip
     named = [f"{node.module}.{alias.name}" for node in ast.walk(tree)
              if isinstance(node, ast.ImportFrom) for alias in node.names]  # fmt: skip
-    return [name for name in (*plain, *named) if name in TREES]
+    return [name for name in (*plain, *named) if name in trees("hapticd")]
 
 
 def test_what_crosses_packages_is_in_all() -> None:
-    assert [line for module, tree in TREES.items() for line in unnamed(module, tree)] == []
+    assert [
+        line for module, tree in trees("hapticd").items() for line in unnamed(module, tree)
+    ] == []
 
 
 def test_examples_take_public_names_alone() -> None:
     """So the paper is measured again with nothing but what any laboratory has."""
-    assert [line for module, tree in EXAMPLES.items() for line in unnamed(module, tree)] == []
-    assert [name for tree in EXAMPLES.values() for name in modules_taken(tree)] == []
+    assert [
+        line for module, tree in trees("examples").items() for line in unnamed(module, tree)
+    ] == []
+    assert [name for tree in trees("examples").values() for name in modules_taken(tree)] == []
 
 
 @pytest.mark.parametrize("name", ["_stage", "flat"])
@@ -81,7 +92,7 @@ def test_a_private_or_unnamed_import_is_seen(name: str) -> None:
 
 
 def test_first_level_packages_import_nothing_and_say_what_they_are_for() -> None:
-    for module, tree in TREES.items():
+    for module, tree in trees("hapticd").items():
         if not module.endswith(".__init__") or module.count(".") != 2:
             continue
         assert (ast.get_docstring(tree) or "").count("\n") > 3, module
