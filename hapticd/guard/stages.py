@@ -17,7 +17,8 @@ from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_S
 from hapticd.guard.in_force import IN_MOTION
-from hapticd.guard.pending import Outstanding, PendingChange
+from hapticd.guard.outstanding import Outstanding
+from hapticd.guard.pending import PendingChange
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, State, Value, values_of
 from hapticd.protocol.commands import Posting, parameters, values_given

@@ -44,6 +44,7 @@ __all__ = [
     "Posting",
     "Situation",
     "admit",
+    "changed_parts",
     "forbidden",
     "parameters",
     "posting",
