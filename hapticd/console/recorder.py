@@ -79,8 +79,8 @@ class Recorder:
         self._process = None
         self._tell({"recording": False, "file": str(file), "text": _ending(out, err)})
 
-    def _tell(self, told: dict[str, Any]) -> None:
-        self._publish(json.dumps({"kind": "recorder", "told": told}))
+    def _tell(self, content: dict[str, Any]) -> None:
+        self._publish(json.dumps({"kind": "recorder", "told": content}))
 
 
 def _ending(out: bytes, err: bytes) -> str:
