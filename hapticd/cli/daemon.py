@@ -74,7 +74,9 @@ def run(
             elif event.kind == "ready":
                 terminal.data(_ready_text(settings, instance))
                 if not followers:
-                    followers.append(_follow_events(instance))
+                    # in a process of its own: this one has no threads and no sockets
+                    words = ("--instance", instance, "--parent", str(os.getpid()))
+                    followers.append(process.launch("hapticd", "events", *words))
             elif event.kind == "page":
                 terminal.data(terminal.coloured(event.text, terminal.BOLD))
             else:
@@ -89,7 +91,7 @@ def run(
         instance,
         clock.MonotonicClock(),
         tell,
-        console=CONSOLE_MODULE if console else "",
+        console=console,
     )
     process.on_stop(supervisor.stop)
     try:
@@ -100,15 +102,6 @@ def run(
             follower.wait()
 
 
-def _follow_events(instance: str) -> "subprocess.Popen[bytes]":
-    """`hapticd events` in this terminal, from a process of its own: the one that looks after servo
-    and gateway has no threads and no sockets.
-    """
-    words = ("events", "--instance", instance, "--parent", str(os.getpid()))
-    return process.launch("hapticd", *words)
-
-
-CONSOLE_MODULE = "hapticd.console.main"  # started by name: `run` itself loads no web server
 POLICIES = {
     "off": "nobody judges what you ask for",
     "warn": "what is not passive is done, with a warning",

@@ -264,7 +264,7 @@ def events(
     seconds: Annotated[
         float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")
     ] = None,
-    parent: Annotated[int | None, typer.Option("--parent", hidden=True)] = None,
+    parent: terminal.Parent = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
     """Say what happens, a line each: states, faults with remedy, leases, warnings, flight files.

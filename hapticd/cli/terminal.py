@@ -251,6 +251,9 @@ ConfigFile = Annotated[
     ),
 ]
 INSTANCE = DEFAULT_INSTANCE
+Parent = Annotated[  # the process with which a verb ends, for programs of ours
+    int | None, typer.Option("--parent", hidden=True)
+]
 
 
 SIMULATED_BANNER = """\

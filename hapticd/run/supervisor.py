@@ -40,6 +40,7 @@ from hapticd.settings.load import Settings
 
 __all__ = ["ProcessEvent", "Supervisor"]
 
+CONSOLE = ("hapticd", "console", "--instance")  # a verb, so that nothing here loads a web server
 SUPERVISOR_LOCK = "supervisor.lock"
 POLL_NS = 20 * NS_PER_MS
 # until a process that is not ready is reported, and until one that does not end is killed
@@ -170,8 +171,8 @@ class ProcessEvent(NamedTuple):
 
 
 class Supervisor:
-    """The processes of `instance`, in the runtime folder `folder`, as `settings` say; `console` is
-    the module of the operators' page, empty for none.
+    """The processes of `instance`, in the runtime folder `folder`, as `settings` say; `console`:
+    with the operators' page.
     """
 
     def __init__(
@@ -183,7 +184,7 @@ class Supervisor:
         tell: Callable[[ProcessEvent], None],
         start: Spawn = spawn,
         served: Callable[[Path, int], bool] = mailbox_served,
-        console: str = "",
+        console: bool = False,
     ) -> None:
         self.folder = folder
         self.clock = clock
@@ -199,7 +200,7 @@ class Supervisor:
             "gateway", ["hapticd.run.gateway_main", str(folder)], start, Restarts(None)
         )
         self.console = (
-            Child("console", [console, instance], start, Restarts(None)) if console else None
+            Child("console", [*CONSOLE, instance], start, Restarts(None)) if console else None
         )
         self.ready = False
         self._asked = 0
