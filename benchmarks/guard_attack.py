@@ -2,7 +2,7 @@
 
     guard_unsafe          distinct environments in force that ring without a hand, in a few dozen
                           hands, or in the hand that shakes the point 5 % further out
-    guard_flown           of 200 sequences through the desk, servo and board, in a hand that would
+    guard_flown           of 200 sequences through gateway, servo and board, in a hand that would
                           shake what lies 5 % further out and with a person who moves, those in
                           which something rings, energy comes out or a fault ends it
     guard_false_refusals  of the requests whose 5 %-further point no hand was found to shake, the

@@ -1,9 +1,10 @@
-"""Random requests through the gateway's desk, in the air: a hand that would shake what lies 5 %
-further out, and a person who moves.
+"""Random requests through the gateway's command server, in the air: a hand that would shake what
+lies 5 % further out, and a person who moves.
 
 The sequence of a seed is first done without a board (`guard_requests`); the last environment that
 stood in it gives the hand, a mass on the rotor or a spring to the wall. Then the same client asks
-the same at the real desk, in front of the servo and a board in that hand. A flight is in order if
+the same at the real command server, in front of the servo and a board in that hand. A flight is in
+order if
 
     nothing that the records show in force rings in a few dozen hands, or in this one
     the balance at the motor and the bound of the motion hold (`guard_flight`)
@@ -18,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from support.whole_tick import PlainHand, Point, held_mass
 
-from benchmarks.guard_desk import DeskClient, GuardedStack
 from benchmarks.guard_flight import (
     SLACK_J,
     Balance,
@@ -30,6 +30,7 @@ from benchmarks.guard_flight import (
 )
 from benchmarks.guard_requests import PLAIN, POLICIES, Answering, fly, request
 from benchmarks.guard_verdict import FURTHER, Bench, grows
+from benchmarks.guarded_stack import CommandServerClient, GuardedStack
 from hapticd.mailbox.layout import State
 from hapticd.run.lockstep import LockStep
 
@@ -64,8 +65,8 @@ def flown(seed: int, judge: Answering, bench: Bench) -> Flight:
     board = rigid_board(heavy(float(hand.mass_kg[0]), arm_n_per_m))
     with LockStep(plain_servo(), board) as stack:
         balance = Balance(stack, moving(seed, 2.5), arm_n_per_m)
-        desk = GuardedStack(stack, judge, POLICIES[seed % len(POLICIES)])
-        client = DeskClient(desk)
+        guarded = GuardedStack(stack, judge, POLICIES[seed % len(POLICIES)])
+        client = CommandServerClient(guarded)
         client.ask({}, enable=True)
         client.run(150)
         for _ in range(REQUESTS):

@@ -189,7 +189,9 @@ TABLE: dict[str, dict[str, Target]] = {
             " hand",
         ),
         "guard_flown": Target(
-            "<= 0", "", "the same through desk, servo and board, held by such a hand and moved"
+            "<= 0",
+            "",
+            "the same through command server, servo and board, held by such a hand and moved",
         ),
         "guard_false_refusals": Target(
             "<= 5", "", "percent; a guard that refuses what is safe is switched off"

@@ -65,8 +65,8 @@ def change(instance: str, as_json: bool, ask: "Callable[[clients.Client], Receip
             terminal.data(receipt_text(receipt))
         verdict, lines = _found_out(client, receipt.guard)
     if as_json:
-        told = dataclasses.replace(receipt, guard=verdict)
-        terminal.data_json({"ok": True, **dataclasses.asdict(told)})
+        content = dataclasses.replace(receipt, guard=verdict)
+        terminal.data_json({"ok": True, **dataclasses.asdict(content)})
     elif verdict and verdict.policy != "off" and not verdict.safe:
         for line in objection_lines(verdict, lines):
             terminal.talk(terminal.wrapped(f"hapticd: {line}"))
@@ -96,8 +96,15 @@ def _settled(client: "clients.Client", receipt: Receipt) -> Receipt:
 def _ended(event: Event, begun: Receipt, state: str) -> Receipt:
     if event.result != "applied":
         raise CommandError("refused", f"{event.cmd}: {event.result}: {event.text}")
-    names = ("result", "revision", "first_tick", "ramp_end_tick", "effective")
-    return dataclasses.replace(begun, state=state, **{name: getattr(event, name) for name in names})
+    return Receipt(
+        event.result,
+        state,
+        event.revision,
+        event.first_tick,
+        event.ramp_end_tick,
+        event.effective,
+        begun.guard,
+    )
 
 
 def _found_out(

@@ -1,12 +1,17 @@
-"""The operators' page, served by hand; `hapticd run` starts it by itself."""
+"""The operators' page, served by hand; `hapticd run` starts it by itself.
 
+`--parent PID` names the supervisor that it ends with; a byte written to the descriptor of `--ready
+FD` says that it serves.
+"""
+
+import os
 from typing import Annotated
 
 import typer
 
 from hapticd.cli import terminal
 from hapticd.cli.deferred import deferred_imports
-from hapticd.core.process import on_stop
+from hapticd.core.process import die_with_parent, on_stop
 
 with deferred_imports():
     from hapticd.console import server
@@ -20,14 +25,20 @@ def console(
         ),
     ] = None,
     instance: terminal.Instance = terminal.INSTANCE,
+    parent: terminal.Parent = None,
+    ready: Annotated[int | None, typer.Option("--ready", hidden=True)] = None,
     as_json: terminal.Json = False,
 ) -> None:
     """Serve the operators' page on this computer, until Ctrl-C. `hapticd run` starts one by itself.
 
     The daemon need not run yet. Pages are served to browsers of this computer alone.
     """
+    die_with_parent(parent)
 
     def tell(url: str) -> None:
+        if ready is not None:
+            os.write(ready, b"1")
+            return
         line = f"operators' page: {url}   (Ctrl-C here ends it)"
         terminal.show({"url": url}, [line], as_json)
 

@@ -34,7 +34,7 @@ from hapticd.core.errors import CommandError, ConfigError, DaemonDown, HapticdEr
 from hapticd.core.params import COMMISSIONING_SHARE, GuardParams
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.mailbox.files import runtime_folder
-from hapticd.protocol.answers import Compensation, Delivered, StageTimes, Status, answer_of
+from hapticd.protocol.answers import Compensation, Delivered, Status, answer_of
 
 with deferred_imports():
     import numpy as np
@@ -74,7 +74,9 @@ def run(
             elif event.kind == "ready":
                 terminal.data(_ready_text(settings, instance))
                 if not followers:
-                    followers.append(_follow_events(instance))
+                    # in a process of its own: this one has no threads and no sockets
+                    words = ("--instance", instance, "--parent", str(os.getpid()))
+                    followers.append(process.launch("hapticd", "events", *words))
             elif event.kind == "page":
                 terminal.data(terminal.coloured(event.text, terminal.BOLD))
             else:
@@ -89,7 +91,7 @@ def run(
         instance,
         clock.MonotonicClock(),
         tell,
-        console=CONSOLE_MODULE if console else "",
+        console=console,
     )
     process.on_stop(supervisor.stop)
     try:
@@ -100,15 +102,6 @@ def run(
             follower.wait()
 
 
-def _follow_events(instance: str) -> "subprocess.Popen[bytes]":
-    """`hapticd events` in this terminal, from a process of its own: the one that looks after servo
-    and gateway has no threads and no sockets.
-    """
-    words = ("events", "--instance", instance, "--parent", str(os.getpid()))
-    return supervisors.launch("hapticd", *words)
-
-
-CONSOLE_MODULE = "hapticd.console.main"  # started by name: `run` itself loads no web server
 POLICIES = {
     "off": "nobody judges what you ask for",
     "warn": "what is not passive is done, with a warning",
@@ -223,7 +216,11 @@ def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
     if endpoints := found.endpoints:
         lines.append(f"  telemetry {endpoints.get('elsewhere') or endpoints['telemetry'][1]}")
     lines += [f"  page      {page['url']}"] if (page := more.get("console")) else []
-    return lines + [f"  {stage:9} {_percentiles(row)}" for stage, row in found.stages.items()]
+    return lines + [
+        f"  {stage:9} p50 {row.p50_us:8.1f} us   p99 {row.p99_us:8.1f} us   max"
+        f" {row.max_us:8.1f} us"
+        for stage, row in found.stages.items()
+    ]
 
 
 def _under(name: str, lines: list[str]) -> list[str]:
@@ -309,10 +306,6 @@ def _rendered(found: Status) -> str:
         f" M {found.mass_kg:g} kg, active damping {found.active_damping_ns_per_m:.4g} N s/m,"
         f" gain {found.gain:.3g}"
     )
-
-
-def _percentiles(row: StageTimes) -> str:
-    return f"p50 {row.p50_us:8.1f} us   p99 {row.p99_us:8.1f} us   max {row.max_us:8.1f} us"
 
 
 def get_parameters(
@@ -429,8 +422,8 @@ def home(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Json
     if found.state != "disabled":
         raise CommandError("stopped", f"home: {found.cause}; {found.remedy}")
     known = "the origin is known" if found.homed else "this device needs no homing"
-    told = {"state": found.state, "homed": bool(found.homed)}
-    terminal.show(told, [f"disabled: {known}"], as_json)
+    content = {"state": found.state, "homed": bool(found.homed)}
+    terminal.show(content, [f"disabled: {known}"], as_json)
 
 
 DUMP_PATIENCE_S = 20.0

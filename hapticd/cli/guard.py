@@ -58,8 +58,8 @@ def guard(
     with connect(instance) as client:
         found = client.guard(policy, basis=basis, margin_ns_per_m=margin, mode=mode)
         found = _judged(client, found)
-        told = client.call("guard")["result"] if as_json else {}
-    terminal.show(told, (*guard_lines(found), *verdict_lines(found.verdict)), as_json)
+        content = client.call("guard")["result"] if as_json else {}
+    terminal.show(content, (*guard_lines(found), *verdict_lines(found.verdict)), as_json)
 
 
 def _judged(client: "clients.Client", found: GuardStatus) -> GuardStatus:

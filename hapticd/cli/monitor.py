@@ -133,7 +133,11 @@ def monitor(
     With --json, or when stdout is no terminal: one line every 0.1 s.
     """
     if as_json or not sys.stdout.isatty():
-        watch(instance, seconds, _print_json if as_json else _print_line)
+
+        def show(view: View) -> None:
+            terminal.data_json(_newest(view)) if as_json else terminal.data(_line(view))
+
+        watch(instance, seconds, show)
         return
     console = rich_console.Console()
     with rich_live.Live(console=console, screen=True, auto_refresh=False) as live:
@@ -244,17 +248,12 @@ def _status(view: View, newest: dict[str, Any]) -> list[str]:
     return status_lines(answer_of(Status, found), found)[1:]
 
 
-def _print_json(view: View) -> None:
-    terminal.data_json(_newest(view))
-
-
-def _print_line(view: View) -> None:
+def _line(view: View) -> str:
     found = _newest(view)
     badge = "SIMULATED " if view.simulated else ""
     if not view.fresh:
-        terminal.data(f"{badge}NO DATA for {view.silent_s:.1f} s")
-        return
-    terminal.data(
+        return f"{badge}NO DATA for {view.silent_s:.1f} s"
+    return (
         f"{badge}{found['state']} x {1e3 * found['position_m']:.4f} mm  force"
         f" {found['force_n']:.4f} N  damping {found['active_damping_ns_per_m']:.4g} N s/m"
     )
@@ -265,7 +264,7 @@ def events(
     seconds: Annotated[
         float | None, typer.Option("--seconds", metavar="S", help="End after S seconds.")
     ] = None,
-    parent: Annotated[int | None, typer.Option("--parent", hidden=True)] = None,
+    parent: terminal.Parent = None,
     as_json: terminal.JsonLines = False,
 ) -> None:
     """Say what happens, a line each: states, faults with remedy, leases, warnings, flight files.
@@ -283,14 +282,14 @@ def events(
                 terminal.data(f"real-time right {line}")
         for message in messages:
             if message is not None:
-                told = msgpack.unpackb(message[1])
-                terminal.data_json(told) if as_json else terminal.data(_timed(told))
+                content = msgpack.unpackb(message[1])
+                terminal.data_json(content) if as_json else terminal.data(_timed(content))
             if seconds is not None and now_ns() - begin_ns >= seconds * NS_PER_S:
                 return
 
 
-def _timed(told: dict[str, Any]) -> str:
+def _timed(content: dict[str, Any]) -> str:
     """An event with the time of day."""
-    event = answer_of(Event, told)
+    event = answer_of(Event, content)
     at = datetime.fromtimestamp(event.timestamp)
     return f"{at:%H:%M:%S} {event_words(event)}"

@@ -16,7 +16,7 @@ from hapticd.cli.change import changes, connect
 from hapticd.cli.deferred import deferred_imports
 from hapticd.core.environment import flat
 from hapticd.core.errors import ConfigError, HapticdError
-from hapticd.core.process import on_stop
+from hapticd.core.process import die_with_parent, on_stop
 from hapticd.mailbox.layout import Value
 from hapticd.protocol.limits import PLACES
 
@@ -56,6 +56,7 @@ def record(
         str, typer.Option("--note", metavar="TEXT", help="Your words, kept in the file.")
     ] = "",
     instance: terminal.Instance = terminal.INSTANCE,
+    parent: terminal.Parent = None,
     as_json: terminal.Json = False,
 ) -> None:
     """Record the running daemon: every tick with raw frames, the probe, events, and what a replay
@@ -63,6 +64,7 @@ def record(
 
     Ctrl-C ends it in order. A recorder that was killed loses at most 100 ms: `hapticd rec recover`.
     """
+    die_with_parent(parent)
     asked: list[bool] = []
     on_stop(lambda: asked.append(True))
     params = recorder.RecordingParams(file, seconds, note)

@@ -148,10 +148,10 @@ def complain(error: HapticdError, as_json: bool) -> None:
         talk(name + wrapped(f"hapticd: {line}").removeprefix("hapticd:"))
     if as_json:
         code = error.code if isinstance(error, CommandError) else type(error).__name__
-        told = {"code": code, "message": str(error), "detail": _detail(error)}
+        content = {"code": code, "message": str(error), "detail": _detail(error)}
         if isinstance(error, CommandError) and error.guard:
-            told["guard"] = dataclasses.asdict(error.guard)
-        data_json({"ok": False, "error": told})
+            content["guard"] = dataclasses.asdict(error.guard)
+        data_json({"ok": False, "error": content})
 
 
 def _detail(error: HapticdError) -> Any:
@@ -169,9 +169,9 @@ def explain(mistake: Any, as_json: bool) -> int:
 
     rich_format_error(mistake)
     if as_json:
-        told = {"code": "usage", "message": mistake.format_message()}
-        told["detail"] = getattr(mistake, "detail", None)
-        data_json({"ok": False, "error": told})
+        content = {"code": "usage", "message": mistake.format_message()}
+        content["detail"] = getattr(mistake, "detail", None)
+        data_json({"ok": False, "error": content})
     return int(mistake.exit_code)
 
 
@@ -251,6 +251,9 @@ ConfigFile = Annotated[
     ),
 ]
 INSTANCE = DEFAULT_INSTANCE
+Parent = Annotated[  # the process with which a verb ends, for programs of ours
+    int | None, typer.Option("--parent", hidden=True)
+]
 
 
 SIMULATED_BANNER = """\

@@ -25,7 +25,7 @@ import zmq.asyncio
 from numpy.typing import ArrayLike
 
 from hapticd.client.blocks import Block, Excerpt, Records, concatenated
-from hapticd.client.commands import Ask, Commands, Exchange, Pause, hand_event, loaded, reached
+from hapticd.client.commands import Ask, Commands, Exchange, Pause, T, hand_event, loaded, reached
 from hapticd.client.lease import RENEWALS, lost_error, renews_again
 from hapticd.client.requests import (
     STOP_TIMEOUT_S,
@@ -33,6 +33,7 @@ from hapticd.client.requests import (
     TimedOut,
     accepted,
     check_topic,
+    command_socket,
     heard_with,
     message_of,
     pressed,
@@ -104,15 +105,9 @@ class AsyncConnection:
 
     def _connected(self) -> zmq.asyncio.Socket:
         """The command socket; made when it is first needed."""
-        path = socket_file(self._folder, COMMAND_SOCKET)
+        socket_file(self._folder, COMMAND_SOCKET)
         if self._socket is None:
-            self._socket = self._context.socket(zmq.DEALER)
-            self._socket.setsockopt(zmq.LINGER, 0)
-            # requests are given only to a gateway that is connected: one that starts later finds
-            # no old commands
-            self._socket.setsockopt(zmq.IMMEDIATE, 1)
-            self._made = self._socket.get_monitor_socket(zmq.EVENT_CONNECTED)
-            self._socket.connect(f"ipc://{path}")
+            self._socket, self._made = command_socket(self._context, self._folder)
             self._reading = asyncio.create_task(self._read(self._socket))
         return self._socket
 
@@ -204,13 +199,13 @@ class AsyncClient(
         asked = self._as_asked(cmd, fields)
         return accepted(await self._connection.exchange(cmd, asked, self._timeout_s))
 
-    async def _carried_out(self, exchange: Exchange[Any]) -> Any:
+    async def _carried_out(self, exchange: Exchange[T]) -> T:
         answer = None
         try:
             while True:
                 answer = await self._tried(exchange.send(answer))
         except StopIteration as end:
-            return end.value
+            return end.value  # type: ignore[no-any-return]  # what the generator returns
 
     async def _tried(self, due: Ask | Pause) -> Any:
         """The reply to a request, or the error that it ended with; None after a pause."""
@@ -257,8 +252,7 @@ class AsyncClient(
         >>> await device.perturb_load(0.1 * np.ones(4000))
         4000
         """
-        count: int = await self._carried_out(loaded(samples_n))
-        return count
+        return await self._carried_out(loaded(samples_n))
 
     async def sequence(
         self,
@@ -274,10 +268,7 @@ class AsyncClient(
         >>> [one.result for one in await device.sequence(steps)]
         ['applied', 'applied', 'applied']
         """
-        done: tuple[StepReceipt, ...] = await self._carried_out(
-            self._sequence(steps, at_refusal, lead_s)
-        )
-        return done
+        return await self._carried_out(self._sequence(steps, at_refusal, lead_s))
 
     async def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> Event | None:
         """The event that tells the hand which would shake what `verdict` is about; None if
@@ -287,8 +278,7 @@ class AsyncClient(
         >>> (await device.hand(receipt.guard)).text
         '...'
         """
-        found: Event | None = await self._carried_out(hand_event(verdict, timeout_s))
-        return found
+        return await self._carried_out(hand_event(verdict, timeout_s))
 
     async def wait_for(self, state: str, timeout_s: float = 10.0) -> None:
         """Return when the servo is in `state`, as `Client.wait_for`.

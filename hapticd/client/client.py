@@ -24,13 +24,14 @@ from typing import TYPE_CHECKING, Any
 
 import zmq
 
-from hapticd.client.commands import Ask, Commands, Exchange, Pause, hand_event, loaded, reached
+from hapticd.client.commands import Ask, Commands, Exchange, Pause, T, hand_event, loaded, reached
 from hapticd.client.lease import ClientLease
 from hapticd.client.requests import (
     STOP_TIMEOUT_S,
     RequestTracker,
     TimedOut,
     accepted,
+    command_socket,
     pressed,
     quiet,
     receipt_of,
@@ -123,13 +124,9 @@ class GatewayConnection(Subscription):
 
     def _connected(self) -> "zmq.Socket[bytes]":
         """The command socket; made when it is first needed."""
-        path = socket_file(self._folder, COMMAND_SOCKET)
+        socket_file(self._folder, COMMAND_SOCKET)
         if self._socket is None:
-            self._socket = self._context.socket(zmq.DEALER)
-            self._socket.setsockopt(zmq.LINGER, 0)
-            self._socket.setsockopt(zmq.IMMEDIATE, 1)
-            self._made = self._socket.get_monitor_socket(zmq.EVENT_CONNECTED)
-            self._socket.connect(f"ipc://{path}")
+            self._socket, self._made = command_socket(self._context, self._folder)
         return self._socket
 
     def _meet(self) -> None:
@@ -176,13 +173,13 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         asked = self._as_asked(cmd, fields)
         return accepted(self._connection.exchange(cmd, asked, self._timeout_s))
 
-    def _carried_out(self, exchange: Exchange[Any]) -> Any:
+    def _carried_out(self, exchange: Exchange[T]) -> T:
         answer = None
         try:
             while True:
                 answer = self._tried(exchange.send(answer))
         except StopIteration as end:
-            return end.value
+            return end.value  # type: ignore[no-any-return]  # what the generator returns
 
     def _tried(self, due: Ask | Pause) -> Any:
         """The reply to a request, or the error that it ended with; None after a pause."""
@@ -204,8 +201,7 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         >>> device.hand(receipt.guard).text
         '...'
         """
-        found: Event | None = self._carried_out(hand_event(verdict, timeout_s))
-        return found
+        return self._carried_out(hand_event(verdict, timeout_s))
 
     def _pause(self, seconds: float) -> None:
         """Let time pass; on virtual time no clock of this computer does."""
@@ -245,9 +241,8 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         ...     receipt = device.set(K=100)
         ...     lease.sleep(10)
         """
-        return ClientLease(
-            self.call, what, keep_alive, ttl_s=ttl_s, at_end=at_end, take_over=take_over or None
-        )
+        asked = {"ttl_s": ttl_s, "at_end": at_end, "take_over": take_over or None}
+        return ClientLease(self.call, what, keep_alive, self._pause, **asked)
 
     def perturb_load(self, samples_n: "ArrayLike") -> int:
         """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has.
@@ -258,8 +253,7 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         >>> device.perturb_load(one_second)
         4000
         """
-        count: int = self._carried_out(loaded(samples_n))
-        return count
+        return self._carried_out(loaded(samples_n))
 
     def sequence(
         self,
@@ -280,8 +274,7 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         >>> [one.result for one in device.sequence(steps)]
         ['applied', 'applied', 'applied']
         """
-        done: tuple[StepReceipt, ...] = self._carried_out(self._sequence(steps, at_refusal, lead_s))
-        return done
+        return self._carried_out(self._sequence(steps, at_refusal, lead_s))
 
     # --- watching ---------------------------------------------------------------------------------
 

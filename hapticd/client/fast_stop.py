@@ -122,14 +122,14 @@ def _json(found: Outcome) -> str:
     import json
 
     states = {one.state for one in found.daemons}
-    told = {
+    content = {
         "ok": not found.failed,
         "state": states.pop() if len(states) == 1 else "mixed",
         "daemons": [one._asdict() for one in found.daemons],
         "left_alone": found.left_alone,
         "failed": found.failed,
     }
-    return json.dumps(told) + "\n"
+    return json.dumps(content) + "\n"
 
 
 def _line(one: Stopped) -> str:

@@ -187,8 +187,8 @@ def event_words(event: Event) -> str:
 
 def _plain(event: Event) -> str:
     usual = asdict(Event())
-    told = {name: value for name, value in asdict(event).items() if value != usual[name]}
-    shown = [f"{name} {value}" for name, value in told.items() if name not in _HIDDEN]
+    given = {name: value for name, value in asdict(event).items() if value != usual[name]}
+    shown = [f"{name} {value}" for name, value in given.items() if name not in _HIDDEN]
     return f"{event.kind}: {', '.join(shown)}"
 
 

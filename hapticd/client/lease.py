@@ -46,7 +46,8 @@ def renews_again(error: HapticdError) -> bool:
 class ClientLease:
     """A lease of `what`, taken when the context begins and released when it ends.
 
-    `call` is Client.call; `asked` the fields of the command beside `what`. Losing it is told by a
+    `call` is Client.call; `pause` lets seconds pass; `asked` are the fields of the command beside
+    `what`. Losing it is told by a
     CommandError: of the next change of what it covered, of `renew` and `sleep`, and at the end of
     the context.
     """
@@ -56,6 +57,7 @@ class ClientLease:
         call: Callable[..., dict[str, Any]],
         what: str,
         keep_alive: bool = False,
+        pause: Callable[[float], None] = time.sleep,
         **asked: Any,
     ) -> None:
         if keep_alive and what not in KEPT_ALIVE:
@@ -63,6 +65,7 @@ class ClientLease:
             text = f"lease of {what}: keep_alive is for {names}; renew it while you work"
             raise CommandError("invalid", text)
         self._call = call
+        self._pause = pause
         self._keep_alive = keep_alive
         self._left = threading.Event()  # the context has ended, or the lease is lost
         self._keeper: threading.Thread | None = None
@@ -117,10 +120,11 @@ class ClientLease:
 
     def sleep(self, seconds: float) -> None:
         """Wait, and keep it meanwhile. CommandError as soon as it is lost."""
-        end_s = time.monotonic() + seconds
         self.renew()
-        while (left_s := end_s - time.monotonic()) > 0:
-            time.sleep(min(left_s, self._ttl_s / RENEWALS))
+        while seconds > 0.0:
+            slice_s = min(seconds, self._ttl_s / RENEWALS)
+            self._pause(slice_s)
+            seconds -= slice_s
             self.renew()
 
     def release(self, failed: bool = False) -> str:

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgpack
+import zmq
 
 from hapticd.core.errors import CommandError, ConfigError, DaemonDown, MailboxError
 from hapticd.core.units import NS_PER_S
 from hapticd.mailbox.daemons import down, instance_of
+from hapticd.mailbox.files import COMMAND_SOCKET
 from hapticd.mailbox.stop_word import press_stop
 from hapticd.protocol.answers import Event, Receipt, answer_of, verdict_of
 from hapticd.protocol.codec import MAX_MESSAGE_BYTES
@@ -32,6 +34,7 @@ class TimedOut(NamedTuple):
     waited_s: float
 
 
+Context = zmq.Context[Any]
 Outcome = dict[str, Any] | TimedOut | None  # a reply, no reply in time, or not yet
 
 
@@ -137,8 +140,8 @@ def accepted(reply: dict[str, Any]) -> dict[str, Any]:
 
 def receipt_of(reply: dict[str, Any]) -> Receipt:
     """The receipt in an accepted reply."""
-    told = {"state": reply["state"], "guard": reply.get("guard") or None}
-    return answer_of(Receipt, {**reply["receipt"], **told})
+    content = {"state": reply["state"], "guard": reply.get("guard") or None}
+    return answer_of(Receipt, {**reply["receipt"], **content})
 
 
 def silence(outcome: TimedOut, folder: Path) -> DaemonDown:
@@ -186,6 +189,22 @@ def pressed(folder: Path) -> Receipt:
     except MailboxError as error:
         raise DaemonDown(str(error)) from error
     return Receipt("pressed")
+
+
+def command_socket(context: Context, folder: Path) -> tuple[Any, Any]:
+    """The command socket of the daemon in `folder`, and one with a message for each connection that
+    it makes. DaemonDown if there is none.
+
+    Requests are given only to a gateway that is connected (IMMEDIATE): one that starts later finds
+    no old commands.
+    """
+    path = socket_file(folder, COMMAND_SOCKET)
+    socket = context.socket(zmq.DEALER)
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.IMMEDIATE, 1)
+    made = socket.get_monitor_socket(zmq.EVENT_CONNECTED)
+    socket.connect(f"ipc://{path}")
+    return socket, made
 
 
 def socket_file(folder: Path, name: str) -> Path:

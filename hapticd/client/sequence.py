@@ -38,7 +38,7 @@ from typing import Any, Literal
 from hapticd.client.commands import POLL_S, Ask, Exchange, Pause, reply_or_raise
 from hapticd.client.requests import receipt_of
 from hapticd.core.errors import CommandError, DaemonDown, HapticdError, SequenceError
-from hapticd.protocol.answers import Event, GuardVerdict, Hello, Receipt, Status, answer_of
+from hapticd.protocol.answers import GuardVerdict, Hello, Receipt, Status, answer_of
 
 AtRefusal = Literal["disable", "stop", "hold"]
 
@@ -165,7 +165,7 @@ class _Run:
             last_slot = self._status.slot
             for number, one in enumerate(self._steps):
                 last_slot = yield from self._step(number, one, last_slot)
-            yield from self._told(len(self._steps) - 1)
+            yield from self._settled(len(self._steps) - 1)
         except _EndedError as ended:
             yield from self._leave(ended)
             raise self._error(ended) from ended.cause
@@ -181,12 +181,12 @@ class _Run:
             yield from self._until(due - round(self._lead_s * self._rate_hz), number)
             fields["at_tick"] = due - self._lost
         else:
-            yield from self._told(number)
+            yield from self._settled(number)
             yield from self._until(due, number)
         answer = yield Ask(one.cmd, fields)
         self._take(number, answer)
         if self._receipts[number].result == "staged":
-            yield from self._told(number)
+            yield from self._settled(number)
         if number in self._open.values():
             return due
         return (self._receipts[number].tick or self._status.tick) + self._lost
@@ -210,9 +210,9 @@ class _Run:
         """What became of step `number`."""
         self._receipts[number] = StepReceipt(self._steps[number], result, **more)
 
-    def _note_done(self, number: int, told: Receipt | Event) -> None:
-        place = {"tick": told.first_tick, "revision": told.revision}
-        self._note(number, told.result, **place, guard=told.guard)
+    def _note_done(self, number: int, receipt: Receipt) -> None:
+        place = {"tick": receipt.first_tick, "revision": receipt.revision}
+        self._note(number, receipt.result, **place, guard=receipt.guard)
 
     @property
     def _lost(self) -> int:
@@ -230,7 +230,7 @@ class _Run:
                 return
             yield Pause(min(LOOK_S, max(POLL_S, left / self._rate_hz)))
 
-    def _told(self, number: int) -> Part:
+    def _settled(self, number: int) -> Part:
         """Until what became of every step so far is known."""
         began = self._status.tick
         while self._open:
@@ -305,12 +305,14 @@ class _Run:
         unknown = [at + 1 for at, one in enumerate(self._receipts) if one.result == "unknown"]
         others = sorted({*range(1, len(self._steps) + 1)} - {*acted} - {*unknown})
         parts = (("acted", acted), ("did not act", others), ("open", unknown))
-        told = ", ".join(f"{words}: {', '.join(map(str, some))}" for words, some in parts if some)
+        summary = ", ".join(
+            f"{words}: {', '.join(map(str, some))}" for words, some in parts if some
+        )
         where = f"step {ended.number + 1} of {len(self._steps)} ({self._steps[ended.number]})"
         code = ended.cause.code if isinstance(ended.cause, CommandError) else "servo_down"
         return SequenceError(
             code,
-            f"{where}: {ended.cause}; steps that {told}; {self._left}, the servo is"
+            f"{where}: {ended.cause}; steps that {summary}; {self._left}, the servo is"
             f" {self._state!r}",
             tuple(self._receipts),
             self._state,

@@ -68,8 +68,8 @@ class Staircase:
         ConfigError as long as it is not finished.
         """
         if not self.finished:
-            told = f"{len(self.turns)} of {self._reversals} turns"
-            raise ConfigError(f"the staircase has {told}; answer until it is finished")
+            progress = f"{len(self.turns)} of {self._reversals} turns"
+            raise ConfigError(f"the staircase has {progress}; answer until it is finished")
         counted = self.turns[DISCARDED:]
         return exp(sum(map(log, counted)) / len(counted))
 

@@ -9,7 +9,6 @@ browsers on this computer.
     probing  live impedance from the probe stream: a running estimate
     plane    the K-B plane of the guard, computed by a process of its own
     recorder `hapticd record` as a process of its own, which ends with this one
-    main     the process that `hapticd run` starts
     static/  the page itself; beside our own files one that is not ours, uPlot
 
 Nothing here renders, judges or promises force: what the page shows is what the daemon says, and

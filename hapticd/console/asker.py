@@ -100,15 +100,15 @@ class Asker:
 
 
 def _accepted(number: Any, cmd: str, found: dict[str, Any]) -> str:
-    told = {"kind": "reply", "ask": number, "ok": True, "result": found.get("result")}
+    content = {"kind": "reply", "ask": number, "ok": True, "result": found.get("result")}
     if cmd == "guard":
-        guard = answer_of(GuardStatus, told["result"])
-        told["text"] = f"guard: {guard_line(guard)}\n{margin_words(guard)}"
+        guard = answer_of(GuardStatus, content["result"])
+        content["text"] = f"guard: {guard_line(guard)}\n{margin_words(guard)}"
     if "receipt" in found:
         receipt = receipt_of(found)
-        told["text"] = receipt_text(receipt)
-        told["warning"] = _warning(receipt.guard)
-    return json.dumps(told)
+        content["text"] = receipt_text(receipt)
+        content["warning"] = _warning(receipt.guard)
+    return json.dumps(content)
 
 
 def _warning(verdict: GuardVerdict | None) -> str:
@@ -119,5 +119,5 @@ def _warning(verdict: GuardVerdict | None) -> str:
 
 
 def _refused(number: Any, code: str, text: str, outcome: str = "") -> str:
-    told = {"kind": "reply", "ask": number, "ok": False, "code": code, "text": text}
-    return json.dumps(told | {"outcome": outcome})  # of the guard
+    content = {"kind": "reply", "ask": number, "ok": False, "code": code, "text": text}
+    return json.dumps(content | {"outcome": outcome})  # of the guard

@@ -85,9 +85,9 @@ class Browser:
         self.asker = asker
         self.outbox = Outbox()
 
-    def answer(self, request: dict[str, Any], **told: Any) -> None:
+    def answer(self, request: dict[str, Any], **content: Any) -> None:
         """Reply to `request`."""
-        reply = {"kind": "reply", "ask": request.get("ask"), **told}
+        reply = {"kind": "reply", "ask": request.get("ask"), **content}
         self.outbox.put("reply", json.dumps(reply))
 
     async def request(self) -> dict[str, Any]:

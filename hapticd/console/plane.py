@@ -99,8 +99,12 @@ def main(path: str, parent: str) -> int:
     os.nice(NICENESS)
     request = json.load(sys.stdin)
     setup = from_plain(GuardSetup, json.loads(Path(path).read_text()), path)
-    told = {**Judge(setup).answer(request), "basis": request["basis"], "M": request["target"]["M"]}
-    json.dump({"kind": "plane", "told": told}, sys.stdout)
+    content = {
+        **Judge(setup).answer(request),
+        "basis": request["basis"],
+        "M": request["target"]["M"],
+    }
+    json.dump({"kind": "plane", "told": content}, sys.stdout)
     return 0
 
 

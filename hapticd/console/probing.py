@@ -43,7 +43,7 @@ class Probing:
     def __init__(self, instance: str, publish: Callable[[str], None]) -> None:
         self._instance = instance
         self._publish = publish
-        self._told: dict[str, Any] = {}
+        self._latest: dict[str, Any] = {}
         self.excited = False  # whether a perturbation is played: set by who knows
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="probing", daemon=True)
@@ -74,7 +74,7 @@ class Probing:
                 if self._ending.is_set() or not self.excited:
                     return
                 if message is None:
-                    self._tell(_told(blocks))
+                    self._tell(_content(blocks))
                     continue
                 block = decoder.decode(message[1])
                 blocks = [] if block.restarted else blocks
@@ -82,17 +82,17 @@ class Probing:
                 while _seconds(blocks[1:]) >= WINDOW_S:
                     blocks.pop(0)
 
-    def _tell(self, told: dict[str, Any]) -> None:
-        if told != self._told:
-            self._told = told
-            self._publish(json.dumps({"kind": "impedance", "told": told}))
+    def _tell(self, content: dict[str, Any]) -> None:
+        if content != self._latest:
+            self._latest = content
+            self._publish(json.dumps({"kind": "impedance", "told": content}))
 
 
 def _seconds(blocks: list[Block]) -> float:
     return sum(len(block.records) for block in blocks) / PROBE_RATE_HZ
 
 
-def _told(blocks: list[Block]) -> dict[str, Any]:
+def _content(blocks: list[Block]) -> dict[str, Any]:
     if _seconds(blocks) < LEAST_S:
         return {"note": "gathering samples"}
     return estimate(blocks)

@@ -4,10 +4,8 @@ It is that verb, so the file is the same, and a page or a console that dies ends
 recorder dies with the console by SIGTERM, which finishes the file. Files go to the folder in which
 the console was started; nothing that a page sends becomes part of a path.
 
-The kernel is asked to send SIGTERM when the parent is gone, however it went:
-`python -m hapticd.console.recorder PARENT VERB ..` asks for that and becomes `hapticd VERB ..`,
-which keeps the wish. Limitations: starting it from a thread that ends, for the kernel means
-that thread.
+`--parent` has the kernel send SIGTERM when this process is gone, however it went. Limitations:
+starting it from a thread that ends, for the kernel means that thread.
 """
 
 import asyncio
@@ -20,10 +18,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hapticd.core.process import die_with_parent
-
 LONGEST_NOTE = 500
-MODULE = f"{__package__}.recorder"
 LIVE = ".part.h5"  # ending of a recording that grows
 LOOK_S = 0.05  # until the file is there
 
@@ -44,10 +39,9 @@ class Recorder:
             return "a recording is under way already: stop it first"
         file = self._folder / f"{datetime.now():%Y%m%d-%H%M%S}-{self._instance}.h5"
         self._process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", MODULE, str(os.getpid()), "record", str(file), "--json"),
+            *(sys.executable, "-m", "hapticd", "record", str(file), "--json"),
+            *("--instance", self._instance, "--parent", str(os.getpid())),
             f"--note={note[:LONGEST_NOTE]}",
-            "--instance",
-            self._instance,
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.PIPE,
@@ -79,8 +73,8 @@ class Recorder:
         self._process = None
         self._tell({"recording": False, "file": str(file), "text": _ending(out, err)})
 
-    def _tell(self, told: dict[str, Any]) -> None:
-        self._publish(json.dumps({"kind": "recorder", "told": told}))
+    def _tell(self, content: dict[str, Any]) -> None:
+        self._publish(json.dumps({"kind": "recorder", "told": content}))
 
 
 def _ending(out: bytes, err: bytes) -> str:
@@ -93,13 +87,3 @@ def _ending(out: bytes, err: bytes) -> str:
         return f"not recorded: {found['error']['message']}"
     missing = found["missing"]["servo"]
     return f"{found['file']}: {found['seconds']:.1f} s, {found['records']} ticks, {missing} missing"
-
-
-def main(parent: str, *words: str) -> None:
-    """Become the verb, which ends with its parent."""
-    die_with_parent(int(parent))
-    os.execv(sys.executable, [sys.executable, "-m", "hapticd", *words])
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])

@@ -126,8 +126,8 @@ class Console:
 
     async def stop(self, request: Request) -> Response:
         """The request of a page to stop."""
-        told = await self._press(request.query_params.get("actor", ""))
-        return JSONResponse(told, 200 if told["ok"] else 503)
+        outcome = await self._press(request.query_params.get("actor", ""))
+        return JSONResponse(outcome, 200 if outcome["ok"] else 503)
 
     async def _press(self, actor: str) -> dict[str, Any]:
         """Press the stop word, as `hapticd stop` does, in the name of the page that asks: a stop is
@@ -279,12 +279,12 @@ async def _tell_board(console: Console) -> None:
     while True:
         try:
             folder = console.folder()
-            told = board_words(read_report(folder)) if servo_lives(folder) else NO_SERVO
+            missing = board_words(read_report(folder)) if servo_lives(folder) else NO_SERVO
         except (HapticdError, OSError) as error:
-            told = f"cannot look whether a servo runs: {error}"
-        if told != console.missing:
-            console.missing = told
-            console.publish("board", json.dumps({"kind": "board", "told": {"text": told}}))
+            missing = f"cannot look whether a servo runs: {error}"
+        if missing != console.missing:
+            console.missing = missing
+            console.publish("board", json.dumps({"kind": "board", "told": {"text": missing}}))
         await asyncio.sleep(LOOK_S)
 
 

@@ -157,11 +157,11 @@ class Watch:
             self._probing.excited = bool(block.records["perturbing"][-1])
             self._publish("frame", frame(block))
 
-    def _take(self, topic: str, told: dict[str, Any]) -> None:
-        if topic == "state" and told.get("active_damping_asked_ns_per_m"):
-            self._level_on = float(told["active_damping_asked_ns_per_m"])
+    def _take(self, topic: str, content: dict[str, Any]) -> None:
+        if topic == "state" and content.get("active_damping_asked_ns_per_m"):
+            self._level_on = float(content["active_damping_asked_ns_per_m"])
         elif topic == "guard":
-            self._planes.follow(told, self._level_on)
+            self._planes.follow(content, self._level_on)
         elif topic == "event":
-            told["words"] = event_words(answer_of(Event, told))
-        self._publish(topic, json.dumps({"kind": topic, "told": told}))
+            content["words"] = event_words(answer_of(Event, content))
+        self._publish(topic, json.dumps({"kind": topic, "told": content}))

@@ -8,6 +8,7 @@ pip or uv by the path of its interpreter. hapticd itself is on no index, so no c
 import re
 import shlex
 import sys
+from contextlib import suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, requires
 from importlib.util import find_spec
@@ -16,7 +17,7 @@ from typing import Any
 
 from hapticd.core.errors import MissingLibrary
 
-__all__ = ["install_command", "need", "requirement"]
+__all__ = ["install_command", "need", "requirement", "requirements"]
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 LAB = {"numba", "matplotlib"}  # what `make lab` adds
@@ -36,13 +37,18 @@ def need(module: str, purpose: str) -> Any:
         raise MissingLibrary(message, wanted, command) from error
 
 
+def requirements() -> list[str]:
+    """What hapticd takes, as its metadata has it; nothing where a folder runs that is not
+    installed.
+    """
+    with suppress(PackageNotFoundError):
+        return requires("hapticd") or []
+    return []
+
+
 def requirement(library: str) -> str:
     """The name of `library` with the versions that hapticd takes, as pip reads it."""
-    try:
-        lines = requires("hapticd") or []
-    except PackageNotFoundError:  # run from a folder that is not installed
-        lines = []
-    for line in lines:
+    for line in requirements():
         stated = line.partition(";")[0].strip()
         if re.match(r"[\w.-]+", stated)[0].replace("-", "_") == library:  # type: ignore[index]  # never empty
             return stated

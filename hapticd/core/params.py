@@ -774,13 +774,11 @@ class GuardSetup:
 
     guard: GuardParams
     config_hash: str  # of the servo that it judges for
-    rate_hz: float
     environment: Environment  # its filters' way of being made discrete
     active_damping_ns_per_m: float  # what `damping on` means
     active_damping_limit_ns_per_m: float  # ceiling of the damping circuit, by the device file
     active_damping_count_ns_per_m: float  # one count of its DAC
-    lowest: tuple[float, ...]  # of K, B, M that a client may ask for
-    highest: tuple[float, ...]
+    limits: EnvironmentLimits  # of K, B, M that a client may ask for
     model: ModelParams | None = None  # None: nothing is known of the device
     model_hash: str = ""
     measured: MeasuredParams | None = None

@@ -9,12 +9,18 @@ Limitations: a second thread that handles signals (Python runs handlers in the m
 import ctypes
 import os
 import signal
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hapticd.core.clock import Clock
 from hapticd.core.units import NS_PER_US
 
-__all__ = ["Feeder", "die_with_parent", "feeding_period_ns", "notify", "on_stop"]
+if TYPE_CHECKING:
+    import subprocess
+
+__all__ = ["Feeder", "die_with_parent", "feeding_period_ns", "launch", "notify", "on_stop"]
 
 _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 
@@ -29,6 +35,34 @@ def die_with_parent(parent_pid: int | None) -> None:
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent_pid:  # it ended before the kernel was asked
         os.kill(os.getpid(), signal.SIGTERM)
+
+
+def launch(*words: str, keep: Sequence[int] = ()) -> "subprocess.Popen[bytes]":
+    """`python -m words` in a fresh interpreter, which inherits the descriptors `keep`. Its messages
+    go to our stderr; it is isolated if this process is.
+    """
+    import subprocess  # a servo starts no process
+
+    return subprocess.Popen(
+        [sys.executable, "-X", "utf8", "-I" if sys.flags.isolated else "-P", "-m", *words],
+        stdin=subprocess.DEVNULL,
+        stdout=2,
+        pass_fds=keep,
+        env={**os.environ, **_import_path(), "OPENBLAS_NUM_THREADS": "1"},
+        process_group=0,
+    )
+
+
+def _import_path() -> dict[str, str]:
+    """PYTHONPATH of a child; empty for an installed package.
+
+    -P keeps the working folder out of its imports, so a checkout that is not installed has to be
+    named.
+    """
+    root = Path(__file__).parents[2]
+    if root.name in ("site-packages", "dist-packages"):
+        return {}
+    return {"PYTHONPATH": os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))}
 
 
 def on_stop(handler: Callable[[], None]) -> None:

@@ -8,7 +8,7 @@ STOP goes first among what came together, skips every interlock, and presses the
 others are ahead of it in the ring.
 
 What changes the environment goes past the guard first (`guard.request_queue`), which asks another
-process; all else is posted at once. `guard.pending` keeps posted commands until they are
+process; all else is posted at once. `guard.outstanding` keeps posted commands until they are
 answered.
 
 What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what
@@ -23,7 +23,8 @@ from hapticd.core.errors import CommandError, MailboxError
 from hapticd.core.params import LeaseParams
 from hapticd.gateway.lease_server import LeaseServer
 from hapticd.gateway.waveform import Waveform
-from hapticd.guard.pending import Outstanding, Pending, PendingChange, concerns, damping_by
+from hapticd.guard.outstanding import Outstanding, Pending
+from hapticd.guard.pending import PendingChange
 from hapticd.guard.request_queue import GuardedQueue
 from hapticd.guard.stages import ChangeReply
 from hapticd.guard.status import Guard
@@ -45,6 +46,8 @@ from hapticd.protocol.journal import GATEWAY_ACTOR, Actors, Journal
 from hapticd.protocol.limits import CommandLimits
 from hapticd.protocol.schemas import (
     Change,
+    Damping,
+    Enable,
     GuardRequest,
     Hello,
     LeaseRequest,
@@ -179,8 +182,8 @@ class CommandServer:
         self._leasing.tend(now_ns)
         replies += self._due(now_ns)
         self._guard.tend(now_ns)
-        told = self._guarded.advance(now_ns, not len(self._outstanding))
-        replies += [self._tell(one) for one in told]
+        answered = self._guarded.advance(now_ns, not len(self._outstanding))
+        replies += [self._tell(one) for one in answered]
         return [one for one in replies if one is not None]
 
     def _due(self, now_ns: int) -> list[Reply | None]:
@@ -218,8 +221,8 @@ class CommandServer:
             if result is not None:
                 return self._accepted(message, {"result": result})
             if isinstance(request, GuardRequest):
-                request = damping_by(request)
-            if concerns(request):
+                request = request.damping()
+            if isinstance(request, (Damping, Enable)) or request.change(0.0):
                 change = self._change(message, actor, request, now_ns)
                 self._guarded.take(change, now_ns, not len(self._outstanding))
                 return None
@@ -321,34 +324,35 @@ class CommandServer:
 
     def _report(self, scheduled: Pending, answer: Answer, now_ns: int) -> None:
         """What became of a scheduled change, at its tick."""
-        told = scheduled.change and self._guarded.answered(
+        answered = scheduled.change and self._guarded.answered(
             scheduled.change, answer, now_ns, scheduled=True
         )
-        if told:
-            self._tell(told)
+        if answered:
+            self._tell(answered)
 
-    def _tell(self, told: ChangeReply) -> Reply | None:
+    def _tell(self, answered: ChangeReply) -> Reply | None:
         """The reply to a request that went past the guard, or an event once it has its reply."""
-        change = told.change
+        change = answered.change
         verdict = {"guard": change.verdict} if change.verdict else {}
         if change.replied:
-            error = told.error and {"result": "refused", "text": str(told.error)}
-            self._note_answer(change, (told.receipt or error or {}) | verdict)
+            error = answered.error and {"result": "refused", "text": str(answered.error)}
+            self._journal.note(
+                "answer",
+                cmd=change.cmd,
+                id=change.message.id,
+                actor=change.actor,
+                name=self.actors.name(change.actor),
+                **(answered.receipt or error or {}) | verdict,
+            )
             return None
         change.replied = True
-        if told.error is not None:
-            return self._refused(change.message, told.error)
-        found = told.receipt or {}
+        if answered.error is not None:
+            return self._refused(change.message, answered.error)
+        found = answered.receipt or {}
         body = {"rev": found["revision"], "receipt": found, **verdict}
         if change.cmd == "guard":
             body["result"] = self.guard_summary()
         return self._accepted(change.message, body)
-
-    def _note_answer(self, change: PendingChange, content: dict[str, Any]) -> None:
-        name = self.actors.name(change.actor)
-        self._journal.note(
-            "answer", cmd=change.cmd, id=change.message.id, actor=change.actor, name=name, **content
-        )
 
     def _ended(self, pending: Pending, error: CommandError) -> Reply | None:
         """`pending` has come to an end without an answer."""
@@ -370,8 +374,8 @@ class CommandServer:
             code = "timeout" if self._view.alive else "servo_down"
             return self._ended(pending, CommandError(code, reason))
         if pending.change is not None:
-            told = self._guarded.answered(pending.change, answer, now_ns)
-            return self._tell(told) if told else None
+            answered = self._guarded.answered(pending.change, answer, now_ns)
+            return self._tell(answered) if answered else None
         if answer.result not in ACCEPTED:
             return self._refused(message, refusal(answer, message.cmd, self._view, self.actors))
         return self._accepted(message, {"rev": answer.revision, "receipt": receipt(answer)})
@@ -396,7 +400,7 @@ class CommandServer:
         code, detail = (
             (error.code, error.detail) if isinstance(error, CommandError) else ("servo_down", None)
         )
-        told = {"code": code, "message": str(error), "detail": detail or []}
+        content = {"code": code, "message": str(error), "detail": detail or []}
         if isinstance(error, CommandError) and error.guard:
-            told["guard"] = error.guard
-        return message.reply({"ok": False, "error": told})
+            content["guard"] = error.guard
+        return message.reply({"ok": False, "error": content})

@@ -328,8 +328,8 @@ class Publisher:
             found += self._ticks(block, wanted)
         self._judge_room()
         self.flight.dump_if_due(now_ns)
-        told = self._guard.messages(now_ns, unix_ns, "guard" in wanted)
-        found += [("guard", _packed(message)) for message in told]
+        verdicts = self._guard.messages(now_ns, unix_ns, "guard" in wanted)
+        found += [("guard", _packed(message)) for message in verdicts]
         found += self._state_if_due(now_ns, unix_ns)
         found += [("event", _packed(event)) for event in self._journal.drain() if "event" in wanted]
         return found

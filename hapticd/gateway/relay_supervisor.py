@@ -6,14 +6,16 @@ the port is the same. The line and the process are those of `worker`, with anoth
 
 import selectors
 import socket
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from hapticd.core.process import launch
 from hapticd.guard.worker import Worker
 from hapticd.protocol.keys import server_pair
+
+if TYPE_CHECKING:
+    import subprocess
 
 MODULE = "hapticd.gateway.relay"
 
@@ -47,15 +49,8 @@ class RelaySupervisor:
 
     def _start(self, line: socket.socket) -> "subprocess.Popen[bytes]":
         passed = (line.fileno(), self._listener.fileno())
-        python = [sys.executable, *(["-I"] if sys.flags.isolated else ["-P"]), "-X", "utf8", "-m"]
-        ends = ["--line", str(passed[0]), "--listener", str(passed[1])]
-        self._process = subprocess.Popen(
-            [*python, MODULE, *self._command, *ends],
-            stdin=subprocess.DEVNULL,
-            stdout=2,
-            pass_fds=passed,
-            process_group=0,
-        )
+        ends = ("--line", str(passed[0]), "--listener", str(passed[1]))
+        self._process = launch(MODULE, *self._command, *ends, keep=passed)
         return self._process
 
     def tend(self, now_ns: int) -> Iterator[dict[str, Any]]:

@@ -182,8 +182,10 @@ class GatewayServer:
             if not (self._sockets.telemetry.busy and self._in_time()):
                 break
             for identity, (message, *more) in self._sockets.telemetry.receive(1):
-                told = [] if more else self._publisher.subscribe(identity, message, self._unix_ns())
-                for topic, payload in told:
+                messages = (
+                    [] if more else self._publisher.subscribe(identity, message, self._unix_ns())
+                )
+                for topic, payload in messages:
                     self._sockets.telemetry.send(identity, _telemetry(topic, payload))
 
     def _publish(self, messages: list[tuple[str, bytes]]) -> None:

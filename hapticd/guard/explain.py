@@ -73,7 +73,7 @@ class VerdictBuilder:
             **region.reading(environment)._asdict(),
             "contact": None if contact is None else contact._asdict(),
             "delay_periods": region.delays_periods[0],
-            "allowed": region.allowed(environment, self.setup.lowest, self.setup.highest),
+            "allowed": region.allowed(environment, self.setup.limits),
             "least_active_damping_ns_per_m": region.least_level(environment, self.levels),
         }
 

@@ -130,7 +130,7 @@ class Judge:
 
     def _seen(self, region: SafeRegion, environment: Environment) -> dict[str, Any]:
         worse = region.worse(environment)
-        allowed = region.allowed(environment, self.setup.lowest, self.setup.highest)
+        allowed = region.allowed(environment, self.setup.limits)
         return {"margin_ns_per_m": worse.margin_ns_per_m, "allowed": allowed}
 
     def _timed(self, delay: float) -> dict[str, Any] | None:
@@ -155,7 +155,7 @@ class Judge:
             return {"plane": None, "text": region.plain(Outcome.UNKNOWN)["text"]}
         environment = from_message(request["target"], self.setup.environment)
         on = min(float(request["level_on"]), self.setup.active_damping_limit_ns_per_m)
-        most_k, most_b, _ = self.setup.highest
+        most_k, most_b, _ = self.setup.limits.highest
         return {"plane": plane(region, environment, on, most_k, most_b)}
 
     def _hand(self, request: Mapping[str, Any]) -> dict[str, Any]:

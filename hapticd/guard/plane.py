@@ -17,6 +17,7 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment
+from hapticd.core.params import EnvironmentLimits
 from hapticd.guard.safe_region import SafeRegion
 
 _COLUMNS = 60  # values of K
@@ -52,12 +53,12 @@ def _axes(
         virtual_damping_ns_per_m=0.0,
         active_damping_ns_per_m=level_on,
     )
-    lowest = (0.0, -most_b, environment.mass_kg)
-    highest = (most_k, most_b, environment.mass_kg)
-    alone = region.allowed(free, lowest, highest)
+    mass_kg = environment.mass_kg
+    limits = EnvironmentLimits((0.0, -most_b, mass_kg), (most_k, most_b, mass_kg))
+    alone = region.allowed(free, limits)
     low, high = alone["B"] or [-1.0, 1.0]
     middle = replace(free, virtual_damping_ns_per_m=0.5 * (low + high))
-    farthest = max(_end(alone["K"]), _end(region.allowed(middle, lowest, highest)["K"]), 1.0)
+    farthest = max(_end(alone["K"]), _end(region.allowed(middle, limits)["K"]), 1.0)
     stiffest = _ROOM * max(farthest, min(environment.stiffness_n_per_m, 4.0 * farthest))
     reach = _ROOM * max(
         -low, high, min(abs(environment.virtual_damping_ns_per_m), 4.0 * max(-low, high))

@@ -26,36 +26,24 @@ after policy or environment have changed.
 
 from collections import deque
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_MS, NS_PER_S
-from hapticd.guard.pending import (
-    Outstanding,
-    PendingChange,
-    auto_of,
-    change_of,
-    ends_force,
-    forbidden_by,
-    stages_of,
-    until_tick,
-)
-from hapticd.guard.stages import ChangeReply, StagedChange, ramp_s
+from hapticd.guard.outstanding import Outstanding
+from hapticd.guard.pending import PendingChange, ends_force, forbidden_by, stages_of
+from hapticd.guard.question import former, question
+from hapticd.guard.refusals import refused, unknown_refused, verdict_beside
+from hapticd.guard.scheduled import ScheduledChanges
+from hapticd.guard.stages import ChangeReply, StagedChange
 from hapticd.guard.status import VERDICT_NS, Guard
 from hapticd.guard.transition_planner import Stage
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
 from hapticd.protocol.codec import INTERNAL_REQUEST
-from hapticd.protocol.commands import posting, receipt, refusal
-from hapticd.protocol.explanation import (
-    Explanation,
-    Outcome,
-    Reason,
-    Remedy,
-    because,
-    explanation_of,
-)
+from hapticd.protocol.commands import changed_parts, posting, receipt, refusal
+from hapticd.protocol.explanation import Reason, because
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors
 from hapticd.protocol.leases import Leases
 from hapticd.protocol.schemas import Damping, Enable
@@ -74,14 +62,6 @@ LEAST_CHOICE_NS = NS_PER_S
 SETTLING_NS = WAITING_NS - 100 * NS_PER_MS  # that a request waits for the delay to be known
 UNSETTLED = "the delay of the loop is not measured yet; ask again"
 SERVO_GONE = "the servo ended before it was in force; when it starts anew it is disabled"
-
-
-class ScheduledChange(NamedTuple):
-    """A scheduled change."""
-
-    tick: int
-    seq: int
-    fields: dict[str, Any]
 
 
 class GuardedQueue:
@@ -109,9 +89,7 @@ class GuardedQueue:
         self._beside: PendingChange | None = None  # posted at once, judged meanwhile
         self._replies: list[ChangeReply] = []
         self._under_way = StagedChange(view, outstanding, self._replies)
-        self._scheduled: dict[
-            int, ScheduledChange
-        ] = {}  # by sequence number, of the present servo life
+        self._scheduled = ScheduledChanges()  # of the present servo life
         self._life = 0
         self._terms_sent = (0, ANY_TERMS)  # servo life, number of the terms that it knows
         self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
@@ -148,10 +126,9 @@ class GuardedQueue:
     def _goes_at_once(self, change: PendingChange) -> bool:
         """Whether it is done whatever the verdict says, and in one stage."""
         guard = self._guard
-        fields = change_of(change.request, guard.in_force.level)
-        whole = "active_damping" not in fields or len(fields) == 1
+        whole = len(changed_parts(change.request)) == 1
         plain = whole and not change.at_tick and not self._auto(change)
-        plain = plain and not until_tick(change.request)
+        plain = plain and not change.request.end_tick
         # a look, or the search for a hand, delays the reply alone
         ready = guard.worker == "up" and guard.in_force.known and not guard.owes_verdict
         free = not self.waiting and self._under_way.change is None
@@ -181,25 +158,11 @@ class GuardedQueue:
             return
         self._beside = None
         guard.forget(change.number)
-        change.verdict = self._verdict_beside(change, answer)
+        change.verdict = verdict_beside(change, answer, guard, self._late())
         if change.verdict["safe"] is False:
             self._want_hand(change)
         if change.held is not None and (reply := self.answered(change, change.held, now_ns)):
             self._replies.append(reply)
-
-    def _verdict_beside(
-        self, change: PendingChange, answer: dict[str, Any] | None
-    ) -> dict[str, Any]:
-        verdict = answer.get("verdict") if answer else None
-        if answer is None or not isinstance(verdict, dict):
-            why = f"the guard's worker answered: {answer.get('error')}" if answer else self._late()
-            return self._guard.unknown(why or self._guard.trouble)
-        if answer.get("action") == "stage" and verdict.get("safe"):
-            stages = because(Reason.ONLY_IN_STAGES, "the way there is not passive, only in stages")
-            known = explanation_of(verdict)
-            both = Explanation(stages.reasons + known.reasons, known.remedies)
-            verdict = verdict | {"safe": False} | both.plain(Outcome.WARNING)
-        return {"safe": None, "text": "", **verdict, "number": change.number, "cmd": change.cmd}
 
     def take_back_enables(self, why: str) -> None:
         """No enable that waits shall come after the command `why`, which was asked later; nor what
@@ -270,7 +233,7 @@ class GuardedQueue:
         if life == self._life:
             return
         self._life = life
-        self._scheduled = {}
+        self._scheduled.clear()
         if self._beside is not None and self._beside.held is not None:
             text = f"{self._beside.cmd}: {SERVO_GONE}"
             self._replies.append(ChangeReply(self._beside, CommandError("servo_down", text)))
@@ -338,7 +301,7 @@ class GuardedQueue:
 
     def _auto(self, change: PendingChange) -> bool:
         """Whether the level of damping is the guard's to choose once `change` is in force."""
-        asked = auto_of(change.request)
+        asked = change.request.auto
         return self._guard.mode == "auto" if asked is None else asked
 
     def _begin(self, now_ns: int) -> None:
@@ -385,11 +348,7 @@ class GuardedQueue:
 
     def _ask(self, change: PendingChange, now_ns: int) -> None:
         guard = self._guard
-        self._scheduled = {
-            seq: one for seq, one in self._scheduled.items() if one.tick > self._view.tick
-        }
-        booked = sorted(self._scheduled.values())
-        before = [one.fields for one in booked if change.at_tick and one.tick <= change.at_tick]
+        before, after = self._scheduled.around(change.at_tick, self._view.tick)
         change.answer = None
         change.ready_ns = change.ready_ns or now_ns
         change.terms_changes = guard.terms_changes
@@ -397,47 +356,11 @@ class GuardedQueue:
         change.policy = self._policy(change)
         change.ahead = len(before)
         change.revision = guard.in_force.revision
-        after = [one.fields for one in booked[len(before) :]]
-        change.former = self._former(change, before)
+        change.former = former(change.request, before, guard.in_force.target())
         after = [*filter(None, [change.former]), *after]
-        question = self._question(change, before, after)
-        change.number = guard.ask(question, now_ns)
+        asked = question(change, before, after, self._auto(change), guard, self._view)
+        change.number = guard.ask(asked, now_ns)
         self._asked = change
-
-    def _former(self, change: PendingChange, before: list[dict[str, Any]]) -> dict[str, Any]:
-        """What a bounded change brings back at its end, with what is scheduled `before` it; {}
-        for one without an end.
-        """
-        if not until_tick(change.request):
-            return {}
-        target = self._guard.in_force.target()
-        for fields in before:
-            target = target.changed(fields)
-        return target.fields(change_of(change.request, 0.0))
-
-    def _question(
-        self, change: PendingChange, before: list[dict[str, Any]], after: list[dict[str, Any]]
-    ) -> dict[str, Any]:
-        """What the worker is asked about `change`, with what is scheduled before and after it."""
-        guard = self._guard
-        return {
-            "ask": "change",
-            "now": guard.in_force.now().message(),
-            "target": guard.in_force.target().message(),
-            "state": self._view.state_name,
-            "gain": float(self._view.record["gain"]),
-            "enable": isinstance(change.request, Enable),
-            "change": change_of(change.request, guard.in_force.level),
-            "before": before,
-            "after": after,
-            "policy": change.policy,
-            "basis": guard.terms.basis,
-            "margin_ns_per_m": guard.terms.margin_ns_per_m,
-            "mode": "auto" if self._auto(change) else "off",  # a level is in the change
-            "level": guard.in_force.level,
-            "delay_periods": guard.delay_periods,
-            "ramp_s": ramp_s(change.request, self._view.params.safety.default_ramp_s),
-        }
 
     def _hear(self, change: PendingChange, now_ns: int, idle: bool) -> None:
         """Act on the verdict for `change` once it is there and nothing else is on its way."""
@@ -490,7 +413,7 @@ class GuardedQueue:
 
     def _start(self, change: PendingChange, now_ns: int) -> None:
         """Post the first stage of `change`, or have it wait."""
-        if until_tick(change.request) and len(change.stages) > 1:
+        if change.request.end_tick and len(change.stages) > 1:
             text = (
                 f"{change.cmd}: with an end it needs one stage, and would take {len(change.stages)}"
             )
@@ -516,7 +439,7 @@ class GuardedQueue:
         return found
 
     def _want_hand(self, change: PendingChange) -> None:
-        asked = change_of(change.request, self._guard.in_force.level)
+        asked = change.request.change(self._guard.in_force.level)
         wanted = self._guard.in_force.target().changed(asked)
         self._guard.want_hand(
             wanted,
@@ -543,10 +466,10 @@ class GuardedQueue:
         reason = "policy off judges nothing" if off else why or guard.trouble
         change.verdict = guard.unknown(reason, change.policy)
         if self._must(change) and not ends_force(change.request, guard.in_force.target()):
-            raise self._unknown_refused(change)
-        if auto_of(change.request):
+            raise unknown_refused(change)
+        if change.request.auto:
             text = "the guard chooses no level of active damping while it judges nothing"
-            raise _refused(change, because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
+            raise refused(change, because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
         change.revision = None
         change.stages = ()
         if not change.at_tick and not isinstance(change.request, Enable):
@@ -554,15 +477,6 @@ class GuardedQueue:
         self._post(change, now_ns)
         if change.at_tick:
             self._terms_sent = (0, ANY_TERMS)  # no terms came with it: those that count go after it
-
-    def _unknown_refused(self, change: PendingChange) -> CommandError:
-        """The refusal of what nobody judged, with what would do it all the same."""
-        remedy = "`hapticd guard warn` would do it all the same"
-        if change.strict:
-            remedy = "under `warn` a client that is not strict would do it all the same"
-        why = explanation_of(change.verdict)
-        why = why.and_reason(Reason.POLICY, f"policy {change.policy} refuses that")
-        return _refused(change, why.and_remedy(Remedy.POLICY, remedy))
 
     # --- answers ----------------------------------------------------------------------------------
 
@@ -580,16 +494,13 @@ class GuardedQueue:
             self._guard.set_auto(self._auto(change))
             return None
         if result is Result.SCHEDULED:
-            fields = change_of(change.request, self._guard.in_force.level)
-            self._scheduled[answer.seq] = ScheduledChange(change.at_tick, answer.seq, fields)
+            fields = change.request.change(self._guard.in_force.level)
+            self._scheduled.add(change.at_tick, answer.seq, fields)
             if change.former:
-                end = ScheduledChange(until_tick(change.request), answer.seq, change.former)
-                self._scheduled[-answer.seq] = end
+                self._scheduled.add(change.request.end_tick, -answer.seq, change.former)
             return ChangeReply(change, receipt=receipt(answer))
         if scheduled:
-            self._scheduled.pop(answer.seq, None)
-            if result is not Result.APPLIED:
-                self._scheduled.pop(-answer.seq, None)
+            self._scheduled.close(answer.seq, result is Result.APPLIED)
         if result is Result.APPLIED:
             return self._applied(change, answer, now_ns)
         if result in JUDGED_OTHERWISE and change.tries < TRIES and not change.taken_back:
@@ -617,16 +528,10 @@ class GuardedQueue:
         change.tries += 1
         change.came_ns = now_ns
         change.number = change.place = change.ready_ns = 0
-        if change.at_tick <= self._view.tick and not until_tick(change.request):
+        if change.at_tick <= self._view.tick and not change.request.end_tick:
             change.at_tick = 0  # a bounded change that is late is refused: it was to last so long
         self._queue.appendleft(change)
 
 
 def _enables(change: PendingChange) -> bool:
     return isinstance(change.request, Enable)
-
-
-def _refused(change: PendingChange, why: Explanation) -> CommandError:
-    """The refusal of what nobody judged."""
-    verdict = change.verdict | why.plain(Outcome.REFUSED) | {"cmd": change.cmd}
-    return CommandError("guard", f"{change.cmd}: {verdict['text']}", guard=verdict)

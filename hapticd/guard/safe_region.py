@@ -19,7 +19,7 @@ import numpy as np
 
 from hapticd.core.arrays import Flags, Floats
 from hapticd.core.environment import Environment, FilterParams, Point
-from hapticd.core.params import GuardSetup
+from hapticd.core.params import EnvironmentLimits, GuardSetup
 from hapticd.guard.bases import Basis, Conditions, Reading, Theorem, model_of
 from hapticd.guard.transition_planner import AXES
 from hapticd.mailbox.environment_limits import WIDEST
@@ -106,11 +106,9 @@ class SafeRegion:
             None,
         )
 
-    def allowed(
-        self, environment: Environment, lowest: Sequence[float], highest: Sequence[float]
-    ) -> Ranges:
-        """How far each of K, B, M may go with the others as they are, within `lowest`..`highest`:
-        the interval round its value if that is safe, else the nearest that is, None for none.
+    def allowed(self, environment: Environment, limits: EnvironmentLimits) -> Ranges:
+        """How far each of K, B, M may go with the others as they are, within `limits`: the interval
+        round its value if that is safe, else the nearest that is, None for none.
 
         Ends are safe themselves, and lie within a thousandth of a step of the grid.
         """
@@ -125,7 +123,8 @@ class SafeRegion:
                 flags &= test(np.concatenate(moved), at)
             return np.split(flags, np.cumsum([one.size for one in values])[:-1])
 
-        ranges = [(max(lowest[0], 0.0), highest[0]), *zip(lowest[1:], highest[1:], strict=True)]
+        (lowest_k, highest_k), *others = zip(limits.lowest, limits.highest, strict=True)
+        ranges = [(max(lowest_k, 0.0), highest_k), *others]
         found = intervals(safe, ranges, environment.free)
         return dict(zip(AXES, found, strict=True))
 
@@ -150,7 +149,7 @@ def _passive(
         acceleration_filter=acceleration,
         active_damping_ns_per_m=level_ns_per_m,
     )
-    return SafeRegion(theorem, delays_periods, 0.0).allowed(free, WIDEST.lowest, WIDEST.highest)
+    return SafeRegion(theorem, delays_periods, 0.0).allowed(free, WIDEST)
 
 
 def passive_ranges(

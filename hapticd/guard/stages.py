@@ -17,10 +17,11 @@ from hapticd.core.errors import CommandError
 from hapticd.core.params import STRICT_POLICIES
 from hapticd.core.units import NS_PER_S
 from hapticd.guard.in_force import IN_MOTION
-from hapticd.guard.pending import Outstanding, PendingChange
+from hapticd.guard.outstanding import Outstanding
+from hapticd.guard.pending import PendingChange
 from hapticd.mailbox.client_side import Answer
 from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, State, Value, values_of
-from hapticd.protocol.commands import Posting, parameters, values_given
+from hapticd.protocol.commands import Posting, change_posting, parameters
 from hapticd.protocol.schemas import Enable, Request, Set
 from hapticd.protocol.view import ServoView
 
@@ -223,10 +224,5 @@ class StagedChange:
         given = change.request.given if isinstance(change.request, Set) else {}
         names = PASS_THROUGH_FIELDS if change.place == 0 else PASS_THROUGH_FIELDS[:1]
         extras = {name: given[name] for name in names if name in given}
-        values |= values_given(extras | stage.change)
-        kind = (
-            Command.DAMPING
-            if set(stage.change) == {"active_damping"} and not extras
-            else Command.SET
-        )
-        return kind, change.at_tick if change.place == 0 else 0, values_of(values)
+        at_tick = change.at_tick if change.place == 0 else 0
+        return change_posting(extras | stage.change, at_tick, values)

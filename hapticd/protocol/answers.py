@@ -102,17 +102,14 @@ class Hand:
     growth: str = ""  #: how fast its motion grows, in words
 
 
-@dataclass(frozen=True, slots=True)
-class GuardVerdict:
-    """What the guard says of a change."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GuardVerdict(GuardReading):
+    """What the guard says of a change, with the reading in free space."""
 
     safe: bool | None = None  #: of what was asked, every hand and the whole way; None: unknown
     policy: str = ""  #: by which it was judged: off, warn, clamp, refuse, follow
     basis: str = "unknown"  #: theorem, predicted, or the measurement
-    margin_ns_per_m: float | None = None  #: as in GuardReading, in free space
-    worst_hz: float | None = None
-    radius: float | None = None
-    #: the same in the wall; None without a wall
+    #: the reading in the wall; None without a wall
     contact: GuardReading | None = None
     delay_periods: float | None = None  #: of the loop, on which it counts
     #: ends of each of K [N/m], B [N s/m] and M [kg], with the others as asked; None: nothing would
@@ -158,7 +155,7 @@ class Receipt:
     #: then; "staged": it has begun, and an event tells the end; "pressed": a stop by way of the
     #: stop word, which gives no receipt
     result: str = ""
-    state: str = ""  #: of the servo: disabled, enabled, homing, stopped, fault
+    state: str = ""  #: of the servo: disabled, enabled, homing, stopped, fault, starting, down
     revision: int = 0  #: number of accepted changes in this life of the servo
     first_tick: int = 0  #: from which the change acts
     ramp_end_tick: int = 0  #: at which the last ramp ends
@@ -366,9 +363,11 @@ class Room:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
-    """Something that happened. What an event of its `kind` does not tell has its default."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event(Receipt):
+    """Something that happened, with the receipt of a change. What an event of its `kind` does not
+    tell has its default.
+    """
 
     kind: str = ""  #: see `journal`; a newer daemon may have others
     timestamp: float = 0.0  #: Unix time, s
@@ -376,19 +375,12 @@ class Event:
     actor: int = 0  #: whose doing it was
     name: str = ""  #: of that client
     before: str = ""  #: state of the servo until then
-    state: str = ""  #: from then on
     fault: str = ""
     cause: str = ""  #: of the fault
     action: str = ""  #: that was taken
     remedy: str = ""
     cmd: str = ""  #: of the request that is answered, or that a hand would shake
     id: int | str | None = None  #: of that request
-    result: str = ""  #: as in Receipt, as the four fields after it
-    revision: int = 0
-    first_tick: int = 0
-    ramp_end_tick: int = 0
-    effective: dict[str, Any] = field(default_factory=dict)
-    guard: GuardVerdict | None = None  #: on that request
     number: int = 0  #: of the verdict that the hand belongs to
     hand: Hand | None = None  #: None: none was found
     seq: int = 0  #: of the record after a gap
@@ -408,8 +400,8 @@ class Event:
     text: str = ""  #: in words
 
 
-@dataclass(frozen=True, slots=True)
-class Status:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Status(InForce):
     """Everything about servo and gateway. What a record tells is 0, or -1 for a tick and a delay,
     while no servo is alive.
     """
@@ -428,16 +420,9 @@ class Status:
     instance: str = ""
     epoch: int = 0  #: monotonic time at which the servo started, ns
     config_hash: str = ""
-    tick: int = -1
     slot: int = -1
     homed: int = 0
     perturbing: int = 0
-    gain: float = 0.0
-    stiffness_n_per_m: float = 0.0
-    virtual_damping_ns_per_m: float = 0.0
-    mass_kg: float = 0.0
-    active_damping_asked_ns_per_m: float = 0.0
-    active_damping_ns_per_m: float = 0.0
     position_m: float = 0.0
     force_n: float = 0.0
     #: from sample to force, and age of a frame when it was read, us: 99 of 100 of the last 256

@@ -42,14 +42,13 @@ def warning(params: GatewayParams) -> str | None:
 
     ConfigError if telemetry would leave the machine in the clear without leave.
     """
-    host = params.tcp_host
-    if is_loopback(host) or params.curve_keys is not None:
+    if is_loopback(params.tcp_host) or params.curve_keys is not None:
         return None
     if without_leave(params):
-        raise ConfigError(f"gateway.tcp_host = {host!r}: {LEAVE_NEEDED}")
+        raise ConfigError(f"gateway.tcp_host = {params.tcp_host!r}: {LEAVE_NEEDED}")
     return (
-        f"INSECURE: telemetry is offered on {host} to everyone, without keys or encryption; set"
-        " gateway.curve_keys"
+        f"INSECURE: telemetry is offered on {params.tcp_host} to everyone, without keys or"
+        " encryption; set gateway.curve_keys"
     )
 
 

@@ -55,9 +55,19 @@ def encoding_of(payload: bytes) -> Encoding:
 def decode(payload: bytes) -> dict[str, Any]:
     """The request map in `payload`. CommandError `malformed` says what is wrong with it."""
     try:
-        found = (
-            _from_json(payload) if encoding_of(payload) is Encoding.JSON else _from_msgpack(payload)
-        )
+        if encoding_of(payload) is Encoding.JSON:
+            found = json.loads(payload.decode(), object_pairs_hook=_table)
+        else:
+            found = msgpack.unpackb(
+                payload,
+                object_pairs_hook=_table,
+                strict_map_key=True,
+                max_array_len=MAX_ARRAY,
+                max_map_len=MAX_MAP,
+                max_str_len=MAX_TEXT,
+                max_bin_len=MAX_MESSAGE_BYTES,
+                max_ext_len=0,
+            )
     except (ValueError, TypeError, OverflowError, RecursionError, msgpack.UnpackException) as error:
         raise malformed(shown(str(error) or type(error).__name__)) from error
     if not isinstance(found, dict):
@@ -134,23 +144,6 @@ def _table(pairs: list[tuple[Any, Any]]) -> dict[str, Any]:
     if not all(isinstance(key, str) for key in table):
         raise ValueError("a key is not text")
     return table
-
-
-def _from_json(payload: bytes) -> Any:
-    return json.loads(payload.decode(), object_pairs_hook=_table)
-
-
-def _from_msgpack(payload: bytes) -> Any:
-    return msgpack.unpackb(
-        payload,
-        object_pairs_hook=_table,
-        strict_map_key=True,
-        max_array_len=MAX_ARRAY,
-        max_map_len=MAX_MAP,
-        max_str_len=MAX_TEXT,
-        max_bin_len=MAX_MESSAGE_BYTES,
-        max_ext_len=0,
-    )
 
 
 class RequestMessage(NamedTuple):

@@ -44,6 +44,8 @@ __all__ = [
     "Posting",
     "Situation",
     "admit",
+    "change_posting",
+    "changed_parts",
     "forbidden",
     "parameters",
     "posting",
@@ -88,6 +90,14 @@ def posting(request: Request, samples: int) -> Posting:
     if isinstance(request, Withhold):
         return Command.WITHHOLD, 0, values_of({Value.SILENCE_S: request.seconds})
     return Command[request.cmd.upper()], 0, values_of({})
+
+
+def change_posting(given: dict[str, Any], at_tick: int, judged: dict[Value, float]) -> Posting:
+    """What to post for a change whose fields, nested as in `set`, are `given`, with what it was
+    `judged` for. Active damping alone has a command of its own.
+    """
+    kind = Command.DAMPING if given.keys() == {"active_damping"} else Command.SET
+    return kind, at_tick, values_of(judged | values_given(given))
 
 
 def values_given(given: dict[str, Any]) -> dict[Value, float]:

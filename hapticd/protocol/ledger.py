@@ -133,10 +133,10 @@ def _reported(found: Table, records: Records, rows: NDArray[np.intp], rate_hz: f
     found["since"] = age_us * (rate_hz / US_PER_S)
     sent_seq = _bytes(records["out_frame"])[:, 0].astype(np.intp)
     back = (sent_seq[rows] - effect[:, _SEQ_PLACE]) % TORQUE_SEQUENCES
-    told = sent_seq[np.maximum(rows - back, 0)] == effect[:, _SEQ_PLACE]
+    reported = sent_seq[np.maximum(rows - back, 0)] == effect[:, _SEQ_PLACE]
     force = records["force_n"][np.maximum(rows - back, 0)]
     granted = (usable["status"] & StatusBit.ENABLED) != 0
-    found["in_effect_n"] = np.where(granted, _last_known(force, told & (rows >= back)), 0.0)
+    found["in_effect_n"] = np.where(granted, _last_known(force, reported & (rows >= back)), 0.0)
     delay = usable["delay_us"] * (rate_hz / US_PER_S)
     found["delay"] = _last_known(delay, delay >= 0.0)
     found["active_damping_ns_per_m"] = usable["active_damping_effect_ns_per_m"]

@@ -42,11 +42,6 @@ class CommandLimit(NamedTuple):
         return f"{self.low:g}..{self.high:g} {self.unit}"
 
 
-def quantity(name: str) -> str:
-    """What a field is called in a complaint."""
-    return QUANTITIES.get(name, name)
-
-
 class CommandLimits:
     """The limits by dotted field name; `bounds` are the ends of K, B and M for the device, and
     without a device's probe any force is allowed there.
@@ -116,8 +111,8 @@ class CommandLimits:
         """What to tell about `value` in field `name`, beyond its limit."""
         limit = self.of[name]
         return (
-            f"{where or quantity(name)} = {value:g} {limit.unit}: beyond the limit {limit}"
-            f" ({limit.source}); {self._instead(name, value)}"
+            f"{where or QUANTITIES.get(name, name)} = {value:g} {limit.unit}: beyond the limit"
+            f" {limit} ({limit.source}); {self._instead(name, value)}"
         )
 
     def numbers(self, name: str, value: float) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from hapticd.core.params import (
 from hapticd.mailbox.layout import LONGEST_SILENCE_S
 from hapticd.protocol import answers
 from hapticd.protocol.codec import ID_LENGTH, ID_LIMIT, SHOWN, RequestId, request_id, shown
-from hapticd.protocol.limits import CommandLimits, quantity
+from hapticd.protocol.limits import QUANTITIES, CommandLimits
 
 __all__ = [
     "ADAPTER",
@@ -103,6 +103,22 @@ class CommandMessage(MessagePart):
 
     v: int = Field(PROTOCOL_VERSION, description="version of this protocol")
     id: Id = Field(None, description="comes back in the reply")
+
+    def change(self, level_ns_per_m: float) -> dict[str, Any]:
+        """What it changes of an environment, nested as in `set`; active damping is a number, `on`
+        being `level_ns_per_m`.
+        """
+        return {}
+
+    @property
+    def auto(self) -> bool | None:
+        """Whether it leaves the level of active damping to the guard; None: as before."""
+        return None
+
+    @property
+    def end_tick(self) -> int:
+        """The tick at which a bounded change ends; 0 for one without an end."""
+        return 0
 
 
 class Hello(CommandMessage):
@@ -168,7 +184,7 @@ class Set(Rendered):
 
     # It is no form of an Environment but a change of one: only the fields that were sent, with
     # ramp, ticks and revision. Its fields are made from the table, and `Environment.changed` takes
-    # what it gives.
+    # its `change`.
 
     cmd: Literal["set"]
     filters: Filters = _absent("derivative filters")
@@ -198,6 +214,21 @@ class Set(Rendered):
             raise ValueError(f"nothing to set; give one of {', '.join(names)}")
         return self
 
+    def change(self, level_ns_per_m: float) -> dict[str, Any]:
+        """The fields that were sent; a table without any is left out."""
+        given = self.given
+        return {name: given[name] for name in JUDGED if given.get(name, {}) != {}}
+
+    @property
+    def auto(self) -> bool | None:
+        """A level that was sent is the client's choice."""
+        return False if "active_damping" in self.model_fields_set else None
+
+    @property
+    def end_tick(self) -> int:
+        """The tick at which it ends, if one was sent."""
+        return self.until_tick if "until_tick" in self.model_fields_set else 0
+
 
 class Damping(Change):
     """Switch the active damping, set its level and switch it on, or have the guard choose it."""
@@ -206,6 +237,17 @@ class Damping(Change):
     value: Literal["on", "off", "auto"] | float = Field(
         description="on, off, a level (0 is off), or auto: the least level that the guard finds"
     )
+
+    def change(self, level_ns_per_m: float) -> dict[str, Any]:
+        """The level that it comes to; nothing with `auto`."""
+        levels = {"on": level_ns_per_m, "off": 0.0}
+        level = levels.get(self.value) if isinstance(self.value, str) else float(self.value)
+        return {} if level is None else {"active_damping": level}
+
+    @property
+    def auto(self) -> bool:
+        """Whether the guard chooses the level."""
+        return self.value == "auto"
 
 
 class Enable(Judged):
@@ -321,6 +363,11 @@ class GuardRequest(Judged):
     mode: DampingMode = _absent(
         "active damping off, at its level, or at the least level that keeps the margin"
     )
+
+    def damping(self) -> Damping:
+        """The damping command that its mode comes to."""
+        value = "on" if self.mode == "level" else self.mode
+        return Damping(cmd="damping", value=value, strict=self.strict)
 
 
 class Status(CommandMessage):
@@ -464,7 +511,7 @@ def _explained(item: ErrorDetails, limits: CommandLimits) -> dict[str, str]:
     remedy = limits.remedy(loc.partition(".")[0] if loc.startswith("samples_n") else loc) or _REMEDY
     return {
         "loc": loc or command,
-        "msg": f"{quantity(loc) or command} = {value}: {shown(reason, 120)}; {remedy}",
+        "msg": f"{QUANTITIES.get(loc, loc) or command} = {value}: {shown(reason, 120)}; {remedy}",
     }
 
 

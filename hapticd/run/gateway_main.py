@@ -12,16 +12,19 @@ Limitations: an import that brings numba, scipy or pyusb (import-linter and a te
 import argparse
 import os
 import socket
-import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hapticd.core.clock import MonotonicClock
 from hapticd.core.errors import HapticdError
 from hapticd.core.params import GatewaySetup, read_params
-from hapticd.core.process import Feeder, die_with_parent, notify, on_stop
+from hapticd.core.process import Feeder, die_with_parent, launch, notify, on_stop
 from hapticd.gateway import server
 from hapticd.mailbox.files import GATEWAY_JSON, GUARD_JSON
+
+if TYPE_CHECKING:
+    import subprocess
 
 GUARD_MODULE = "hapticd.guard.main"
 
@@ -47,7 +50,9 @@ def main(arguments: list[str]) -> int:
         return read_params(GatewaySetup, asked.folder / GATEWAY_JSON)
 
     def judge(line: socket.socket) -> "subprocess.Popen[bytes]":
-        return guard_worker(asked.folder, line)
+        """Start the guard's worker, which may not outlive the gateway by a verdict."""
+        ends = ("--fd", str(line.fileno()), "--parent", str(os.getpid()))
+        return launch(GUARD_MODULE, str(asked.folder), *ends, keep=(line.fileno(),))
 
     judged = (asked.folder / GUARD_JSON).exists()
     try:
@@ -63,23 +68,6 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write(f"hapticd gateway: {error}\n")
         return error.exit_code
     return 0
-
-
-def guard_worker(folder: Path, line: socket.socket) -> "subprocess.Popen[bytes]":
-    """Start the worker that judges for the gateway of `folder`, with its end of the line.
-
-    It dies with the gateway, which it may not outlive by a verdict.
-    """
-    python = [sys.executable, *(["-I"] if sys.flags.isolated else ["-P"]), "-X", "utf8", "-m"]
-    family = ["--fd", str(line.fileno()), "--parent", str(os.getpid())]
-    return subprocess.Popen(
-        [*python, GUARD_MODULE, str(folder), *family],
-        stdin=subprocess.DEVNULL,
-        stdout=2,
-        pass_fds=(line.fileno(),),
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        process_group=0,
-    )
 
 
 def _say_ready(descriptor: int | None) -> None:

@@ -40,7 +40,7 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
     """
     board = board_params(settings)
     unbounded = servo_params(settings, instance)
-    guard = guard_setup(settings, unbounded, WIDEST.lowest, WIDEST.highest)
+    guard = guard_setup(settings, unbounded, WIDEST)
     limits = _limits(settings, guard)
     _refuse_beyond(limits, settings, unbounded)
     servo = replace(unbounded, device=replace(unbounded.device, environment_limits=limits))
@@ -50,7 +50,7 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
     plain = {
         files.SERVO_JSON: to_plain(servo),
         files.GATEWAY_JSON: to_plain(setup),
-        files.GUARD_JSON: to_plain(replace(guard, lowest=limits.lowest, highest=limits.highest)),
+        files.GUARD_JSON: to_plain(replace(guard, limits=limits)),
     }
     return plain if board is None else {**plain, files.BOARD_JSON: to_plain(board)}
 

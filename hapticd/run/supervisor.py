@@ -24,24 +24,23 @@ signals: every wait here is a poll of POLL_NS.
 
 import os
 import signal
-import subprocess
-import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-import hapticd
 from hapticd.core.clock import Clock
 from hapticd.core.errors import ConfigError, HapticdError, MailboxError
+from hapticd.core.process import launch
 from hapticd.core.units import NS_PER_MS, NS_PER_S
 from hapticd.mailbox import files, layout
 from hapticd.mailbox.daemons import console_place
 from hapticd.run import resolve
 from hapticd.settings.load import Settings
 
-__all__ = ["ProcessEvent", "Supervisor", "launch"]
+__all__ = ["ProcessEvent", "Supervisor"]
 
+CONSOLE = ("hapticd", "console", "--instance")  # a verb, so that nothing here loads a web server
 SUPERVISOR_LOCK = "supervisor.lock"
 POLL_NS = 20 * NS_PER_MS
 # until a process that is not ready is reported, and until one that does not end is killed
@@ -68,33 +67,6 @@ Spawn = Callable[[Sequence[str], int], Process]  # module and arguments, descrip
 def spawn(command: Sequence[str], ready: int) -> Process:
     """A child that inherits the descriptor `ready`."""
     return launch(*command, "--parent", str(os.getpid()), "--ready", str(ready), keep=(ready,))
-
-
-def launch(*words: str, keep: Sequence[int] = ()) -> subprocess.Popen[bytes]:
-    """`python -m words` in a fresh interpreter, which inherits the descriptors `keep`.
-
-    Its messages go to our stderr.
-    """
-    return subprocess.Popen(
-        [sys.executable, "-X", "utf8", "-P", "-m", *words],
-        stdin=subprocess.DEVNULL,
-        stdout=2,
-        pass_fds=keep,
-        env={**os.environ, **_import_path(), "OPENBLAS_NUM_THREADS": "1"},
-        process_group=0,
-    )
-
-
-def _import_path() -> dict[str, str]:
-    """PYTHONPATH of a child; empty for an installed package.
-
-    -P keeps the working folder out of its imports, so a checkout that is not installed has to be
-    named.
-    """
-    root = Path(hapticd.__file__).parents[1]
-    if root.name in ("site-packages", "dist-packages"):
-        return {}
-    return {"PYTHONPATH": os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH"))))}
 
 
 class Restarts:
@@ -199,8 +171,8 @@ class ProcessEvent(NamedTuple):
 
 
 class Supervisor:
-    """The processes of `instance`, in the runtime folder `folder`, as `settings` say; `console` is
-    the module of the operators' page, empty for none.
+    """The processes of `instance`, in the runtime folder `folder`, as `settings` say; `console`:
+    with the operators' page.
     """
 
     def __init__(
@@ -212,7 +184,7 @@ class Supervisor:
         tell: Callable[[ProcessEvent], None],
         start: Spawn = spawn,
         served: Callable[[Path, int], bool] = mailbox_served,
-        console: str = "",
+        console: bool = False,
     ) -> None:
         self.folder = folder
         self.clock = clock
@@ -228,7 +200,7 @@ class Supervisor:
             "gateway", ["hapticd.run.gateway_main", str(folder)], start, Restarts(None)
         )
         self.console = (
-            Child("console", [console, instance], start, Restarts(None)) if console else None
+            Child("console", [*CONSOLE, instance], start, Restarts(None)) if console else None
         )
         self.ready = False
         self._asked = 0
@@ -314,7 +286,9 @@ class Supervisor:
         """Plan the restart of a child that died, or say why there is none."""
         child.ready = False
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        if code == ConfigError.exit_code and not self._serves_again(child):
+        # what a gateway or page that has served refuses (keys, a port) is outside of these files
+        served = child is not self.servo and child.was_ready
+        if code == ConfigError.exit_code and not served:
             raise ConfigError(
                 f"the {child.name} refused its configuration ({how}); see its message above"
             )
@@ -333,10 +307,6 @@ class Supervisor:
             f" {(child.start_at_ns - now_ns) / NS_PER_S} s, {outlook}"
         )
         self.tell(ProcessEvent("restart", child.name, text))
-
-    def _serves_again(self, child: Child) -> bool:
-        """Whether what it refuses is outside of its resolved files (keys, a port): these served."""
-        return child is not self.servo and child.was_ready
 
     def _end(self, child: Child) -> None:
         """End a child in order; kill it if it does not end in time or `stop` was asked twice."""

@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 
 from hapticd.client.client import Client
-from hapticd.client.lease import ClientLease
 from hapticd.client.requests import accepted, receipt_of
 from hapticd.core.errors import CommandError, ConfigError
 from hapticd.core.params import (
@@ -56,6 +55,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from hapticd.client.aio import AsyncClient
+    from hapticd.client.lease import ClientLease
     from hapticd.core.params import AtEnd, Leased
 
 __all__ = ["VirtualBoard", "virtual_board"]
@@ -95,22 +95,6 @@ class _Judging:
 
     def close(self) -> None:
         """There is nothing to end."""
-
-
-class VirtualLease(ClientLease):
-    """A lease whose `sleep` runs the board; nothing has to keep it alive meanwhile."""
-
-    def __init__(self, board: "VirtualBoard", what: str, **asked: Any) -> None:
-        super().__init__(board.call, what, **asked)
-        self._board = board
-
-    def sleep(self, seconds: float) -> None:
-        """Let virtual time pass, and keep the lease. CommandError as soon as it is lost."""
-        self.renew()
-        while seconds > 0.0:
-            self._board.sleep(min(seconds, 1.0))
-            seconds -= 1.0
-            self.renew()
 
 
 class VirtualBoard(LockStepClient):
@@ -221,10 +205,9 @@ class VirtualBoard(LockStepClient):
         at_end: "AtEnd | None" = None,
         take_over: bool = False,
         keep_alive: bool = False,
-    ) -> ClientLease:
+    ) -> "ClientLease":
         """As `Client.lease`. Time passes in this thread alone, so none keeps it alive."""
-        asked = {"ttl_s": ttl_s, "at_end": at_end, "take_over": take_over or None}
-        return VirtualLease(self, what, **asked)
+        return super().lease(what, ttl_s=ttl_s, at_end=at_end, take_over=take_over)
 
     def perturb_load(self, samples_n: "ArrayLike") -> int:
         """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples it has."""

@@ -18,6 +18,7 @@ from typing import Any
 
 from hapticd.core.errors import ConfigError
 from hapticd.core.params import (
+    EnvironmentLimits,
     GuardParams,
     GuardSetup,
     MeasuredLevel,
@@ -37,28 +38,20 @@ AXES = ("K", "B", "M")  # as limits of a .zwidth file number them
 ENDS = ("K+", "B-", "B+", "M-", "M+")  # as MeasuredLevel has them
 
 
-def guard_setup(
-    settings: Settings,
-    servo: ServoParams,
-    lowest: tuple[float, ...],
-    highest: tuple[float, ...],
-) -> GuardSetup:
+def guard_setup(settings: Settings, servo: ServoParams, limits: EnvironmentLimits) -> GuardSetup:
     """guard.json, for the guard of the servo with the parameters `servo`, where clients may ask
-    for K, B, M from `lowest` to `highest`. ConfigError as `compose`.
+    for K, B, M within `limits`. ConfigError as `compose`.
     """
     guard = guard_params(settings)
-    rate_hz = servo.realtime.rate_hz
-    model = _model(settings, rate_hz)
+    model = _model(settings, servo.realtime.rate_hz)
     return GuardSetup(
         guard=guard,
         config_hash=servo.config_hash,
-        rate_hz=rate_hz,
         environment=servo.environment,
         active_damping_ns_per_m=servo.active_damping_ns_per_m,
         active_damping_limit_ns_per_m=servo.device.active_damping_limit_ns_per_m,
         active_damping_count_ns_per_m=servo.device.active_damping.per_count,
-        lowest=lowest,
-        highest=highest,
+        limits=limits,
         model=model,
         model_hash="" if model is None else _hash(model),
         measured=_measured(guard, settings, servo),

@@ -190,17 +190,12 @@ def _settings(
     typed: Mapping[KeyPath, str],
 ) -> Settings:
     """The settings with the origin of each value; `typed`: what the command line says."""
-
-    def config_origin(path: KeyPath) -> str:
-        given = path in typed or document.value(path) is not None
-        return (typed.get(path) or document.where(path)) if given else "default"
-
-    def device_origin(path: KeyPath) -> str:
-        return file.where(path) if file.value(path) is not None else "default"
-
-    origins = {dotted(path): config_origin(path) for path, _ in leaves(config.model_dump())}
+    origins = {
+        dotted(path): typed.get(path) or document.origin(path)
+        for path, _ in leaves(config.model_dump())
+    }
     for path, _ in leaves(device.model_dump()):
-        origins[dotted(("device", *path))] = device_origin(path)
+        origins[dotted(("device", *path))] = file.origin(path)
     return Settings(config, device, document.path, file.path, origins, file.sha256)
 
 

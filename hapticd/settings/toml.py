@@ -62,6 +62,10 @@ class Document:
                 return f"{self.path}:{self.lines[path[:length]]}"
         return str(self.path)
 
+    def origin(self, path: KeyPath) -> str:
+        """`file:line` of the key; `default` where the file has none."""
+        return "default" if self.value(path) is None else self.where(path)
+
     def value(self, path: KeyPath) -> Any:
         """The value at `path`; None if there is none."""
         found: Any = self.data

@@ -1,4 +1,4 @@
-"""Whatever is sent, the desk answers cleanly, or posts a command within the limits."""
+"""Whatever is sent, the command server answers cleanly, or posts a command within the limits."""
 
 import json
 import math
@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.attacks.commands import CODES as EVERY_CODE
-from support.gateway_rig import DeskRig, decoded
+from support.gateway_rig import CommandServerRig, decoded
 
 from hapticd.mailbox.layout import Value, value_limits
 from hapticd.protocol.schemas import MODELS
@@ -63,9 +63,9 @@ MANY = settings(
 
 
 @pytest.fixture(scope="module")
-def rig() -> Iterator[DeskRig]:
+def rig() -> Iterator[CommandServerRig]:
     with tempfile.TemporaryDirectory() as folder:
-        yield DeskRig(Path(folder))
+        yield CommandServerRig(Path(folder))
 
 
 def check_reply(reply: Any) -> None:
@@ -76,8 +76,8 @@ def check_reply(reply: Any) -> None:
         assert len(json.dumps(reply)) < 4000
 
 
-def judge(rig: DeskRig, payload: bytes) -> None:
-    for frames in rig.desk.serve([[b"a", payload]], rig.clock.now_ns()):
+def judge(rig: CommandServerRig, payload: bytes) -> None:
+    for frames in rig.server.serve([[b"a", payload]], rig.clock.now_ns()):
         check_reply(json.loads(frames[-1]) if payload[:1] == b"{" else decoded(frames))
     while (command := rig.servo.mailbox.take()) is not None:
         limits = value_limits(1000.0, 2.0)
@@ -93,17 +93,17 @@ def judge(rig: DeskRig, payload: bytes) -> None:
 
 @MANY
 @given(payload=st.binary(max_size=200))
-def test_any_bytes_are_answered(rig: DeskRig, payload: bytes) -> None:
+def test_any_bytes_are_answered(rig: CommandServerRig, payload: bytes) -> None:
     judge(rig, payload)
 
 
 @MANY
 @given(request=REQUESTS)
-def test_any_msgpack_request_is_answered(rig: DeskRig, request: dict[str, Any]) -> None:
+def test_any_msgpack_request_is_answered(rig: CommandServerRig, request: dict[str, Any]) -> None:
     judge(rig, msgpack.packb(request, unicode_errors="surrogatepass"))
 
 
 @MANY
 @given(request=REQUESTS)
-def test_any_json_request_is_answered(rig: DeskRig, request: dict[str, Any]) -> None:
+def test_any_json_request_is_answered(rig: CommandServerRig, request: dict[str, Any]) -> None:
     judge(rig, json.dumps(request, default=lambda data: data.decode("latin-1")).encode())

@@ -8,7 +8,7 @@ from pathlib import Path
 from hypothesis import Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
-from support.gateway_rig import DeskRig, packed
+from support.gateway_rig import CommandServerRig, packed
 from support.guard_stub import StubWorker, stage, verdict
 
 from hapticd.core.units import NS_PER_MS
@@ -28,7 +28,7 @@ class Lifecycle(RuleBasedStateMachine):
         self.worker = StubWorker(
             lambda asked: {"action": "stage", "stages": STAGES, "verdict": verdict()}
         )
-        self.rig = DeskRig(Path(self.folder.name), self.worker)
+        self.rig = CommandServerRig(Path(self.folder.name), self.worker)
         self.rig.run(MOST_RECORDS)
         self.rig.ask(cmd="guard", policy="refuse")
         self.valid: set[bytes] = set()  # clients whose enable nothing has taken back
@@ -55,7 +55,7 @@ class Lifecycle(RuleBasedStateMachine):
 
     @rule(client=CLIENTS)
     def leave(self, client: bytes) -> None:
-        self.rig.desk.leave(client)
+        self.rig.server.leave(client)
         if self.rig.servo.state is not State.ENABLED:
             self.valid.discard(client)
 

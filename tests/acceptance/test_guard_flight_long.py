@@ -1,5 +1,6 @@
 """K = 500 N/m, B = 2 N s/m in the hand that shakes them, active damping toggled twenty times: the
-desk of the gateway, the guard's judge, the servo, the board and the plant, on virtual time.
+command server of the gateway, the guard's judge, the servo, the board and the plant, on virtual
+time.
 """
 
 import numpy as np

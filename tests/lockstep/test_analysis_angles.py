@@ -7,6 +7,7 @@ from support.narrow_modes import ClosedForm, Narrow, drawn
 from support.passive_hands import GROUND, Network
 
 from hapticd.core.environment import Environment
+from hapticd.core.params import EnvironmentLimits
 from hapticd.guard.bases import Conditions, Theorem
 from hapticd.guard.judge import Judge
 from hapticd.guard.safe_region import SafeRegion, intervals
@@ -114,7 +115,9 @@ def test_an_axis_whose_own_value_is_safe_has_an_interval(seed):
     safe = [point for point in points if judgement.safe([display(point)])[0]]
     assert safe
     for point in safe[:6]:
-        found = judgement.allowed(display(point), (-1e4, -1e2, -1e1), (1e5, 1e3, 1e1))
+        found = judgement.allowed(
+            display(point), EnvironmentLimits((-1e4, -1e2, -1e1), (1e5, 1e3, 1e1))
+        )
         for value, (name, interval) in zip(point, found.items(), strict=True):
             assert interval is not None, (name, point)
             assert interval[0] <= value <= interval[1], (name, point)

@@ -1,5 +1,5 @@
 """What scripts see of the guard: warnings, typed verdicts and clients that are strict, against
-desk, guard, judge, servo and board on virtual time.
+command server, guard, judge, servo and board on virtual time.
 """
 
 import asyncio
@@ -14,9 +14,9 @@ from support.gateway_rig import GatewayRig, running
 from support.guard_stages import (
     LEVEL_NS_PER_M,
     STIFF,
-    AsyncDeskLine,
-    DeskLine,
+    AsyncServerConnection,
     Flight,
+    ServerConnection,
     rendering,
 )
 from support.guard_stub import StubWorker, stage, verdict
@@ -41,9 +41,13 @@ def flight() -> Iterator[Flight]:
 
 @pytest.fixture
 def client(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> Clients:
-    """Makes clients of the flight's desk; they share a connection."""
-    monkeypatch.setattr("hapticd.client.client.GatewayConnection", lambda *_: DeskLine(flight))
-    monkeypatch.setattr("hapticd.client.aio.AsyncConnection", lambda *_: AsyncDeskLine(flight))
+    """Makes clients of the command server; they share a connection."""
+    monkeypatch.setattr(
+        "hapticd.client.client.GatewayConnection", lambda *_: ServerConnection(flight)
+    )
+    monkeypatch.setattr(
+        "hapticd.client.aio.AsyncConnection", lambda *_: AsyncServerConnection(flight)
+    )
     return Client
 
 

@@ -14,7 +14,7 @@ from support.models import servo_params
 from support.recorded import RecordedFlight, recorded_into
 
 from benchmarks.guard_attack import shipped_judge
-from benchmarks.guard_desk import GuardedStack
+from benchmarks.guarded_stack import GuardedStack
 from hapticd.cli.change import changes
 from hapticd.core.environment import FIELDS, Environment, EnvironmentField, WorkspaceParams
 from hapticd.mailbox.layout import COMMAND_VALUES, Command
@@ -67,18 +67,18 @@ def test_field_reaches_guard_mailbox_law_and_record(field: EnvironmentField) -> 
     start = inside(Environment().message(), field.key)
     assert value != start
     with LockStep(servo_params(), board_params()) as stack:
-        desk = GuardedStack(stack, shipped_judge().answer, "warn")
+        guarded = GuardedStack(stack, shipped_judge().answer, "warn")
         given = changes([f"{field.key}={value:g}"])
-        reply = desk.ask(cmd="set", **given)
+        reply = guarded.ask(cmd="set", **given)
         effective = inside(reply["receipt"]["effective"], field.key)
         assert effective == pytest.approx(value, abs=COUNT_NS_PER_M)
-        question = next(one for one in desk.line.asked if one["ask"] == "change")
+        question = next(one for one in guarded.line.asked if one["ask"] == "change")
         assert inside(question["change"], field.key) == pytest.approx(value)
-        desk.run(1000)
-        target = desk.guard.in_force.target()
+        guarded.run(1000)
+        target = guarded.guard.in_force.target()
         assert inside(target.message(), field.key) == pytest.approx(value, abs=COUNT_NS_PER_M)
         if field.column and field.ramped:
-            assert desk.view.record[field.column] == pytest.approx(value, abs=COUNT_NS_PER_M)
+            assert guarded.view.record[field.column] == pytest.approx(value, abs=COUNT_NS_PER_M)
         assert any(abs(one - value) < COUNT_NS_PER_M for one in law_numbers(stack))
 
 

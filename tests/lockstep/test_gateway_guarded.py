@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.gateway_rig import DeskRig, decoded, packed
+from support.gateway_rig import CommandServerRig, decoded, packed
 from support.gateway_stand_in import StandInServo
 from support.guard_stub import StubWorker, applies, refuses, stage, verdict
 
@@ -22,23 +22,23 @@ def worker() -> StubWorker:
 
 
 @pytest.fixture
-def rig(tmp_path: Path, worker: StubWorker) -> DeskRig:
-    return DeskRig(tmp_path, worker)
+def rig(tmp_path: Path, worker: StubWorker) -> CommandServerRig:
+    return CommandServerRig(tmp_path, worker)
 
 
-def under(rig: DeskRig, policy: str) -> DeskRig:
+def under(rig: CommandServerRig, policy: str) -> CommandServerRig:
     """`rig` under `policy`, after as many records as a strict one wants to have seen."""
     rig.run(max(0, MOST_RECORDS - rig.view.seen))
     assert rig.ask(cmd="guard", policy=policy)["result"]["policy"] == policy
     return rig
 
 
-def later(rig: DeskRig, ticks: int = 5) -> list[dict[str, Any]]:
+def later(rig: CommandServerRig, ticks: int = 5) -> list[dict[str, Any]]:
     """Replies of the next ticks."""
     return [decoded(reply) for _ in range(ticks) for reply in rig.run()]
 
 
-def answers(rig: DeskRig) -> list[dict[str, Any]]:
+def answers(rig: CommandServerRig) -> list[dict[str, Any]]:
     """Events of kind answer since the last look."""
     return [event for event in rig.journal.drain() if event["kind"] == "answer"]
 
@@ -53,7 +53,7 @@ def two_stages(request: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_without_a_worker_warn_goes_on_at_once_and_says_unknown(tmp_path: Path) -> None:
-    rig = DeskRig(tmp_path)
+    rig = CommandServerRig(tmp_path)
     reply = rig.ask(cmd="set", K=100)
     assert reply["ok"]
     assert (reply["guard"]["safe"], reply["guard"]["basis"]) == (None, "unknown")
@@ -62,7 +62,7 @@ def test_without_a_worker_warn_goes_on_at_once_and_says_unknown(tmp_path: Path) 
 
 @pytest.mark.parametrize("policy", ["clamp", "refuse", "follow"])
 def test_without_a_worker_nothing_unjudged_is_done_under(tmp_path: Path, policy: str) -> None:
-    rig = under(DeskRig(tmp_path), policy)
+    rig = under(CommandServerRig(tmp_path), policy)
     for asked in ({"cmd": "set", "K": 1}, {"cmd": "damping", "value": "off"}, {"cmd": "enable"}):
         error = rig.ask(**asked)["error"]
         assert error["code"] == "guard"
@@ -73,7 +73,7 @@ def test_without_a_worker_nothing_unjudged_is_done_under(tmp_path: Path, policy:
 
 
 def test_question_holds_what_is_in_force_and_what_is_asked(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     rig.ask(cmd="set", K=50, B=2, active_damping=1.0)
     rig.ask(cmd="set", K=80, wall={"side": 1}, ramp_s=0.3)
@@ -99,27 +99,31 @@ def test_question_holds_what_is_in_force_and_what_is_asked(
     ],
 )
 def test_damping_is_asked_for_as_a_number(
-    rig: DeskRig, worker: StubWorker, value: object, change: dict[str, float]
+    rig: CommandServerRig, worker: StubWorker, value: object, change: dict[str, float]
 ) -> None:
     rig.ask(cmd="set", active_damping=1.0)
     rig.ask(cmd="damping", value=value)
     assert worker.changes[-1]["change"] == change
 
 
-def test_what_changes_no_environment_is_not_asked(rig: DeskRig, worker: StubWorker) -> None:
+def test_what_changes_no_environment_is_not_asked(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     rig.ask(cmd="set", limit_cycle_faults=False)
     rig.ask(cmd="zero")
     rig.ask(cmd="stop")
     assert worker.asked == []
 
 
-def test_verdict_comes_with_the_receipt(rig: DeskRig) -> None:
+def test_verdict_comes_with_the_receipt(rig: CommandServerRig) -> None:
     reply = rig.ask(cmd="set", K=100)
     assert reply["receipt"]["effective"]["K"] == 100
     assert (reply["guard"]["safe"], reply["guard"]["text"]) == (True, "fine")
 
 
-def test_refusal_carries_the_verdict_and_nothing_moves(rig: DeskRig, worker: StubWorker) -> None:
+def test_refusal_carries_the_verdict_and_nothing_moves(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     worker.script = refuses
     error = under(rig, "refuse").ask(cmd="damping", value="off")["error"]
     assert (error["code"], error["message"]) == ("guard", "damping: it would ring")
@@ -127,7 +131,7 @@ def test_refusal_carries_the_verdict_and_nothing_moves(rig: DeskRig, worker: Stu
     assert rig.servo.taken == []
 
 
-def test_hand_follows_as_an_event(rig: DeskRig, worker: StubWorker) -> None:
+def test_hand_follows_as_an_event(rig: CommandServerRig, worker: StubWorker) -> None:
     found = {"text": "a mass of 120 g, at 34 Hz", "mass_kg": 0.12, "hz": 34.0, "radius": 1.01}
     worker.script = lambda asked: {"hand": found} if asked["ask"] == "hand" else refuses(asked)
     error = under(rig, "refuse").ask(cmd="set", id=9, K=100)["error"]
@@ -139,7 +143,7 @@ def test_hand_follows_as_an_event(rig: DeskRig, worker: StubWorker) -> None:
 
 
 @pytest.mark.parametrize("policy", ["off", "warn"])
-def test_change_is_not_bound_under(rig: DeskRig, policy: str) -> None:
+def test_change_is_not_bound_under(rig: CommandServerRig, policy: str) -> None:
     under(rig, policy)
     rig.servo.deaf = True
     rig.send(packed(cmd="set", K=100))
@@ -153,7 +157,7 @@ def test_change_is_not_bound_under(rig: DeskRig, policy: str) -> None:
 @pytest.mark.parametrize("policy", ["clamp", "refuse", "follow"])
 @pytest.mark.parametrize("asked", [{"cmd": "set", "K": 100}, {"cmd": "enable"}])
 def test_change_is_bound_to_the_environment_it_was_judged_for_under(
-    rig: DeskRig, policy: str, asked: dict[str, Any]
+    rig: CommandServerRig, policy: str, asked: dict[str, Any]
 ) -> None:
     rig.ask(cmd="set", K=1)
     under(rig, policy)
@@ -171,14 +175,16 @@ def test_change_is_bound_to_the_environment_it_was_judged_for_under(
     assert command[-1][Value.ENVIRONMENT_REVISION] == 1
 
 
-def test_clamped_values_are_what_is_posted(rig: DeskRig, worker: StubWorker) -> None:
+def test_clamped_values_are_what_is_posted(rig: CommandServerRig, worker: StubWorker) -> None:
     under(rig, "clamp")
     clamped = {"action": "apply", "stages": [stage({"K": 70.0})], "verdict": verdict(clamped=True)}
     worker.script = lambda asked: clamped
     assert rig.ask(cmd="set", K=100)["receipt"]["effective"]["K"] == 70
 
 
-def test_if_rev_is_compared_again_after_the_verdict(rig: DeskRig, worker: StubWorker) -> None:
+def test_if_rev_is_compared_again_after_the_verdict(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     under(rig, "refuse")
     worker.silent = True
     rig.send(packed(cmd="set", K=5, if_rev=0))
@@ -193,7 +199,7 @@ def test_if_rev_is_compared_again_after_the_verdict(rig: DeskRig, worker: StubWo
 
 
 def test_warned_change_is_in_force_before_its_verdict_and_told_with_it(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     """A verdict that changes nothing delays nothing but the reply."""
     worker.silent = True
@@ -207,7 +213,7 @@ def test_warned_change_is_in_force_before_its_verdict_and_told_with_it(
     assert (reply["receipt"]["first_tick"], reply["guard"]["safe"]) == (2, False)
 
 
-def test_warned_change_waits_for_no_look(rig: DeskRig, worker: StubWorker) -> None:
+def test_warned_change_waits_for_no_look(rig: CommandServerRig, worker: StubWorker) -> None:
     """A look takes some 10 ms, twice a second while what is rendered changes."""
     worker.silent = True
     looking(rig)
@@ -221,7 +227,7 @@ def test_warned_change_waits_for_no_look(rig: DeskRig, worker: StubWorker) -> No
     assert (reply["guard"]["safe"], reply["guard"]["text"]) == (False, "it would ring")
 
 
-def test_warned_change_waits_for_no_hand(rig: DeskRig, worker: StubWorker) -> None:
+def test_warned_change_waits_for_no_hand(rig: CommandServerRig, worker: StubWorker) -> None:
     worker.script = lambda asked: None if asked["ask"] == "hand" else refuses(asked)
     rig.ask(cmd="set", K=100)
     rig.run(2)
@@ -232,7 +238,7 @@ def test_warned_change_waits_for_no_hand(rig: DeskRig, worker: StubWorker) -> No
 
 
 def test_change_that_is_passive_in_stages_alone_is_warned_about_when_done_at_once(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     worker.script = two_stages
     reply = rig.ask(cmd="set", K=400, B=1)
@@ -242,7 +248,7 @@ def test_change_that_is_passive_in_stages_alone_is_warned_about_when_done_at_onc
 
 
 def test_servo_that_ends_while_a_verdict_is_awaited_ends_the_request(
-    rig: DeskRig, worker: StubWorker, tmp_path: Path
+    rig: CommandServerRig, worker: StubWorker, tmp_path: Path
 ) -> None:
     worker.silent = True
     rig.send(packed(cmd="set", K=1, id=1))
@@ -257,7 +263,7 @@ def test_servo_that_ends_while_a_verdict_is_awaited_ends_the_request(
 # --- the worker fails -----------------------------------------------------------------------------
 
 
-def test_no_verdict_within_half_a_second_refuses(rig: DeskRig, worker: StubWorker) -> None:
+def test_no_verdict_within_half_a_second_refuses(rig: CommandServerRig, worker: StubWorker) -> None:
     under(rig, "refuse")
     worker.silent = True
     rig.send(packed(cmd="set", K=100))
@@ -269,7 +275,7 @@ def test_no_verdict_within_half_a_second_refuses(rig: DeskRig, worker: StubWorke
 
 
 def test_worker_that_answers_nothing_for_ten_seconds_is_ended(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     """Not at once: one that sees a delay for the first time takes long, and keeps what it found."""
     under(rig, "refuse")
@@ -282,7 +288,9 @@ def test_worker_that_answers_nothing_for_ten_seconds_is_ended(
     assert len(worker.asked) == 1
 
 
-def test_worker_that_still_computes_is_not_asked_more(rig: DeskRig, worker: StubWorker) -> None:
+def test_worker_that_still_computes_is_not_asked_more(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     """What nobody waits for any more would only be computed before what somebody waits for."""
     worker.silent = True
     for number in range(3):
@@ -297,7 +305,9 @@ def test_worker_that_still_computes_is_not_asked_more(rig: DeskRig, worker: Stub
     assert (reply["receipt"]["effective"]["K"], reply["guard"]["safe"]) == (7, True)
 
 
-def test_delay_counts_once_the_worker_has_looked_at_it(rig: DeskRig, worker: StubWorker) -> None:
+def test_delay_counts_once_the_worker_has_looked_at_it(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     worker.script = lambda asked: looked(asked) if asked["ask"] == "look" else applies(asked)
     rig.guard.delay.periods = 0.25
     looking(rig)
@@ -317,7 +327,7 @@ def test_delay_counts_once_the_worker_has_looked_at_it(rig: DeskRig, worker: Stu
 
 
 def test_delay_that_a_dead_worker_had_looked_at_does_not_count_for_the_next(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     """It has computed nothing for that delay, so nothing speaks against the newest."""
     worker.script = lambda asked: looked(asked) if asked["ask"] == "look" else applies(asked)
@@ -333,7 +343,7 @@ def test_delay_that_a_dead_worker_had_looked_at_does_not_count_for_the_next(
 
 
 def test_no_verdict_within_half_a_second_goes_on_under_warn(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     worker.silent = True
     rig.send(packed(cmd="set", K=100))
@@ -344,7 +354,7 @@ def test_no_verdict_within_half_a_second_goes_on_under_warn(
 
 
 def test_worker_owes_nothing_that_the_one_before_was_asked(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     """Else the new one would be ended, 10 s after a question that it never saw."""
     worker.silent = True
@@ -361,7 +371,7 @@ def test_worker_owes_nothing_that_the_one_before_was_asked(
 
 
 def test_worker_that_dies_in_the_middle_of_a_request_refuses_it(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     under(rig, "refuse")
     worker.silent = True
@@ -390,7 +400,9 @@ def test_worker_that_dies_in_the_middle_of_a_request_refuses_it(
         {"action": "fire", "stages": [stage({"K": 1.0})], "verdict": verdict()},
     ],
 )
-def test_garbage_is_no_verdict(rig: DeskRig, worker: StubWorker, garbage: dict[str, Any]) -> None:
+def test_garbage_is_no_verdict(
+    rig: CommandServerRig, worker: StubWorker, garbage: dict[str, Any]
+) -> None:
     under(rig, "refuse")
     worker.script = lambda asked: garbage
     error = rig.ask(cmd="set", K=100)["error"]
@@ -398,7 +410,7 @@ def test_garbage_is_no_verdict(rig: DeskRig, worker: StubWorker, garbage: dict[s
     assert rig.servo.taken == []
 
 
-def test_late_answer_belongs_to_no_question(rig: DeskRig, worker: StubWorker) -> None:
+def test_late_answer_belongs_to_no_question(rig: CommandServerRig, worker: StubWorker) -> None:
     under(rig, "refuse")
     worker.silent = True
     rig.send(packed(cmd="set", K=100))
@@ -412,7 +424,9 @@ def test_late_answer_belongs_to_no_question(rig: DeskRig, worker: StubWorker) ->
     assert rig.servo.taken == []
 
 
-def test_change_of_policy_voids_a_verdict_on_its_way(rig: DeskRig, worker: StubWorker) -> None:
+def test_change_of_policy_voids_a_verdict_on_its_way(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     under(rig, "clamp")
     worker.silent = True
     rig.send(packed(cmd="set", K=100))
@@ -428,7 +442,7 @@ def test_change_of_policy_voids_a_verdict_on_its_way(rig: DeskRig, worker: StubW
 
 
 def test_other_terms_void_a_verdict_on_its_way_to_a_strict_client(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     under(rig, "warn")
     worker.silent = True
@@ -448,7 +462,7 @@ def test_other_terms_void_a_verdict_on_its_way_to_a_strict_client(
 # --- others, meanwhile ----------------------------------------------------------------------------
 
 
-def test_stop_waits_for_no_verdict(rig: DeskRig, worker: StubWorker) -> None:
+def test_stop_waits_for_no_verdict(rig: CommandServerRig, worker: StubWorker) -> None:
     worker.silent = True
     rig.send(*[packed(cmd="set", K=k) for k in range(60)])
     (reply, *_) = [*rig.send(packed(cmd="stop"), client=b"b"), *later(rig, 1)]
@@ -458,7 +472,7 @@ def test_stop_waits_for_no_verdict(rig: DeskRig, worker: StubWorker) -> None:
 
 @pytest.mark.parametrize("cmd", ["stop", "disable"])
 def test_enable_does_not_come_after_what_was_asked_after_it(
-    rig: DeskRig, worker: StubWorker, cmd: str
+    rig: CommandServerRig, worker: StubWorker, cmd: str
 ) -> None:
     under(rig, "refuse")
     worker.silent = True
@@ -476,7 +490,7 @@ def test_enable_does_not_come_after_what_was_asked_after_it(
 
 @pytest.mark.parametrize("cmd", ["stop", "disable"])
 def test_enable_that_waits_behind_another_request_does_not_come_after(
-    rig: DeskRig, worker: StubWorker, cmd: str
+    rig: CommandServerRig, worker: StubWorker, cmd: str
 ) -> None:
     under(rig, "refuse")
     worker.silent = True
@@ -494,7 +508,7 @@ def test_enable_that_waits_behind_another_request_does_not_come_after(
 
 
 def test_request_that_waits_ends_when_another_takes_the_lease(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     under(rig, "refuse")
     worker.silent = True
@@ -508,14 +522,16 @@ def test_request_that_waits_ends_when_another_takes_the_lease(
     assert rig.servo.values[Value.STIFFNESS] == 0
 
 
-def test_flood_of_changes_is_bounded(rig: DeskRig, worker: StubWorker) -> None:
+def test_flood_of_changes_is_bounded(rig: CommandServerRig, worker: StubWorker) -> None:
     worker.silent = True
     replies = rig.send(*[packed(cmd="set", K=k) for k in range(80)])
     assert {reply["error"]["code"] for reply in replies} == {"busy"}
     assert "64 requests wait for the guard" in replies[0]["error"]["message"]
 
 
-def test_request_waits_for_its_turn_at_most_a_second(rig: DeskRig, worker: StubWorker) -> None:
+def test_request_waits_for_its_turn_at_most_a_second(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     """Also one that was there when the gateway stood still: an enable now would surprise a hand."""
     rig.servo.mute = True
     rig.send(packed(cmd="set", K=1))
@@ -527,7 +543,9 @@ def test_request_waits_for_its_turn_at_most_a_second(rig: DeskRig, worker: StubW
     assert Command.ENABLE not in [kind for kind, _ in rig.servo.taken]
 
 
-def test_change_of_another_in_between_is_judged_anew(rig: DeskRig, worker: StubWorker) -> None:
+def test_change_of_another_in_between_is_judged_anew(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     under(rig, "refuse")
     raced = []
 
@@ -549,7 +567,9 @@ def test_change_of_another_in_between_is_judged_anew(rig: DeskRig, worker: StubW
     assert [one["target"]["K"] for one in worker.changes] == [0, 60]
 
 
-def test_change_that_is_raced_again_and_again_is_refused(rig: DeskRig, worker: StubWorker) -> None:
+def test_change_that_is_raced_again_and_again_is_refused(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     under(rig, "refuse")
 
     def obey(command: tuple[Any, ...]) -> None:
@@ -563,7 +583,9 @@ def test_change_that_is_raced_again_and_again_is_refused(rig: DeskRig, worker: S
     assert len(worker.changes) == 3
 
 
-def test_servo_restart_ends_what_waits(rig: DeskRig, worker: StubWorker, tmp_path: Path) -> None:
+def test_servo_restart_ends_what_waits(
+    rig: CommandServerRig, worker: StubWorker, tmp_path: Path
+) -> None:
     worker.silent = True
     rig.send(packed(cmd="set", K=1, id=1), packed(cmd="enable", id=2))
     later(rig, 2)
@@ -579,7 +601,7 @@ def test_servo_restart_ends_what_waits(rig: DeskRig, worker: StubWorker, tmp_pat
     assert rig.servo.taken == [(Command.SET, 16)]
 
 
-def another_servo(rig: DeskRig) -> None:
+def another_servo(rig: CommandServerRig) -> None:
     """The servo ends, and another one starts in its folder."""
     rig.servo.mailbox.close()
     rig.servo = StandInServo(rig.folder, rig.clock)
@@ -591,7 +613,7 @@ def another_servo(rig: DeskRig) -> None:
 
 
 def test_scheduled_changes_are_judged_with_those_before_and_after(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     rig.ask(cmd="set", K=10, at_tick=300)
     rig.ask(cmd="set", B=3, at_tick=100)
@@ -608,7 +630,7 @@ def test_scheduled_changes_are_judged_with_those_before_and_after(
 
 
 def test_new_servo_is_not_judged_with_the_schedule_of_the_one_before(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     """Its ticks begin again, so that what the one before had scheduled would seem to come."""
     rig.ask(cmd="set", K=300, at_tick=5000)
@@ -621,7 +643,7 @@ def test_new_servo_is_not_judged_with_the_schedule_of_the_one_before(
     assert worker.changes[-1]["before"] == []
 
 
-def test_scheduled_change_is_bound_to_what_those_before_leave(rig: DeskRig) -> None:
+def test_scheduled_change_is_bound_to_what_those_before_leave(rig: CommandServerRig) -> None:
     under(rig, "refuse")
     rig.ask(cmd="set", B=3, at_tick=rig.servo.ticks + 20)
     rig.ask(cmd="set", K=20, at_tick=rig.servo.ticks + 30)
@@ -631,7 +653,7 @@ def test_scheduled_change_is_bound_to_what_those_before_leave(rig: DeskRig) -> N
 
 
 def test_scheduled_change_whose_environment_changed_is_judged_at_its_tick(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     under(rig, "refuse")
     rig.ask(cmd="set", K=20, at_tick=rig.servo.ticks + 30)
@@ -643,7 +665,7 @@ def test_scheduled_change_whose_environment_changed_is_judged_at_its_tick(
 
 
 def test_tick_that_has_passed_when_the_verdict_comes_is_refused(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     worker.silent = True
     rig.send(packed(cmd="set", K=5, at_tick=10))
@@ -658,7 +680,7 @@ def test_tick_that_has_passed_when_the_verdict_comes_is_refused(
 
 
 def test_stage_waits_for_the_damping_that_the_board_reports(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     worker.script = two_stages
     rig.servo.effect = 0.0
@@ -673,7 +695,9 @@ def test_stage_waits_for_the_damping_that_the_board_reports(
     assert (event["id"], event["result"], event["effective"]["K"]) == ("s", "applied", 400)
 
 
-def test_stage_waits_for_the_ramps_of_the_one_before(rig: DeskRig, worker: StubWorker) -> None:
+def test_stage_waits_for_the_ramps_of_the_one_before(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     under(rig, "follow")
     stages = [stage({"K": 10.0}), stage({"active_damping": 0.0}, after_ramps=True)]
     worker.script = lambda asked: {"action": "stage", "stages": stages, "verdict": verdict()}
@@ -684,7 +708,7 @@ def test_stage_waits_for_the_ramps_of_the_one_before(rig: DeskRig, worker: StubW
     assert answers(rig)[0]["result"] == "applied"
 
 
-def test_newer_request_supersedes_what_is_left(rig: DeskRig, worker: StubWorker) -> None:
+def test_newer_request_supersedes_what_is_left(rig: CommandServerRig, worker: StubWorker) -> None:
     worker.script = two_stages
     rig.servo.effect = 0.0
     rig.ask(cmd="set", K=400, active_damping=1.5, id="old")
@@ -698,7 +722,9 @@ def test_newer_request_supersedes_what_is_left(rig: DeskRig, worker: StubWorker)
     assert rig.servo.values[Value.STIFFNESS] == 0
 
 
-def test_newer_request_that_is_refused_supersedes_nothing(rig: DeskRig, worker: StubWorker) -> None:
+def test_newer_request_that_is_refused_supersedes_nothing(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     under(rig, "refuse")
     worker.script = two_stages
     rig.servo.effect = 0.0
@@ -711,7 +737,9 @@ def test_newer_request_that_is_refused_supersedes_nothing(rig: DeskRig, worker: 
 
 
 @pytest.mark.parametrize("cmd", ["stop", "disable"])
-def test_end_of_force_cancels_what_is_left(rig: DeskRig, worker: StubWorker, cmd: str) -> None:
+def test_end_of_force_cancels_what_is_left(
+    rig: CommandServerRig, worker: StubWorker, cmd: str
+) -> None:
     rig.ask(cmd="enable")
     worker.script = two_stages
     rig.servo.effect = 0.0
@@ -727,7 +755,7 @@ def test_end_of_force_cancels_what_is_left(rig: DeskRig, worker: StubWorker, cmd
 
 @pytest.mark.parametrize("latched", [State.STOPPED, State.FAULT])
 def test_stages_that_began_in_disabled_end_when_the_servo_is(
-    rig: DeskRig, worker: StubWorker, latched: State
+    rig: CommandServerRig, worker: StubWorker, latched: State
 ) -> None:
     """No force ends there, but whoever resets must not find another environment than he left."""
     worker.script = two_stages
@@ -746,7 +774,7 @@ def test_stages_that_began_in_disabled_end_when_the_servo_is(
 
 @pytest.mark.parametrize("terms", [{"policy": "refuse"}, {"basis": "predicted"}])
 def test_stage_judged_by_other_terms_does_not_come_into_force_under_a_strict_policy(
-    rig: DeskRig, worker: StubWorker, terms: dict[str, str]
+    rig: CommandServerRig, worker: StubWorker, terms: dict[str, str]
 ) -> None:
     under(rig, "clamp" if "basis" in terms else "warn")
     worker.script = two_stages
@@ -762,7 +790,7 @@ def test_stage_judged_by_other_terms_does_not_come_into_force_under_a_strict_pol
 
 
 def test_stage_goes_on_where_the_same_terms_are_asked_for_again(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     under(rig, "refuse")
     worker.script = two_stages
@@ -775,7 +803,7 @@ def test_stage_goes_on_where_the_same_terms_are_asked_for_again(
 
 
 def test_what_was_scheduled_by_other_terms_does_not_come_into_force_under_a_strict_policy(
-    rig: DeskRig,
+    rig: CommandServerRig,
 ) -> None:
     tick = rig.servo.ticks + 100
     assert rig.ask(cmd="set", K=70, at_tick=tick)["receipt"]["result"] == "scheduled"
@@ -786,7 +814,7 @@ def test_what_was_scheduled_by_other_terms_does_not_come_into_force_under_a_stri
     assert (event["cmd"], event["result"]) == ("set", "cancelled")
 
 
-def test_what_is_scheduled_by_the_terms_in_force_stays(rig: DeskRig) -> None:
+def test_what_is_scheduled_by_the_terms_in_force_stays(rig: CommandServerRig) -> None:
     under(rig, "refuse")
     rig.ask(cmd="set", K=70, at_tick=rig.servo.ticks + 100)
     under(rig, "refuse")
@@ -795,7 +823,7 @@ def test_what_is_scheduled_by_the_terms_in_force_stays(rig: DeskRig) -> None:
 
 
 def test_what_a_gateway_before_scheduled_does_not_come_into_force_under_a_strict_policy(
-    rig: DeskRig,
+    rig: CommandServerRig,
 ) -> None:
     rig.ask(cmd="set", B=1)
     rig.ask(cmd="set", K=70, at_tick=rig.servo.ticks + 100)
@@ -806,7 +834,7 @@ def test_what_a_gateway_before_scheduled_does_not_come_into_force_under_a_strict
 
 
 def test_what_a_strict_gateway_before_scheduled_does_not_come_into_force(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     """Its terms had another number, after as many changes."""
     under(rig, "refuse")
@@ -817,7 +845,7 @@ def test_what_a_strict_gateway_before_scheduled_does_not_come_into_force(
     assert rig.servo.values[Value.STIFFNESS] == 0
 
 
-def test_stages_are_bound_one_after_the_other(rig: DeskRig, worker: StubWorker) -> None:
+def test_stages_are_bound_one_after_the_other(rig: CommandServerRig, worker: StubWorker) -> None:
     under(rig, "refuse")
     worker.script = two_stages
     rig.ask(cmd="set", K=400, active_damping=1.5)
@@ -826,7 +854,9 @@ def test_stages_are_bound_one_after_the_other(rig: DeskRig, worker: StubWorker) 
     assert len(worker.changes) == 1
 
 
-def test_damping_that_never_comes_ends_the_change(rig: DeskRig, worker: StubWorker) -> None:
+def test_damping_that_never_comes_ends_the_change(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     worker.script = two_stages
     rig.servo.effect = 0.2
     rig.ask(cmd="set", K=400, active_damping=1.5)
@@ -837,7 +867,7 @@ def test_damping_that_never_comes_ends_the_change(rig: DeskRig, worker: StubWork
     assert rig.servo.values[Value.STIFFNESS] == 0
 
 
-def test_enable_waits_for_a_change_in_stages(rig: DeskRig, worker: StubWorker) -> None:
+def test_enable_waits_for_a_change_in_stages(rig: CommandServerRig, worker: StubWorker) -> None:
     worker.script = two_stages
     rig.servo.effect = 0.0
     rig.ask(cmd="set", K=400, active_damping=1.5)
@@ -865,19 +895,21 @@ def test_enable_waits_for_a_change_in_stages(rig: DeskRig, worker: StubWorker) -
         ({"cmd": "guard", "mode": "auto"}, "auto"),
     ],
 )
-def test_mode_follows_what_was_asked(rig: DeskRig, asked: dict[str, Any], mode: str) -> None:
+def test_mode_follows_what_was_asked(
+    rig: CommandServerRig, asked: dict[str, Any], mode: str
+) -> None:
     assert rig.ask(**asked)["ok"]
     assert rig.ask(cmd="guard")["result"]["mode"] == mode
 
 
 def test_auto_without_a_worker_is_refused(tmp_path: Path) -> None:
-    rig = DeskRig(tmp_path)
+    rig = CommandServerRig(tmp_path)
     error = rig.ask(cmd="damping", value="auto")["error"]
     assert error["code"] == "guard"
     assert rig.ask(cmd="guard")["result"]["mode"] == "off"
 
 
-def test_auto_chooses_anew_by_itself(rig: DeskRig, worker: StubWorker) -> None:
+def test_auto_chooses_anew_by_itself(rig: CommandServerRig, worker: StubWorker) -> None:
     rig.ask(cmd="damping", value="auto")
     level = {"action": "apply", "stages": [stage({"active_damping": 0.7})], "verdict": verdict()}
     worker.script = lambda asked: level if asked["ask"] == "change" else None
@@ -893,7 +925,7 @@ def test_auto_chooses_anew_by_itself(rig: DeskRig, worker: StubWorker) -> None:
 
 
 def test_damping_off_ends_auto_before_its_verdict_is_there(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     level = {"action": "apply", "stages": [stage({"active_damping": 0.7})], "verdict": verdict()}
     worker.script = lambda asked: level if asked["ask"] == "change" else None
@@ -913,7 +945,7 @@ def test_damping_off_ends_auto_before_its_verdict_is_there(
 
 
 def test_auto_takes_nothing_back_from_the_energy_controller(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     level = {"action": "apply", "stages": [stage({"active_damping": 0.7})], "verdict": verdict()}
     worker.script = lambda asked: level if asked["ask"] == "change" else None
@@ -937,7 +969,7 @@ def test_auto_takes_nothing_back_from_the_energy_controller(
 # --- looks ----------------------------------------------------------------------------------------
 
 
-def looking(rig: DeskRig, wanted: bool = True) -> list[dict[str, Any]]:
+def looking(rig: CommandServerRig, wanted: bool = True) -> list[dict[str, Any]]:
     """What the topic `guard` says within the next second."""
     told = []
     for _ in range(100):
@@ -957,7 +989,7 @@ def looked(request: dict[str, Any], safe: bool = True) -> dict[str, Any]:
 
 
 def test_topic_tells_twice_a_second_with_and_without_damping(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     worker.script = lambda asked: looked(asked) if asked["ask"] == "look" else applies(asked)
     rig.ask(cmd="set", K=30, active_damping=1.0)
@@ -972,7 +1004,7 @@ def test_topic_tells_twice_a_second_with_and_without_damping(
 
 
 def test_nobody_is_asked_again_and_again_while_nobody_listens(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     worker.script = lambda asked: looked(asked) if asked["ask"] == "look" else applies(asked)
     assert looking(rig, wanted=False) == []
@@ -986,13 +1018,13 @@ def test_nobody_is_asked_again_and_again_while_nobody_listens(
 
 
 def test_topic_says_unknown_without_a_worker(tmp_path: Path) -> None:
-    told = looking(DeskRig(tmp_path))
+    told = looking(CommandServerRig(tmp_path))
     assert told[-1]["verdict"]["safe"] is None
     assert told[-1]["worker"] == "none"
 
 
 def test_verdict_on_what_was_in_force_before_is_not_told_as_that_on_what_is(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     worker.script = looked
     looking(rig)
@@ -1011,7 +1043,7 @@ def test_verdict_on_what_was_in_force_before_is_not_told_as_that_on_what_is(
 
 
 def test_before_any_verdict_what_is_true_is_said(tmp_path: Path) -> None:
-    rig = DeskRig(tmp_path)
+    rig = CommandServerRig(tmp_path)
     found = rig.ask(cmd="guard")["result"]
     nothing = "nothing is rendered (K, B, M and the wall are 0); there is no guard worker"
     assert (found["verdict"], found["unjudged"]) == (None, nothing)
@@ -1020,7 +1052,7 @@ def test_before_any_verdict_what_is_true_is_said(tmp_path: Path) -> None:
     assert found["unjudged"].startswith("no verdict on what is in force yet")
 
 
-def test_look_by_another_margin_is_not_believed(rig: DeskRig, worker: StubWorker) -> None:
+def test_look_by_another_margin_is_not_believed(rig: CommandServerRig, worker: StubWorker) -> None:
     worker.silent = True
     looking(rig)
     worker.silent = False
@@ -1035,7 +1067,7 @@ def test_look_by_another_margin_is_not_believed(rig: DeskRig, worker: StubWorker
     assert rig.ask(cmd="guard")["result"]["verdict"]["text"] == "as it is"
 
 
-def test_delays_say_which_one_is_counted_on(rig: DeskRig, worker: StubWorker) -> None:
+def test_delays_say_which_one_is_counted_on(rig: CommandServerRig, worker: StubWorker) -> None:
     worker.hello["delay_periods"] = 0.125
     worker.script = looked
     assert rig.ask(cmd="guard")["result"]["delays"] == {
@@ -1052,7 +1084,9 @@ def test_delays_say_which_one_is_counted_on(rig: DeskRig, worker: StubWorker) ->
     assert found["measured_p99_periods"] == 0.5
 
 
-def test_cost_of_the_delay_is_that_of_the_last_look(rig: DeskRig, worker: StubWorker) -> None:
+def test_cost_of_the_delay_is_that_of_the_last_look(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     worker.script = lambda asked: looked(asked) | {"timing": {"periods": asked["delay_periods"]}}
     assert rig.ask(cmd="guard")["result"]["timing"] is None
     looking(rig)
@@ -1066,7 +1100,7 @@ def test_cost_of_the_delay_is_that_of_the_last_look(rig: DeskRig, worker: StubWo
 
 
 def test_environment_that_is_passive_no_more_is_warned_about(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     """The delay has grown, and nobody asked for anything."""
     safe = [True]
@@ -1083,7 +1117,9 @@ def test_environment_that_is_passive_no_more_is_warned_about(
 # --- gateway restart ------------------------------------------------------------------------------
 
 
-def test_gateway_that_comes_later_judges_what_is_in_force(rig: DeskRig, worker: StubWorker) -> None:
+def test_gateway_that_comes_later_judges_what_is_in_force(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     rig.ask(cmd="set", K=70, active_damping=1.0)
     rig.start_gateway()
     later(rig, 3)
@@ -1110,7 +1146,7 @@ def test_side_of_a_wall_counts_until_its_ramp_has_ended() -> None:
     assert side.value == 0
 
 
-def test_wall_on_its_way_out_is_judged_as_it_was(rig: DeskRig, worker: StubWorker) -> None:
+def test_wall_on_its_way_out_is_judged_as_it_was(rig: CommandServerRig, worker: StubWorker) -> None:
     """No record holds its damping, and the second half of its ramp says that there is no wall."""
     wall = {"stiffness_n_per_m": 500.0, "virtual_damping_ns_per_m": 3.0, "side": 1}
     rig.ask(cmd="set", wall=wall)

@@ -1,6 +1,6 @@
 """The life of a request past the guard: it ends with what was asked after it, with its connection,
-with its deadline, with its terms and with its gateway. The desk and a stand-in servo on virtual
-time; with the servo itself where its ring, its schedule or its records decide.
+with its deadline, with its terms and with its gateway. The command server and a stand-in servo on
+virtual time; with the servo itself where its ring, its schedule or its records decide.
 """
 
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from support.boards import board_params
-from support.gateway_rig import DeskRig, decoded, packed
+from support.gateway_rig import CommandServerRig, decoded, packed
 from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight
 from support.guard_stub import StubWorker, refuses, stage, verdict
 from support.models import servo_params
@@ -31,8 +31,8 @@ def worker() -> StubWorker:
 
 
 @pytest.fixture
-def rig(tmp_path: Path, worker: StubWorker) -> DeskRig:
-    rig = DeskRig(tmp_path, worker)
+def rig(tmp_path: Path, worker: StubWorker) -> CommandServerRig:
+    rig = CommandServerRig(tmp_path, worker)
     rig.run(MOST_RECORDS)
     return rig
 
@@ -43,7 +43,7 @@ def staged(asked: dict[str, Any]) -> dict[str, Any]:
     return {"action": "stage", "stages": stages, "verdict": verdict()}
 
 
-def waits_in_stages(rig: DeskRig, worker: StubWorker) -> None:
+def waits_in_stages(rig: CommandServerRig, worker: StubWorker) -> None:
     """An enable of client `a` whose damping does not come."""
     rig.ask(cmd="guard", policy="clamp")
     worker.script = staged
@@ -51,7 +51,7 @@ def waits_in_stages(rig: DeskRig, worker: StubWorker) -> None:
     assert rig.ask(cmd="enable")["receipt"]["result"] == "staged"
 
 
-def comes(rig: DeskRig, ticks: int = 400) -> State:
+def comes(rig: CommandServerRig, ticks: int = 400) -> State:
     """The damping is there; the state when all that may follow has followed."""
     rig.servo.effect = 1.5
     for _ in range(ticks):
@@ -59,7 +59,7 @@ def comes(rig: DeskRig, ticks: int = 400) -> State:
     return rig.servo.state
 
 
-def answers(rig: DeskRig) -> list[str]:
+def answers(rig: CommandServerRig) -> list[str]:
     return [event["result"] for event in rig.journal.drain() if event["kind"] == "answer"]
 
 
@@ -67,7 +67,7 @@ def answers(rig: DeskRig) -> list[str]:
 
 
 def test_enable_in_stages_goes_on_once_the_damping_is_there(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     waits_in_stages(rig, worker)
     assert comes(rig) is State.ENABLED
@@ -75,7 +75,7 @@ def test_enable_in_stages_goes_on_once_the_damping_is_there(
 
 @pytest.mark.parametrize("cmd", ["stop", "disable", "zero"])
 def test_enable_in_stages_does_not_come_after_what_was_asked_later(
-    rig: DeskRig, worker: StubWorker, cmd: str
+    rig: CommandServerRig, worker: StubWorker, cmd: str
 ) -> None:
     waits_in_stages(rig, worker)
     rig.ask(b"b", cmd=cmd)
@@ -86,7 +86,9 @@ def test_enable_in_stages_does_not_come_after_what_was_asked_later(
     assert answers(rig) == ["cancelled"]
 
 
-def test_enable_in_stages_names_what_was_asked_later(rig: DeskRig, worker: StubWorker) -> None:
+def test_enable_in_stages_names_what_was_asked_later(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     waits_in_stages(rig, worker)
     rig.ask(b"b", cmd="disable")
     (event,) = [one for one in rig.journal.recent if one["kind"] == "answer"]
@@ -94,7 +96,7 @@ def test_enable_in_stages_names_what_was_asked_later(rig: DeskRig, worker: StubW
 
 
 def test_stop_and_reset_without_a_pass_between_end_an_enable_in_stages(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     """The gateway sees the same state as before: it compares the count of changes."""
     waits_in_stages(rig, worker)
@@ -107,34 +109,36 @@ def test_stop_and_reset_without_a_pass_between_end_an_enable_in_stages(
     assert answers(rig) == ["cancelled"]
 
 
-def test_enable_in_stages_ends_with_its_connection(rig: DeskRig, worker: StubWorker) -> None:
+def test_enable_in_stages_ends_with_its_connection(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     waits_in_stages(rig, worker)
-    rig.desk.leave(b"a")
+    rig.server.leave(b"a")
     assert comes(rig) is State.DISABLED
 
 
 def test_change_in_stages_goes_on_though_its_client_has_left(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     rig.ask(cmd="guard", policy="clamp")
     worker.script = staged
     rig.servo.effect = 0.0
     rig.ask(cmd="set", K=100, active_damping=1.5)
-    rig.desk.leave(b"a")
+    rig.server.leave(b"a")
     comes(rig)
     assert rig.servo.values[Value.STIFFNESS] == 100.0
 
 
 @pytest.mark.parametrize("policy", ["warn", *STRICT])
 def test_what_a_closed_connection_left_waiting_is_not_carried_out(
-    rig: DeskRig, worker: StubWorker, policy: str
+    rig: CommandServerRig, worker: StubWorker, policy: str
 ) -> None:
     rig.ask(cmd="guard", policy=policy)
     worker.silent = True
     rig.send(packed(cmd="set", K=100), client=b"b")  # keeps the others waiting
     rig.send(packed(cmd="enable"), packed(cmd="set", K=5), client=b"a")
     rig.run(2)
-    rig.desk.leave(b"a")
+    rig.server.leave(b"a")
     worker.silent = False
     for _ in range(2000):
         rig.run()
@@ -144,7 +148,7 @@ def test_what_a_closed_connection_left_waiting_is_not_carried_out(
 
 @pytest.mark.parametrize("policy", ["warn", *STRICT])
 def test_what_a_failed_holder_left_waiting_is_not_carried_out(
-    rig: DeskRig, worker: StubWorker, policy: str
+    rig: CommandServerRig, worker: StubWorker, policy: str
 ) -> None:
     rig.ask(cmd="guard", policy=policy)
     worker.silent = True
@@ -161,14 +165,18 @@ def test_what_a_failed_holder_left_waiting_is_not_carried_out(
     assert len([text for text in texts if "its client has failed" in text]) == 2
 
 
-def test_enable_in_stages_ends_where_its_client_fails(rig: DeskRig, worker: StubWorker) -> None:
+def test_enable_in_stages_ends_where_its_client_fails(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     rig.ask(cmd="lease", what="environment", at_end="disable")
     waits_in_stages(rig, worker)
     rig.ask(cmd="lease", what="environment", action="fail")
     assert comes(rig) is State.DISABLED
 
 
-def test_change_in_stages_ends_where_its_client_fails(rig: DeskRig, worker: StubWorker) -> None:
+def test_change_in_stages_ends_where_its_client_fails(
+    rig: CommandServerRig, worker: StubWorker
+) -> None:
     rig.ask(cmd="guard", policy="clamp")
     rig.ask(cmd="lease", what="environment", at_end="zero")
     worker.script = staged
@@ -183,7 +191,7 @@ def test_change_in_stages_ends_where_its_client_fails(rig: DeskRig, worker: Stub
 
 
 def test_verdict_that_comes_after_the_deadline_is_not_acted_on(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     """The gateway is stopped for 8 s with the worker's answer on its line."""
     rig.ask(cmd="guard", policy="refuse")
@@ -196,7 +204,7 @@ def test_verdict_that_comes_after_the_deadline_is_not_acted_on(
     assert rig.servo.state is State.DISABLED
 
 
-def test_stage_is_not_posted_after_its_deadline(rig: DeskRig, worker: StubWorker) -> None:
+def test_stage_is_not_posted_after_its_deadline(rig: CommandServerRig, worker: StubWorker) -> None:
     """The damping came while the gateway was stopped."""
     waits_in_stages(rig, worker)
     rig.servo.effect = 1.5
@@ -208,7 +216,7 @@ def test_stage_is_not_posted_after_its_deadline(rig: DeskRig, worker: StubWorker
 
 @pytest.mark.parametrize(("stood_ms", "state"), [(4100, State.ENABLED), (4200, State.DISABLED)])
 def test_deadline_of_a_stage_is_4_s_its_ramp_and_the_rise_of_the_damping(
-    rig: DeskRig, worker: StubWorker, stood_ms: int, state: State
+    rig: CommandServerRig, worker: StubWorker, stood_ms: int, state: State
 ) -> None:
     """The ramp takes 50 ms; all of 2 N s/m at 20 N s/m in a second, 100 ms."""
     waits_in_stages(rig, worker)
@@ -222,7 +230,7 @@ def test_deadline_of_a_stage_is_4_s_its_ramp_and_the_rise_of_the_damping(
 
 
 def test_policy_made_strict_before_a_scheduled_change_is_answered_reaches_it(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     rig.servo.deaf = True
     rig.send(packed(cmd="set", K=70, at_tick=rig.servo.ticks + 100))
@@ -235,7 +243,7 @@ def test_policy_made_strict_before_a_scheduled_change_is_answered_reaches_it(
 
 
 def test_what_was_scheduled_under_measuring_does_not_outlive_it(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     rig.ask(cmd="guard", policy="refuse")
     rig.run(1)
@@ -250,7 +258,7 @@ def test_what_was_scheduled_under_measuring_does_not_outlive_it(
 
 
 def test_first_command_of_a_servo_is_not_obeyed_under_another_gateway(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     rig.ask(cmd="set", K=70, at_tick=rig.servo.ticks + 100)
     rig.start_gateway()
@@ -265,7 +273,7 @@ def test_nothing_is_judged_before_the_delay_is_known(
     tmp_path: Path, worker: StubWorker, policy: str
 ) -> None:
     """Less active damping is the dangerous direction, so no change passes by its direction."""
-    rig = DeskRig(tmp_path, worker)
+    rig = CommandServerRig(tmp_path, worker)
     rig.ask(cmd="guard", policy=policy)
     rig.send(packed(cmd="damping", value="off"))
     replies = [decoded(one) for _ in range(95) for one in rig.pass_time(10)]
@@ -276,7 +284,7 @@ def test_nothing_is_judged_before_the_delay_is_known(
 
 
 def test_change_waits_for_the_delay_and_is_judged_then(tmp_path: Path, worker: StubWorker) -> None:
-    rig = DeskRig(tmp_path, worker)
+    rig = CommandServerRig(tmp_path, worker)
     rig.ask(cmd="guard", policy="refuse")
     rig.send(packed(cmd="set", K=100))
     replies = [decoded(one) for _ in range(MOST_RECORDS + 20) for one in rig.run()]
@@ -285,7 +293,7 @@ def test_change_waits_for_the_delay_and_is_judged_then(tmp_path: Path, worker: S
 
 
 def test_terms_that_could_not_be_kept_are_tried_again(
-    rig: DeskRig, monkeypatch: pytest.MonkeyPatch
+    rig: CommandServerRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def no_room(*_: object) -> None:
         raise MailboxError("no room")
@@ -305,14 +313,14 @@ def test_terms_that_could_not_be_kept_are_tried_again(
 # --- another gateway --------------------------------------------------------------------------
 
 
-def test_client_numbers_go_on_with_the_next_gateway(rig: DeskRig) -> None:
+def test_client_numbers_go_on_with_the_next_gateway(rig: CommandServerRig) -> None:
     first = rig.ask(b"a", cmd="hello", name="a")["result"]["actor"]
     rig.start_gateway()
     rig.run(2)
     assert rig.ask(b"b", cmd="hello", name="b")["result"]["actor"] > first
 
 
-def test_perturbation_that_was_leased_ends_with_its_gateway(rig: DeskRig) -> None:
+def test_perturbation_that_was_leased_ends_with_its_gateway(rig: CommandServerRig) -> None:
     rig.ask(cmd="perturb", action="load", samples_n=[0.1] * 100)
     rig.ask(cmd="enable")
     rig.ask(cmd="lease", what="perturbation", action="take")
@@ -324,7 +332,7 @@ def test_perturbation_that_was_leased_ends_with_its_gateway(rig: DeskRig) -> Non
     assert not rig.servo.perturbing
 
 
-def test_perturbation_without_a_lease_goes_on_with_the_next_gateway(rig: DeskRig) -> None:
+def test_perturbation_without_a_lease_goes_on_with_the_next_gateway(rig: CommandServerRig) -> None:
     rig.ask(cmd="perturb", action="load", samples_n=[0.1] * 100)
     rig.ask(cmd="enable")
     rig.ask(cmd="perturb", action="start", loop=True)
@@ -467,7 +475,7 @@ def test_bounded_change_brings_back_what_was_there_when_it_began(flight: Flight)
 
 @pytest.mark.parametrize("end", ["nothing", "disable", "reset", "leave"])
 def test_enable_whose_first_stage_is_with_the_servo_is_taken_back(
-    rig: DeskRig, worker: StubWorker, end: str
+    rig: CommandServerRig, worker: StubWorker, end: str
 ) -> None:
     rig.ask(cmd="guard", policy="clamp")
     worker.script = staged
@@ -479,7 +487,7 @@ def test_enable_whose_first_stage_is_with_the_servo_is_taken_back(
     assert rig.view.mailbox is not None
     assert rig.view.mailbox.backlog == 2  # the terms, and the first stage
     if end == "leave":
-        rig.desk.leave(b"a")
+        rig.server.leave(b"a")
     elif end != "nothing":
         rig.send(packed(cmd=end), client=b"b")
     rig.servo.deaf = False
@@ -489,7 +497,7 @@ def test_enable_whose_first_stage_is_with_the_servo_is_taken_back(
 
 
 def test_what_was_scheduled_in_one_batch_with_a_measuring_lease_does_not_outlive_it(
-    rig: DeskRig, worker: StubWorker
+    rig: CommandServerRig, worker: StubWorker
 ) -> None:
     rig.ask(cmd="guard", policy="refuse")
     rig.run(1)

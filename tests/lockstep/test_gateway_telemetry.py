@@ -13,7 +13,7 @@ import msgpack
 import numpy as np
 import pytest
 from support.attacks.stand import Stand
-from support.gateway_rig import START_NS, UNIX_NS, DeskRig
+from support.gateway_rig import START_NS, UNIX_NS, CommandServerRig
 from support.gateway_stand_in import StandInServo
 
 from hapticd.client.blocks import BlockDecoder
@@ -34,13 +34,13 @@ from hapticd.protocol.telemetry import (
 from hapticd.protocol.view import RECORD_DTYPE
 
 
-class FeedRig(DeskRig):
-    """A desk rig with a publisher; `take` gives the payloads of a topic that are due."""
+class FeedRig(CommandServerRig):
+    """A command server rig with a publisher; `take` gives the payloads of a topic that are due."""
 
     def start_gateway(self) -> None:
         super().start_gateway()
         self.publisher = Publisher(
-            self.view, self.desk.actors, self.journal, self.setup, self.guard
+            self.view, self.server.actors, self.journal, self.setup, self.guard
         )
 
     def take(self, topic: str) -> list[bytes]:
@@ -68,7 +68,7 @@ def test_delay_that_is_told_is_steady_while_frames_of_three_are_lost(
         told = set()
         for _ in range(30):
             stand.fly(1)
-            told.add(state_map(stand.view, stand.desk.actors, stand.desk.leases, 0)["delay_us"])
+            told.add(state_map(stand.view, stand.server.actors, stand.server.leases, 0)["delay_us"])
     assert told == {delay_us}
 
 

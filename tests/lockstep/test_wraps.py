@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from support.boards import board_params
-from support.gateway_rig import DeskRig
+from support.gateway_rig import CommandServerRig
 from support.models import servo_params
 
 from hapticd.core.params import BoardParams, InjectionParams
@@ -151,7 +151,7 @@ def test_change_may_name_the_environment_that_is_in_force_over_its_wrap() -> Non
 
 def test_gateway_follows_the_revisions_over_their_wrap(tmp_path: Path) -> None:
     """It knows what is in force, tells the revision of the record, and takes `if_rev`."""
-    rig = DeskRig(tmp_path)
+    rig = CommandServerRig(tmp_path)
     rig.servo.revision = WORD - 4
     rig.servo.values[Value.ENVIRONMENT_REVISION] = float(WORD - 4)
     rig.run(1)

@@ -255,7 +255,7 @@ def test_device_at_its_stop_leaves_nothing_decided():
 
 def told(code):
     """What a daemon's status says of a fault, as far as a trial looks."""
-    return Status("fault", fault=code, cause=BY_CODE[code].cause)
+    return Status(state="fault", fault=code, cause=BY_CODE[code].cause)
 
 
 @pytest.mark.parametrize(

@@ -19,10 +19,19 @@ from support.daemon import until
 @pytest.mark.usefixtures("runtime")
 def test_a_verb_that_is_tied_ends_with_its_parent() -> None:
     """A parent that is killed says nothing to anybody; the verb is one that needs no daemon."""
-    tied = [sys.executable, "-m", "hapticd.console.recorder"]
+    tied = [
+        sys.executable,
+        "-m",
+        "hapticd",
+        "console",
+        "--instance",
+        "nobody",
+        "--json",
+        "--parent",
+    ]
     program = f"""
 import os, subprocess, time
-child = subprocess.Popen({tied!r} + [str(os.getpid()), "console", "--instance", "nobody", "--json"])
+child = subprocess.Popen({tied!r} + [str(os.getpid())])
 print(child.pid, flush=True)
 time.sleep(600)
 """

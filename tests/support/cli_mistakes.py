@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from hapticd.client import Client
 from hapticd.client.requests import accepted
-from support.gateway_rig import DeskRig
+from support.gateway_rig import CommandServerRig
 
 TEXTS = Path(__file__).with_name("data") / "cli_mistakes.txt"
 STATE = "== "
@@ -22,15 +22,15 @@ class Mistake(NamedTuple):
     line: int
 
 
-class DeskClient(Client):
-    """A client of a gateway's desk with a stand-in servo, without sockets."""
+class CommandServerClient(Client):
+    """A client of a gateway's command server with a stand-in servo, without sockets."""
 
-    def __init__(self, rig: DeskRig) -> None:
+    def __init__(self, rig: CommandServerRig) -> None:
         super().__init__(folder=rig.folder)
         self._rig = rig
 
     def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
-        """The desk's reply to a request."""
+        """The command server's reply to a request."""
         given = {name: value for name, value in fields.items() if value is not None}
         return accepted(self._rig.ask(cmd=cmd, **given))
 

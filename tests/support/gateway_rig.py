@@ -1,5 +1,5 @@
-"""Rigs for tests of gateway and client: the stand-in servo, virtual time, and either the desk
-alone or the whole gateway.
+"""Rigs for tests of gateway and client: the stand-in servo, virtual time, and either the command
+server alone or the whole gateway.
 """
 
 import threading
@@ -34,9 +34,9 @@ def packed(**fields: Any) -> bytes:
     return encode(Encoding.MSGPACK, fields)
 
 
-class DeskRig:
-    """A servo and a desk in front of it; no sockets. `ask` plays a client that waits for its
-    reply.
+class CommandServerRig:
+    """A servo and a command server in front of it; no sockets. `ask` plays a client that waits for
+    its reply.
     """
 
     def __init__(self, folder: Path, worker: Worker | None = None) -> None:
@@ -49,11 +49,11 @@ class DeskRig:
         self.run(2)
 
     def start_gateway(self, lease: LeaseParams | None = None) -> None:
-        """A desk that knows nothing yet, in place of any other."""
+        """A command server that knows nothing yet, in place of any other."""
         self.journal = Journal(lambda: UNIX_NS)
         self.view = ServoView(self.folder, self.setup.servo, lambda: UNIX_NS)
         self.guard = Guard(self.view, self.journal, self.setup.guard, self.worker)
-        self.desk = CommandServer(
+        self.server = CommandServer(
             self.view, self.journal, lambda cmd: {"asked": cmd}, self.guard, lease
         )
 
@@ -63,15 +63,15 @@ class DeskRig:
         return self.look()
 
     def look(self) -> list[list[bytes]]:
-        """Let the desk look at the servo without a tick."""
+        """Let the command server look at the servo without a tick."""
         self.view.refresh(self.clock.now_ns())
-        return self.desk.collect(self.clock.now_ns())
+        return self.server.collect(self.clock.now_ns())
 
     def send(self, *payloads: bytes, client: bytes = b"a") -> list[dict[str, Any]]:
         """Requests that come together; the replies given at once."""
         return [
             decoded(reply)
-            for reply in self.desk.serve(
+            for reply in self.server.serve(
                 [[client, payload] for payload in payloads], self.clock.now_ns()
             )
         ]

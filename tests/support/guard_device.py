@@ -6,7 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from hapticd.core.environment import Environment
-from hapticd.core.params import GuardParams, GuardSetup, ModelParams, OutputParams, from_plain
+from hapticd.core.params import (
+    EnvironmentLimits,
+    GuardParams,
+    GuardSetup,
+    ModelParams,
+    OutputParams,
+    from_plain,
+)
 from hapticd.guard.judge import Judge
 from hapticd.mailbox import files
 from hapticd.model.effects import (
@@ -99,13 +106,11 @@ def setup_of(model: ModelParams | None, ceiling: float = 10.0, **changes: Any) -
     plain: dict[str, Any] = {
         "guard": GuardParams(),
         "config_hash": "hash of the servo",
-        "rate_hz": 1000.0,
         "environment": Environment(),
         "active_damping_ns_per_m": 1.74,
         "active_damping_limit_ns_per_m": ceiling,
         "active_damping_count_ns_per_m": 10.0 / 65535,
-        "lowest": (-1e4, -1e2, -1e1),
-        "highest": (1e5, 1e3, 1e1),
+        "limits": EnvironmentLimits((-1e4, -1e2, -1e1), (1e5, 1e3, 1e1)),
         "model": model,
         "model_hash": "" if model is None else "hash of the model",
     }

@@ -1,5 +1,6 @@
 """K = 500 N/m, B = 2 N s/m in the hand that shakes them, active damping toggled twenty times: the
-desk of the gateway, the guard's judge, the servo, the board and the plant, on virtual time.
+command server of the gateway, the guard's judge, the servo, the board and the plant, on virtual
+time.
 """
 
 from functools import lru_cache
@@ -9,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.guard_attack import shipped_judge
-from benchmarks.guard_desk import GuardedStack
 from benchmarks.guard_flight import (
     GRIPPING,
     Balance,
@@ -18,6 +18,7 @@ from benchmarks.guard_flight import (
     rigid_board,
     striking,
 )
+from benchmarks.guarded_stack import GuardedStack
 from hapticd.run.lockstep import LockStep
 
 STIFFNESS = 500.0
@@ -44,21 +45,21 @@ def flight(policy: str, rendered: bool = True) -> Flight:
     asked = []
     with LockStep(plain_servo(), rigid_board(GRIPPING)) as stack:
         balance = Balance(stack, striking(STRIKES_S))
-        desk = GuardedStack(stack, shipped_judge().answer, policy)
+        guarded = GuardedStack(stack, shipped_judge().answer, policy)
         if rendered:
-            assert desk.ask(cmd="damping", value=1.74)["ok"]
-            desk.run(200)
-            assert desk.ask(cmd="set", K=STIFFNESS, B=DAMPING)["ok"]
-            desk.run(100)
-        assert desk.ask(cmd="enable")["ok"]
-        desk.run(400)
+            assert guarded.ask(cmd="damping", value=1.74)["ok"]
+            guarded.run(200)
+            assert guarded.ask(cmd="set", K=STIFFNESS, B=DAMPING)["ok"]
+            guarded.run(100)
+        assert guarded.ask(cmd="enable")["ok"]
+        guarded.run(400)
         for _ in range(TOGGLES if rendered else 0):
             wanted = random.choice(("on", "off"))
-            asked.append((wanted, desk.send(cmd="damping", value=wanted)))
-            desk.run(random.randrange(20, 300))
-        desk.run(300 if rendered else 4000)
-        replies = [(word, desk.replies[number], desk.ended(number)) for word, number in asked]
-        hands = [one for one in desk.events if one["kind"] == "guard"]
+            asked.append((wanted, guarded.send(cmd="damping", value=wanted)))
+            guarded.run(random.randrange(20, 300))
+        guarded.run(300 if rendered else 4000)
+        replies = [(word, guarded.replies[number], guarded.ended(number)) for word, number in asked]
+        hands = [one for one in guarded.events if one["kind"] == "guard"]
         return Flight(replies, balance, records(stack), hands)
 
 

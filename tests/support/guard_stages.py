@@ -25,7 +25,7 @@ STIFF = {"K": 500.0, "B": 2.0}  # passive with that damping, not without
 
 
 class Flight:
-    """A servo, its simulated board, and the gateway's desk with a judge behind it."""
+    """A servo, its simulated board, and the gateway's command server with a judge behind it."""
 
     def __init__(self) -> None:
         settings = load(None)
@@ -42,11 +42,11 @@ class Flight:
         self.fly(MOST_RECORDS + 20)  # before that a strict policy refuses every change
 
     def another_gateway(self) -> None:
-        """A desk that knows nothing yet, in place of any other."""
+        """A command server that knows nothing yet, in place of any other."""
         self.view = ServoView(Path(self.stack.mailbox.folder), self.params, lambda: UNIX_NS)
         self.journal = Journal(lambda: UNIX_NS)
         self.guard = Guard(self.view, self.journal, GuardParams(), self.worker)
-        self.desk = CommandServer(self.view, self.journal, lambda cmd: {}, self.guard)
+        self.server = CommandServer(self.view, self.journal, lambda cmd: {}, self.guard)
 
     def fly(self, ticks: int) -> Records:
         """Ticks, each with a pass of the gateway; their records."""
@@ -55,12 +55,12 @@ class Flight:
             flown.append(self.stack.run(1))
             now_ns = self.stack.clock.now_ns()
             self.view.refresh(now_ns)
-            self.replies += [decoded(reply) for reply in self.desk.collect(now_ns)]
+            self.replies += [decoded(reply) for reply in self.server.collect(now_ns)]
         return as_records(b"".join(flown))
 
     def ask(self, **fields: Any) -> dict[str, Any]:
         """One request and its reply."""
-        found = self.desk.serve([[b"a", packed(**fields)]], self.stack.clock.now_ns())
+        found = self.server.serve([[b"a", packed(**fields)]], self.stack.clock.now_ns())
         self.replies = [decoded(reply) for reply in found]
         while not self.replies:
             self.fly(1)
@@ -72,8 +72,8 @@ class Flight:
         return [one["result"] for one in self.journal.drain() if one["kind"] == "answer"]
 
 
-class DeskLine:
-    """The line of a `Client` to the desk of `flight`, where there are no sockets."""
+class ServerConnection:
+    """The line of a `Client` to the command server of `flight`, where there are no sockets."""
 
     def __init__(self, flight: Flight) -> None:
         self._flight = flight
@@ -86,11 +86,11 @@ class DeskLine:
         """There is nothing to close."""
 
 
-class AsyncDeskLine:
+class AsyncServerConnection:
     """The same for an `AsyncClient`."""
 
     def __init__(self, flight: Flight) -> None:
-        self._line = DeskLine(flight)
+        self._line = ServerConnection(flight)
 
     async def exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
         return self._line.exchange(cmd, fields, timeout_s)

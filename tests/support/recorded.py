@@ -151,7 +151,7 @@ class Source:
             "realtime": {"fifo": {"granted": True, "text": ""}},
             "board": {"serial": "SIM0001"},
         }
-        return Status("enabled", config_hash="c" * 64, winding_c=25.0, servo=report)
+        return Status(state="enabled", config_hash="c" * 64, winding_c=25.0, servo=report)
 
     def messages(
         self, topics: Sequence[str], look_s: float = 0.05

@@ -49,7 +49,7 @@ class ScriptedProcess:
 class Stage:
     """A supervisor with a script: `at(seconds, action)` runs actions in virtual time."""
 
-    def __init__(self, folder: Path, console: str = "") -> None:
+    def __init__(self, folder: Path, console: bool = False) -> None:
         self.clock = VirtualClock(NS_PER_S)
         self.events: list[tuple[float, ProcessEvent]] = []
         self.processes: dict[str, list[ScriptedProcess]] = {
@@ -103,7 +103,7 @@ class Stage:
         self.events.append((self.seconds, event))
 
     def _start(self, command: Sequence[str], ready: int) -> ScriptedProcess:
-        name = command[0].rsplit(".", 1)[1]
+        name = "page" if command[0] == "hapticd" else command[0].rsplit(".", 1)[1]
         process = ScriptedProcess(100 + len(self.processes[name]), self.stubborn)
         self.processes[name].append(process)
         assert name == "page" or all(Path(argument).exists() for argument in command[1:])
@@ -142,7 +142,7 @@ def test_start_and_end_in_order(stage: Stage, folder: Path) -> None:
 
 @pytest.fixture
 def with_page(folder: Path) -> Stage:
-    return Stage(folder, "the.page")
+    return Stage(folder, console=True)
 
 
 def test_page_is_started_when_the_daemon_serves_and_ended_last(

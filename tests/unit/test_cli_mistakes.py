@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from support import cli_mistakes
-from support.cli_mistakes import DeskClient, Mistake, answer_lines, mistakes, noted
-from support.gateway_rig import DeskRig
+from support.cli_mistakes import CommandServerClient, Mistake, answer_lines, mistakes, noted
+from support.gateway_rig import CommandServerRig
 
 from hapticd.cli import change, daemon, guard, lease, recording
 from hapticd.cli.app import main
@@ -36,7 +36,7 @@ def answer(
 
     def ask(state: str, words: str) -> tuple[int, dict[str, Any]]:
         if state in WAY_TO:
-            connect_to_desk(state, runtime / "desk", monkeypatch)
+            connect_to_command_server(state, runtime / "server", monkeypatch)
         typed = shlex.split(words)
         code = fast_stop_or_main(typed)
         error = json.loads(capsys.readouterr().out)["error"]
@@ -53,13 +53,15 @@ def fast_stop_or_main(typed: list[str]) -> int:
     return main([*typed, "--json"])
 
 
-def connect_to_desk(state: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def connect_to_command_server(state: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder.mkdir(mode=0o700)
-    rig = DeskRig(folder)
+    rig = CommandServerRig(folder)
     for cmd in WAY_TO[state]:
         rig.ask(cmd=cmd)
     for module in (change, daemon, guard, lease, recording):
-        monkeypatch.setattr(module, "connect", lambda instance, timeout_s=2.0: DeskClient(rig))
+        monkeypatch.setattr(
+            module, "connect", lambda instance, timeout_s=2.0: CommandServerClient(rig)
+        )
 
 
 def files(folder: Path) -> None:
@@ -129,7 +131,7 @@ def test_programs_have_value_unit_limit_and_remedy_as_fields(words: str, answer:
 
 @pytest.mark.parametrize("words", ["damping ON", "damping Off", "guard WARN"])
 def test_words_may_be_written_in_any_case(words: str, runtime: Path, monkeypatch: Any) -> None:
-    connect_to_desk("disabled", runtime / "desk", monkeypatch)
+    connect_to_command_server("disabled", runtime / "server", monkeypatch)
     assert main(words.split()) == 0
 
 

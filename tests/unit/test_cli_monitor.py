@@ -167,7 +167,7 @@ class StreamDouble:
     def status(self) -> Status:
         refused = {"granted": False, "text": "refused: no; LimitRTPRIO=80"}
         granted = {"granted": True, "text": "granted"}
-        return Status("disabled", servo={"realtime": {"core": granted, "fifo": refused}})
+        return Status(state="disabled", servo={"realtime": {"core": granted, "fifo": refused}})
 
     def call(self, cmd: str, **_fields: Any) -> dict[str, Any]:
         raise AssertionError(f"{cmd}: a key waits while the daemon is asked")

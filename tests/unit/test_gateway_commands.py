@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.gateway_rig import DeskRig
+from support.gateway_rig import CommandServerRig
 from support.gateway_stand_in import NEXT_STATE
 
 from hapticd.core.errors import CommandError
@@ -30,17 +30,17 @@ TABLED = (
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> DeskRig:
-    return DeskRig(tmp_path)
+def rig(tmp_path: Path) -> CommandServerRig:
+    return CommandServerRig(tmp_path)
 
 
-def situation(rig: DeskRig, settled: bool = True, samples: int = 0) -> commands.Situation:
+def situation(rig: CommandServerRig, settled: bool = True, samples: int = 0) -> commands.Situation:
     return commands.Situation(
-        rig.desk.limits, rig.view, settled, samples, rig.desk.leases, rig.desk.actors
+        rig.server.limits, rig.view, settled, samples, rig.server.leases, rig.server.actors
     )
 
 
-def test_order_is_schema_state_lease(rig: DeskRig) -> None:
+def test_order_is_schema_state_lease(rig: CommandServerRig) -> None:
     rig.ask(cmd="lease", what="environment", action="take")
     rig.ask(cmd="stop")
 
@@ -73,31 +73,31 @@ def test_actor_of_the_stop_page_is_the_servos() -> None:
     assert RESERVED[ACTOR_STOP_WORD] == "stop word"
 
 
-def test_what_nobody_holds_is_not_forbidden(rig: DeskRig) -> None:
-    request = commands.parse({"cmd": "enable"}, rig.desk.limits)
-    assert commands.forbidden(request, OTHER, rig.desk.leases) is None
+def test_what_nobody_holds_is_not_forbidden(rig: CommandServerRig) -> None:
+    request = commands.parse({"cmd": "enable"}, rig.server.limits)
+    assert commands.forbidden(request, OTHER, rig.server.leases) is None
 
 
-def test_first_objection_is_the_answer(rig: DeskRig) -> None:
+def test_first_objection_is_the_answer(rig: CommandServerRig) -> None:
     rig.ask(cmd="stop")
     with pytest.raises(CommandError) as caught:
         commands.admit({"cmd": "enable", "force": 1}, 16, situation(rig))
     assert caught.value.code == "invalid"
 
 
-def test_unsettled_state_is_left_to_the_servo(rig: DeskRig) -> None:
+def test_unsettled_state_is_left_to_the_servo(rig: CommandServerRig) -> None:
     rig.ask(cmd="stop")
     assert commands.admit({"cmd": "enable"}, 16, situation(rig, settled=False)).cmd == "enable"
 
 
-def test_start_without_waveform_is_refused(rig: DeskRig) -> None:
+def test_start_without_waveform_is_refused(rig: CommandServerRig) -> None:
     with pytest.raises(
         CommandError, match=r"perturb start: no waveform is loaded; .*`hapticd perturb load FILE`"
     ):
         commands.admit({"cmd": "perturb", "action": "start"}, 16, situation(rig))
 
 
-def test_start_at_a_rate_at_which_samples_are_lost_is_refused(rig: DeskRig) -> None:
+def test_start_at_a_rate_at_which_samples_are_lost_is_refused(rig: CommandServerRig) -> None:
     rig.ask(cmd="enable")
     request = {"cmd": "perturb", "action": "start"}
     assert commands.admit(request, 16, situation(rig, samples=100)).cmd == "perturb"

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.gateway_rig import DeskRig, packed
+from support.gateway_rig import CommandServerRig, packed
 from support.gateway_stand_in import StandInServo
 from support.guard_stub import StubWorker, stage, verdict
 
@@ -48,11 +48,11 @@ FREE = ({"cmd": "disable"}, {"cmd": "stop"}, {"cmd": "get"}, {"cmd": "status"}, 
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> DeskRig:
-    return DeskRig(tmp_path)
+def rig(tmp_path: Path) -> CommandServerRig:
+    return CommandServerRig(tmp_path)
 
 
-def take(rig: DeskRig, client: bytes, what: str, **fields: Any) -> dict[str, Any]:
+def take(rig: CommandServerRig, client: bytes, what: str, **fields: Any) -> dict[str, Any]:
     """The result of a lease that is granted."""
     reply = rig.ask(client, cmd="lease", what=what, **fields)
     assert reply["ok"], reply
@@ -61,18 +61,18 @@ def take(rig: DeskRig, client: bytes, what: str, **fields: Any) -> dict[str, Any
     return result
 
 
-def idle(rig: DeskRig, seconds: float) -> None:
+def idle(rig: CommandServerRig, seconds: float) -> None:
     """Time goes on and nobody asks for anything."""
     for _ in range(round(100 * seconds)):
         rig.run(10)
 
 
-def put(rig: DeskRig, place: Value) -> float:
+def put(rig: CommandServerRig, place: Value) -> float:
     """A value as the servo has it."""
     return float(rig.servo.values[place])
 
 
-def events(rig: DeskRig, kind: str = "lease") -> list[dict[str, Any]]:
+def events(rig: CommandServerRig, kind: str = "lease") -> list[dict[str, Any]]:
     return [event for event in rig.journal.drain() if event["kind"] == kind]
 
 
@@ -82,7 +82,7 @@ def events(rig: DeskRig, kind: str = "lease") -> list[dict[str, Any]]:
 @pytest.mark.parametrize(("part", "change"), EVERYTHING, ids=str)
 @pytest.mark.parametrize("what", ["environment", "active_damping", "perturbation", "measuring"])
 def test_holder_excludes_others_from_what_it_holds_and_from_nothing_else(
-    rig: DeskRig, what: str, part: str, change: dict[str, Any]
+    rig: CommandServerRig, what: str, part: str, change: dict[str, Any]
 ) -> None:
     take(rig, A, what)
     rig.run(3)
@@ -99,17 +99,17 @@ def test_holder_excludes_others_from_what_it_holds_and_from_nothing_else(
 
 @pytest.mark.parametrize(("part", "change"), EVERYTHING, ids=str)
 def test_anyone_may_while_nobody_holds_it_and_leaves_no_lease(
-    rig: DeskRig, part: str, change: dict[str, Any]
+    rig: CommandServerRig, part: str, change: dict[str, Any]
 ) -> None:
     assert rig.ask(A, **change)["ok"]
-    assert rig.desk.leases.holder(part) is None
+    assert rig.server.leases.holder(part) is None
     assert rig.ask(B, **change).get("error", {}).get("code") != "leased"
 
 
 @pytest.mark.parametrize("what", ["environment", "measuring"])
 @pytest.mark.parametrize("request_", FREE, ids=str)
 def test_stop_disable_reset_and_questions_are_taken_from_anyone(
-    rig: DeskRig, what: str, request_: dict[str, Any]
+    rig: CommandServerRig, what: str, request_: dict[str, Any]
 ) -> None:
     take(rig, A, what)
     rig.ask(A, cmd="enable" if request_["cmd"] != "reset" else "stop")
@@ -118,7 +118,7 @@ def test_stop_disable_reset_and_questions_are_taken_from_anyone(
     assert rig.servo.state == expected.get(request_["cmd"], State.ENABLED)
 
 
-def test_refusal_names_holder_time_left_and_remedy(rig: DeskRig) -> None:
+def test_refusal_names_holder_time_left_and_remedy(rig: CommandServerRig) -> None:
     rig.ask(A, cmd="hello", name="trial")
     actor = take(rig, A, "environment", ttl_s=2.5)["actor"]
     idle(rig, 0.5)
@@ -129,7 +129,7 @@ def test_refusal_names_holder_time_left_and_remedy(rig: DeskRig) -> None:
     )
 
 
-def test_two_clients_of_one_name_are_two(rig: DeskRig) -> None:
+def test_two_clients_of_one_name_are_two(rig: CommandServerRig) -> None:
     for client in (A, B):
         rig.ask(client, cmd="hello", name="panel")
     take(rig, A, "active_damping")
@@ -142,15 +142,15 @@ def test_two_clients_of_one_name_are_two(rig: DeskRig) -> None:
     assert rig.ask(A, cmd="damping", value="on")["ok"]
 
 
-def test_measuring_is_refused_while_another_holds_a_part_of_it(rig: DeskRig) -> None:
+def test_measuring_is_refused_while_another_holds_a_part_of_it(rig: CommandServerRig) -> None:
     take(rig, A, "perturbation")
     assert "holds the lease of perturbation" in str(rig.ask(B, cmd="lease", what="measuring"))
-    assert not rig.desk.leases.measuring
+    assert not rig.server.leases.measuring
     rig.run(3)
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 1.0
 
 
-def test_holder_of_a_part_may_take_more(rig: DeskRig) -> None:
+def test_holder_of_a_part_may_take_more(rig: CommandServerRig) -> None:
     take(rig, A, "environment")
     take(rig, A, "measuring")
     assert rig.ask(A, cmd="lease", what="measuring", action="release")["result"]["released"]
@@ -162,9 +162,9 @@ def test_holder_of_a_part_may_take_more(rig: DeskRig) -> None:
 @pytest.mark.parametrize(
     "ttl_s", [0, 0.0, -1.0, 0.19, 60.1, 1e9, float("nan"), float("inf"), "5", True, None]
 )
-def test_time_to_live_that_is_none_is_refused(rig: DeskRig, ttl_s: object) -> None:
+def test_time_to_live_that_is_none_is_refused(rig: CommandServerRig, ttl_s: object) -> None:
     assert rig.ask(A, cmd="lease", what="active_damping", ttl_s=ttl_s)["error"]["code"] == "invalid"
-    assert rig.desk.leases.holders == ()
+    assert rig.server.leases.holders == ()
 
 
 @pytest.mark.parametrize(
@@ -177,13 +177,13 @@ def test_time_to_live_that_is_none_is_refused(rig: DeskRig, ttl_s: object) -> No
         {"what": "active_damping", "at_end": "explode"},
     ],
 )
-def test_lease_of_nothing_known_is_refused(rig: DeskRig, fields: dict[str, Any]) -> None:
+def test_lease_of_nothing_known_is_refused(rig: CommandServerRig, fields: dict[str, Any]) -> None:
     assert rig.ask(A, cmd="lease", **fields)["error"]["code"] == "invalid"
-    assert rig.desk.leases.holders == ()
+    assert rig.server.leases.holders == ()
 
 
 @pytest.mark.parametrize("action", ["renew", "release"])
-def test_nobodys_lease_is_neither_renewed_nor_released(rig: DeskRig, action: str) -> None:
+def test_nobodys_lease_is_neither_renewed_nor_released(rig: CommandServerRig, action: str) -> None:
     reply = rig.ask(A, cmd="lease", what="environment", action=action)
     assert "no client holds the lease of environment" in reply["error"]["message"]
 
@@ -191,26 +191,26 @@ def test_nobodys_lease_is_neither_renewed_nor_released(rig: DeskRig, action: str
 # --- how long -------------------------------------------------------------------------------------
 
 
-def test_silence_ends_a_lease_and_any_request_renews_it(rig: DeskRig) -> None:
+def test_silence_ends_a_lease_and_any_request_renews_it(rig: CommandServerRig) -> None:
     take(rig, A, "environment", ttl_s=1.0)
     for _ in range(5):
         idle(rig, 0.9)
         rig.ask(A, cmd="get")
     idle(rig, 0.95)
-    assert rig.desk.leases.holder("environment")
+    assert rig.server.leases.holder("environment")
     idle(rig, 0.1)
-    assert rig.desk.leases.holder("environment") is None
+    assert rig.server.leases.holder("environment") is None
 
 
-def test_requests_of_others_renew_nothing(rig: DeskRig) -> None:
+def test_requests_of_others_renew_nothing(rig: CommandServerRig) -> None:
     take(rig, A, "environment", ttl_s=1.0)
     for _ in range(3):
         idle(rig, 0.5)
         rig.ask(B, cmd="lease", what="environment")
-    assert rig.desk.leases.holders == (("environment", rig.desk.actors.number(B)),)
+    assert rig.server.leases.holders == (("environment", rig.server.actors.number(B)),)
 
 
-def test_lost_lease_is_not_renewed_and_says_why(rig: DeskRig) -> None:
+def test_lost_lease_is_not_renewed_and_says_why(rig: CommandServerRig) -> None:
     take(rig, A, "environment", ttl_s=1.0)
     idle(rig, 1.1)
     for request in (
@@ -231,7 +231,7 @@ def test_follow_does_not_change_an_environment_that_another_has_leased(tmp_path:
     stages = [stage({"K": 10.0}), stage({"active_damping": 0.0}, after_ramps=True)]
     followed = {"action": "stage", "stages": stages, "verdict": verdict(False)}
     worker = StubWorker()
-    rig = DeskRig(tmp_path, worker)
+    rig = CommandServerRig(tmp_path, worker)
     rig.run(MOST_RECORDS)
     assert rig.ask(B, cmd="guard", policy="follow")["ok"]
     assert rig.ask(B, cmd="set", K=100, active_damping=1.5)["ok"]
@@ -245,30 +245,30 @@ def test_follow_does_not_change_an_environment_that_another_has_leased(tmp_path:
     assert rig.servo.values[Value.ACTIVE_DAMPING_ON] == 1
 
 
-def test_lost_lease_can_be_taken_again(rig: DeskRig) -> None:
+def test_lost_lease_can_be_taken_again(rig: CommandServerRig) -> None:
     take(rig, A, "environment", ttl_s=1.0)
     idle(rig, 1.1)
     take(rig, A, "environment")
     assert rig.ask(A, cmd="set", K=3)["ok"]
 
 
-def test_end_of_the_connection_ends_a_lease_at_once(rig: DeskRig) -> None:
+def test_end_of_the_connection_ends_a_lease_at_once(rig: CommandServerRig) -> None:
     take(rig, A, "environment", ttl_s=60.0)
-    rig.desk.leave(A)
+    rig.server.leave(A)
     assert rig.ask(B, cmd="set", K=2)["ok"]
-    assert rig.desk.leases.holders == ()
+    assert rig.server.leases.holders == ()
 
 
-def test_what_a_dead_client_had_asked_takes_no_lease(rig: DeskRig) -> None:
+def test_what_a_dead_client_had_asked_takes_no_lease(rig: CommandServerRig) -> None:
     rig.ask(A, cmd="get")
-    rig.desk.serve(
+    rig.server.serve(
         [[A, packed(cmd="get")], [A, packed(cmd="lease", what="environment")]],
         rig.clock.now_ns(),
         in_time=lambda: False,
     )
-    rig.desk.leave(A)
-    rig.desk.serve([], rig.clock.now_ns())
-    assert rig.desk.leases.holders == ()
+    rig.server.leave(A)
+    rig.server.serve([], rig.clock.now_ns())
+    assert rig.server.leases.holders == ()
 
 
 def test_time_in_which_the_gateway_heard_nobody_does_not_count() -> None:
@@ -284,16 +284,16 @@ def test_time_in_which_the_gateway_heard_nobody_does_not_count() -> None:
     assert leases.shown()["active_damping"]["left_s"] == 1.5
 
 
-def test_clients_that_come_and_go_push_no_holder_out(rig: DeskRig) -> None:
+def test_clients_that_come_and_go_push_no_holder_out(rig: CommandServerRig) -> None:
     take(rig, A, "environment", ttl_s=60.0)
     for number in range(300):
         client = f"c{number}".encode()
         assert rig.ask(client, cmd="set", K=1)["error"]["code"] == "leased"
-        rig.desk.leave(client)
+        rig.server.leave(client)
     assert rig.ask(A, cmd="set", K=1)["ok"]
 
 
-def test_flood_of_takes_changes_nothing_and_keeps_no_stop_waiting(rig: DeskRig) -> None:
+def test_flood_of_takes_changes_nothing_and_keeps_no_stop_waiting(rig: CommandServerRig) -> None:
     take(rig, A, "measuring")
     rig.run(3)
     before = len(rig.servo.taken)
@@ -308,7 +308,7 @@ def test_flood_of_takes_changes_nothing_and_keeps_no_stop_waiting(rig: DeskRig) 
 # --- taking over ----------------------------------------------------------------------------------
 
 
-def test_take_over_moves_nothing_and_refuses_the_former_holder(rig: DeskRig) -> None:
+def test_take_over_moves_nothing_and_refuses_the_former_holder(rig: CommandServerRig) -> None:
     take(rig, A, "environment", at_end="disable")
     rig.ask(A, cmd="set", K=120)
     rig.ask(A, cmd="enable")
@@ -317,17 +317,17 @@ def test_take_over_moves_nothing_and_refuses_the_former_holder(rig: DeskRig) -> 
     take(rig, B, "environment", take_over=True)
     rig.run(5)
     assert (rig.servo.state, put(rig, Value.STIFFNESS)) == (State.ENABLED, 120.0)
-    actor = rig.desk.actors.number(B)
+    actor = rig.server.actors.number(B)
     message = rig.ask(A, cmd="set", K=3)["error"]["message"]
     assert f"was taken over by operator (actor {actor})" in message
     assert [(event["change"], event["actor"]) for event in events(rig)] == [
-        ("taken over", rig.desk.actors.number(A)),
+        ("taken over", rig.server.actors.number(A)),
         ("taken", actor),
     ]
     assert rig.ask(B, cmd="set", K=3)["ok"]
 
 
-def test_former_holder_is_refused_though_nobody_holds_it_now(rig: DeskRig) -> None:
+def test_former_holder_is_refused_though_nobody_holds_it_now(rig: CommandServerRig) -> None:
     take(rig, A, "environment")
     take(rig, B, "environment", take_over=True)
     rig.ask(B, cmd="lease", what="environment", action="release")
@@ -336,7 +336,7 @@ def test_former_holder_is_refused_though_nobody_holds_it_now(rig: DeskRig) -> No
     assert rig.ask(b"c", cmd="set", K=3)["ok"]
 
 
-def test_take_over_of_a_part_ends_the_whole_of_measuring(rig: DeskRig) -> None:
+def test_take_over_of_a_part_ends_the_whole_of_measuring(rig: CommandServerRig) -> None:
     take(rig, A, "measuring")
     rig.run(3)
     take(rig, B, "active_damping", take_over=True)
@@ -346,7 +346,7 @@ def test_take_over_of_a_part_ends_the_whole_of_measuring(rig: DeskRig) -> None:
     assert rig.ask(b"c", cmd="set", K=3)["ok"]
 
 
-def test_what_was_scheduled_by_the_former_holder_is_cancelled(rig: DeskRig) -> None:
+def test_what_was_scheduled_by_the_former_holder_is_cancelled(rig: CommandServerRig) -> None:
     take(rig, A, "environment")
     at_tick = rig.view.tick + 100
     assert rig.ask(A, cmd="set", K=300, at_tick=at_tick, id=9)["receipt"]["result"] == "scheduled"
@@ -364,7 +364,7 @@ def test_what_was_scheduled_by_the_former_holder_is_cancelled(rig: DeskRig) -> N
     ]
 
 
-def test_what_anyone_scheduled_before_a_lease_is_cancelled_by_it(rig: DeskRig) -> None:
+def test_what_anyone_scheduled_before_a_lease_is_cancelled_by_it(rig: CommandServerRig) -> None:
     rig.ask(B, cmd="set", K=300, at_tick=rig.view.tick + 100)
     rig.ask(A, cmd="set", B=1, at_tick=rig.view.tick + 100)
     take(rig, A, "environment")
@@ -375,7 +375,7 @@ def test_what_anyone_scheduled_before_a_lease_is_cancelled_by_it(rig: DeskRig) -
 # --- what becomes of the display ------------------------------------------------------------------
 
 
-def rendering(rig: DeskRig, what: str, at_end: str) -> None:
+def rendering(rig: CommandServerRig, what: str, at_end: str) -> None:
     """A holds `what` and renders under force with damping."""
     take(rig, A, what, at_end=at_end, ttl_s=1.0)
     wall = {"side": 1, "stiffness_n_per_m": 900.0}
@@ -387,11 +387,11 @@ def rendering(rig: DeskRig, what: str, at_end: str) -> None:
 @pytest.mark.parametrize("what", ["environment", "active_damping", "perturbation", "measuring"])
 @pytest.mark.parametrize("at_end", ["hold", "zero", "disable"])
 def test_holder_that_fails_leaves_what_its_lease_says_and_damping(
-    rig: DeskRig, what: str, at_end: str, dies: bool
+    rig: CommandServerRig, what: str, at_end: str, dies: bool
 ) -> None:
     rendering(rig, what, at_end)
     if dies:
-        rig.desk.leave(A)
+        rig.server.leave(A)
     idle(rig, 1.2)
     places = (Value.STIFFNESS, Value.VIRTUAL_DAMPING, Value.MASS, Value.WALL_STIFFNESS)
     zero = at_end == "zero" and what in ("environment", "measuring")
@@ -403,17 +403,17 @@ def test_holder_that_fails_leaves_what_its_lease_says_and_damping(
 
 
 @pytest.mark.parametrize("what", ["active_damping", "perturbation"])
-def test_holder_that_fails_leaves_what_another_holds(rig: DeskRig, what: str) -> None:
+def test_holder_that_fails_leaves_what_another_holds(rig: CommandServerRig, what: str) -> None:
     rendering(rig, "environment", "zero")
     take(rig, B, what, at_end="zero")
-    rig.desk.leave(B)
+    rig.server.leave(B)
     idle(rig, 0.1)
     assert put(rig, Value.STIFFNESS) == 300.0
     assert rig.ask(A, cmd="set", K=5)["ok"]
 
 
 @pytest.mark.parametrize("at_end", ["hold", "zero", "disable"])
-def test_release_and_take_over_move_nothing(rig: DeskRig, at_end: str) -> None:
+def test_release_and_take_over_move_nothing(rig: CommandServerRig, at_end: str) -> None:
     rendering(rig, "environment", at_end)
     rig.ask(A, cmd="lease", what="environment", action="release")
     rig.run(10)
@@ -421,34 +421,36 @@ def test_release_and_take_over_move_nothing(rig: DeskRig, at_end: str) -> None:
 
 
 def test_left_out_is_as_configured(tmp_path: Path) -> None:
-    rig = DeskRig(tmp_path)
+    rig = CommandServerRig(tmp_path)
     assert {take(rig, A, "environment")[name] for name in ("ttl_s", "at_end")} == {
         LeaseParams().ttl_s,
         LeaseParams().at_end,
     }
 
 
-def test_what_a_dead_holder_had_scheduled_does_not_come(rig: DeskRig) -> None:
+def test_what_a_dead_holder_had_scheduled_does_not_come(rig: CommandServerRig) -> None:
     rendering(rig, "environment", "zero")
     rig.ask(A, cmd="set", K=500, at_tick=rig.view.tick + 50)
-    rig.desk.leave(A)
+    rig.server.leave(A)
     idle(rig, 0.2)
     assert put(rig, Value.STIFFNESS) == 0.0
 
 
-def test_request_of_a_dead_holder_that_still_waits_is_dropped(rig: DeskRig) -> None:
+def test_request_of_a_dead_holder_that_still_waits_is_dropped(rig: CommandServerRig) -> None:
     rendering(rig, "environment", "zero")
     waiting = [[A, packed(cmd="get")], [A, packed(cmd="set", K=500)]]
-    rig.desk.serve(waiting, rig.clock.now_ns(), in_time=lambda: False)
-    rig.desk.leave(A)
-    assert rig.desk.serve([], rig.clock.now_ns()) == []
+    rig.server.serve(waiting, rig.clock.now_ns(), in_time=lambda: False)
+    rig.server.leave(A)
+    assert rig.server.serve([], rig.clock.now_ns()) == []
     idle(rig, 0.2)
     assert put(rig, Value.STIFFNESS) == 0.0
 
 
 @pytest.mark.parametrize("what", ["perturbation", "measuring"])
 @pytest.mark.parametrize("how", ["dies", "silent", "released", "taken over"])
-def test_perturbation_ends_with_the_lease_that_covers_it(rig: DeskRig, what: str, how: str) -> None:
+def test_perturbation_ends_with_the_lease_that_covers_it(
+    rig: CommandServerRig, what: str, how: str
+) -> None:
     rendering(rig, what, "hold")
     rig.ask(A, cmd="perturb", action="load", samples_n=WAVE)
     rig.ask(A, cmd="perturb", action="start", loop=True)
@@ -459,9 +461,9 @@ def test_perturbation_ends_with_the_lease_that_covers_it(rig: DeskRig, what: str
     assert rig.servo.state is State.ENABLED
 
 
-def end(rig: DeskRig, what: str, how: str) -> None:
+def end(rig: CommandServerRig, what: str, how: str) -> None:
     if how == "dies":
-        rig.desk.leave(A)
+        rig.server.leave(A)
     elif how == "released":
         rig.ask(A, cmd="lease", what=what, action="release")
     elif how == "taken over":
@@ -472,23 +474,25 @@ def end(rig: DeskRig, what: str, how: str) -> None:
 # --- measuring, and what the records say ----------------------------------------------------------
 
 
-def test_faults_are_off_while_measuring_and_before_the_next_command(rig: DeskRig) -> None:
+def test_faults_are_off_while_measuring_and_before_the_next_command(rig: CommandServerRig) -> None:
     rig.send(packed(cmd="lease", what="measuring"), packed(cmd="enable"), client=A)
     rig.run(1)
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 0.0
-    assert rig.desk.leases.measuring
+    assert rig.server.leases.measuring
     rig.run(1)
     assert [kind for kind, _ in rig.servo.taken] == [Command.CANCEL, Command.SET, Command.ENABLE]
 
 
-def test_faults_that_are_on_again_after_a_stop_are_off_while_measuring(rig: DeskRig) -> None:
+def test_faults_that_are_on_again_after_a_stop_are_off_while_measuring(
+    rig: CommandServerRig,
+) -> None:
     """The servo has them on again whenever force goes off; the lease stays over a stop."""
     take(rig, A, "measuring", ttl_s=60.0)
     rig.ask(A, cmd="enable")
     rig.ask(B, cmd="stop")
     rig.ask(B, cmd="reset")
     rig.run(5)
-    assert rig.desk.leases.measuring
+    assert rig.server.leases.measuring
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 0.0
     rig.ask(A, cmd="lease", what="measuring", action="release")
     rig.run(5)
@@ -496,7 +500,9 @@ def test_faults_that_are_on_again_after_a_stop_are_off_while_measuring(rig: Desk
 
 
 @pytest.mark.parametrize("how", ["dies", "silent", "released", "taken over"])
-def test_nothing_is_judged_while_measuring_and_again_behind_it(rig: DeskRig, how: str) -> None:
+def test_nothing_is_judged_while_measuring_and_again_behind_it(
+    rig: CommandServerRig, how: str
+) -> None:
     assert rig.ask(B, cmd="guard", policy="refuse")["result"]["policy"] == "refuse"
     assert rig.ask(A, cmd="set", K=100)["error"]["code"] == "guard"
     rendering(rig, "measuring", "hold")
@@ -508,7 +514,7 @@ def test_nothing_is_judged_while_measuring_and_again_behind_it(rig: DeskRig, how
     assert rig.ask(b"c", cmd="set", K=100).get("error", {}).get("code") == "guard"
 
 
-def test_records_name_the_holders(rig: DeskRig) -> None:
+def test_records_name_the_holders(rig: CommandServerRig) -> None:
     def shown() -> tuple[int, int]:
         return rig.view.record["lease_control"], rig.view.record["lease_active_damping"]
 
@@ -522,7 +528,7 @@ def test_records_name_the_holders(rig: DeskRig) -> None:
     assert shown() == (0, b)
 
 
-def test_servo_is_told_once(rig: DeskRig) -> None:
+def test_servo_is_told_once(rig: CommandServerRig) -> None:
     take(rig, A, "measuring")
     rig.run(3)
     before = len(rig.servo.taken)
@@ -530,7 +536,7 @@ def test_servo_is_told_once(rig: DeskRig) -> None:
     assert len(rig.servo.taken) == before
 
 
-def test_new_servo_is_told_who_holds_what(rig: DeskRig) -> None:
+def test_new_servo_is_told_who_holds_what(rig: CommandServerRig) -> None:
     actor = take(rig, A, "measuring", ttl_s=60.0)["actor"]
     rig.servo.mailbox.close()
     rig.servo = StandInServo(rig.folder, rig.clock)
@@ -542,26 +548,26 @@ def test_new_servo_is_told_who_holds_what(rig: DeskRig) -> None:
 
 @pytest.mark.parametrize("at_end", ["zero", "disable"])
 def test_what_is_due_at_the_end_of_a_lease_is_not_posted_to_the_next_servo(
-    rig: DeskRig, at_end: str
+    rig: CommandServerRig, at_end: str
 ) -> None:
     rendering(rig, "environment", at_end)
     rig.servo.mailbox.close()
     rig.pass_time(500)
-    rig.desk.leave(A)  # nobody is there to be told
+    rig.server.leave(A)  # nobody is there to be told
     rig.look()
     rig.servo = StandInServo(rig.folder, rig.clock)
     idle(rig, 0.5)
     assert rig.servo.taken == []
 
 
-def test_transition_waits_for_room_in_the_ring(rig: DeskRig) -> None:
+def test_transition_waits_for_room_in_the_ring(rig: CommandServerRig) -> None:
     rendering(rig, "environment", "disable")
     rig.servo.deaf = True
     while rig.view.mailbox and rig.view.mailbox.post(
         Command.DAMPING, 1, 0, layout.values_of({Value.ACTIVE_DAMPING_ON: 1.0})
     ):
         pass
-    rig.desk.leave(A)
+    rig.server.leave(A)
     rig.look()
     rig.servo.deaf = False
     idle(rig, 1.0)
@@ -571,7 +577,7 @@ def test_transition_waits_for_room_in_the_ring(rig: DeskRig) -> None:
 @pytest.mark.parametrize("at_end", ["hold", "zero", "disable"])
 def test_leases_of_a_gateway_that_died_end_as_configured(tmp_path: Path, at_end: str) -> None:
     """Its connections died with it; that of a lease it does not know how to end."""
-    rig = DeskRig(tmp_path)
+    rig = CommandServerRig(tmp_path)
     rendering(rig, "measuring", "hold")
     rig.ask(A, cmd="perturb", action="load", samples_n=WAVE)
     rig.ask(A, cmd="perturb", action="start", loop=True)
@@ -589,7 +595,7 @@ def test_leases_of_a_gateway_that_died_end_as_configured(tmp_path: Path, at_end:
 
 @pytest.mark.parametrize(("what", "zeroed"), [("environment", True), ("active_damping", False)])
 def test_gateway_before_is_known_by_what_its_clients_held(
-    rig: DeskRig, what: str, zeroed: bool
+    rig: CommandServerRig, what: str, zeroed: bool
 ) -> None:
     rendering(rig, what, "hold")
     rig.ask(A, cmd="perturb", action="load", samples_n=WAVE)
@@ -602,7 +608,7 @@ def test_gateway_before_is_known_by_what_its_clients_held(
     assert (rig.view.record["lease_control"], rig.view.record["lease_active_damping"]) == (0, 0)
 
 
-def test_restart_of_a_gateway_without_leases_moves_nothing(rig: DeskRig) -> None:
+def test_restart_of_a_gateway_without_leases_moves_nothing(rig: CommandServerRig) -> None:
     rig.ask(A, cmd="set", K=300)
     rig.view.drop()
     rig.start_gateway()
@@ -628,7 +634,7 @@ def test_may_has_no_side_effect_and_speaks_of_the_holder() -> None:
 # --- all together ---------------------------------------------------------------------------------
 
 
-def test_leases_stay_over_a_stop_and_a_reset(rig: DeskRig) -> None:
+def test_leases_stay_over_a_stop_and_a_reset(rig: CommandServerRig) -> None:
     """A stop ends force, not a session: who held the environment has it behind the reset too."""
     take(rig, A, "environment", ttl_s=30.0)
     rig.ask(A, cmd="enable")
@@ -638,7 +644,9 @@ def test_leases_stay_over_a_stop_and_a_reset(rig: DeskRig) -> None:
     assert rig.ask(A, cmd="enable")["ok"]
 
 
-def test_two_that_take_over_from_each_other_without_end_keep_no_stop_waiting(rig: DeskRig) -> None:
+def test_two_that_take_over_from_each_other_without_end_keep_no_stop_waiting(
+    rig: CommandServerRig,
+) -> None:
     """What follows from a lease is done once, however often it was asked for meanwhile."""
     rig.ask(A, cmd="enable")
     rig.servo.deaf = True
@@ -650,7 +658,7 @@ def test_two_that_take_over_from_each_other_without_end_keep_no_stop_waiting(rig
     rig.run(2)
     assert rig.servo.state is State.STOPPED
     idle(rig, 0.5)
-    assert rig.view.record["lease_control"] == rig.desk.actors.number(B)
+    assert rig.view.record["lease_control"] == rig.server.actors.number(B)
     assert put(rig, Value.LIMIT_CYCLE_FAULTS) == 0.0
     assert len(rig.servo.taken) < 100
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.gateway_rig import DeskRig, packed
+from support.gateway_rig import CommandServerRig, packed
 from support.guard_stub import StubWorker
 
 from hapticd.core.params import GuardParams
@@ -16,11 +16,11 @@ from hapticd.mailbox.files import GUARD_TERMS
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> DeskRig:
-    return DeskRig(tmp_path, StubWorker())
+def rig(tmp_path: Path) -> CommandServerRig:
+    return CommandServerRig(tmp_path, StubWorker())
 
 
-def started_anew(rig: DeskRig) -> dict[str, Any]:
+def started_anew(rig: CommandServerRig) -> dict[str, Any]:
     """What the next gateway of the same servo goes by."""
     rig.start_gateway()
     rig.run(3)
@@ -28,19 +28,21 @@ def started_anew(rig: DeskRig) -> dict[str, Any]:
     return found
 
 
-def configured(rig: DeskRig, **guard: Any) -> DeskRig:
+def configured(rig: CommandServerRig, **guard: Any) -> CommandServerRig:
     """`rig` with the gateway configured like that."""
     rig.setup = replace(rig.setup, guard=GuardParams(**guard))
     started_anew(rig)
     return rig
 
 
-def warnings(rig: DeskRig) -> list[str]:
+def warnings(rig: CommandServerRig) -> list[str]:
     return [str(one["text"]) for one in rig.journal.drain() if one["kind"] == "warning"]
 
 
 @pytest.mark.parametrize("policy", ["clamp", "refuse", "follow"])
-def test_stricter_policy_survives_the_gateway_and_it_is_said(rig: DeskRig, policy: str) -> None:
+def test_stricter_policy_survives_the_gateway_and_it_is_said(
+    rig: CommandServerRig, policy: str
+) -> None:
     rig.ask(cmd="guard", policy=policy, margin_ns_per_m=0.2)
     found = started_anew(rig)
     assert (found["policy"], found["margin_ns_per_m"]) == (policy, 0.2)
@@ -50,7 +52,9 @@ def test_stricter_policy_survives_the_gateway_and_it_is_said(rig: DeskRig, polic
 
 
 @pytest.mark.parametrize("policy", ["off", "warn"])
-def test_laxer_policy_ends_with_the_gateway_and_it_is_said(rig: DeskRig, policy: str) -> None:
+def test_laxer_policy_ends_with_the_gateway_and_it_is_said(
+    rig: CommandServerRig, policy: str
+) -> None:
     configured(rig, policy="refuse", margin_ns_per_m=0.3)
     rig.ask(cmd="guard", policy=policy, margin_ns_per_m=0.0, basis="predicted")
     found = started_anew(rig)
@@ -61,14 +65,14 @@ def test_laxer_policy_ends_with_the_gateway_and_it_is_said(rig: DeskRig, policy:
     assert "it goes by refuse by theorem" in text
 
 
-def test_mode_auto_goes_on(rig: DeskRig) -> None:
+def test_mode_auto_goes_on(rig: CommandServerRig) -> None:
     assert rig.ask(cmd="damping", value="auto")["ok"]
     rig.run(3)
     assert started_anew(rig)["mode"] == "auto"
     assert "damping auto" in warnings(rig)[0]
 
 
-def test_what_the_new_gateway_is_asked_for_counts(rig: DeskRig) -> None:
+def test_what_the_new_gateway_is_asked_for_counts(rig: CommandServerRig) -> None:
     rig.ask(cmd="guard", policy="refuse")
     rig.start_gateway()
     rig.send(packed(cmd="guard", policy="clamp"))
@@ -76,12 +80,12 @@ def test_what_the_new_gateway_is_asked_for_counts(rig: DeskRig) -> None:
     assert rig.ask(cmd="guard")["result"]["policy"] == "clamp"
 
 
-def test_nothing_is_said_where_nothing_was_asked_for(rig: DeskRig) -> None:
+def test_nothing_is_said_where_nothing_was_asked_for(rig: CommandServerRig) -> None:
     assert started_anew(rig)["policy"] == "warn"
     assert warnings(rig) == []
 
 
-def test_terms_end_with_their_servo(rig: DeskRig) -> None:
+def test_terms_end_with_their_servo(rig: CommandServerRig) -> None:
     rig.ask(cmd="guard", policy="refuse")
     mailbox = rig.view.mailbox
     assert mailbox is not None

@@ -27,14 +27,14 @@ PASS_TICKS = 10
 
 
 class Rig:
-    """A servo with its simulated board, and a desk in front of it."""
+    """A servo with its simulated board, and a command server in front of it."""
 
     def __init__(self, stack: LockStep, params: Any) -> None:
         self.stack = stack
         self.journal = Journal(lambda: UNIX_NS)
         self.view = ServoView(Path(stack.mailbox.folder), params, lambda: UNIX_NS)
         guard = Guard(self.view, self.journal, GuardParams())
-        self.desk = CommandServer(self.view, self.journal, lambda cmd: {}, guard)
+        self.server = CommandServer(self.view, self.journal, lambda cmd: {}, guard)
         self.flown: list[bytes] = []
         self.replies: list[dict[str, Any]] = []
 
@@ -45,13 +45,13 @@ class Rig:
             self.flown.append(self.stack.run(PASS_TICKS))
             now_ns = self.stack.clock.now_ns()
             self.view.refresh(now_ns)
-            self.replies += [decoded(reply) for reply in self.desk.collect(now_ns)]
+            self.replies += [decoded(reply) for reply in self.server.collect(now_ns)]
         return as_records(b"".join(self.flown[begin:]))
 
     def ask(self, client: bytes = HOLDER, **fields: Any) -> dict[str, Any]:
         """One request and its reply."""
         self.view.refresh(self.stack.clock.now_ns())
-        found = self.desk.serve([[client, packed(**fields)]], self.stack.clock.now_ns())
+        found = self.server.serve([[client, packed(**fields)]], self.stack.clock.now_ns())
         self.replies = [decoded(reply) for reply in found]
         while not self.replies:
             self.fly(PASS_TICKS)
@@ -88,7 +88,7 @@ def test_environment_goes_to_0_on_a_ramp_and_damping_stays_when_its_holder_dies(
     with rig() as found:
         actor = rendering(found, "environment", "zero")
         before = found.fly(50)
-        found.desk.leave(HOLDER)
+        found.server.leave(HOLDER)
         after = found.fly(300)
     assert set(before["lease_control"].tolist()) == {actor}
     assert after["lease_control"][-1] == 0
@@ -110,7 +110,7 @@ def test_measuring_ends_with_its_holder_perturbation_and_force_and_faults_are_on
         found.ask(cmd="perturb", action="load", samples_n=wave)
         assert found.ask(cmd="perturb", action="start", loop=True)["ok"]
         before = found.fly(50)
-        found.desk.leave(HOLDER)
+        found.server.leave(HOLDER)
         after = found.fly(50)
     off = Watched.FORCE_AT_LIMIT | Watched.ENERGY
     assert (
@@ -131,7 +131,7 @@ def test_measuring_ends_with_its_holder_perturbation_and_force_and_faults_are_on
 def test_faults_stay_off_as_configured_when_measuring_ends() -> None:
     with rig(limit_cycle_faults=False) as found:
         rendering(found, "measuring", "hold")
-        found.desk.leave(HOLDER)
+        found.server.leave(HOLDER)
         assert not found.fly(100)["watches"][-1] & Watched.FORCE_AT_LIMIT
 
 

@@ -43,7 +43,7 @@ def test_provenance_is_complete(recording_file: Path) -> None:
 def test_holders_of_leases_are_named() -> None:
     held = LeaseHeld("trial", 17, left_s=3.0, ttl_s=5.0, at_end="hold")
     hello = Hello(1000.0, True, setup().servo, instance="i", version="v")
-    status = Status("enabled", leases={"perturbation": held})
+    status = Status(state="enabled", leases={"perturbation": held})
     header = {"mono_unix_offset_ns": 0, "simulated": True, "layout": "l"}
     found = provenance.of_recording(hello, status, header, "")
     assert json.loads(found["leases"]) == {"perturbation": "trial (actor 17)"}

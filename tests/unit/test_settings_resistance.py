@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.core.errors import ConfigError
+from hapticd.mailbox.environment_limits import WIDEST
 from hapticd.render.winding import least_residual_ohm, loop_gain, ohm
 from hapticd.settings.build import servo_params
 from hapticd.settings.guard import guard_setup
@@ -101,7 +102,7 @@ def test_guard_judges_the_device_as_the_compensation_keeps_it(tmp_path: Path):
     """Not as cold and uncompensated as it starts: the winding 0.03 ohm above what is believed."""
     read(tmp_path, WARMING)
     settings = load(tmp_path / "hapticd.toml")
-    judged = guard_setup(settings, servo_params(settings, "x"), (0.0,) * 3, (1.0,) * 3).model
+    judged = guard_setup(settings, servo_params(settings, "x"), WIDEST).model
     estimate = judged.states.index("velocity_estimate")
     force = judged.states.index("motor_force")
     # v_hat' = w_d (v + dR / K^2 F_a - v_hat)

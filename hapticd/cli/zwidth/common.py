@@ -4,13 +4,13 @@ An early end of a verb, by Ctrl-C or by dead workers, is answered in one line th
 and how to go on.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -28,6 +28,10 @@ with deferred_imports():
     from hapticd.settings import scene as scene_files
     from hapticd.settings import toml
     from hapticd.zwidth import outcomes, scenes, sources, store
+    from hapticd.zwidth.report import style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 SceneName = Annotated[
@@ -153,6 +157,12 @@ def interruptible(kept: str = "nothing of this run was kept") -> Iterator[None]:
     except KeyboardInterrupt:
         terminal.talk(f"interrupted: {kept}")
         raise typer.Exit(130) from None
+
+
+def drawn(folder: Path, name: str, figure: "Callable[[], Figure]", wanted: bool) -> Iterable[Path]:
+    """The files of the figure `name` of a run, if it is `wanted`."""
+    with drawing(folder):
+        return style.save(figure(), folder, name) if wanted else ()
 
 
 def drawing(folder: Path) -> AbstractContextManager[None]:

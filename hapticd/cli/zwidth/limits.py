@@ -1,5 +1,6 @@
 """K, B and M limits along their axes: predicted, then by simulated trials."""
 
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -13,7 +14,7 @@ with deferred_imports():
     from hapticd.signal import passive_set
     from hapticd.zwidth import executors, limits, outcomes, store
     from hapticd.zwidth.report import passive_set as figures
-    from hapticd.zwidth.report import style, table
+    from hapticd.zwidth.report import table
 
 
 UNITS = {"K": ("N/m", 1.0), "B": ("N s/m", 1.0), "M": ("g", 1e3)}  # printed unit, units per SI unit
@@ -95,9 +96,8 @@ def command(
     rows = [{"name": limit.name, **store.to_json(limit)} for limit in result.limits]
     about = {"kind": "limits", "scene": scene, "seconds": trials.seconds, "limits": rows}
     common.write_summary(folder, about, seed=trials.seed)
-    with common.drawing(folder):
-        figure = figures.limits_figure(result, results.figure_width) if results.plot else None
-        paths = style.save(figure, folder, "limits") if figure else ()
+    figure = partial(figures.limits_figure, result, results.figure_width)
+    paths = common.drawn(folder, "limits", figure, results.plot)
     judged = "; ".join(sorted({limit.judged.words for limit in result.limits}))
     lines = [table.text(_table(result)), NOTE, judged, f"{result.made} trials made"]
     found = {"made": result.made, "limits": rows}

@@ -1,5 +1,6 @@
 """The boundary of the passive set by few, chosen trials."""
 
+from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -15,7 +16,7 @@ with deferred_imports():
     from hapticd.signal import passive_set
     from hapticd.zwidth import executors, search, store
     from hapticd.zwidth.report import passive_set as figures
-    from hapticd.zwidth.report import style, table
+    from hapticd.zwidth.report import table
 
 
 COLUMNS = (
@@ -78,13 +79,12 @@ def command(
     levels = [_level(result) for result in found]
     about = {"kind": "search", "scene": scene, "levels": levels}
     common.write_summary(folder, about, seed=trials.seed)
-    with common.drawing(folder):
-        figure = figures.search_figure(found, results.figure_width) if results.plot else None
-        paths = style.save(figure, folder, "search") if figure else ()
+    figure = partial(figures.search_figure, found, results.figure_width)
+    paths = common.drawn(folder, "search", figure, results.plot)
     judged = "; ".join(sorted({result.judged.words for result in found}))
     lines = [_table(conditions.scene.device, levels), judged, NOTE]
-    told = {"levels": store.to_json(levels)}
-    common.show_result(told, lines, folder, paths, results.as_json)
+    content = {"levels": store.to_json(levels)}
+    common.show_result(content, lines, folder, paths, results.as_json)
     if not results.as_json:
         common.tell_open(levels, "box")
 

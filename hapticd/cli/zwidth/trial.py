@@ -28,7 +28,7 @@ with deferred_imports():
 
     from hapticd.model import scene as model_scene
     from hapticd.run import lockstep, lockstep_client
-    from hapticd.signal import assess, impedance
+    from hapticd.signal import assess
     from hapticd.signal import verdict as verdicts
     from hapticd.zwidth import (
         aligned,
@@ -316,7 +316,8 @@ def _params(
     criteria = assess.Criteria(
         asked.band,
         asked.confidence,
-        _estimator(asked, layout),
+        # multisines are judged from force to velocity unless the other way is asked for
+        asked.estimator or ("spa" if layout is None else "h_force"),
         asked.behind,
         file.skew or 0.0,
         file.high_pass,
@@ -335,13 +336,6 @@ def _excitation(
     if asked.psd is not None:
         noise = replace(noise, psd_n2_per_hz=asked.psd)
     return trials.multisine_like(noise, asked.band[1]) if layout else noise
-
-
-def _estimator(
-    asked: TrialOptions, layout: "trials.MultisineLayout | None"
-) -> "impedance.Estimator":
-    """Multisines are judged from force to velocity unless the other way is asked for."""
-    return asked.estimator or ("spa" if layout is None else "h_force")
 
 
 def _judged(

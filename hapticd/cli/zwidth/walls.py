@@ -1,5 +1,6 @@
 """Impacts on virtual walls: how stiff a wall may be at each damping before it oscillates."""
 
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -14,7 +15,7 @@ with deferred_imports():
     import numpy as np
 
     from hapticd.zwidth import store, walls
-    from hapticd.zwidth.report import passive_set, style, table
+    from hapticd.zwidth.report import passive_set, table
 
 
 Stiffness = Annotated[
@@ -62,9 +63,8 @@ def command(
         result = walls.run_walls(plan, tell)
     folder = common.folder(out, "walls")
     common.write_summary(folder, {"kind": "walls", "scene": scene, "lines": result.lines})
-    with common.drawing(folder):
-        figure = passive_set.walls_figure(result, width_mm=figure_width) if plot else None
-        paths = style.save(figure, folder, "walls") if figure else ()
+    figure = partial(passive_set.walls_figure, result, width_mm=figure_width)
+    paths = common.drawn(folder, "walls", figure, plot)
     found = {"lines": store.to_json(result.lines)}
     lines = [table.text(_table(result, dampings))]
     common.show_result(found, lines, folder, paths, as_json)

@@ -16,12 +16,13 @@ import re
 import sysconfig
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import hapticd
 from hapticd.core.errors import ConfigError
+from hapticd.core.extras import requirements
 from hapticd.run.doctor.checks import CheckResult
 from hapticd.run.doctor.machine import Machine, Requirements
 from hapticd.run.doctor.probes import board_path, hubs_above
@@ -102,11 +103,7 @@ def write_report(path: Path, found: Mapping[str, Any]) -> None:
 def _versions() -> dict[str, str]:
     """hapticd, and each library of its metadata that is installed."""
     found = {"hapticd": hapticd.__version__}
-    try:
-        lines = requires("hapticd") or []
-    except PackageNotFoundError:  # run from a folder that is not installed
-        lines = []
-    for line in lines:
+    for line in requirements():
         name = re.split(r"[^\w.-]", line, maxsplit=1)[0]
         try:
             found[name] = version(name)

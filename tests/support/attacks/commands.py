@@ -1,4 +1,4 @@
-"""Requests that nobody should send, through socket, ZMTP, desk and mailbox of the gateway.
+"""Requests that nobody should send, through socket, ZMTP, server and mailbox of the gateway.
 
 Each begins as a request that is right, in msgpack or JSON. Values are exchanged for hostile ones,
 fields go, come and nest; a third of them then loses, gains or changes bytes. A peer that speaks

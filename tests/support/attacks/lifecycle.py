@@ -140,7 +140,7 @@ ATTACKS = (
         "a connection closes while its requests wait for the guard, or for their turn",
         "they are not carried out",
         {"what": ("enable", "push"), "policy": ("warn", "refuse"), "worker": WORKER,
-         "place": ("guard", "desk", NOTHING)},
+         "place": ("guard", "server", NOTHING)},
         lifecycle_requests.closed_connection,
     ),
 )  # fmt: skip

@@ -62,7 +62,7 @@ def enable_in_stages(chosen: Chosen, random: Random) -> None:
 
 def _end(stand: Stand, end: str) -> None:
     if end == "leave":
-        stand.desk.leave(b"a")
+        stand.server.leave(b"a")
     elif end == "stop and reset unseen":
         for kind in (Command.STOP, Command.RESET):
             stand.mailbox.post(kind, 2, 0, values_of({}))
@@ -117,7 +117,7 @@ def measuring_lease(chosen: Chosen, random: Random) -> None:
             stand.send(*batch)
             judged(stand.fly(random.randrange(4)))
         if chosen["end"] == "leave":
-            stand.desk.leave(b"a")
+            stand.server.leave(b"a")
         stand.judge(LONG, control=chosen["end"] == NOTHING)
 
 
@@ -189,7 +189,7 @@ def closed_connection(chosen: Chosen, random: Random) -> None:
         _keep_waiting(stand, chosen)
         seen = stand.fly(random.randrange(8))
         if not control:
-            stand.desk.leave(b"a")
+            stand.server.leave(b"a")
         seen += _let_go(stand, silent)
     # a strict policy refuses what no worker judges
     judged(seen, control=control and (chosen["policy"] == "warn" or not silent))
@@ -202,7 +202,7 @@ def _keep_waiting(stand: Stand, chosen: Chosen) -> None:
     stand.worker.silent = chosen["worker"] == SILENT
     stand.send({"cmd": "set", "M": 0.001, "ramp_s": 0.0}, client=b"b")
     stand.look()
-    turn = {"in_time": lambda: False} if chosen["place"] == "desk" else {}
+    turn = {"in_time": lambda: False} if chosen["place"] == "server" else {}
     stand.send({"cmd": "get"}, waits, **turn)
 
 

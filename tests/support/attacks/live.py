@@ -44,7 +44,7 @@ MODULES = {
     b"hapticd.run.servo_main": "servo",
     b"hapticd.run.gateway_main": "gateway",
     b"hapticd.guard.main": "guard",
-    b"hapticd.console.main": "console",
+    b"console": "console",
 }
 
 

@@ -1,4 +1,4 @@
-"""A servo, its simulated board and the gateway's desk on virtual time, judged at the board's motor.
+"""A servo, its simulated board and the command server on virtual time, judged at the board's motor.
 
 The handle is so heavy that it stays where it is, and PUSH is a wall about it: whatever brings
 force, an enable or a change of the environment, brings it at once. So one question decides every
@@ -83,18 +83,18 @@ class Stand:
         self.stack.close()
 
     def another_gateway(self, policy: str) -> None:
-        """A desk that knows nothing yet, in place of any other; `policy` is configured."""
+        """A new command server in place of any other; `policy` is configured."""
         self.replies: list[dict[str, Any]] = []
         folder = Path(self.stack.mailbox.folder)
         self.view = ServoView(folder, SERVO, lambda: UNIX_NS)
         journal = Journal(lambda: UNIX_NS)
         self.guard = Guard(self.view, journal, GuardParams(policy=policy), self.worker)
-        self.desk = CommandServer(self.view, journal, lambda cmd: {}, self.guard)
+        self.server = CommandServer(self.view, journal, lambda cmd: {}, self.guard)
         self.look()
 
     @property
     def mailbox(self) -> GatewayMailbox:
-        """What the desk writes to."""
+        """What the command server writes to."""
         assert self.view.mailbox is not None
         return self.view.mailbox
 
@@ -127,7 +127,7 @@ class Stand:
         """A pass of the gateway, without a tick."""
         now_ns = self.stack.clock.now_ns()
         self.view.refresh(now_ns)
-        self.replies += [decoded(reply) for reply in self.desk.collect(now_ns)]
+        self.replies += [decoded(reply) for reply in self.server.collect(now_ns)]
 
     def pause(self, ms: int) -> None:
         """Nobody gets the processor for so long."""
@@ -138,7 +138,7 @@ class Stand:
     def send(self, *requests: dict[str, Any], client: bytes = b"a", **serve: Any) -> None:
         """Requests that come together, not waited for."""
         messages = [[client, packed(**one)] for one in requests]
-        found = self.desk.serve(messages, self.stack.clock.now_ns(), **serve)
+        found = self.server.serve(messages, self.stack.clock.now_ns(), **serve)
         self.replies += [decoded(reply) for reply in found]
 
     def ask(self, client: bytes = b"a", **fields: Any) -> dict[str, Any]:

@@ -30,7 +30,7 @@ def peers(name: str, does: str, unit: str, times: int, short: int) -> Row:
 ROWS = (
     Row(
         "commands",
-        "random and mutated requests, msgpack and JSON, through socket, ZMTP, desk and mailbox",
+        "random and mutated requests, msgpack and JSON, through socket, ZMTP, server and mailbox",
         "each has one reply; what reaches the servo lies within the limits",
         "requests without exactly one reply, replies that are none, values beyond limits",
         "requests",

@@ -1,4 +1,5 @@
-"""The gateway's desk and the guard's judge in front of a servo in lock-step: no socket, no process.
+"""The gateway's command server and the guard's judge in front of a servo in lock-step: no socket,
+no process.
 
 Requests go as clients send them, replies and events come as clients get them; the judge answers at
 the next look. Everything is on the stack's virtual clock.
@@ -67,7 +68,7 @@ class InProcess:
 
 
 class GuardedStack:
-    """A client at the desk of a guarded servo."""
+    """A client at the command server of a guarded servo."""
 
     def __init__(self, stack: LockStep, judge: Answering, policy: str) -> None:
         self.stack = stack
@@ -75,7 +76,7 @@ class GuardedStack:
         self.journal = Journal(lambda: UNIX_NS)
         self.view = ServoView(stack.gateway.folder, stack.loop.params, lambda: UNIX_NS)
         self.guard = Guard(self.view, self.journal, GuardParams(policy=policy), self.line)
-        self.desk = CommandServer(self.view, self.journal, lambda cmd: {}, self.guard)
+        self.server = CommandServer(self.view, self.journal, lambda cmd: {}, self.guard)
         self.events: list[dict[str, Any]] = []
         self.replies: dict[Any, dict[str, Any]] = {}
         self.watch: Callable[[], None] = lambda: None  # called after each tick
@@ -89,7 +90,7 @@ class GuardedStack:
             now_ns = self.stack.clock.now_ns()
             self.view.refresh(now_ns)
             self.guard.count(as_records(block), self.view.life)
-            self._take(self.desk.collect(now_ns))
+            self._take(self.server.collect(now_ns))
             self.events += self.journal.drain()
             self.watch()
 
@@ -97,7 +98,7 @@ class GuardedStack:
         """A request; its number."""
         self._number += 1
         request = encode(Encoding.MSGPACK, {"id": self._number, **fields})
-        self._take(self.desk.serve([[CLIENT, request]], self.stack.clock.now_ns()))
+        self._take(self.server.serve([[CLIENT, request]], self.stack.clock.now_ns()))
         return self._number
 
     def ask(self, **fields: Any) -> dict[str, Any]:
@@ -120,34 +121,34 @@ class GuardedStack:
             self.replies[content["id"]] = content
 
 
-class DeskClient:
-    """Asked as a `guard_requests.Guarded` is, it asks the desk."""
+class CommandServerClient:
+    """Asked as a `guard_requests.Guarded` is, it asks the command server."""
 
-    def __init__(self, desk: GuardedStack) -> None:
-        self.desk = desk
+    def __init__(self, guarded: GuardedStack) -> None:
+        self.guarded = guarded
         self.asked: list[int] = []
 
     @property
     def tick(self) -> int:
         """Of the servo."""
-        return self.desk.view.tick
+        return self.guarded.view.tick
 
     def ask(self, change: dict[str, Any], at_tick: int = 0, enable: bool = False) -> None:
         """Ask, and do not wait."""
         timed = {"at_tick": at_tick} if at_tick else {}
         if enable:
-            self.asked.append(self.desk.send(cmd="enable"))
+            self.asked.append(self.guarded.send(cmd="enable"))
         elif change:
-            self.asked.append(self.desk.send(cmd="set", **change, **timed))
+            self.asked.append(self.guarded.send(cmd="set", **change, **timed))
 
     def disable(self) -> None:
         """Force off."""
-        self.asked.append(self.desk.send(cmd="disable"))
+        self.asked.append(self.guarded.send(cmd="disable"))
 
     def choose(self, mode: str) -> None:
         """Another mode of the active damping."""
-        self.asked.append(self.desk.send(cmd="guard", mode=mode))
+        self.asked.append(self.guarded.send(cmd="guard", mode=mode))
 
     def run(self, ticks: int) -> None:
         """Ticks of the servo."""
-        self.desk.run(ticks)
+        self.guarded.run(ticks)

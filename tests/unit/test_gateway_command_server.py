@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.gateway_rig import DeskRig, decoded, packed
+from support.gateway_rig import CommandServerRig, decoded, packed
 from support.gateway_stand_in import StandInServo
 
 from hapticd.client.formatting import event_words
@@ -31,11 +31,11 @@ from hapticd.usb.frames import StatusBit
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> DeskRig:
-    return DeskRig(tmp_path)
+def rig(tmp_path: Path) -> CommandServerRig:
+    return CommandServerRig(tmp_path)
 
 
-def test_set_gives_its_own_receipt(rig: DeskRig) -> None:
+def test_set_gives_its_own_receipt(rig: CommandServerRig) -> None:
     reply = rig.ask(
         cmd="set",
         id=7,
@@ -64,7 +64,7 @@ def test_set_gives_its_own_receipt(rig: DeskRig) -> None:
     assert effective["filters"]["velocity_hz"] == 200.0
 
 
-def test_effective_can_be_set_again(rig: DeskRig) -> None:
+def test_effective_can_be_set_again(rig: CommandServerRig) -> None:
     rig.ask(cmd="set", K=50, B=2, active_damping=1.0, wall={"side": -1, "stiffness_n_per_m": 500.0})
     first = rig.ask(cmd="get")["result"]["parameters"]
     level = first.pop("active_damping_level")
@@ -74,7 +74,7 @@ def test_effective_can_be_set_again(rig: DeskRig) -> None:
     }
 
 
-def test_only_given_values_are_posted(rig: DeskRig) -> None:
+def test_only_given_values_are_posted(rig: CommandServerRig) -> None:
     rig.servo.deaf = True
     rig.send(packed(cmd="set", K=100, ramp_s=0.5))
     *_, values = rig.servo.mailbox.take() or ()
@@ -92,7 +92,7 @@ def test_only_given_values_are_posted(rig: DeskRig) -> None:
     ],
 )
 def test_damping_switches_or_sets_level(
-    rig: DeskRig, value: object, meant: dict[Value, float]
+    rig: CommandServerRig, value: object, meant: dict[Value, float]
 ) -> None:
     rig.servo.deaf = True
     rig.send(packed(cmd="damping", value=value))
@@ -102,23 +102,23 @@ def test_damping_switches_or_sets_level(
     assert {place: values[place] for place in meant} == meant
 
 
-def test_json_is_answered_in_json(rig: DeskRig) -> None:
-    (reply,) = rig.desk.serve([[b"a", b'{"cmd":"get","id":"x1"}']], rig.clock.now_ns())
+def test_json_is_answered_in_json(rig: CommandServerRig) -> None:
+    (reply,) = rig.server.serve([[b"a", b'{"cmd":"get","id":"x1"}']], rig.clock.now_ns())
     assert json.loads(reply[-1])["id"] == "x1"
 
 
-def test_req_socket_gets_its_delimiter_back(rig: DeskRig) -> None:
-    (reply,) = rig.desk.serve([[b"a", b"", packed(cmd="hello")]], rig.clock.now_ns())
+def test_req_socket_gets_its_delimiter_back(rig: CommandServerRig) -> None:
+    (reply,) = rig.server.serve([[b"a", b"", packed(cmd="hello")]], rig.clock.now_ns())
     assert reply[:2] == [b"a", b""]
 
 
-def test_state_in_reply_is_not_older_than_command(rig: DeskRig) -> None:
+def test_state_in_reply_is_not_older_than_command(rig: CommandServerRig) -> None:
     assert [rig.ask(cmd=cmd)["state"] for cmd in ("enable", "disable", "stop", "reset")] == [
         "enabled", "disabled", "stopped", "disabled",
     ]  # fmt: skip
 
 
-def test_reply_waits_for_record_in_force(rig: DeskRig) -> None:
+def test_reply_waits_for_record_in_force(rig: CommandServerRig) -> None:
     rig.send(packed(cmd="enable"))
     rig.servo._obey()  # the answer is there, the record of that tick is not
     assert rig.look() == []
@@ -126,7 +126,7 @@ def test_reply_waits_for_record_in_force(rig: DeskRig) -> None:
 
 
 @pytest.mark.parametrize("cmd", ["enable", "zero", "home"])
-def test_latched_state_is_refused_early_with_who_stopped(rig: DeskRig, cmd: str) -> None:
+def test_latched_state_is_refused_early_with_who_stopped(rig: CommandServerRig, cmd: str) -> None:
     rig.ask(cmd="hello", name="second page")
     rig.ask(cmd="stop")
     (reply,) = rig.send(packed(cmd=cmd), client=b"b")
@@ -138,7 +138,7 @@ def test_latched_state_is_refused_early_with_who_stopped(rig: DeskRig, cmd: str)
     assert rig.servo.mailbox.take() is None
 
 
-def test_stop_from_before_this_gateway_is_nobodys_it_knows(rig: DeskRig) -> None:
+def test_stop_from_before_this_gateway_is_nobodys_it_knows(rig: CommandServerRig) -> None:
     rig.ask(cmd="stop")
     rig.start_gateway()
     rig.run(2)
@@ -146,14 +146,14 @@ def test_stop_from_before_this_gateway_is_nobodys_it_knows(rig: DeskRig) -> None
     assert "zero in state stopped (a stop was requested): make sure" in reply["error"]["message"]
 
 
-def test_early_refusal_waits_for_settled_state(rig: DeskRig) -> None:
+def test_early_refusal_waits_for_settled_state(rig: CommandServerRig) -> None:
     rig.ask(cmd="stop")
     assert rig.send(packed(cmd="reset"), packed(cmd="enable")) == []
     assert [decoded(reply)["ok"] for reply in rig.run()] == [True, True]
     assert rig.view.state is State.ENABLED
 
 
-def test_servo_has_the_last_word(rig: DeskRig) -> None:
+def test_servo_has_the_last_word(rig: CommandServerRig) -> None:
     rig.send(packed(cmd="enable"), packed(cmd="zero"))
     replies = [decoded(reply) for reply in rig.run()]
     assert replies[1]["error"] == {
@@ -163,12 +163,12 @@ def test_servo_has_the_last_word(rig: DeskRig) -> None:
     }
 
 
-def test_home_without_a_way_home_says_so(rig: DeskRig) -> None:
+def test_home_without_a_way_home_says_so(rig: CommandServerRig) -> None:
     rig.ask(cmd="enable")
     assert "device file names no way to home" in rig.ask(cmd="home")["error"]["message"]
 
 
-def test_if_rev_compares_and_sets(rig: DeskRig) -> None:
+def test_if_rev_compares_and_sets(rig: CommandServerRig) -> None:
     assert rig.ask(cmd="set", K=1, if_rev=0)["ok"]
     error = rig.ask(cmd="set", K=2, if_rev=0)["error"]
     assert error["code"] == "refused"
@@ -177,7 +177,7 @@ def test_if_rev_compares_and_sets(rig: DeskRig) -> None:
     assert replies[0]["error"]["code"] == "busy"
 
 
-def test_scheduled_set_is_told_twice(rig: DeskRig) -> None:
+def test_scheduled_set_is_told_twice(rig: CommandServerRig) -> None:
     reply = rig.ask(cmd="set", K=10, at_tick=9, id="later")
     assert (reply["receipt"]["result"], reply["receipt"]["first_tick"]) == ("scheduled", 9)
     assert rig.journal.drain() == []
@@ -192,13 +192,13 @@ def test_scheduled_set_is_told_twice(rig: DeskRig) -> None:
     assert event["effective"]["K"] == 10.0
 
 
-def test_late_at_tick_is_refused(rig: DeskRig) -> None:
+def test_late_at_tick_is_refused(rig: CommandServerRig) -> None:
     error = rig.ask(cmd="set", K=10, at_tick=1)["error"]
     assert error["code"] == "refused"
     assert error["message"] == "set: at_tick has passed, it is tick 2; choose a later one"
 
 
-def test_filters_that_are_felt_are_refused_in_words(rig: DeskRig, monkeypatch) -> None:
+def test_filters_that_are_felt_are_refused_in_words(rig: CommandServerRig, monkeypatch) -> None:
     refused = Result.REFUSED_FILTER
     monkeypatch.setattr(rig.servo, "_apply", lambda one: rig.servo._answer(one[0], refused))
     error = rig.ask(cmd="set", filters={"velocity_hz": 30})["error"]
@@ -209,14 +209,14 @@ def test_filters_that_are_felt_are_refused_in_words(rig: DeskRig, monkeypatch) -
     )
 
 
-def test_stop_goes_first_in_a_flood(rig: DeskRig) -> None:
+def test_stop_goes_first_in_a_flood(rig: CommandServerRig) -> None:
     rig.send(*[packed(cmd="set", K=k) for k in range(19)], packed(cmd="stop"))
     rig.run()
     assert rig.servo.taken[0][0] == Command.STOP
     assert rig.view.state is State.STOPPED
 
 
-def test_stop_behind_others_presses_the_page(rig: DeskRig) -> None:
+def test_stop_behind_others_presses_the_page(rig: CommandServerRig) -> None:
     rig.send(*[packed(cmd="set", K=k) for k in range(10)])
     rig.send(packed(cmd="stop"))
     rig.run()
@@ -224,7 +224,7 @@ def test_stop_behind_others_presses_the_page(rig: DeskRig) -> None:
     assert Command.STOP not in [kind for kind, _ in rig.servo.taken]
 
 
-def test_stop_with_a_full_ring_is_pressed(rig: DeskRig) -> None:
+def test_stop_with_a_full_ring_is_pressed(rig: CommandServerRig) -> None:
     rig.servo.deaf = True
     assert rig.send(*[packed(cmd="get" if k < 0 else "set", K=k) for k in range(64)]) == []
     (reply,) = rig.send(packed(cmd="stop"))
@@ -233,15 +233,15 @@ def test_stop_with_a_full_ring_is_pressed(rig: DeskRig) -> None:
     assert rig.view.state is State.STOPPED
 
 
-def test_stop_needs_nothing_but_its_name(rig: DeskRig) -> None:
+def test_stop_needs_nothing_but_its_name(rig: CommandServerRig) -> None:
     assert rig.ask(cmd="stop", v=99, id=10**30 % 2**64, nonsense=[1])["ok"]
 
 
-def test_stop_is_idempotent(rig: DeskRig) -> None:
+def test_stop_is_idempotent(rig: CommandServerRig) -> None:
     assert [rig.ask(cmd="stop")["state"] for _ in range(3)] == ["stopped"] * 3
 
 
-def test_full_ring_is_busy(rig: DeskRig) -> None:
+def test_full_ring_is_busy(rig: CommandServerRig) -> None:
     rig.servo.deaf = True
     rig.send(*[packed(cmd="set", K=k) for k in range(64)])
     (reply,) = rig.send(packed(cmd="set", K=1))
@@ -249,7 +249,7 @@ def test_full_ring_is_busy(rig: DeskRig) -> None:
     assert "64 commands wait" in reply["error"]["message"]
 
 
-def test_unanswered_command_times_out(rig: DeskRig) -> None:
+def test_unanswered_command_times_out(rig: CommandServerRig) -> None:
     rig.servo.mute = True
     rig.send(packed(cmd="enable", id=3))
     assert rig.run(999) == []
@@ -269,7 +269,7 @@ def test_unanswered_command_times_out(rig: DeskRig) -> None:
     ],
 )
 def test_force_that_was_not_answered_is_taken_back(
-    rig: DeskRig, request_: dict[str, object], undo: Command | None
+    rig: CommandServerRig, request_: dict[str, object], undo: Command | None
 ) -> None:
     """A servo that hung for seconds would obey in its first tick after that, when nobody
     expects it any more.
@@ -288,7 +288,7 @@ def test_force_that_was_not_answered_is_taken_back(
     assert [one and one[1] for one in posted][1] == undo
 
 
-def test_stop_is_posted_although_its_page_is_gone(rig: DeskRig) -> None:
+def test_stop_is_posted_although_its_page_is_gone(rig: CommandServerRig) -> None:
     (rig.folder / files.STOP).unlink()
     rig.send(*[packed(cmd="set", K=k) for k in range(10)])
     rig.send(packed(cmd="stop"))
@@ -296,7 +296,7 @@ def test_stop_is_posted_although_its_page_is_gone(rig: DeskRig) -> None:
     assert rig.view.state is State.STOPPED
 
 
-def test_silent_servo_is_down(rig: DeskRig) -> None:
+def test_silent_servo_is_down(rig: CommandServerRig) -> None:
     rig.pass_time(999)
     assert rig.view.alive
     rig.pass_time(1)
@@ -309,13 +309,13 @@ def test_silent_servo_is_down(rig: DeskRig) -> None:
     assert rig.view.state_name == "down"
 
 
-def test_silent_servo_still_gets_the_stop_page(rig: DeskRig) -> None:
+def test_silent_servo_still_gets_the_stop_page(rig: CommandServerRig) -> None:
     rig.pass_time(2000)
     assert rig.send(packed(cmd="stop"))[0]["error"]["code"] == "servo_down"
     assert rig.servo.mailbox.stop_word.pressed
 
 
-def test_gateway_alone_answers_servo_down(tmp_path: Path, rig: DeskRig) -> None:
+def test_gateway_alone_answers_servo_down(tmp_path: Path, rig: CommandServerRig) -> None:
     rig.servo.mailbox.close()
     rig.pass_time(5)
     assert [rig.send(packed(cmd=cmd))[0]["error"]["code"] for cmd in ("get", "enable", "stop")] == [
@@ -324,7 +324,7 @@ def test_gateway_alone_answers_servo_down(tmp_path: Path, rig: DeskRig) -> None:
     assert rig.send(packed(cmd="status"))[0]["state"] == "down"
 
 
-def test_restarted_servo_is_taken_up(rig: DeskRig) -> None:
+def test_restarted_servo_is_taken_up(rig: CommandServerRig) -> None:
     rig.ask(cmd="set", K=100)
     rig.servo.mute = True
     rig.send(packed(cmd="set", K=5, id=1))
@@ -339,7 +339,7 @@ def test_restarted_servo_is_taken_up(rig: DeskRig) -> None:
     assert rig.ask(cmd="set", K=7)["receipt"]["revision"] == 1
 
 
-def test_killed_servo_leaves_no_ghost(rig: DeskRig) -> None:
+def test_killed_servo_leaves_no_ghost(rig: CommandServerRig) -> None:
     rig.servo.mailbox.close(clean=False)
     rig.servo.mailbox.store(
         layout.EPOCH_WORD, rig.view.mailbox.epoch
@@ -351,7 +351,7 @@ def test_killed_servo_leaves_no_ghost(rig: DeskRig) -> None:
     assert rig.ask(cmd="set", K=7)["ok"]
 
 
-def test_what_the_servo_changes_by_itself_is_learnt(rig: DeskRig) -> None:
+def test_what_the_servo_changes_by_itself_is_learnt(rig: CommandServerRig) -> None:
     rig.ask(cmd="set", K=500.0)
     rig.servo.values[Value.STIFFNESS] = 125.0  # as the energy controller cuts it
     rig.servo.values[Value.ENVIRONMENT_REVISION] += 1
@@ -363,7 +363,7 @@ def test_what_the_servo_changes_by_itself_is_learnt(rig: DeskRig) -> None:
     assert len(rig.servo.taken) == posted  # asked once
 
 
-def test_restarted_gateway_learns_the_parameters(rig: DeskRig) -> None:
+def test_restarted_gateway_learns_the_parameters(rig: CommandServerRig) -> None:
     rig.ask(cmd="set", K=123, wall={"position_m": 0.02})
     rig.start_gateway()
     rig.run()
@@ -373,30 +373,30 @@ def test_restarted_gateway_learns_the_parameters(rig: DeskRig) -> None:
     assert rig.servo.revision == 1
 
 
-def test_each_client_is_an_actor_with_a_name(rig: DeskRig) -> None:
+def test_each_client_is_an_actor_with_a_name(rig: CommandServerRig) -> None:
     first = rig.ask(b"a", cmd="hello", name="sweep")["result"]["actor"]
     second = rig.ask(b"b", cmd="hello", name="panel")["result"]["actor"]
     rig.ask(b"b", cmd="set", K=1)
     assert second == first + 1
     assert rig.view.record["actor"] == second
-    assert rig.desk.actors.name(second) == "panel"
+    assert rig.server.actors.name(second) == "panel"
 
 
-def test_actor_table_is_bounded(rig: DeskRig) -> None:
+def test_actor_table_is_bounded(rig: CommandServerRig) -> None:
     """By the connections that there are, and 64 that have ended."""
     for number in range(1000):
         rig.send(packed(cmd="hello"), client=str(number).encode())
-        rig.desk.leave(str(number).encode())
-    assert len(rig.desk.actors.names()) == 64
+        rig.server.leave(str(number).encode())
+    assert len(rig.server.actors.names()) == 64
 
 
-def test_hello_tells_limits_of_this_device(rig: DeskRig) -> None:
+def test_hello_tells_limits_of_this_device(rig: CommandServerRig) -> None:
     limits = rig.ask(cmd="hello")["result"]["limits"]
     assert limits["active_damping"] == {"low": 0.0, "high": 2.0, "unit": "N s/m"}
     assert limits["filters.velocity_hz"]["high"] == 450.0
 
 
-def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
+def test_schema_carries_units_and_limits(rig: CommandServerRig) -> None:
     schema = rig.ask(cmd="schema")["result"]
     assert schema["$defs"]["Set"]["properties"]["active_damping"]["maximum"] == 2.0
     assert schema["$defs"]["Wall"]["properties"]["stiffness_n_per_m"]["unit"] == "N/m"
@@ -422,7 +422,7 @@ def test_schema_carries_units_and_limits(rig: DeskRig) -> None:
     }
 
 
-def test_a_mark_is_an_event_with_words_and_tick(rig: DeskRig) -> None:
+def test_a_mark_is_an_event_with_words_and_tick(rig: CommandServerRig) -> None:
     actor = rig.ask(cmd="hello", name="trial")["result"]["actor"]
     rig.servo.tick(7)
     rig.view.refresh(rig.clock.now_ns())
@@ -435,7 +435,7 @@ def test_a_mark_is_an_event_with_words_and_tick(rig: DeskRig) -> None:
     assert rig.ask(cmd="mark", text="")["error"]["code"] == "invalid"
 
 
-def test_counts_requests_and_errors(rig: DeskRig) -> None:
+def test_counts_requests_and_errors(rig: CommandServerRig) -> None:
     rig.send(packed(cmd="hello"), b"junk")
     assert rig.ask(cmd="status")["result"]["requests"] == {
         "requests": 3,
@@ -444,17 +444,17 @@ def test_counts_requests_and_errors(rig: DeskRig) -> None:
     }
 
 
-def load(rig: DeskRig, samples: object, **more: object) -> dict[str, object]:
+def load(rig: CommandServerRig, samples: object, **more: object) -> dict[str, object]:
     return rig.ask(cmd="perturb", action="load", samples_n=samples, **more)
 
 
-def test_samples_become_counts_of_this_device(rig: DeskRig) -> None:
+def test_samples_become_counts_of_this_device(rig: CommandServerRig) -> None:
     # count = sign * value / per_count + offset = -value / 1e-3 + 2, halves upwards
     assert load(rig, [0.0, 0.5, -1.0, 1.0, 0.0005])["result"] == {"samples": 5}
     assert rig.servo.mailbox.waveform[:5].tolist() == [2, -498, 1002, -998, 2]
 
 
-def test_bytes_and_numbers_load_the_same(rig: DeskRig) -> None:
+def test_bytes_and_numbers_load_the_same(rig: CommandServerRig) -> None:
     force_n = np.linspace(-0.9, 0.9, 100, dtype="<f4")
     load(rig, force_n.astype(float).tolist())
     first = rig.servo.mailbox.waveform[:100].tolist()
@@ -462,7 +462,7 @@ def test_bytes_and_numbers_load_the_same(rig: DeskRig) -> None:
     assert rig.servo.mailbox.waveform[:100].tolist() == first
 
 
-def test_chunks_follow_each_other(rig: DeskRig) -> None:
+def test_chunks_follow_each_other(rig: CommandServerRig) -> None:
     load(rig, [0.1] * 10)
     assert load(rig, [0.2] * 5, offset=10)["result"] == {"samples": 15}
     assert rig.servo.mailbox.waveform[9:12].tolist() == [-98, -198, -198]
@@ -470,7 +470,7 @@ def test_chunks_follow_each_other(rig: DeskRig) -> None:
     assert error["message"] == "offset = 14 samples: 15 are loaded; send the chunks in order"
 
 
-def test_chunk_of_another_client_is_refused(rig: DeskRig) -> None:
+def test_chunk_of_another_client_is_refused(rig: CommandServerRig) -> None:
     """Two that load at once would play a mixture."""
     load(rig, [0.1] * 10, client=b"a")
     load(rig, [0.2] * 10, client=b"b")
@@ -482,7 +482,7 @@ def test_chunk_of_another_client_is_refused(rig: DeskRig) -> None:
 
 
 @pytest.mark.parametrize("bad", [1.001, -1.001])
-def test_sample_beyond_limit_is_named(rig: DeskRig, bad: float) -> None:
+def test_sample_beyond_limit_is_named(rig: CommandServerRig, bad: float) -> None:
     load(rig, [0.0] * 4)
     error = load(rig, [0.5, bad], offset=4)["error"]
     assert error["code"] == "invalid"
@@ -502,22 +502,22 @@ def test_sample_beyond_limit_is_named(rig: DeskRig, bad: float) -> None:
     assert rig.servo.mailbox.waveform[4] == 0
 
 
-def test_sample_that_is_no_number_is_named(rig: DeskRig) -> None:
+def test_sample_that_is_no_number_is_named(rig: CommandServerRig) -> None:
     error = load(rig, np.array([0.0, np.nan], "<f4").tobytes())["error"]
     assert error["detail"][0]["loc"] == "samples_n.1"
     assert error["detail"][0]["value"] is None
 
 
-def test_broken_bytes_are_refused(rig: DeskRig) -> None:
+def test_broken_bytes_are_refused(rig: CommandServerRig) -> None:
     message = load(rig, b"\0\0\0")["error"]["message"]
     assert (
         message == "samples_n has 3 bytes: not whole little-endian float32; send 4 bytes a sample"
     )
 
 
-def test_too_long_a_waveform_is_refused(rig: DeskRig) -> None:
-    rig.desk._waveform._life = rig.view.life
-    rig.desk._waveform._samples = PERTURBATION_SAMPLES
+def test_too_long_a_waveform_is_refused(rig: CommandServerRig) -> None:
+    rig.server._waveform._life = rig.view.life
+    rig.server._waveform._samples = PERTURBATION_SAMPLES
     message = load(rig, [0.1], offset=PERTURBATION_SAMPLES)["error"]["message"]
     assert (
         message
@@ -526,7 +526,7 @@ def test_too_long_a_waveform_is_refused(rig: DeskRig) -> None:
     )
 
 
-def test_start_tells_the_length(rig: DeskRig) -> None:
+def test_start_tells_the_length(rig: CommandServerRig) -> None:
     load(rig, [0.1] * 7)
     rig.ask(cmd="enable")
     assert rig.ask(cmd="perturb", action="start", loop=True)["ok"]
@@ -534,7 +534,7 @@ def test_start_tells_the_length(rig: DeskRig) -> None:
     assert rig.servo.perturbing
 
 
-def test_playing_waveform_is_not_overwritten(rig: DeskRig) -> None:
+def test_playing_waveform_is_not_overwritten(rig: CommandServerRig) -> None:
     load(rig, [0.1] * 7)
     rig.ask(cmd="enable")
     rig.ask(cmd="perturb", action="start")
@@ -543,7 +543,7 @@ def test_playing_waveform_is_not_overwritten(rig: DeskRig) -> None:
     assert load(rig, [0.2])["ok"]
 
 
-def test_waveform_is_loaded_while_others_wait_for_something_else(rig: DeskRig) -> None:
+def test_waveform_is_loaded_while_others_wait_for_something_else(rig: CommandServerRig) -> None:
     """But not behind a start that has no answer yet."""
     rig.send(packed(cmd="set", K=1))
     assert rig.send(packed(cmd="perturb", action="load", samples_n=[0.1] * 7))[0]["ok"]
@@ -554,7 +554,7 @@ def test_waveform_is_loaded_while_others_wait_for_something_else(rig: DeskRig) -
     assert reply["error"]["code"] == "busy"
 
 
-def test_waveform_does_not_outlive_its_servo(rig: DeskRig) -> None:
+def test_waveform_does_not_outlive_its_servo(rig: CommandServerRig) -> None:
     load(rig, [0.1] * 7)
     rig.view.life += 1
     assert rig.ask(cmd="perturb", action="start")["error"]["message"].startswith(
@@ -582,7 +582,9 @@ def test_waveform_does_not_outlive_its_servo(rig: DeskRig) -> None:
         ),
     ],
 )
-def test_board_that_is_barred_is_refused_in_words(rig: DeskRig, result: Result, said: str) -> None:
+def test_board_that_is_barred_is_refused_in_words(
+    rig: CommandServerRig, result: Result, said: str
+) -> None:
     transport = {"pair_us": 800.0, "rate_hz": 820.0}
     rig.servo.mailbox.report(
         {"differences": ["serial: other", "probe: none"], "transport": transport}
@@ -593,7 +595,9 @@ def test_board_that_is_barred_is_refused_in_words(rig: DeskRig, result: Result, 
     assert (error.code, str(error)) == ("refused", said)
 
 
-def test_reset_is_refused_by_the_emergency_stop_and_not_by_what_it_ended(rig: DeskRig) -> None:
+def test_reset_is_refused_by_the_emergency_stop_and_not_by_what_it_ended(
+    rig: CommandServerRig,
+) -> None:
     answer = Answer(1, Result.REFUSED_CAUSE, BY_CODE["stop"].number, 0, 0, 0, ())
     rig.view.record = {"status": int(StatusBit.EMERGENCY_STOP)}
     error = refusal(answer, "reset", rig.view, Actors(rig.view.next_actor))
@@ -605,11 +609,11 @@ def test_reset_is_refused_by_the_emergency_stop_and_not_by_what_it_ended(rig: De
     )
 
 
-def test_stop_behind_many_commands_is_one_clients_stop(rig: DeskRig) -> None:
+def test_stop_behind_many_commands_is_one_clients_stop(rig: CommandServerRig) -> None:
     rig.servo.deaf = True
     rig.send(*[packed(cmd="set", K=k) for k in range(4)])
     rig.send(packed(cmd="stop"))
-    assert rig.servo.mailbox.stop_word.presser == rig.desk.actors.number(b"a")
+    assert rig.servo.mailbox.stop_word.presser == rig.server.actors.number(b"a")
 
 
 @pytest.mark.parametrize(
@@ -622,7 +626,7 @@ def test_stop_behind_many_commands_is_one_clients_stop(rig: DeskRig) -> None:
     ],
 )
 def test_stop_of_somebody_else_is_refused_with_whose_it_is(
-    rig: DeskRig, owner: int, whose: str
+    rig: CommandServerRig, owner: int, whose: str
 ) -> None:
     actors = Actors(itertools.count(16).__next__)
     actors.call(b"a", "operator")
@@ -637,11 +641,13 @@ def test_stop_of_somebody_else_is_refused_with_whose_it_is(
     )
 
 
-def test_scheduled_change_whose_tick_comes_in_the_same_look_has_its_reply(rig: DeskRig) -> None:
+def test_scheduled_change_whose_tick_comes_in_the_same_look_has_its_reply(
+    rig: CommandServerRig,
+) -> None:
     """Both answers of the servo are there at once: the first is the reply, the second an event."""
     asked = packed(cmd="set", K=5.0, at_tick=rig.servo.ticks + 3)
     assert rig.send(asked) == []
     replies = [decoded(one) for one in rig.run(6)]
     assert [one["receipt"]["result"] for one in replies] == ["scheduled"]
     assert [one["result"] for one in rig.journal.recent if one["kind"] == "answer"] == ["applied"]
-    assert not rig.desk._guarded._scheduled  # or every later verdict would count it
+    assert not rig.server._guarded._scheduled  # or every later verdict would count it

@@ -1,0 +1,49 @@
+"""What is said of a change that was not judged, or judged beside its way: verdicts as maps, and
+refusals with the remedy.
+"""
+
+from typing import Any
+
+from hapticd.core.errors import CommandError
+from hapticd.guard.pending import PendingChange
+from hapticd.guard.status import Guard
+from hapticd.protocol.explanation import (
+    Explanation,
+    Outcome,
+    Reason,
+    Remedy,
+    because,
+    explanation_of,
+)
+
+
+def refused(change: PendingChange, why: Explanation) -> CommandError:
+    """The refusal of what nobody judged."""
+    verdict = change.verdict | why.plain(Outcome.REFUSED) | {"cmd": change.cmd}
+    return CommandError("guard", f"{change.cmd}: {verdict['text']}", guard=verdict)
+
+
+def unknown_refused(change: PendingChange) -> CommandError:
+    """The same by a strict policy, with what would do it all the same."""
+    remedy = "`hapticd guard warn` would do it all the same"
+    if change.strict:
+        remedy = "under `warn` a client that is not strict would do it all the same"
+    why = explanation_of(change.verdict)
+    why = why.and_reason(Reason.POLICY, f"policy {change.policy} refuses that")
+    return refused(change, why.and_remedy(Remedy.POLICY, remedy))
+
+
+def verdict_beside(
+    change: PendingChange, answer: dict[str, Any] | None, guard: Guard, late: str
+) -> dict[str, Any]:
+    """The verdict on a change that was posted at once; None: the worker was `late` with it."""
+    verdict = answer.get("verdict") if answer else None
+    if answer is None or not isinstance(verdict, dict):
+        why = f"the guard's worker answered: {answer.get('error')}" if answer else late
+        return guard.unknown(why or guard.trouble)
+    if answer.get("action") == "stage" and verdict.get("safe"):
+        stages = because(Reason.ONLY_IN_STAGES, "the way there is not passive, only in stages")
+        known = explanation_of(verdict)
+        both = Explanation(stages.reasons + known.reasons, known.remedies)
+        verdict = verdict | {"safe": False} | both.plain(Outcome.WARNING)
+    return {"safe": None, "text": "", **verdict, "number": change.number, "cmd": change.cmd}

@@ -1,0 +1,53 @@
+"""Changes that the servo holds for later ticks: a new one is judged with those before and after it.
+
+A bounded change is two of them: what it asks for, and what comes back at its end. That end is known
+by the negative number of its command.
+
+What would break it: a change that is kept after its servo has ended, since every later verdict
+would count it.
+"""
+
+from typing import Any, NamedTuple
+
+__all__ = ["ScheduledChanges"]
+
+
+class ScheduledChange(NamedTuple):
+    """A scheduled change."""
+
+    tick: int
+    seq: int
+    fields: dict[str, Any]  # nested as in `set`
+
+
+class ScheduledChanges:
+    """The scheduled changes of one servo life, by the sequence number of their command."""
+
+    def __init__(self) -> None:
+        self._changes: dict[int, ScheduledChange] = {}
+
+    def __len__(self) -> int:
+        return len(self._changes)
+
+    def clear(self) -> None:
+        """Another servo holds none of them."""
+        self._changes.clear()
+
+    def add(self, tick: int, seq: int, fields: dict[str, Any]) -> None:
+        """Command `seq` changes `fields` at `tick`."""
+        self._changes[seq] = ScheduledChange(tick, seq, fields)
+
+    def close(self, seq: int, applied: bool) -> None:
+        """The second answer to command `seq` is there; what was not `applied` needs no end."""
+        self._changes.pop(seq, None)
+        if not applied:
+            self._changes.pop(-seq, None)
+
+    def around(self, at_tick: int, tick: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+        """What comes into force up to `at_tick`, and after it. It is `tick`: what was due is
+        forgotten.
+        """
+        self._changes = {seq: one for seq, one in self._changes.items() if one.tick > tick}
+        booked = sorted(self._changes.values())
+        before = [one.fields for one in booked if one.tick <= at_tick]
+        return before, [one.fields for one in booked[len(before) :]]
