@@ -25,7 +25,6 @@ from hapticd.run.lockstep import LockStep, scene_params
 from hapticd.settings.scene import load_files, load_scene
 from hapticd.studies.accuracy import GROUP
 from hapticd.zwidth.engine.batch import simulate
-from hapticd.zwidth.scenes import point
 
 COSTS = Path(__file__).parent / "figures" / "effect-costs.json"
 YARDSTICK = "fig7"
@@ -63,7 +62,7 @@ class Timed:
 
     def __init__(self, path: Path) -> None:
         self.scene = load_scene(path)
-        self.group = [point(self.scene)] * GROUP
+        self.group = [self.scene.environment.free] * GROUP
         self.stack = LockStep(*scene_params(path), keep=False)
         self.ways: dict[str, Callable[[], object]] = {
             "engine_s": lambda: simulate(self.scene, self.group, ENGINE_S),

@@ -48,8 +48,8 @@ def hung(axis, result: StepResult) -> None:
     """Commanded force at rest under each weight, from above and from below, and the line."""
     weights = result.arrays["weights_n"]
     readings = result.arrays["readings_n"]
-    fit = line(weights, readings.mean(axis=1))
-    axis.plot(weights, fit.intercept + fit.slope * weights, color=BLACK, linewidth=0.8)
+    slope, intercept = line(weights, readings.mean(axis=1)).values
+    axis.plot(weights, intercept + slope * weights, color=BLACK, linewidth=0.8)
     for place, colour in ((0, BLUE), (1, ORANGE)):
         label = ("from positive x", "from negative x")[place]
         axis.plot(weights, readings[:, place], "o", color=colour, label=label)

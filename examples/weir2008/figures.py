@@ -59,7 +59,7 @@ from hapticd.zwidth.report.style import (
     plain_axis,
     simulated,
 )
-from hapticd.zwidth.report.trial import Curve, draw, dress, interval
+from hapticd.zwidth.report.trial import draw, dress, interval
 
 STYLES = tuple(level_styles(LEVELS))
 LABELS = tuple(level_label(level) for level in LEVELS)
@@ -111,19 +111,10 @@ def single_figure(
         trial = single.shown
         guess = (look, f"{words}, predicted") if trial is None else (PREDICTED, "predicted")
         if trial is not None:
-            draw(
-                size,
-                phase,
-                Curve(
-                    trial.frequency_hz,
-                    trial.impedance_ns_per_m,
-                    look,
-                    words,
-                    NORMAL * trial.relative_sd,
-                ),
-            )
+            z = (trial.frequency_hz, trial.impedance_ns_per_m)
+            draw((size, phase), *z, look, words, NORMAL * trial.relative_sd)
             known = [interval(look)]
-        draw(size, phase, Curve(PREDICTED_HZ, predicted(single, MAIN, PREDICTED_HZ), *guess))
+        draw((size, phase), PREDICTED_HZ, predicted(single, MAIN, PREDICTED_HZ), *guess)
     if len(shown) == 2:
         _advantage(phase, float(compared(shown[0], shown[1], MAIN).mean(axis=0)[1]))
     grey = dress(size, phase, TRUSTED_HZ, where=" at the probe")

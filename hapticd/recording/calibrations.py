@@ -118,11 +118,10 @@ def _reasons(scale: Mapping[str, Any], serial: str, most: int, day: datetime.dat
 
 def refuse_doubts(found: tuple[CalibrationDoubt, ...]) -> None:
     """AnalysisError that names each of `found`, if there are any."""
-    if not found:
-        return
-    steps = ", ".join(dict.fromkeys(one.remedy for one in found))
-    listed = "; ".join(map(str, found))
-    raise AnalysisError(
-        f"calibrations that cannot be relied on: {listed}. Measure them ({steps}), or ask for the"
-        " trial with --uncalibrated: its verdict then says so"
-    )
+    if found:
+        steps = ", ".join(dict.fromkeys(one.remedy for one in found))
+        listed = "; ".join(map(str, found))
+        raise AnalysisError(
+            f"calibrations that cannot be relied on: {listed}. Measure them ({steps}), or ask for"
+            " the trial with --uncalibrated: its verdict then says so"
+        )

@@ -36,11 +36,10 @@ def energies(recording: Recording) -> Iterator[tuple[int, NDArray[np.float64]]]:
 
 def total_j(recording: Recording) -> dict[str, float]:
     """Energy [J] by cause of the whole recording. ConfigError as `energies`."""
-    rows = recording.rows.get(GROUP, 0)
-    if rows:
-        kept = [recording.column(GROUP, name, rows - 1, rows)[0] for name in DATASETS]
-        return dict(zip(NAMES, map(float, kept), strict=True))
     last = np.zeros(len(NAMES))
-    for _, sums in energies(recording):
-        last = sums[-1]
+    if rows := recording.rows.get(GROUP, 0):
+        last = np.array([recording.column(GROUP, name, rows - 1, rows)[0] for name in DATASETS])
+    else:
+        for _, sums in energies(recording):
+            last = sums[-1]
     return dict(zip(NAMES, last.tolist(), strict=True))

@@ -132,8 +132,9 @@ class Recording:
         try:
             return from_plain(ServoParams, plain, "configuration")
         except ConfigError as error:
-            text = f"{self.path}: {error}; the recording is of another version, or damaged"
-            raise ConfigError(text) from error
+            raise ConfigError(
+                f"{self.path}: {error}; the recording is of another version, or damaged"
+            ) from error
 
     @property
     def missing(self) -> dict[str, int]:
@@ -178,13 +179,10 @@ class Recording:
         """(first row, row after the last, epoch) of consecutive ticks of one servo life."""
         tick = self.column("servo", "tick")
         lives = self.column("life", "row")
-        cuts = {0, len(tick), *lives.tolist(), *(np.flatnonzero(np.diff(tick) != 1) + 1).tolist()}
-        edges = sorted(cuts)
+        gaps = np.flatnonzero(np.diff(tick) != 1) + 1
+        edges = np.unique(np.concatenate(([0, len(tick)], lives, gaps)))
         epochs = self.column("life", "epoch")[np.searchsorted(lives, edges[:-1], side="right") - 1]
-        return [
-            (first, after, int(epoch))
-            for first, after, epoch in zip(edges[:-1], edges[1:], epochs, strict=True)
-        ]
+        return list(zip(edges[:-1].tolist(), edges[1:].tolist(), epochs.tolist(), strict=True))
 
     def _segment(self, first: int, after: int, epoch: int) -> Segment | None:
         begin_tick = int(self.column("servo", "tick", first, first + 1)[0])
@@ -226,7 +224,9 @@ class Recording:
 def open_recording(path: Path) -> Recording:
     """The recording in `path`, of whatever kind. ConfigError: it is none, or cannot be read."""
     if path.suffix == flight.SUFFIX:
-        return _flight(path)
+        found = flight.read_flight(regular(path, SAMPLES_BYTES))
+        with _damage(path, "flight recording"):
+            return _flight(path, *found)
     with _damage(path):
         growing = live.is_live(regular(path))
     with _damage(path, "recording" if growing else "HDF5 file"):
@@ -256,8 +256,7 @@ def _hdf5(path: Path) -> Recording:
         file = opened.enter_context(h5py.File(path, "r"))
         attributes = {name: as_text(value) for name, value in file.attrs.items()}
         _check_schema(path, attributes)
-        groups = {name: dict(file[name]) for name in file}
-        recording = Recording(path, attributes, groups)
+        recording = Recording(path, attributes, {name: dict(file[name]) for name in file})
         recording.opened = opened.pop_all()
     return recording
 
@@ -284,13 +283,7 @@ def _damage(path: Path, kind: str = "HDF5 file") -> Iterator[None]:
         raise ConfigError(f"{path}: {error}; it is not a valid {kind}, or damaged") from error
 
 
-def _flight(path: Path) -> Recording:
-    header, records = flight.read_flight(regular(path, SAMPLES_BYTES))
-    with _damage(path, "flight recording"):
-        return _of_flight(path, header, records)
-
-
-def _of_flight(path: Path, header: dict[str, Any], records: Records) -> Recording:
+def _flight(path: Path, header: dict[str, Any], records: Records) -> Recording:
     attributes = {
         "schema": SCHEMA,
         "started_utc": header["written_utc"],

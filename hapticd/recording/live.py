@@ -108,8 +108,9 @@ def require_finished(path: Path) -> None:
         try:
             flock(file, LOCK_SH | LOCK_NB)
         except BlockingIOError as error:
-            text = f"{path} is being recorded; end that recording first, with Ctrl-C"
-            raise HapticdError(text) from error
+            raise HapticdError(
+                f"{path} is being recorded; end that recording first, with Ctrl-C"
+            ) from error
 
 
 def columns(blocks: Sequence[Records]) -> dict[str, Column]:
@@ -117,8 +118,7 @@ def columns(blocks: Sequence[Records]) -> dict[str, Column]:
     if not blocks:
         return {}
     edges = np.cumsum([0, *map(len, blocks)])
-    known = channels(blocks[0].dtype)
-    return {channel.name: Column(channel, blocks, edges) for channel in known}
+    return {one.name: Column(one, blocks, edges) for one in channels(blocks[0].dtype)}
 
 
 class LiveFile:
@@ -235,18 +235,6 @@ GROUPS: dict[str, np.dtype[Any]] = {
 }
 
 
-class Newest(NamedTuple):
-    """The newest record of a block."""
-
-    tick: int
-    unix_ns: int
-    period_ns: float  # from tick to tick, the mean of the block
-
-    def unix_s(self, tick: int) -> float:
-        """The time of another tick, counted from this one."""
-        return (self.unix_ns + (tick - self.tick) * self.period_ns) / NS_PER_S
-
-
 class Writer:
     """Collects messages and writes them in blocks; records `seconds` after the first one, or later,
     are left out.
@@ -261,7 +249,7 @@ class Writer:
         self._new: dict[str, list[Records]] = {name: [] for name in GROUPS}  # rows to be written
         self._rows = dict.fromkeys(STREAMS, 0)
         self._epoch: int | None = None
-        self._newest = Newest(0, 0, 0.0)
+        self._newest: Block | None = None  # of ticks
         self.missing = dict.fromkeys(STREAMS, 0)
         self.first_ns = 0  # time of the first record that was taken
         self.last_ns = 0  # and of the newest
@@ -284,7 +272,7 @@ class Writer:
             return
         content = msgpack.unpackb(payload, use_list=False)
         if topic == "event":
-            self._new["event"].append(table("event", [event_row(content)]))
+            self._add("event", **event_row(content))
             return
         lost, checkpoint = (
             [] if content[one] is None else [content[one]] for one in ("break", "checkpoint")
@@ -300,7 +288,7 @@ class Writer:
         """
         return [
             {
-                "timestamp": self._newest.unix_s(noted.tick),
+                "timestamp": unix_s(self._newest, noted.tick) if self._newest else 0.0,
                 "tick": noted.tick,
                 "kind": Command(noted.kind).name.lower(),
                 "fault": "",
@@ -326,19 +314,20 @@ class Writer:
             )
         if block.gap:
             self.missing[topic] += block.gap
-            gap = {"stream": name, "row": row, "missing": block.gap}
-            self._new["gap"].append(table("gap", [gap]))
+            self._add("gap", stream=name, row=row, missing=block.gap)
         if topic == "servo.raw" and block.header["epoch"] != self._epoch:
             self._epoch = block.header["epoch"]
             offset_ns = block.header["mono_unix_offset_ns"]
-            life = {"row": row, "epoch": self._epoch, "mono_unix_offset_ns": offset_ns}
-            self._new["life"].append(table("life", [life]))
+            self._add("life", row=row, epoch=self._epoch, mono_unix_offset_ns=offset_ns)
         if topic == "servo.raw":
             self.first_ns = self.first_ns or int(block.records["time_ns"][0])
             self.last_ns = int(block.records["time_ns"][-1])
-            self._newest = _newest(block)
+            self._newest = block
         self._rows[topic] += len(block.records)
         self._new[name].append(block.records)
+
+    def _add(self, group: str, **row: Any) -> None:
+        self._new[group].append(table(group, [row]))
 
     def write(self) -> None:
         """Put everything taken into the file. OSError: it cannot be written (any more)."""
@@ -348,11 +337,12 @@ class Writer:
         self._new = {name: [] for name in GROUPS}
 
 
-def _newest(block: Block) -> Newest:
+def unix_s(block: Block, tick: int) -> float:
+    """The time of a tick, counted from the newest of `block` by the mean period of that."""
     first_tick, last_tick = block.records["tick"][[0, -1]].tolist()
     first_ns, last_ns = block.records["time_ns"][[0, -1]].tolist()
-    period_ns = (last_ns - first_ns) / max(1, last_tick - first_tick)
-    return Newest(last_tick, last_ns + block.header["mono_unix_offset_ns"], period_ns)
+    away_ns = (tick - last_tick) * (last_ns - first_ns) / max(1, last_tick - first_tick)
+    return float(last_ns + block.header["mono_unix_offset_ns"] + away_ns) / NS_PER_S
 
 
 def table(group: str, rows: Iterable[Mapping[str, Any]]) -> Records:

@@ -102,16 +102,11 @@ def _check_room(source: Path, final: Path, free_bytes: Callable[[Path], int]) ->
 
 def summary(recording: Recording) -> dict[str, Any]:
     """Records, probe samples, seconds, missing records, servo lives."""
-    rows = recording.rows["servo"]
-    ends = (
-        [int(recording.column("servo", "time_ns", row, row + 1)[0]) for row in (0, rows - 1)]
-        if rows
-        else [0, 0]
-    )
+    time_ns = recording.column("servo", "time_ns")
     return {
-        "records": rows,
+        "records": len(time_ns),
         "probe_samples": recording.rows["probe"],
-        "seconds": (ends[1] - ends[0]) / NS_PER_S,
+        "seconds": int(np.sum(time_ns[-1:] - time_ns[:1])) / NS_PER_S,
         "missing": recording.missing,
         "lost_slots": _lost_slots(recording),
         "lives": recording.rows["life"],

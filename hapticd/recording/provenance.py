@@ -17,7 +17,7 @@ import subprocess
 import time
 import uuid
 from contextlib import suppress
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -67,12 +67,13 @@ def of_recording(hello: Hello, status: Status, header: dict[str, Any], note: str
     """
     servo = to_plain(hello.servo)
     now_ns = time.time_ns()
+    now = datetime.fromtimestamp(now_ns / NS_PER_S, UTC)
     device = servo["device"]
     report = status.servo
     return {
         "schema": SCHEMA,
         "uuid": str(uuid.uuid4()),
-        "started_utc": datetime.fromtimestamp(now_ns / NS_PER_S, UTC).isoformat(),
+        "started_utc": now.isoformat(),
         "mono_ns": now_ns - header["mono_unix_offset_ns"],
         "utc_ns": now_ns,
         "simulated": int(header["simulated"]),
@@ -90,7 +91,7 @@ def of_recording(hello: Hello, status: Status, header: dict[str, Any], note: str
                 if isinstance(scale, dict) and "measured_on" in scale
             }
         ),
-        "calibration_doubts": _json(list(map(str, doubts(servo, _day(now_ns))))),
+        "calibration_doubts": _json(list(map(str, doubts(servo, now.astimezone().date())))),
         "certificate": _json(certificate_of(servo)),
         "config_hash": status.config_hash or servo["config_hash"],
         "configuration": json.dumps(servo),
@@ -111,10 +112,6 @@ def of_recording(hello: Hello, status: Status, header: dict[str, Any], note: str
         "cpu": processor(),
         "note": note,
     }
-
-
-def _day(unix_ns: int) -> date:
-    return datetime.fromtimestamp(unix_ns / NS_PER_S).astimezone().date()
 
 
 def _json(value: Any) -> str:

@@ -80,8 +80,7 @@ def record(
     packing; what was recorded is in the live file. DaemonDown: nothing was received.
     """
     check_free(params)
-    recorder = Recorder(source, params, clock or MonotonicClock(), free_bytes)
-    ended = recorder.run(should_stop, tell)
+    ended = Recorder(source, params, clock or MonotonicClock(), free_bytes).run(should_stop, tell)
     return {"ended": ended, **pack.pack(params.part, params.file, free_bytes=free_bytes)}
 
 
@@ -114,7 +113,7 @@ class Recorder:
         self._clock = clock
         self._free_bytes = free_bytes
         self._writer: Writer | None = None
-        self._early: list[bytes] = []  # for replays: what came before the first records
+        self._early: list[Message] = []  # for replays: what came before the first records
 
     def run(
         self, should_stop: Callable[[], bool], tell: Callable[[RecordingProgress], None]
@@ -131,11 +130,10 @@ class Recorder:
                 raise DaemonDown("record: the daemon published nothing; see `hapticd status`")
         except OSError as error:
             part = self._params.part
-            remedy = (
-                "what was flushed before is safe: free some space, then `hapticd rec recover"
-                f" {part}`"
-            )
-            raise HapticdError(f"{part}: {error}; {remedy}") from error
+            raise HapticdError(
+                f"{part}: {error}; what was flushed before is safe: free some space, then `hapticd"
+                f" rec recover {part}`"
+            ) from error
         finally:
             if self._writer is not None:
                 with suppress(OSError):  # said above, by the write that failed
@@ -181,14 +179,13 @@ class Recorder:
             self._writer.take(topic, payload)
         elif topic == "flight":
             # a checkpoint of a tick that is among the first records may come before them
-            self._early.append(payload)
+            self._early.append((topic, payload))
         elif topic == "servo.raw":
             header = BlockDecoder().decode(payload).header
             attributes = of_recording(*answers, header, self._params.note)
             self._writer = Writer(self._params.part, attributes, self._params.seconds)
-            self._writer.take(topic, payload)
-            for early in self._early:
-                self._writer.take("flight", early)
+            for message in ((topic, payload), *self._early):
+                self._writer.take(*message)
 
     def _over(self, silent_ns: int, should_stop: Callable[[], bool]) -> str:
         if should_stop():

@@ -52,6 +52,7 @@ class ReplayResult:
         """Counts, the first difference, and rms and peak of both forces [N]."""
         recorded = self.recorded["force_n"]
         replayed = self.replayed["force_n"]
+        forces = {"recorded": recorded, "replayed": replayed, "difference": replayed - recorded}
         first = self.first_difference
         return {
             "ticks": len(self.replayed),
@@ -61,9 +62,8 @@ class ReplayResult:
             "bit_exact": first is None,
             "first_difference": None if first is None else first._asdict(),
             "force_rms_n": {
-                "recorded": _rms(recorded),
-                "replayed": _rms(replayed),
-                "difference": _rms(replayed - recorded),
+                name: float(np.sqrt(np.mean(np.square(force_n))))
+                for name, force_n in forces.items()
             },
             "force_peak_n": {
                 "recorded": float(np.abs(recorded).max()),
@@ -91,7 +91,3 @@ def replay_recording(
     left_out = recording.rows["servo"] - len(recorded)
     first = difference(recorded, replayed)
     return ReplayResult(recorded, replayed, list(pairwise(edges)), first, left_out)
-
-
-def _rms(values: NDArray[Any]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

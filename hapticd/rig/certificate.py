@@ -15,12 +15,14 @@ import json
 import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from hapticd.core.params import to_plain
+from hapticd.protocol.answers import Hello, Status
 from hapticd.recording.calibrations import used_scales
 from hapticd.recording.certificate import certificate_path
 from hapticd.recording.provenance import (
@@ -33,7 +35,7 @@ from hapticd.recording.provenance import (
 from hapticd.rig.experiment import BoardIdentity
 from hapticd.rig.result import StepResult
 
-__all__ = ["Subject", "content", "write"]
+__all__ = ["content", "write"]
 
 VERSION = 1
 NOT_VERIFIED = (
@@ -51,20 +53,13 @@ text-align:left;vertical-align:top;padding:.15em .6em .15em 0;font-size:9pt}
 @media print{body{margin:0;max-width:none}}"""
 
 
-@dataclass(frozen=True)
-class Subject:
-    """What is certified: the device of a hello's `servo`, its file, its board."""
-
-    servo: Mapping[str, Any]
-    device_file: Path
-    device_file_sha256: str
-    board: BoardIdentity
-    realtime: Mapping[str, Any]  # rights that the servo got
-
-
-def content(result: StepResult, subject: Subject, now: datetime) -> dict[str, Any]:
-    """The certificate as JSON values; `result` is that of `verify`."""
-    servo = subject.servo
+def content(
+    result: StepResult, now: datetime, hello: Hello, status: Status, board: BoardIdentity
+) -> dict[str, Any]:
+    """The certificate as JSON values; `result` is that of `verify`, for the device of the daemon
+    that said `hello`. In `status` stand the rights that its servo got.
+    """
+    servo = to_plain(hello.servo)
     device = servo["device"]
     done = [one for one in result.findings if one.verdict != "not done"]
     left = [one.what for one in result.findings if one.verdict == "not done"]
@@ -75,11 +70,11 @@ def content(result: StepResult, subject: Subject, now: datetime) -> dict[str, An
         "time": now.isoformat(timespec="seconds"),
         "device": {
             "name": device["name"],
-            "file": subject.device_file.name,
-            "file_sha256": subject.device_file_sha256,
-            "serial": subject.board.serial or device["serial"],
-            "firmware": subject.board.firmware,
-            "life": subject.board.life,
+            "file": Path(servo["device_file"]).name,
+            "file_sha256": servo["device_file_sha256"],
+            "serial": board.serial or device["serial"],
+            "firmware": board.firmware,
+            "life": board.life,
             "simulated": servo["simulated"],
             "rate_hz": servo["realtime"]["rate_hz"],
             "config_hash": servo["config_hash"],
@@ -92,7 +87,7 @@ def content(result: StepResult, subject: Subject, now: datetime) -> dict[str, An
         "machine": {
             "kernel": f"{platform.system()} {platform.release()}",
             "cpu": processor(),
-            "realtime": dict(subject.realtime),
+            "realtime": status.servo.get("realtime", {}),
         },
     }
 

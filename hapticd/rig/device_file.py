@@ -22,7 +22,7 @@ import shutil
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -40,22 +40,14 @@ __all__ = ["keep", "refuse_shipped", "write"]
 
 Stated = Written | datetime.date | Mapping[str, float]
 Values = Mapping[tuple[str, str], Stated]  # by table and key
-_EFFECT = "model."  # before the name of each effect
 _DIGITS = 12  # of the hash of a kept file
-
-
-class Kept(NamedTuple):
-    """A file of raw records."""
-
-    path: Path
-    sha256: str  # hex
 
 
 def keep(
     device_file: Path, step: str, day: datetime.date, arrays: Mapping[str, npt.NDArray[Any]]
-) -> Kept:
+) -> str:
     """Write `arrays` beside `device_file`, as rig/NAME-DATE-STEP.npz; an earlier file of that day
-    stays.
+    stays. Returns the name in that form, and the first digits of the SHA-256.
     """
     folder = device_file.parent / "rig"
     folder.mkdir(exist_ok=True)
@@ -66,7 +58,7 @@ def keep(
     with partial.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
     os.replace(partial, path)
-    return Kept(path, hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGITS])
+    return f"rig/{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGITS]}"
 
 
 def write(
@@ -90,7 +82,9 @@ def write(
     }
     # a sign or an offset by itself says nothing of how the scale beside it is known
     for table in dict.fromkeys(one.table for one in asked if not _beside(one)):
-        told = _of_effect(provenance) if table.startswith(_EFFECT) else provenance
+        told = provenance
+        if table.startswith("model."):
+            told = {**provenance, "source": "calibrated", "note": provenance["source"]}
         for key in told.keys() & keys_of(DeviceFile, tuple(table.split("."))):
             values.setdefault((table, key), told[key])
         halves = {
@@ -114,10 +108,6 @@ def refuse_shipped(path: Path) -> None:
 
 def _beside(change: Change) -> bool:
     return change.key == "sign" or (change.table, change.key) == ("force", "offset_count")
-
-
-def _of_effect(provenance: Mapping[str, Stated]) -> dict[str, Stated]:
-    return {**provenance, "source": "calibrated", "note": provenance["source"]}
 
 
 def _replace(path: Path, text: str) -> DeviceFile:

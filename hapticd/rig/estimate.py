@@ -11,7 +11,7 @@ What would break it: residuals that go together over more than a block (interval
 """
 
 from collections.abc import Callable
-from math import sqrt
+from math import hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -44,19 +44,14 @@ class Fit(NamedTuple):
         """Halves (p,) of the 95 % intervals."""
         return quantile(self.freedom) * self.sd
 
+    def value(self, place: int, name: str, unit: str, relative: float = 0.0) -> Value:
+        """The coefficient at `place` as the value `name`; `relative` widens its interval."""
+        size = float(self.values[place])
+        return Value.around(name, size, unit, hypot(float(self.halves[place]), relative * size))
+
     def half(self, of: Floats) -> float:
         """Half of the 95 % interval of the sum of `of` (p,) times the coefficients."""
         return quantile(self.freedom) * sqrt(max(0.0, float(of @ self.covariance @ of)))
-
-
-class Line(NamedTuple):
-    """A straight line and the halves of its 95 % intervals."""
-
-    slope: float
-    slope_half: float
-    intercept: float
-    intercept_half: float
-    worst: float  # residual
 
 
 def quantile(freedom: float) -> float:
@@ -112,13 +107,9 @@ def separable(
     return fit._replace(values=np.append(linear, at))
 
 
-def line(x: Floats, y: Floats) -> Line:
-    """The line y(x) through (n,) points, n at least 3."""
-    fit = least_squares(np.column_stack([x, np.ones_like(x)]), y)
-    slope, intercept = fit.values.tolist()
-    slope_half, intercept_half = fit.halves.tolist()
-    worst = float(np.abs(fit.residuals).max())
-    return Line(slope, slope_half, intercept, intercept_half, worst)
+def line(x: Floats, y: Floats) -> Fit:
+    """The line y(x) through (n,) points, n at least 3: its slope, then its intercept."""
+    return least_squares(np.column_stack([x, np.ones_like(x)]), y)
 
 
 def mean_half(values: Floats) -> float:

@@ -402,8 +402,8 @@ def perturbation_run(
 def _signal(samples: Records, name: str, device: DeviceParams) -> Floats:
     """A channel of the probe in SI, by the scale of the device file."""
     scale: ScaleParams = getattr(device, f"probe_{name}")
-    slope = scale.to_value(1.0) - scale.to_value(0.0)
-    return np.asarray(scale.to_value(0.0) + slope * samples[name].astype(np.float64))
+    counts = samples[name].astype(np.float64) - scale.offset_count
+    return np.asarray(scale.sign * scale.per_count * counts)
 
 
 def _side_by_side(still: Streams, moving: Streams, device: DeviceParams) -> PerturbationRun:

@@ -62,7 +62,6 @@ from hapticd.zwidth.scenes import (
     frequencies,
     is_linear,
     level,
-    point,
     without,
 )
 from hapticd.zwidth.simulated import pooled, spectra_of, spectra_on
@@ -70,7 +69,6 @@ from hapticd.zwidth.store import Progress, Steps, silent
 
 __all__ = ["cost", "plan_accuracy", "run_accuracy"]
 
-REFERENCE = "the reference"
 ROUNDS = 3  # of timing
 LOCKSTEP_S = 20.0  # length of the trial in lock-step
 SWEPT = (1, 2, 4, 8, 16, 32)  # sub-steps in a sample
@@ -120,7 +118,7 @@ def engine_cost(scene: Scene, now_ns: Stopwatch) -> float:
     """Seconds per simulated second of one trial in a full group. The kernel is compiled before.
     ConfigError as `simulate`.
     """
-    group = [point(scene)] * GROUP
+    group = [scene.environment.free] * GROUP
     simulate(scene, group, 1.0 / scene.rate_hz)
     _, spent = timed(now_ns, lambda: simulate(scene, group, COST_ENGINE_S), REPEATS)
     return spent / (COST_ENGINE_S * GROUP)
@@ -231,9 +229,10 @@ class ReferenceComparison(ABC, Generic[T]):
     def _simulated(self, setting: Setting, trials: int) -> BatchResult:
         noise = self.torque_n is not None
         return simulate(
-            without(self.scene, *setting.without), [point(self.scene)] * trials, setting.seconds,
+            without(self.scene, *setting.without), [self.scene.environment.free] * trials,
+            setting.seconds, substeps=setting.substeps, dtype=setting.dtype,
             excitation=None if self.torque_n is None else self.torque_n[:trials], own_torque=noise,
-            substeps=setting.substeps, dtype=setting.dtype, keep="records" if noise else "ticks",
+            keep="records" if noise else "ticks",
         )  # fmt: skip
 
 
@@ -256,7 +255,7 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         self._step_free = pooled(self._spectra(found, DEFAULT_LAG))
         if is_linear(scene):
             self._true = predicted_impedance(
-                self.own.model, point(scene), self._f, level(scene), self.own.filters
+                self.own.model, scene.environment.free, self._f, level(scene), self.own.filters
             )
             self.reference = "exact first harmonic of the linear scene"
             return
@@ -282,7 +281,7 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         judged together.
         """
         own = self.own
-        kbm = point(self.scene)
+        kbm = self.scene.environment.free
         damping = level(self.scene)
         asked = (damping, own.filters, own.perturbation)
         z, alone_s = timed(
@@ -352,9 +351,9 @@ class PositionComparison(ReferenceComparison[Floats]):
         ]
         samples = trial.torque_n.size
         like = simulate(
-            self.scene, [point(self.scene)], samples / PROBE_RATE_HZ, active_damping=later,
+            self.scene, [self.scene.environment.free], samples / PROBE_RATE_HZ,
+            active_damping=later, substeps=self.exact.substeps, keep="ticks",
             excitation=np.concatenate((np.zeros(lead), trial.torque_n))[:samples],
-            substeps=self.exact.substeps, keep="ticks",
         )  # fmt: skip
         position, _ = like.traces(0)
         return self._row(trial.position_m[: len(position) - ticks] - position[ticks:])
@@ -473,7 +472,7 @@ def _swept(plan: AccuracyPlan, comparison: Comparison, steps: Steps) -> list[Acc
         rows[setting] = rows.get(setting) or _row(partial(comparison.measure, setting))
     default = Setting(plan.exact.seconds)
     rows[default] = replace(rows[default], default=True)
-    rows[plan.exact] = replace(rows[plan.exact], step=nan, total=nan, note=REFERENCE)
+    rows[plan.exact] = replace(rows[plan.exact], step=nan, total=nan, note="the reference")
     for _ in range(ROUNDS):
         steps.next("timing")
         for setting, row in rows.items():

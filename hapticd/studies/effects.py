@@ -27,9 +27,8 @@ or effects that hide each other, which is why the proposal is simulated as a who
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from math import inf, nan
-from typing import NamedTuple
 
 import numpy as np
 
@@ -48,7 +47,6 @@ from hapticd.zwidth.scenes import (
     frequencies,
     level,
     noise,
-    point,
     without,
 )
 from hapticd.zwidth.simulated import pooled, spectra_of
@@ -59,9 +57,12 @@ __all__ = ["EffectsParams", "plan_effects", "run_effects"]
 PREDICTED = "predicted"
 SIMULATED = "simulated"
 PEAK_HZ = (40.0, 200.0)
-NAMES = {"K N/m": 1.0, "B N s/m": 1.0, "M g": 1e3}
+LIMITS = {"K N/m": 1.0, "B N s/m": 1.0, "M g": 1e3}  # factors from SI units
+PEAK = {"peak N s/m": 1.0, "at Hz": 1.0}
 FINE = 1e-3  # relative error of a limit: a change of 1 % must be seen
 INSIDE = 0.9  # of the predicted mass limit, for the peak: near it a long trial may run away
+# relative change, 0.02 is 2 %, inf where only one of two numbers exists; numbers by name
+Compared = tuple[float, dict[str, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +78,12 @@ class EffectsParams:
 @dataclass(frozen=True, slots=True)
 class Question:
     """How one question is answered. `values`: the numbers for a scene with some of its effects,
-    PREDICTED or SIMULATED. `change` of such numbers against those of the whole scene: 0.02 is 2 %,
-    inf where only one of the two exists. `named`: the numbers by name with unit.
+    PREDICTED or SIMULATED. `compare` tells how much such numbers change against those of the whole
+    scene, and gives them by name with unit.
     """
 
     values: Callable[[EffectsParams, Scene, str], Floats]
-    change: Callable[[Floats, Floats], float]
-    named: Callable[[Floats, Floats], dict[str, float]]
+    compare: Callable[[Floats, Floats], Compared]
 
 
 def impedance(
@@ -122,72 +122,25 @@ def limits(params: EffectsParams, scene: Scene, method: str) -> Floats:
     return np.array([limit.value for limit in run_limits(plan, TrialStore(None)).limits])
 
 
-def limits_change(full: Floats, other: Floats) -> float:
-    """The largest relative change of a limit."""
-    return max(relative(one, two) for one, two in zip(full, other, strict=True))
-
-
-def named_limits(full: Floats, other: Floats) -> dict[str, float]:
-    """The limits of K, B and M."""
-    return {
-        name: float(factor * value)
-        for (name, factor), value in zip(NAMES.items(), other, strict=True)
-    }
-
-
 def phase(params: EffectsParams, scene: Scene, method: str) -> Floats:
     """Phase [deg] (F,) of Z under the scene's environment."""
     return np.degrees(
-        np.angle(impedance(params, scene, point(params.scene), frequencies(), method))
+        np.angle(impedance(params, scene, params.scene.environment.free, frequencies(), method))
     )
 
 
-def phase_change(full: Floats, other: Floats) -> float:
-    """The largest difference of phase, over 90 degrees."""
-    return float(np.abs(_turned(other - full)).max() / 90.0)
-
-
-def named_phase(full: Floats, other: Floats) -> dict[str, float]:
-    """The largest difference of phase, and its frequency."""
-    turned = _turned(other - full)
-    worst = int(np.argmax(np.abs(turned)))
-    return {"phase deg": float(turned[worst]), "at Hz": float(frequencies()[worst])}
-
-
-class PeakFound(NamedTuple):
-    """The highest maximum of |Z|."""
-
-    height_ns_per_m: float
-    frequency_hz: float
-    inside: float  # 1: inside the band, 0: at its end
-
-
 def peak(params: EffectsParams, scene: Scene, method: str) -> Floats:
-    """The numbers of the `PeakFound` (3,), with a mass near the limit of the whole scene."""
+    """Height [N s/m] and frequency [Hz] (2,) of the highest maximum of |Z|, with a mass near the
+    limit of the whole scene. Without a maximum inside the band the largest |Z|, and nan.
+    """
     f = frequencies(PEAK_HZ, count=1000)
     size = np.abs(impedance(params, scene, (0.0, 0.0, peak_mass_kg(params)), f, method))
     rising = np.diff(size) > 0.0
     inner = np.flatnonzero(rising[:-1] & ~rising[1:]) + 1
-    highest = int(inner[np.argmax(size[inner])]) if inner.size else int(np.argmax(size))
-    return np.array(PeakFound(size[highest], f[highest], float(inner.size > 0)))
-
-
-def peak_change(full: Floats, other: Floats) -> float:
-    """The larger relative change of height and frequency; inf if the peak came or went."""
-    whole = PeakFound(*full)
-    left = PeakFound(*other)
-    if whole.inside != left.inside:
-        return inf
-    height = left.height_ns_per_m / whole.height_ns_per_m
-    frequency = left.frequency_hz / whole.frequency_hz
-    return float(np.abs(np.array([height, frequency]) - 1.0).max())
-
-
-def named_peak(full: Floats, other: Floats) -> dict[str, float]:
-    """Height and frequency; no frequency where there is no maximum."""
-    found = PeakFound(*other)
-    at_hz = float(found.frequency_hz) if found.inside else nan
-    return {"peak N s/m": float(found.height_ns_per_m), "at Hz": at_hz}
+    if not inner.size:
+        return np.array([size.max(), nan])
+    highest = inner[np.argmax(size[inner])]
+    return np.array([size[highest], f[highest]])
 
 
 @cache
@@ -202,22 +155,36 @@ def peak_mass_kg(params: EffectsParams) -> float:
     return INSIDE * mass_kg
 
 
+def compare_each(names: dict[str, float], full: Floats, other: Floats) -> Compared:
+    """Numbers that stand by themselves, by `names` with their factors: the largest relative
+    change, and the others.
+    """
+    change = max(relative(one, two) for one, two in zip(full, other, strict=True))
+    scaled = zip(names, (other * [*names.values()]).tolist(), strict=True)
+    return change, dict(scaled)
+
+
+def compare_phase(full: Floats, other: Floats) -> Compared:
+    """The largest difference of phase, over 90 degrees; it, and its frequency."""
+    turned = (other - full + 180.0) % 360.0 - 180.0
+    worst = int(np.argmax(np.abs(turned)))
+    numbers = {"phase deg": float(turned[worst]), "at Hz": float(frequencies()[worst])}
+    return abs(numbers["phase deg"]) / 90.0, numbers
+
+
 QUESTIONS = {
-    "limits": Question(limits, limits_change, named_limits),
-    "phase": Question(phase, phase_change, named_phase),
-    "peak": Question(peak, peak_change, named_peak),
+    "limits": Question(limits, partial(compare_each, LIMITS)),
+    "phase": Question(phase, compare_phase),
+    "peak": Question(peak, partial(compare_each, PEAK)),
 }
 
 
-def _turned(degrees: Floats) -> Floats:
-    """The same angles in -180..180 degrees."""
-    return np.asarray((degrees + 180.0) % 360.0 - 180.0)
-
-
 def relative(full: float, other: float) -> float:
-    """Change of `other` against `full`: inf where only one of them exists (nan), 0 where
-    neither does.
+    """Change of `other` against `full`: inf where only one of them exists (nan), 0 where neither
+    does, or both are the same.
     """
+    if full == other:
+        return 0.0
     if np.isnan(full) or np.isnan(other):
         return 0.0 if np.isnan(full) and np.isnan(other) else inf
     if full == 0.0:
@@ -305,16 +272,10 @@ class _Study:
         self.steps.next(f"without {words}" if keys else f"all effects, {method}")
         full = self._values((), method)
         try:
-            change = self._change(keys, method)
+            change, numbers = self._question.compare(full, self._values(keys, method))
         except (ConfigError, AnalysisError) as error:
             return LeftOut(words, method, {}, inf, nan, str(error))
-        return LeftOut(
-            words,
-            method,
-            self._question.named(full, self._values(keys, method)),
-            change,
-            self._cost(keys),
-        )
+        return LeftOut(words, method, numbers, change, self._cost(keys))
 
     def proposal(self, rows: list[LeftOut]) -> tuple[tuple[str, ...], LeftOut]:
         """The effects that are kept, and their row; all of them where there is no answer."""
@@ -331,16 +292,12 @@ class _Study:
 
     def _agreed(self, keys: Iterable[str]) -> tuple[str, ...]:
         """Those of `keys`, the least important first, that prediction leaves out together."""
+        full = self._values((), PREDICTED)
         dropped: tuple[str, ...] = ()
         for key in keys:
             with suppress(ConfigError, AnalysisError):
-                if self._change((*dropped, key), PREDICTED) <= self._plan.params.tolerance:
-                    dropped = (*dropped, key)
+                more = (*dropped, key)
+                change, _ = self._question.compare(full, self._values(more, PREDICTED))
+                if change <= self._plan.params.tolerance:
+                    dropped = more
         return dropped
-
-    def _change(self, keys: tuple[str, ...], method: str) -> float:
-        return (
-            self._question.change(self._values((), method), self._values(keys, method))
-            if keys
-            else 0.0
-        )

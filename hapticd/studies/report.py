@@ -51,8 +51,8 @@ from hapticd.zwidth.report.style import (
     styled,
 )  # fmt: skip
 from hapticd.zwidth.report.table import Cell, Table, changed, duration, shown, table
-from hapticd.zwidth.report.trial import Curve, Trace, draw, draw_traces, dress
-from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies, point
+from hapticd.zwidth.report.trial import Trace, draw, draw_traces, dress
+from hapticd.zwidth.scenes import SUBSTEPS, candidates, frequencies
 
 __all__ = [
     "accuracy_figure",
@@ -154,14 +154,9 @@ def _draw_impedance(size: Axes, phase: Axes, trial: SceneTrial, look: Look) -> N
         return
     z = trial.judged.measured
     seen = (z.frequency_hz >= SHOWN_HZ[0]) & (z.frequency_hz <= SHOWN_HZ[1])
-    draw(
-        size,
-        phase,
-        Curve(z.frequency_hz[seen], trial.judged.predicted[seen], PREDICTED, "predicted"),
-    )
-    draw(
-        size, phase, Curve(z.frequency_hz[seen], z.impedance_ns_per_m[seen], look, trial.case.name)
-    )
+    f = z.frequency_hz[seen]
+    draw((size, phase), f, trial.judged.predicted[seen], PREDICTED, "predicted")
+    draw((size, phase), f, z.impedance_ns_per_m[seen], look, trial.case.name)
 
 
 def _traces_alone(result: SceneResult, width_mm: float | None) -> Figure:
@@ -200,7 +195,7 @@ def _steps(trial: SceneTrial, seconds: float, look: Look) -> Trace:
 def _title(result: SceneResult) -> str:
     scene = result.plan.scene
     wall = scene.environment.wall
-    k, b, m = point(scene)
+    k, b, m = scene.environment.free
     rendered = (
         f"wall of {wall.stiffness_n_per_m:g} N/m and {wall.virtual_damping_ns_per_m:g} N s/m at"
         f" {1e3 * wall.position_m:g} mm"

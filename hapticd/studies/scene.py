@@ -53,7 +53,7 @@ from hapticd.model.stability import damping_ceiling, edge, modes, stability
 from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.spectra import DEFAULT_LAG
 from hapticd.zwidth.engine.batch import BatchResult, simulate
-from hapticd.zwidth.scenes import SUBSTEPS, filters, level, point
+from hapticd.zwidth.scenes import SUBSTEPS, level
 from hapticd.zwidth.simulated import simulated
 from hapticd.zwidth.sources import Trial
 from hapticd.zwidth.store import Progress, Steps, silent
@@ -166,7 +166,7 @@ def _trial(plan: ScenePlan, case: DampingCase, start_c: float | None, steps: Ste
 def _simulated(plan: ScenePlan, case: DampingCase, seconds: float, keep: str) -> BatchResult:
     return simulate(
         plan.scene,
-        [point(plan.scene)],
+        [plan.scene.environment.free],
         seconds,
         active_damping=case.active_damping,
         substeps=SUBSTEPS,
@@ -180,7 +180,7 @@ def _judged(plan: ScenePlan, case: DampingCase, found: BatchResult) -> TrialResu
     if recorded.seconds < LEAST_S:
         return None
     trial = Trial(
-        point(scene),
+        scene.environment.free,
         max(height for _, height in case.active_damping),
         plan.seconds,
         scene.excitation,
@@ -269,7 +269,9 @@ def _loop(scene: Scene, model: Model, top: float) -> tuple[float, float]:
 
     def stable(level_ns_per_m: float) -> bool:
         return bool(
-            spectral_radius(model, np.array([point(scene)]), level_ns_per_m, filters(scene))[0]
+            spectral_radius(
+                model, np.array([scene.environment.free]), level_ns_per_m, scene.environment.filters
+            )[0]
             < 1.0
         )
 

@@ -119,30 +119,6 @@ def _marked_instead(foreign: ForeignSamples) -> str:
     return f"; the mark is in column {best}" if strength[best] else ""
 
 
-def _alignment(
-    own: TrialRecord,
-    foreign: ForeignSamples,
-    track: Track,
-    begin: int,
-    likeness: list[Likeness],
-) -> Alignment:
-    """How the file stands beside the own record; the result begins `begin` samples into `track`."""
-    offset = int(np.floor(track.clock.offset_rows))
-    return Alignment(
-        own=own.origin,
-        offset=foreign.first + offset,
-        offset_fraction=track.clock.offset_rows - offset,
-        clock_ppm=track.clock.ppm,
-        clock_ppm_sd=track.clock.ppm_sd,
-        residual_s=track.clock.residual_samples / PROBE_RATE_HZ,
-        first_sample=track.first + begin,
-        mark=track.mark,
-        gaps=track.gaps,
-        force=likeness[0],
-        velocity=likeness[1],
-    )
-
-
 def _beside(
     path: Path, own: TrialRecord, foreign: ForeignSamples, track: Track, even: tuple[Floats, Flags]
 ) -> TrialRecord:
@@ -153,7 +129,21 @@ def _beside(
     likeness = _likeness(path, np.stack((force, velocity))[:, known], channels[:, known])
     signs = [np.copysign(1.0, one.coefficient) for one in likeness]
     place = np.flatnonzero(known)
-    alignment = _alignment(own, foreign, track, int(place[0]), likeness)
+    clock = track.clock
+    offset = int(np.floor(clock.offset_rows))
+    alignment = Alignment(
+        own=own.origin,
+        offset=foreign.first + offset,
+        offset_fraction=clock.offset_rows - offset,
+        clock_ppm=clock.ppm,
+        clock_ppm_sd=clock.ppm_sd,
+        residual_s=clock.residual_samples / PROBE_RATE_HZ,
+        first_sample=track.first + int(place[0]),
+        mark=track.mark,
+        gaps=track.gaps,
+        force=likeness[0],
+        velocity=likeness[1],
+    )
     counts = {name: own.more[name] for name in COUNTED if name in own.more}
     recorded = replace(
         own,

@@ -115,9 +115,9 @@ def pool_of(executor: Executor | None) -> AbstractContextManager[Executor]:
 
 @contextmanager
 def _processes(count: int) -> Iterator[Executor]:
-    pool = ProcessPoolExecutor(
-        count, mp_context=get_context("spawn"), initializer=_leave_interrupts
-    )
+    # Ctrl-C reaches every process of a terminal; the one that began this ends it
+    ignored = (signal.SIGINT, signal.SIG_IGN)
+    pool = ProcessPoolExecutor(count, get_context("spawn"), signal.signal, ignored)
     try:
         with one_core_a_task(pool) as tasks:
             yield tasks
@@ -126,11 +126,6 @@ def _processes(count: int) -> Iterator[Executor]:
             f"a worker process died, killed or out of memory ({error}); begun again, a map goes on"
             " from what it has kept"
         ) from error
-
-
-def _leave_interrupts() -> None:
-    """Ctrl-C reaches every process of a terminal; the one that began this ends it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager

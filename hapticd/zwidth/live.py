@@ -192,10 +192,7 @@ class LiveRecording:
         self._parts: list[tuple[Floats, Flags]] = []
         self._taken = 0  # samples
         self._command_n = 0.0  # largest so far
-        self._positions_m: tuple[float, float] = (
-            nan,
-            nan,
-        )  # least and most since the monitor looked
+        self._positions_m = (nan, nan)  # least and most since the monitor looked
         self._began: Any = None  # the first tick that was perturbed
         self._newest: Any = None  # tick
 
@@ -307,12 +304,11 @@ class LiveRecording:
         decoders = {PROBE: BlockDecoder(), TICKS: BlockDecoder()}
         quiet = 0
         for message in self._daemon.messages((PROBE, TICKS), LOOK_S):
+            quiet = quiet + 1 if message is None else 0
             if message is None:
-                quiet += 1
                 if quiet > SILENT_LOOKS or self._ended:
                     break
                 continue
-            quiet = 0
             block = decoders[message[0]].decode(message[1])
             if message[0] == TICKS:
                 self._hear(block.records)
@@ -330,12 +326,9 @@ class LiveRecording:
         self._command_n = max(
             self._command_n, self._limit_n if clamped else float(np.abs(ticks["force_n"]).max())
         )
-        at_m = ticks["position_m"]
-        self._positions_m = (
-            # fmin and fmax pass over the NaN that stands for nothing yet
-            float(np.fmin(self._positions_m[0], at_m.min())),
-            float(np.fmax(self._positions_m[1], at_m.max())),
-        )
+        # fmin and fmax pass over the NaN that stands for nothing yet
+        at_m = [*self._positions_m, *ticks["position_m"]]
+        self._positions_m = (float(np.fmin.reduce(at_m)), float(np.fmax.reduce(at_m)))
         playing = ticks[ticks["perturbing"] != 0]
         if self._began is None and len(playing):
             self._began = playing[0]

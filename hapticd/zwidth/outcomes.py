@@ -173,8 +173,7 @@ def run_trials(
         records = _simulated(conditions, active_damping_ns_per_m, again, "records")
         shared = _shared_transform(records)
         for place, trial in enumerate(some):
-            record = records.record(place)
-            assessed[trial] = assessed[trial].with_samples(*record, shared)
+            assessed[trial] = assessed[trial].with_samples(*records.record(place), shared)
     limit_n = conditions.display.force_limit_n
     return [
         _outcome(conditions, active_damping_ns_per_m, limit_n, found, trial, assessed.get(trial))
@@ -396,15 +395,11 @@ def run_all(
                 results[place] = end.value
                 return
             for batch in asked[place]:
-                for task in batch.tasks(store):
-                    waiting[
-                        pool.submit(
-                            run_trials, batch.conditions, batch.active_damping_ns_per_m, task
-                        )
-                    ] = (
-                        place,
-                        batch,
-                    )
+                shared = (batch.conditions, batch.active_damping_ns_per_m)
+                waiting.update(
+                    (pool.submit(run_trials, *shared, task), (place, batch))
+                    for task in batch.tasks(store)
+                )
 
     with pool_of(executor) as pool:
         try:
@@ -414,9 +409,7 @@ def run_all(
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
                     outcomes = future.result()
                     place, batch = waiting.pop(future)
-                    store.add(
-                        (batch.keys[outcome.environment], vars(outcome)) for outcome in outcomes
-                    )
+                    store.add((batch.keys[one.environment], vars(one)) for one in outcomes)
                     on_batch(place, batch, outcomes)
                     goes_on(place)
         finally:

@@ -43,7 +43,7 @@ from hapticd.signal.passive_set import AXES
 from hapticd.signal.verdict import Judged
 from hapticd.zwidth import outcomes
 from hapticd.zwidth.map import LevelMap
-from hapticd.zwidth.scenes import Display, filters
+from hapticd.zwidth.scenes import Display
 from hapticd.zwidth.store import to_json
 
 __all__ = [
@@ -135,7 +135,7 @@ def conditions_of(conditions: outcomes.Conditions, judged: Judged) -> dict[str, 
         "mass_kg": model.mass_kg,
         "probe_mass_kg": model.probe_mass_kg,
         "rate_hz": model.rate_hz,
-        "filters_hz": [one.frequency_hz for one in filters(conditions.scene)],
+        "filters_hz": [one.frequency_hz for one in conditions.scene.environment.filters],
         "port": "probe",
         "estimator": "spa",
         "grip": "free",

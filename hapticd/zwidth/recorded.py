@@ -216,7 +216,15 @@ def _samples(
 ) -> ForeignSamples:
     """What any other program recorded; `usual_hz`: the rate where nothing says it."""
     known = _numbers(columns)
-    y, u = _channels(path, known, stated)
+    y, u = (
+        _channel(path, known, name, usual)
+        for name, usual in zip(stated, (FORCES, VELOCITIES), strict=True)
+    )
+    if y.size != u.size:
+        raise AnalysisError(
+            f"{path}: {y.size} samples of force and {u.size} of velocity; both were expected,"
+            " sampled together"
+        )
     if rate_hz is None and not any(name in known for name in (*RATES, *TIMES)):
         rate_hz = usual_hz
     found = _sampling(path, known, rate_hz, y.size)
@@ -253,13 +261,10 @@ def _numbers(columns: dict[str, Any]) -> dict[str, Floats]:
     """Columns of numbers, by their names in lower case; times as if their clock had not begun
     anew.
     """
-    numbers = {
-        name.lower(): np.asarray(values) for name, values in columns.items() if np.size(values)
-    }
     known = {
-        name: values.astype(np.float64)
-        for name, values in numbers.items()
-        if values.dtype.kind in "fiu"
+        name.lower(): np.asarray(values, np.float64)
+        for name, values in columns.items()
+        if np.size(values) and np.asarray(values).dtype.kind in "fiu"
     }
     times = {
         name: unwrapped(values.ravel()).reshape(values.shape)
@@ -267,22 +272,6 @@ def _numbers(columns: dict[str, Any]) -> dict[str, Floats]:
         if name in TIMES
     }
     return known | times
-
-
-def _channels(
-    path: Path, known: dict[str, Floats], stated: tuple[str, str]
-) -> tuple[Floats, Floats]:
-    """Force and velocity, sampled together."""
-    y, u = (
-        _channel(path, known, name, usual)
-        for name, usual in zip(stated, (FORCES, VELOCITIES), strict=True)
-    )
-    if y.size != u.size:
-        raise AnalysisError(
-            f"{path}: {y.size} samples of force and {u.size} of velocity; both were expected,"
-            " sampled together"
-        )
-    return y, u
 
 
 def _foreign(
@@ -294,10 +283,10 @@ def _foreign(
 ) -> TrialRecord:
     """The record of any other program."""
     found = _samples(path, columns, stated, rate_hz, counter)
-    more = {LOSSES_BY: found.losses_by}
     recorded = TrialRecord(
-        found.force, found.velocity, found.rate_hz, path.name, simulated=False, more=more
-    )
+        found.force, found.velocity, found.rate_hz, path.name, False,
+        more={LOSSES_BY: found.losses_by},
+    )  # fmt: skip
     shows_gaps = counter or found.place[-1] >= found.place.size
     return in_even_time(recorded, found.place) if shows_gaps else recorded
 
@@ -313,9 +302,8 @@ def _channel(path: Path, known: dict[str, Floats], stated: str, usual: tuple[str
     values = _column(path, name, known[name])
     if not (good := np.isfinite(values)).all():
         first = int(np.argmin(good))
-        place = f"sample {first + 1}"
-        if path.suffix == ".csv":
-            place = f"line {_rows(path)[2][first][0]}"
+        csv_file = path.suffix == ".csv"
+        place = f"line {_rows(path)[2][first][0]}" if csv_file else f"sample {first + 1}"
         raise AnalysisError(
             f"{path}: {place}, column {name}: {values[first]:g}; a gap cannot be analysed, cut the"
             " record there"

@@ -1,5 +1,5 @@
-"""What procedures ask of a scene: its environment as a point, its damping level, itself without an
-effect, its impedance; and the device in it, composed once, with all that is predicted of it
+"""What procedures ask of a scene: its environment without walls, its damping level, itself without
+an effect, its impedance; and the device in it, composed once, with all that is predicted of it
 (`Display`).
 
 Z is measured as the paper does it (noise at the probe, `signal.spectra`) and taken on frequencies
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from hapticd.core.arrays import Complexes, Flags, Floats
-from hapticd.core.environment import Environment, FilterParams, WallParams
+from hapticd.core.environment import Environment, WallParams
 from hapticd.core.errors import ConfigError
 from hapticd.core.units import PROBE_RATE_HZ
 from hapticd.model.compose import compose
@@ -41,13 +41,11 @@ __all__ = [
     "device_file",
     "device_scene",
     "display",
-    "filters",
     "free_of_walls",
     "frequencies",
     "is_linear",
     "level",
     "noise",
-    "point",
     "scene_of_device",
     "without",
 ]
@@ -60,19 +58,9 @@ SUBSTEPS = 4
 SATURATED = 1.0 - 1e-6  # of the force limit: float32 rounds it
 
 
-def point(scene: Scene) -> tuple[float, float, float]:
-    """K [N/m], B [Ns/m], M [kg] that the scene renders."""
-    return scene.environment.free
-
-
 def level(scene: Scene) -> float:
     """The highest active damping [Ns/m] of the scene."""
     return max(step.level_ns_per_m for step in scene.active_damping)
-
-
-def filters(scene: Scene) -> tuple[FilterParams, FilterParams]:
-    """The filters of velocity and acceleration."""
-    return scene.environment.filters
 
 
 def free_of_walls(scene: Scene) -> Environment:
@@ -106,7 +94,7 @@ class Display:
     @property
     def filters(self) -> Filters:
         """The filters of velocity and acceleration."""
-        return filters(self.scene)
+        return self.scene.environment.filters
 
     @property
     def perturbation(self) -> Perturbation:

@@ -115,7 +115,7 @@ def given(
         return stated
     others = Environment().free
     if scene and (named or typed == (None, None, None)):
-        others = scenes.point(scene)
+        others = scene.environment.free
     free = [other if own is None else own for own, other in zip(typed, others, strict=True)]
     level = active_damping_ns_per_m
     if level is None:

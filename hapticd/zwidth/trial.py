@@ -89,7 +89,6 @@ PERIOD = 2 * DEFAULT_LAG  # samples
 SPARE_S = 0.01  # periods need not be whole ticks
 TRIES = 8  # of a realisation
 SHORTEST_WINDOWS = LEAST_FREEDOM / 2 * 0.75
-KIND = "trial"
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,19 +251,14 @@ def plan_trial(params: TrialParams) -> TrialPlan:
     trial = params.trial
     scene = params.scene
     shown = display(scene, trial.excitation) if scene else None
-    radius = _radius(shown, trial) if shown else None
+    radius = None  # unknown without a model, or with Coulomb friction
+    if shown and not coulomb(shown.model).any():
+        asked = np.array([trial.environment]), trial.active_damping_ns_per_m, shown.filters
+        radius = float(spectral_radius(shown.model, *asked)[0])
     watch = replace(
         trial.watch, criteria=params.criteria, model=LoopModel(linear=radius is not None)
     )
     return TrialPlan(replace(params, trial=replace(trial, watch=watch)), shown, radius)
-
-
-def _radius(shown: Display, trial: Trial) -> float | None:
-    """Spectral radius of the predicted closed loop, None of one with Coulomb friction."""
-    if coulomb(shown.model).any():
-        return None
-    asked = np.array([trial.environment]), trial.active_damping_ns_per_m, shown.filters
-    return float(spectral_radius(shown.model, *asked)[0])
 
 
 def _possible(params: TrialParams) -> None:
@@ -391,7 +385,7 @@ def summary(result: TrialResult, sines: ReferenceSines | None = None) -> dict[st
     recorded = result.recorded
     stiffness, damping, mass = params.trial.environment
     return {
-        "kind": KIND,
+        "kind": "trial",
         "simulated": recorded.simulated,
         "origin": recorded.origin,
         "verdict": result.verdict,

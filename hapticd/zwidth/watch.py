@@ -70,12 +70,6 @@ REMEDY_OF_FILES = {
     "counter": "rows are missing by the counter in the file, record again without gaps",
     "times": "rows are missing by the times in the file, record again without gaps",
 }
-REMEDY_OF_ALIGNED = "rows are missing in the file, record again without gaps"
-NOT_LOOKED_FOR = (
-    "lost rows were not looked for: neither times nor a counter of samples show them; name the"
-    " counter's column with --counter"
-)
-BETTER = "; h_force reads |Z| better than spa"
 REMEDY = "close other programs on this computer, see `hapticd doctor`"
 CALM_SECONDS = 4  # before which nothing is known of calm
 SATURATED_SHARE = 0.01
@@ -134,15 +128,19 @@ def loss_findings(counts: Mapping[str, Any]) -> Iterator[Finding]:
     share and remedy; or that nothing shows them.
     """
     if counts.get(LOSSES_BY) == "nothing":
-        yield Finding("losses_unknown", NOT_LOOKED_FOR)
+        yield Finding(
+            "losses_unknown",
+            "lost rows were not looked for: neither times nor a counter of samples show them; name"
+            " the counter's column with --counter",
+        )
         return
     remedy = REMEDY if "slots" in counts else REMEDY_OF_FILES[counts.get(LOSSES_BY, "times")]
-    remedy = REMEDY_OF_ALIGNED if "alignment" in counts else remedy
+    if "alignment" in counts:
+        remedy = "rows are missing in the file, record again without gaps"
     filled = "they were filled in, and lower the coherence"
     stood = "the command before them stood longer than asked"
-    yield from _lost(
-        counts, "samples", f"samples of the probe lost: {{}}; {filled}", remedy + BETTER
-    )
+    better = f"{remedy}; h_force reads |Z| better than spa"
+    yield from _lost(counts, "samples", f"samples of the probe lost: {{}}; {filled}", better)
     yield from _lost(counts, "slots", f"slots of the servo lost: {{}}; {stood}", REMEDY)
 
 

@@ -173,7 +173,7 @@ def test_intervals_hold_nineteen_times_in_twenty(current):
     inside = np.zeros(4)
     for _ in range(300):
         found = fit_momentum(made_up(random, current), 1e-5)
-        assert found.by_current is bool(current)
+        assert bool(found.n_per_a) is bool(current)
         seen = np.array(
             [found.gain, found.loop_per_ns_per_m, found.physical_ns_per_m, found.coulomb_n]
         )

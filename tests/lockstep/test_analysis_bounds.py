@@ -13,7 +13,7 @@ from hapticd.run import resolve
 from hapticd.settings.load import Override, load
 from hapticd.settings.scene import load_scene
 from hapticd.settings.toml import shipped
-from hapticd.zwidth.scenes import display, filters
+from hapticd.zwidth.scenes import display
 
 
 def resolved(device: str) -> dict[str, dict]:
@@ -25,7 +25,7 @@ def test_daemon_has_the_bounds_of_its_model_everywhere_alike():
     plain = resolved("weir2008")
     limits = plain[files.SERVO_JSON]["device"]["environment_limits"]
     scene = load_scene("fig4")
-    passive = passive_ranges(display(scene).model, filters(scene), 10.0)
+    passive = passive_ranges(display(scene).model, scene.environment.filters, 10.0)
     assert limits["highest"][0] == pytest.approx(10.0 * passive["K"][1], rel=0.05)
     assert limits["lowest"] == pytest.approx((-1e3, -100.0, 10.0 * passive["M"][0]), rel=0.05)
     assert limits["highest"][2] == pytest.approx(10.0 * passive["M"][1], rel=0.05)
@@ -43,7 +43,7 @@ def test_bounds_move_with_the_model():
     """Damping of the circuit buys virtual mass."""
     scene = load_scene("theory")
     few, many = (
-        environment_limits(passive_ranges(display(scene).model, filters(scene), level))
+        environment_limits(passive_ranges(display(scene).model, scene.environment.filters, level))
         for level in (1.0, 5.0)
     )
     assert 2.0 * few.highest[2] < many.highest[2]

@@ -12,7 +12,6 @@ from hapticd.model.predict import predict, predicted_impedance, with_equivalent_
 from hapticd.settings.scene import load_scene
 from hapticd.signal.search import ModelPrior
 from hapticd.signal.surrogate import Box
-from hapticd.zwidth.scenes import filters
 
 F = np.array([2.9296875, 8.7890625, 40.0390625, 90.8203125, 250.0, 499.0234375])
 BOX = Box((0.0, 0.0, -0.02), (1500.0, 9.0, 0.03))
@@ -22,7 +21,7 @@ THEORY = load_scene("theory")
 
 
 def prior_of(scene, damping):
-    return ModelPrior(compose(scene), BOX, F, damping, filters(scene), Perturbation())
+    return ModelPrior(compose(scene), BOX, F, damping, scene.environment.filters, Perturbation())
 
 
 @pytest.mark.parametrize("damping", [0.0, 1.74])
@@ -30,7 +29,9 @@ def test_resistance_is_that_of_the_prediction(damping):
     near = BOX.to_environment(0.25 * np.random.default_rng(3).random((12, 3)) + [0.0, 0.0, 0.35])
     found = prior_of(WEIR, damping).resistance(near)
     for point, row in zip(near, found, strict=True):
-        z = predicted_impedance(compose(WEIR), point, F, damping, filters(WEIR), Perturbation())
+        z = predicted_impedance(
+            compose(WEIR), point, F, damping, WEIR.environment.filters, Perturbation()
+        )
         assert np.allclose(row, z.real, atol=0.01 * np.abs(z).max())
 
 
@@ -39,7 +40,7 @@ def test_headroom_is_the_friction_that_the_loop_can_lose():
     spectral radius 1.
     """
     model = compose(WEIR)
-    chosen = filters(WEIR)
+    chosen = WEIR.environment.filters
     friction = predict(compose(WEIR), POINTS, 1.74, perturbation=Perturbation())
     found = prior_of(WEIR, 1.74).headroom(POINTS)
     share = 1.0 / 3.0 - found
@@ -73,7 +74,7 @@ def test_without_friction_headroom_says_stable_or_not():
     model = compose(THEORY)
     points = POINTS[POINTS[:, 0] > 50.0]
     found = prior_of(THEORY, 0.0).headroom(points)
-    radius = spectral_radius(model, points, 0.0, filters(THEORY))
+    radius = spectral_radius(model, points, 0.0, THEORY.environment.filters)
     clear = np.abs(radius - 1.0) > 5e-3
     assert set(np.sign(found[clear])) == {-1.0, 1.0}
     assert np.mean((found > 0.0) == (radius < 1.0)) > 0.95

@@ -127,8 +127,9 @@ def test_intervals_of_a_line_hold_nineteen_times_in_twenty():
     slopes = intercepts = 0
     for _ in range(1000):
         found = line(x, 2.0 * x + 0.5 + 0.01 * random.standard_normal(5))
-        slopes += abs(found.slope - 2.0) <= found.slope_half
-        intercepts += abs(found.intercept - 0.5) <= found.intercept_half
+        inside = np.abs(found.values - (2.0, 0.5)) <= found.halves
+        slopes += inside[0]
+        intercepts += inside[1]
     assert 930 <= slopes <= 970
     assert 930 <= intercepts <= 970
 

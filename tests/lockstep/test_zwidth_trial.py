@@ -21,7 +21,7 @@ from hapticd.signal.impedance import impedance
 from hapticd.signal.spectra import spa
 from hapticd.zwidth.live import daemon_source
 from hapticd.zwidth.recorded import read_file
-from hapticd.zwidth.scenes import device_scene, filters
+from hapticd.zwidth.scenes import device_scene
 from hapticd.zwidth.simulated import engine_source
 from hapticd.zwidth.sources import Trial, file_source
 from hapticd.zwidth.stepped_sine import stepped_sine
@@ -423,7 +423,9 @@ def test_stepped_sine_agrees_with_the_exact_impedance_of_a_linear_display(rigid,
             found = stepped_sine(trial, daemon_source(bench), frequency_hz=f)
     else:
         found = stepped_sine(trial, engine_source(scene), frequency_hz=f)
-    exact = predicted_impedance(compose(scene), trial.environment, np.array(f), 0.0, filters(scene))
+    exact = predicted_impedance(
+        compose(scene), trial.environment, np.array(f), 0.0, scene.environment.filters
+    )
     assert np.abs(found.impedance_ns_per_m / exact - 1.0).max() < 0.01
 
 

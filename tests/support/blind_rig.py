@@ -147,7 +147,7 @@ class BlindRig:
                 result.changes,
                 f"rig {result.step}",
                 DAY,
-                f"{words or 'signs seen'}; rig/{kept.path.name} {kept.sha256}",
+                f"{words or 'signs seen'}; {kept}",
             )
 
     def restart(self) -> None:

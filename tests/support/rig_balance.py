@@ -3,12 +3,12 @@
 import numpy as np
 
 from hapticd.rig.excitation import noise
-from hapticd.rig.steps.mechanics import Facts, Scales
+from hapticd.rig.steps.mechanics import Facts
 from support.shaken_handle import shaken
 
 FACTS = Facts(
     1000.0,
-    Scales(0.0, 0.0, 0.0),
+    dict.fromkeys(("motor", "probe", "encoder"), 0.0),
     (None, None),
     {"torque_constant_nm_per_a": 1.65, "lever_m": 1.0, "resistance_ohm": 1.6, "reference_c": 20.0},
 )

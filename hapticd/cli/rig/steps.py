@@ -188,8 +188,7 @@ def _written(
             terminal.talk(f"not written: {path} is as it was")
             return replace(result, changes=())
     words = "; ".join(str(value) for value in result.values) or "signs seen"
-    note = f"{words}; rig/{kept.path.name} {kept.sha256}"
-    device_file.write(path, result.changes, f"rig {result.step}", day, note)
+    device_file.write(path, result.changes, f"rig {result.step}", day, f"{words}; {kept}")
     terminal.talk(f"written: {path}; it counts from the next start of the daemon")
     return result
 

@@ -4,7 +4,7 @@ What would break it: two measurements of the motor asked for at once (refused).
 """
 
 from datetime import datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,7 +12,6 @@ from hapticd.cli import terminal
 from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.rig import steps
 from hapticd.core.errors import AnalysisError, ConfigError
-from hapticd.core.params import to_plain
 
 with deferred_imports():
     from hapticd.client import client as clients
@@ -290,20 +289,17 @@ def verify(
     """
     settings = load.load(options.config)
     known = verify_step.KnownParts(stiffness, viscous, mass, attach, spring, seconds)
-    subjects: list[certificate.Subject] = []
+    about: list[Any] = []
 
     def measure(client: "clients.Client", ask: "hands.Ask") -> "results.StepResult":
-        servo = to_plain(client.hello().servo)
-        refuse_another_file(servo["device_file_sha256"], settings)
+        hello = client.hello()
+        refuse_another_file(hello.servo.device_file_sha256, settings)
         board = experiment.identity_of(client, experiment.collect(client, LOOK_S).records)
-        rights = client.status().servo.get("realtime", {})
-        file = settings.device_file
-        subject = certificate.Subject(servo, file, settings.device_file_sha256, board, rights)
-        subjects.append(subject)
+        about.extend((hello, client.status(), board))
         return verify_step.measure(client, ask, known)
 
     result = steps.perform(options, settings, measure)
-    said = certificate.content(result, subjects[0], datetime.now().astimezone())
+    said = certificate.content(result, datetime.now().astimezone(), *about)
     for path in certificate.write(said, settings.device_file):
         terminal.talk(f"written: {path}")
     steps.show(result, options.as_json)

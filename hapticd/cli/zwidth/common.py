@@ -215,7 +215,7 @@ def require_within(name: str, shown: "scenes.Display", asked: dict[str, float]) 
     ceiling = own.limits.active_damping_ns_per_m
     passive = environment_limits.UNKNOWN
     if own.model is not None:
-        passive = safe_region.passive_ranges(shown.model, scenes.filters(shown.scene), ceiling)
+        passive = safe_region.passive_ranges(shown.model, shown.scene.environment.filters, ceiling)
     widest = environment_limits.environment_limits(passive)
     limits = CommandLimits(shown.model.rate_hz, ceiling, widest)
     if broken := limits.broken_by(asked):

@@ -187,7 +187,7 @@ def _own_trial(
     scene: "model_scene.Scene", seconds: float, folder: Path, width_mm: float | None
 ) -> list[Path]:
     """A trial of the environment that the scene itself describes."""
-    asked = sources.Trial(scenes.point(scene), scenes.level(scene), seconds, scenes.noise(scene))
+    asked = sources.Trial(scene.environment.free, scenes.level(scene), seconds, scenes.noise(scene))
     plan = trials.plan_trial(trials.TrialParams(asked, scene))
     result = trials.run_trial(plan, simulated.engine_source(scene))
     return draw_trial(result, folder, width_mm)

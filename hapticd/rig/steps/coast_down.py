@@ -119,7 +119,7 @@ def row_of(records: Records, force: ScaleParams, m_per_count: float, rate_hz: fl
     went = float(after.mean() - before.mean())
     if abs(went) < LEAST_WAY_COUNTS * m_per_count:
         return None
-    direction = 1.0 if went > 0.0 else -1.0
+    direction = float(np.sign(went))
     away = direction * (position - before.mean())
     period_s = 1.0 / rate_hz
     commanded = quantised(records["force_n"].astype(np.float64), force)
@@ -127,8 +127,8 @@ def row_of(records: Records, force: ScaleParams, m_per_count: float, rate_hz: fl
     begin = _begin(records, commanded, away, edge, rate_hz)
     seconds = max(_end(away, abs(went), edge) - begin, 1.0) * period_s
     impulse = direction * float((commanded - commanded[0]).sum()) * period_s
-    level = records["active_damping_effect_ns_per_m"].astype(np.float64)
-    damped = float(level[1:] @ np.diff(away))
+    level = records["active_damping_effect_ns_per_m"][1:].astype(np.float64)
+    damped = float(level @ np.diff(away))
     current = records["current_a"].astype(np.float64)
     charge = direction * float((current - current[:rest].mean()).sum()) * period_s
     return Row(impulse, abs(went), seconds, damped, charge, damped / abs(went), direction)
@@ -193,7 +193,6 @@ class Momentum:
     physical_half: float
     coulomb_n: float
     coulomb_half: float
-    by_current: bool
     braked_ns: Floats  # (n,) what active damping took of each impulse
     beside: Floats  # (n,) share of each impulse that is left over
 
@@ -232,7 +231,6 @@ def fit_momentum(rows: Sequence[Row], a_per_count: float) -> Momentum:
         hypot(physical_half, mistimed_n * slowness),
         coulomb_n,
         hypot(coulomb_half, mistimed_n),
-        by_current,
         braked,
         (braked - gain * every.damped_ns) / every.impulse_ns,
     )
@@ -302,7 +300,12 @@ def analyse(
         *findings,
         _together(found),
         _line(levels, gains / found.gain),
-        _believable(found.gain),
+        checked(
+            f"a commanded N s/m is {found.gain:.4g} N s/m",
+            1.0 / FACTOR <= found.gain <= FACTOR,
+            "is full_scale_ns_per_m the hello's? Correct the device file, and repeat",
+            "refused",
+        ),
         margin(found.loop_per_ns_per_m * top, top, "limits.active_damping_ns_per_m at most {:.3g}"),
     ]
     with_n = float(device["force"]["per_count"]) * I16_HIGHEST
@@ -374,15 +377,6 @@ def _line(levels: Floats, shares: Floats) -> Finding:
         bool((np.abs(shares - 1.0) <= BESIDE).all()),
         "is the multiplier offset or at its end? Keep limits.active_damping_ns_per_m where it is"
         " straight",
-    )
-
-
-def _believable(gain: float) -> Finding:
-    return checked(
-        f"a commanded N s/m is {gain:.4g} N s/m",
-        1.0 / FACTOR <= gain <= FACTOR,
-        "is full_scale_ns_per_m the hello's? Correct the device file, and repeat",
-        "refused",
     )
 
 

@@ -21,7 +21,7 @@ What would break it: a hand on the handle (its push is no row, or lies beside th
 
 from collections.abc import Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -88,11 +88,7 @@ RECORDED = (
 )
 
 
-class Stimulus(NamedTuple):
-    """A push: `force_n` without its sign."""
-
-    force_n: float
-    seconds: float
+Stimulus = tuple[float, float]  # a push: its force [N] without the sign, and for how long [s]
 
 
 class Pushing:
@@ -114,9 +110,9 @@ class Pushing:
 
     def stimulate(self, stimulus: Stimulus, trial: float = 0.0) -> float:
         """Push once, with the level `trial` [N s/m] on for ON_S; the way [m], with its sign."""
-        force_n = self.side * stimulus.force_n
+        force_n, seconds = stimulus
         schedule = partial(self._schedule, trial)
-        found = push(self.bench, force_n, stimulus.seconds, self.after_s, schedule)
+        found = push(self.bench, self.side * force_n, seconds, self.after_s, schedule)
         require_force(self.bench.status())
         self.parts.append(found.records)
         row = row_of(found.records, self.force, self.m_per_count, self.rate_hz)
@@ -212,7 +208,7 @@ def _first_pushes(rig: Pushing) -> Stimulus | None:
     """
     force_n = FIRST_SHARE * rig.most_n
     seconds = SHORT_S
-    while abs(way := rig.stimulate(Stimulus(force_n, seconds))) < WAY_M / STRONGER:
+    while abs(way := rig.stimulate((force_n, seconds))) < WAY_M / STRONGER:
         if force_n < rig.most_n:
             force_n = min(rig.most_n, STRONGER * force_n)
         elif seconds < 5.0 * SHORT_S:
@@ -222,8 +218,8 @@ def _first_pushes(rig: Pushing) -> Stimulus | None:
     if abs(way) < LEAST_WAY_M:
         return None
     for share in (1.0, 1.0, 1.0, 0.7, 0.7, 0.5, 0.5):
-        rig.row(Stimulus(share * force_n, seconds))
-    return Stimulus(force_n, seconds)
+        rig.row((share * force_n, seconds))
+    return force_n, seconds
 
 
 def _polarity(rig: Pushing, stimulus: Stimulus, top: float) -> Finding:
@@ -318,4 +314,4 @@ def _stimuli(rig: Pushing, known: Momentum, level: float) -> Iterator[Stimulus]:
     gentle_n = min(GENTLE * friction, rig.most_n)
     for force_n, way_m in ((strong_n, WAY_M), (gentle_n, GENTLE_WAY_M)):
         speed = max(force_n - friction, 0.1 * force_n) / damping
-        yield Stimulus(force_n, float(np.clip(way_m / speed, SHORT_S / 2.0, LONGEST_S)))
+        yield force_n, float(np.clip(way_m / speed, SHORT_S / 2.0, LONGEST_S))

@@ -79,8 +79,6 @@ SEEN = 4  # pieces that an estimate rests on
 ALLOWED = 1e-3  # m/s per N, of what else lags
 LEAST_M_PER_S = 0.005  # of the handle, rms
 
-NO_DAC = "the board has no resistance DAC: what is compensated is set on the board itself"
-
 
 class Means(NamedTuple):
     """Means over windows of a piece, (n,) each."""
@@ -210,33 +208,6 @@ def _delivered(what: str, value: Value, commanded: float = 1.0) -> StepResult:
     return StepResult("audit", [value], [finding])
 
 
-class Residual(NamedTuple):
-    """What is left, at one moment of the view."""
-
-    rho: float  # m/s per N
-    half: float  # of its 95 % interval
-    n_per_a: float
-    top_ns_per_m: float  # the limit of the active damping
-    dac_count: int  # of the resistance compensation
-    winding_c: float
-
-    @property
-    def loop(self) -> float:
-        """Loop gain at the limit."""
-        return self.rho * self.top_ns_per_m
-
-    def __str__(self) -> str:
-        stable = "any damping is stable"
-        if self.rho < 0.0:
-            stable = f"allowed to {REFUSE / self.rho:.3g} N s/m"
-        return (
-            f"residual back-EMF {1e3 * self.rho:+.3g} +- {1e3 * self.half:.2g} mm/s per N,"
-            f" {self.rho * self.n_per_a**2:+.3g} ohm; loop gain {self.loop:+.2g} at"
-            f" {self.top_ns_per_m:.3g} N s/m, {stable}; count {self.dac_count},"
-            f" winding {self.winding_c:.1f} degC"
-        )
-
-
 def measure_residual(
     bench: Client,
     ask: Ask,
@@ -249,24 +220,31 @@ def measure_residual(
     """
     servo = begin_step(bench, WAITS)
     device = servo["device"]
+    top_ns_per_m = float(device["active_damping_limit_ns_per_m"])
     if missing := _no_dac(bench) or _unknown_ampere(device):
         return StepResult("trim", (), [missing])
     rate_hz = float(servo["realtime"]["rate_hz"])
     means: list[Means] = []
-    found: list[Residual] = []
+    found: list[Value] = []
 
     def seen(new: Records) -> bool:
         means.append(means_of(new, float(device["motor_n_per_a"]), rate_hz))
-        latest = residual(means[-SEEN:], device, new)
-        told("the handle hardly moves" if latest is None else str(latest))
+        latest = residual(means[-SEEN:], device)
         if latest is None:
+            told("the handle hardly moves")
             return True
+        told(_shown(latest, device, new))
         found.append(latest)
-        return latest.loop + latest.half * latest.top_ns_per_m >= REFUSE
+        return latest.high * top_ns_per_m >= REFUSE
 
     with undamped(bench):
         pieces = record_hand_motion(bench, ask, seconds, seen)
-    return StepResult("trim", *_last(found), arrays=raw_of(pieces))
+    recorded = StepResult("trim", arrays=raw_of(pieces))
+    if not found:
+        what = "residual back-EMF: the handle hardly moved"
+        remedy = "move the handle to and fro, and repeat"
+        return recorded + StepResult("trim", findings=[Finding(what, "not done", remedy)])
+    return recorded + _last(found[-1], float(device["motor_n_per_a"]) ** 2, top_ns_per_m)
 
 
 def _no_dac(bench: Client) -> Finding | None:
@@ -274,12 +252,27 @@ def _no_dac(bench: Client) -> Finding | None:
     if Capability.RESISTANCE & int(bench.status().servo.get("board", {}).get("capabilities", 0)):
         return None
     return Finding(
-        NO_DAC, "not done", "`hapticd rig damping` measures the residual resistance without it"
+        "the board has no resistance DAC: what is compensated is set on the board itself",
+        "not done",
+        "`hapticd rig damping` measures the residual resistance without it",
     )
 
 
-def residual(pieces: Sequence[Means], device: dict[str, Any], new: Records) -> Residual | None:
-    """What the last `pieces` say; None where force or velocity is next to nothing."""
+def _shown(found: Value, device: Mapping[str, Any], new: Records) -> str:
+    """A line of the view, after the ticks `new`."""
+    rho = found.value
+    top_ns_per_m = device["active_damping_limit_ns_per_m"]
+    stable = f"allowed to {REFUSE / rho:.3g} N s/m" if rho < 0.0 else "any damping is stable"
+    return (
+        f"residual back-EMF {1e3 * rho:+.3g} +- {1e3 * found.half:.2g} mm/s per N,"
+        f" {rho * device['motor_n_per_a'] ** 2:+.3g} ohm; loop gain {rho * top_ns_per_m:+.2g} at"
+        f" {top_ns_per_m:.3g} N s/m, {stable}; count {new['resistance_count'][-1]},"
+        f" winding {new['winding_c'][-1]:.1f} degC"
+    )
+
+
+def residual(pieces: Sequence[Means], device: Mapping[str, Any]) -> Value | None:
+    """The residual back-EMF by `pieces`; None where force or velocity is next to nothing."""
     means = joined(pieces)
     if means.motor_n.std() < LEAST_N or means.velocity_m_per_s.std() < LEAST_M_PER_S:
         return None
@@ -293,29 +286,16 @@ def residual(pieces: Sequence[Means], device: dict[str, Any], new: Records) -> R
     per_force, share = fit.values[:2].tolist()
     if not abs(share) > 0.1:
         return None
-    return Residual(
-        per_force / share,
-        hypot(float(fit.halves[0]) / share, ALLOWED),
-        float(device["motor_n_per_a"]),
-        float(device["active_damping_limit_ns_per_m"]),
-        int(new["resistance_count"][-1]),
-        float(new["winding_c"][-1]),
-    )
+    half = hypot(float(fit.halves[0]) / share, ALLOWED)
+    return Value.around("residual back-EMF", per_force / share, "m/s per N", half)
 
 
-def _last(found: Sequence[Residual]) -> tuple[list[Value], list[Finding]]:
-    """The last estimate, and what to think of it."""
-    if not found:
-        what = "residual back-EMF: the handle hardly moved"
-        return [], [Finding(what, "not done", "move the handle to and fro, and repeat")]
-    last = found[-1]
-    ohm = last.n_per_a**2
-    values = [
-        Value.around("residual back-EMF", last.rho, "m/s per N", last.half),
-        Value.around("residual resistance", ohm * last.rho, "ohm", ohm * last.half),
-    ]
+def _last(rho: Value, ohm: float, top_ns_per_m: float) -> StepResult:
+    """The last estimate, with the `ohm` of one m/s per N, and what to think of it."""
+    resistance = Value.around("residual resistance", ohm * rho.value, "ohm", ohm * rho.half)
     remedy = (
         "the greatest allowed damping is {:.3g} N s/m; lower resistance.base_ohm, or"
         " limits.active_damping_ns_per_m to that"
     )
-    return values, [margin(last.loop, last.top_ns_per_m, remedy)]
+    finding = margin(rho.value * top_ns_per_m, top_ns_per_m, remedy)
+    return StepResult("trim", [rho, resistance], [finding])

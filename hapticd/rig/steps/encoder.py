@@ -23,7 +23,7 @@ from hapticd.client.blocks import Records
 from hapticd.client.client import Client
 from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
-from hapticd.core.params import MOST_CORRECTION, ScaleParams
+from hapticd.core.params import MOST_CORRECTION
 from hapticd.core.units import percent
 from hapticd.rig.estimate import deviation, mean_half
 from hapticd.rig.experiment import begin_step, collect
@@ -92,11 +92,9 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
     if Capability.INDEX & int(bench.status().servo.get("capabilities", 0)):
         arrays["marks"] = np.array(marks) - float(np.median(here))
     found = analyse(arrays, distance, float(position["per_count"]), str(device["home"]["method"]))
-    sign = int(position["sign"])
-    if any(one.key == "sign" and one.value != sign for one in found.changes):
+    if any(one.key == "sign" and one.value != position["sign"] for one in found.changes):
         # which way the motor pushes is not known any more: what was verified counts no longer
-        unverified = Change("commissioning", "signs_verified", False)
-        return found + StepResult("encoder", changes=[unverified])
+        found += StepResult("encoder", changes=[Change("commissioning", "signs_verified", False)])
     return found
 
 
@@ -111,9 +109,8 @@ def _refuse(distance: Distance, travel: Mapping[str, float]) -> None:
 
 def counts_of(records: Records, position: Mapping[str, Any]) -> Floats:
     """Encoder counts (n,) since the origin, by the scale `position` of the hello."""
-    scale = ScaleParams(**position)
-    slope = scale.to_value(1.0) - scale.to_value(0.0)
-    return np.asarray(np.round(records["position_m"] / slope))
+    m_per_count = position["sign"] * position["per_count"]
+    return np.asarray(np.round(records["position_m"] / m_per_count))
 
 
 def passages(records: Records, counts: Floats) -> Floats:
@@ -131,11 +128,15 @@ def analyse(
     index mark from x = 0 on (`marks`, where there is one) say, with the `m_per_count` and the
     method to `home` of the device file.
     """
-    moving = arrays["moving"]
-    steps = arrays["steps"]
+    rest, moving, steps = (arrays[name] for name in ("rest", "moving", "steps"))
     went = float(np.median(moving[-len(moving) // 10 :]) - moving[0])
-    values = [deviation("noise at rest", arrays["rest"], "counts rms")]
-    findings = [_at_rest(arrays["rest"]), _moving(moving, went), _steps(steps, went)]
+    values = [deviation("noise at rest", rest, "counts rms")]
+    at_rest = checked(
+        f"{np.ptp(rest):g} counts peak to peak at rest",
+        bool(np.ptp(rest) <= QUIET_COUNTS),
+        "let go of it and keep the table still; else look at shield and supply of the encoder",
+    )
+    findings = [at_rest, _moving(moving, went), _steps(steps, went)]
     if not settled(findings):
         return StepResult("encoder", values, findings, (), arrays)
     scale = scale_of(steps, distance)
@@ -175,14 +176,6 @@ def _index(place_m: Floats, m_per_count: float, home: str) -> StepResult:
     mark = Value.around("home.position_m", float(np.median(place_m)), "m", half_m)
     changes = [Change("home", "position_m", float(f"{mark.value:.6g}"))] if home == "index" else []
     return StepResult("encoder", [mark], [finding], changes)
-
-
-def _at_rest(rest: Floats) -> Finding:
-    return checked(
-        f"{np.ptp(rest):g} counts peak to peak at rest",
-        bool(np.ptp(rest) <= QUIET_COUNTS),
-        "let go of it and keep the table still; else look at shield and supply of the encoder",
-    )
 
 
 def _moving(moving: Floats, went: float) -> Finding:

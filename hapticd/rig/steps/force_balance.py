@@ -128,6 +128,10 @@ class Balance:
         """Half of the 95 % interval of the quantity `name`, by the blocks."""
         return float(self.fit.halves[NAMES.index(name)])
 
+    def covariance(self, one: str, other: str) -> float:
+        """That of two quantities, by the blocks."""
+        return float(self.fit.covariance[NAMES.index(one), NAMES.index(other)])
+
 
 class _Rows(NamedTuple):
     """The equation by lines."""
@@ -266,7 +270,7 @@ def _of_run(run: PerturbationRun, clock: Clock, handle: Handle, number: int) -> 
         _lines(own.torque, high_hz),
         np.dstack([_lines(extra[name], high_hz) for name in ABSENT]),
         np.full(count, float(number)),
-        own.pull_blocks_n[:count],
+        own.pull_n[:count],
     )
 
 

@@ -77,8 +77,7 @@ class Terms(NamedTuple):
     friction: Floats  # phi
     command: Floats  # F
     torque: Floats
-    pull_n: float  # f0
-    pull_blocks_n: Floats  # (blocks,)
+    pull_n: Floats  # (blocks,) f0
 
 
 def commanded(run: PerturbationRun, clock: Clock, lag_us: float, spread_us2: float) -> Floats:
@@ -88,8 +87,8 @@ def commanded(run: PerturbationRun, clock: Clock, lag_us: float, spread_us2: flo
         return 2.0 * straight - commanded(run, clock, lag_us, -spread_us2)
     smooth_us = float(np.sqrt(spread_us2))
     edge_us = run.board_us + (lag_us - smooth_us)
-    count = run.torque_n.size + 1
-    grid_us = clock.phase_us + SAMPLE_US * (run.first_index + np.arange(count))
+    index = run.first_index + np.arange(run.torque_n.size + 1)
+    grid_us = clock.phase_us + SAMPLE_US * index
     twice = _integral(edge_us / US_PER_S, run.force_n, smooth_us / US_PER_S, grid_us / US_PER_S)
     return np.asarray(np.diff(twice, 2) / H_S**2)
 
@@ -179,9 +178,8 @@ def terms(run: PerturbationRun, clock: Clock, handle: Handle) -> Terms:
         rest = push - handle.viscous_ns_per_m * velocity - handle.coulomb_n * phi
         pull = float(rest[EDGE:-EDGE].mean())
     blocks = rest[: rest.size // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
-    two = (0.5 * (one[1:] + one[:-1]) for one in (velocity, phi, torque))
-    mean_velocity, mean_phi, mean_torque = two
-    return Terms(acceleration, slider, mean_velocity, mean_phi, command, mean_torque, pull, blocks)
+    velocity, phi, torque = (0.5 * (one[1:] + one[:-1]) for one in (velocity, phi, torque))
+    return Terms(acceleration, slider, velocity, phi, command, torque, blocks)
 
 
 def _widened(means: Floats) -> Floats:

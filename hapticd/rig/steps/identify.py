@@ -16,7 +16,7 @@ What would break it: a hand on the handle (its mass and damper are then the devi
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import hypot, isnan, nan, pi
+from math import hypot, isnan, nan, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -36,10 +36,8 @@ from hapticd.rig.steps.mechanics import (
     CommandPath,
     Facts,
     Mechanics,
-    Scales,
     channels,
     friction_n,
-    known_half,
     mechanics_of,
     path_of,
     resonance_of,
@@ -85,8 +83,8 @@ def measure(bench: Client, ask: Ask) -> StepResult:
 def facts_of(servo: Mapping[str, Any]) -> Facts:
     """What the hello's `servo` says of the device."""
     device = servo["device"]
-    names = ("force", "probe_torque", "position")
-    scales = Scales(*(relative_half(device[name], nan) for name in names))
+    tables = {"motor": "force", "probe": "probe_torque", "encoder": "position"}
+    scales = {name: relative_half(device[table], nan) for name, table in tables.items()}
     period_us = US_PER_S / float(servo["realtime"]["rate_hz"])
     return Facts(period_us, scales, filters_of(servo), motor_table(device))
 
@@ -166,14 +164,13 @@ def _moved(found: Balance) -> Finding:
 
 def scales_agree(found: Balance, facts: Facts) -> Iterator[Finding]:
     """Whether the scales of the device file agree with each other."""
-    scales = facts.scales
-    if unknown := [name for name, half in vars(scales).items() if isnan(half)]:
+    if unknown := [name for name, half in facts.scales.items() if isnan(half)]:
         yield Finding(
             f"no interval of {', '.join(unknown)}: {100 * UNKNOWN_SHARE:g} % is taken",
             "warning",
             "`hapticd rig` measures them first",
         )
-    allowed = hypot(known_half(scales.motor), known_half(scales.probe), found.half("gain"))
+    allowed = hypot(facts.half("motor"), facts.half("probe"), found.half("gain"))
     yield checked(
         f"a newton of the motor is {found.handle.gain:.4g} N of the probe",
         abs(found.handle.gain - 1.0) <= 1.5 * allowed,
@@ -183,9 +180,8 @@ def scales_agree(found: Balance, facts: Facts) -> Iterator[Finding]:
 
 def parting(path: CommandPath, found: Balance) -> Finding:
     """How the lag is parted into delay and smoothing."""
-    lag = NAMES.index("lag_us")
-    spread = NAMES.index("spread_us2")
-    together = float(found.fit.covariance[lag, spread] / (found.fit.sd[lag] * found.fit.sd[spread]))
+    variances = found.covariance("lag_us", "lag_us") * found.covariance("spread_us2", "spread_us2")
+    together = found.covariance("lag_us", "spread_us2") / sqrt(variances)
     parted = "no smoothing is told from delay, the lag is written as delay"
     if path.smoothing.value:
         parted = f"it is smoothed by {path.smoothing.value:.4g} us"
@@ -257,9 +253,8 @@ def changes_of(
         "coulomb": {"rotor_n": max(0.0, mechanics.coulomb.rounded)},
         "delay": {"periods": round(path.delay.value / facts.period_us, 5)},
     }
-    if path.smoothing.value:
-        corner_hz = US_PER_S / (2.0 * pi * path.smoothing.value)
-        tables["smoothing"] = {"corner_hz": float(f"{corner_hz:.6g}")}
+    if smoothing_us := path.smoothing.value:
+        tables["smoothing"] = {"corner_hz": float(f"{US_PER_S / (2.0 * pi * smoothing_us):.6g}")}
     converters = ("encoder", "force_dac", "damping_dac", "probe_adc", "saturation")
     names = tuple(name for name in tables if name not in ("masses", "motor"))
     yield Change("model", "effects", (*names, *converters))
@@ -275,12 +270,11 @@ def _masses(found: Balance, mass: Value) -> dict[str, Mapping[str, float | str]]
         return {"masses": {"rotor_kg": mass.rounded, "slider_kg": 0.0}}
     slider = mass.value * handle.slider_kg / handle.whole_kg
     rate = handle.slider_rad_s
-    damping = 2.0 * handle.slider_ratio * rate * slider
     return {
         "masses": {"rotor_kg": _digits(mass.value - slider), "slider_kg": _digits(slider)},
         "coupling": {
             "stiffness_n_per_m": _digits(slider * rate**2),
-            "damping_ns_per_m": _digits(damping),
+            "damping_ns_per_m": _digits(2.0 * handle.slider_ratio * rate * slider),
         },
     }
 

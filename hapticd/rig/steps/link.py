@@ -300,9 +300,9 @@ def _analyse_silences(silences: list[Silence], stated_s: float, period_s: float)
     if not first.tripped:
         what = f"{WATCHDOG}: {MS_PER_S * first.seconds:.4g} ms without frames, and it did not trip"
         return StepResult("watchdog", (), [Finding(what, "refused", REMEDY)], arrays=arrays)
-    high_s = min(one.seconds for one in silences if one.tripped)
-    low_s = max((one.seconds for one in silences if not one.tripped), default=period_s)
-    low_ms, high_ms = MS_PER_S * min(low_s, high_s), MS_PER_S * high_s
+    high_ms = MS_PER_S * min(one.seconds for one in silences if one.tripped)
+    calm_s = max((one.seconds for one in silences if not one.tripped), default=period_s)
+    low_ms = min(MS_PER_S * calm_s, high_ms)
     value = Value("watchdog", (low_ms + high_ms) / 2, "ms", low_ms, high_ms)
     findings = [_time(value, MS_PER_S * stated_s, MS_PER_S * period_s), *_trip(silences)]
     return StepResult("watchdog", [value], findings, arrays=arrays)

@@ -37,22 +37,19 @@ LEAST_SMOOTHING = 0.05  # of a period: less is written as delay
 
 
 @dataclass(frozen=True)
-class Scales:
-    """Relative halves of the 95 % intervals of the device file's scales; nan where it says none."""
-
-    motor: float
-    probe: float
-    encoder: float
-
-
-@dataclass(frozen=True)
 class Facts:
-    """What is known of the device before."""
+    """What is known of the device before. `scales`: relative halves of the 95 % intervals of motor,
+    probe and encoder by the device file; nan where it says none.
+    """
 
     period_us: float
-    scales: Scales
+    scales: Mapping[str, float]
     filters: tuple[FilterParams, FilterParams]
     motor: Mapping[str, float | str]  # [model.motor] of the device file
+
+    def half(self, scale: str) -> float:
+        """That of a scale, as far as it is known."""
+        return UNKNOWN_SHARE if isnan(self.scales[scale]) else self.scales[scale]
 
 
 class Mechanics(NamedTuple):
@@ -76,7 +73,7 @@ def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
     handle = found.handle
     scale, scale_half = _newton(found, facts)
     motion = float(np.mean([clock.gain for clock in found.clocks]))  # encoder by velocity channel
-    motion_half = known_half(facts.scales.encoder)
+    motion_half = facts.half("encoder")
 
     # what one of the two frictions has too much the other one lacks
     shared_n = FRICTION_SHARE * friction_n(found)
@@ -100,8 +97,8 @@ def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
 
 def _together(found: Balance, slopes: Mapping[str, float]) -> float:
     """Half of the 95 % interval of what changes by `slopes` with quantities of the balance."""
-    of = np.array([slopes.get(name, 0.0) for name in NAMES[: len(found.fit.values)]])
-    return found.fit.half(of)
+    names = NAMES[: len(found.fit.values)]
+    return found.fit.half(np.array([slopes.get(name, 0.0) for name in names]))
 
 
 def resonance_of(found: Balance, mass: Value) -> list[Value]:
@@ -131,16 +128,12 @@ def friction_n(found: Balance) -> float:
     return handle.coulomb_n + abs(handle.viscous_ns_per_m) * found.speed_m_per_s
 
 
-def known_half(half: float) -> float:
-    return UNKNOWN_SHARE if isnan(half) else half
-
-
 def _newton(found: Balance, facts: Facts) -> tuple[float, float]:
     """What a newton of the probe's scale is taken to be, and the half of its interval: two scales,
     each weighed by its interval.
     """
-    probe = known_half(facts.scales.probe)
-    motor = known_half(facts.scales.motor)
+    probe = facts.half("probe")
+    motor = facts.half("motor")
     both = hypot(probe, motor)
     if both == 0.0:
         return 1.0, 0.0
@@ -150,12 +143,11 @@ def _newton(found: Balance, facts: Facts) -> tuple[float, float]:
 def path_of(found: Balance, runs: Sequence[PerturbationRun], facts: Facts) -> CommandPath:
     """Delay and smoothing, as far as the lag can be parted."""
     handle = found.handle
-    lag_place = NAMES.index("lag_us")
-    spread_place = NAMES.index("spread_us2")
     doubt = 2.0 * MASS_SHARE * handle.whole_kg / _stiffness(runs[-1]) * US_PER_S**2
-    covariance = found.fit.covariance
     # how much the lag changes with a spread that is wrong [1/us]
-    lag_by_spread = covariance[lag_place, spread_place] / covariance[spread_place, spread_place]
+    lag_by_spread = found.covariance("lag_us", "spread_us2") / found.covariance(
+        "spread_us2", "spread_us2"
+    )
     lag_half = hypot(found.half("lag_us"), LAG_US, lag_by_spread * doubt)
     spread_half = hypot(found.half("spread_us2"), doubt)
     known = np.concatenate([run.delays_us for run in runs])

@@ -33,7 +33,7 @@ from hapticd.core.arrays import Floats
 from hapticd.core.errors import AnalysisError
 from hapticd.core.params import COMMISSIONING_SHARE, MOST_CORRECTION
 from hapticd.core.units import percent
-from hapticd.rig.estimate import Line, line, mean_half
+from hapticd.rig.estimate import Fit, line, mean_half
 from hapticd.rig.experiment import (
     LOOK_S,
     Push,
@@ -264,11 +264,13 @@ def analyse(
     """
     means = readings_n.mean(axis=1)
     found = line(weights_n, means)
-    scale = -masses.pulls_to / found.slope
+    slope, intercept = found.values.tolist()
+    slope_half, intercept_half = found.halves.tolist()
+    scale = -masses.pulls_to / slope
     unequal = REPEATS * friction_of(readings_n)
-    slope_half = hypot(found.slope_half, unequal / float(np.ptp(weights_n)))
-    gain = full_scale(scale, device, hypot(slope_half / abs(found.slope), masses.tolerance))
-    offset = offset_of(found.intercept, hypot(found.intercept_half, unequal), device)
+    relative = hypot(slope_half, unequal / float(np.ptp(weights_n))) / abs(slope)
+    gain = full_scale(scale, device, hypot(relative, masses.tolerance))
+    offset = offset_of(intercept, hypot(intercept_half, unequal), device)
     # half the difference between rest from above and from below: no more than the friction, and
     # less where a load came to rest beyond its place
     halves = abs(scale) * np.abs(np.diff(readings_n, axis=1))[:, 0] / 2.0
@@ -283,9 +285,9 @@ def analyse(
     )
 
 
-def straight(found: Line, readings: Floats, of: str, remedy: str) -> Finding:
+def straight(found: Fit, readings: Floats, of: str, remedy: str) -> Finding:
     """Whether the `readings` (n,) lie on the line that was `found`; `of` names their span."""
-    share = found.worst / float(np.ptp(readings))
+    share = float(np.abs(found.residuals).max() / np.ptp(readings))
     what = f"the worst reading lies {percent(share)} of the {of} beside the line"
     return checked(what, share <= MOST_RESIDUAL, remedy, "refused")
 

@@ -55,14 +55,13 @@ from hapticd.rig.result import (
 from hapticd.rig.steps.motor import GRAVITY_M_PER_S2
 from hapticd.rig.steps.probe_fits import (
     SIGNAL_S,
-    SKEW,
     Added,
+    Channel,
+    Phase,
     ReferenceSpring,
     fit_added_mass,
     fit_velocity_channel,
     phase,
-    phase_findings,
-    skew_change,
 )
 from hapticd.usb.codec import I16_HIGHEST
 
@@ -155,69 +154,67 @@ def analyse(
 ) -> StepResult:
     """What was recorded says, with the scales of the hello's `device`."""
     bare = lines(found.bare)
-    findings = channels(bare)
-    values: list[Value] = []
-    changes: list[Change] = []
-    turned: Floats = np.zeros(len(LINES_HZ))
-    if settled(findings):
-        turned = _compared(found.one, judged, values, findings)
-    if found.loaded is not None and settled(findings):
-        half = relative_half(device["position"], POSITION_HALF)
-        of_velocity = fit_velocity_channel(bare)
-        fit = fit_added_mass(found.bare, found.loaded, of_velocity, turned)
-        velocity_half = hypot(of_velocity.relative_half, half)
-        gains = {
-            "probe_torque": force_gain(fit, attached, half),
-            "probe_velocity": Gain(1.0 / of_velocity.counts, velocity_half),
-        }
-        findings += _weighed(fit)
-        remedy = "is the mass in kg, and was it fixed? Else correct the full scale in the file"
-        findings += [
-            plausible(name, one.per_count, device[name], remedy) for name, one in gains.items()
-        ]
-        scales = [
-            gains["probe_torque"].value("probe_torque.full_scale_n", "N"),
-            gains["probe_velocity"].value("probe_velocity.full_scale_m_per_s", "m/s"),
-            offset("probe_torque.offset_count", found.rest.torque),
-            offset("probe_velocity.offset_count", found.rest.velocity),
-        ]
-        changes = [
-            *(Change(name, "sign", one.sign) for name, one in gains.items()),
-            *map(change_of, scales),
-            *(skew_change(one) for one in values if one.name == SKEW),
-            *_within_reach(scales[0], device["probe_limit_n"]),
-        ]
-        values += [
-            *scales,
-            noise("probe_torque noise", found.rest.torque, gains["probe_torque"], "N rms"),
-            noise("probe_velocity noise", found.rest.velocity, gains["probe_velocity"], "m/s rms"),
-        ]
-    return StepResult("probe", values, findings, changes, _arrays(found))
+    result = StepResult("probe", findings=channels(bare), arrays=_arrays(found))
+    if not result.settled:
+        return result
+    turned, of_signal = _compared(found.one, judged)
+    result += of_signal
+    if found.loaded is None or not result.settled:
+        return result
+    of_velocity = fit_velocity_channel(bare)
+    fit = fit_added_mass(found.bare, found.loaded, of_velocity, turned)
+    return result + _scales(found.rest, fit, of_velocity, attached, device)
 
 
-def _compared(
-    one: Recording | None, judged: ReferenceSpring, values: list[Value], findings: list[Finding]
-) -> Floats:
-    """Phase (l,) of the velocity channel against the torque channel; what is found of both is
-    added to `values` and `findings`.
-    """
+def _compared(one: Recording | None, judged: ReferenceSpring) -> tuple[Floats, StepResult]:
+    """Phase (l,) of the velocity channel against the torque channel, and what is found of both."""
     if one is None:
-        findings.append(
-            Finding(
-                "skew and high-pass mismatch",
-                "not done",
-                "feed one signal into both channels; the force gain may be off by some 0.5 %",
-            )
+        found: Phase | Finding = Finding(
+            "skew and high-pass mismatch",
+            "not done",
+            "feed one signal into both channels; the force gain may be off by some 0.5 %",
         )
-        return np.zeros(len(LINES_HZ))
-    found = phase(one.torque, one.velocity)
+    else:
+        found = phase(one.torque, one.velocity)
     if isinstance(found, Finding):
-        findings.append(found)
-        return np.zeros(len(LINES_HZ))
-    mismatch = found.mismatch(judged)
-    values += [found.skew, mismatch]
-    findings += phase_findings(found.skew, mismatch, judged)
-    return found.at(LINES_HZ)
+        return np.zeros(len(LINES_HZ)), StepResult("probe", findings=[found])
+    return found.at(LINES_HZ), found.result(judged)
+
+
+def _scales(
+    rest: Recording,
+    fit: Added,
+    of_velocity: Channel,
+    attached: AttachedMass,
+    device: Mapping[str, Any],
+) -> StepResult:
+    """Scales, offsets and noise of both channels."""
+    half = relative_half(device["position"], POSITION_HALF)
+    torque = force_gain(fit, attached, half)
+    velocity = Gain(1.0 / of_velocity.counts, hypot(of_velocity.relative_half, half))
+    gains = {"probe_torque": torque, "probe_velocity": velocity}
+    remedy = "is the mass in kg, and was it fixed? Else correct the full scale in the file"
+    findings = [
+        *_weighed(fit),
+        *(plausible(name, one.per_count, device[name], remedy) for name, one in gains.items()),
+    ]
+    full = torque.value("probe_torque.full_scale_n", "N")
+    scales = [
+        full,
+        velocity.value("probe_velocity.full_scale_m_per_s", "m/s"),
+        offset("probe_torque.offset_count", rest.torque),
+        offset("probe_velocity.offset_count", rest.velocity),
+    ]
+    noises = [
+        noise("probe_torque noise", rest.torque, torque, "N rms"),
+        noise("probe_velocity noise", rest.velocity, velocity, "m/s rms"),
+    ]
+    changes = [*(Change(name, "sign", one.sign) for name, one in gains.items())]
+    changes += map(change_of, scales)
+    if full.low < device["probe_limit_n"]:
+        # the converter gives no more than its full scale, whatever the file's limit is
+        changes.append(Change("limits", "probe_n", floor(full.low * 1e3) / 1e3))
+    return StepResult("probe", [*scales, *noises], findings, changes)
 
 
 def channels(bare: Lines) -> list[Finding]:
@@ -321,13 +318,6 @@ def noise(name: str, counts: Floats, gain: Gain, unit: str) -> Value:
     value = sqrt(spread**2 - SHEPPARD) * per_count
     half = value * hypot(NORMAL / sqrt(2.0 * len(last)), gain.relative_half)
     return Value.around(name, value, unit, half)
-
-
-def _within_reach(full: Value, limit_n: float) -> list[Change]:
-    """The converter gives no more than its full scale, whatever the file's limit is."""
-    if full.low >= limit_n:
-        return []
-    return [Change("limits", "probe_n", floor(full.low * 1e3) / 1e3)]
 
 
 def _arrays(found: Recordings) -> dict[str, npt.NDArray[Any]]:

@@ -56,7 +56,8 @@ from hapticd.core.arrays import Complexes, Floats
 from hapticd.core.units import PROBE_RATE_HZ, US_PER_S
 from hapticd.rig.estimate import Fit, least_squares
 from hapticd.rig.excitation import LINES_HZ, Lines, Recording, amplitudes, lines
-from hapticd.rig.result import Change, Finding, Value, checked
+from hapticd.rig.experiment import SAMPLE_US
+from hapticd.rig.result import Change, Finding, StepResult, Value, checked
 
 __all__ = ["ReferenceSpring"]
 
@@ -65,13 +66,11 @@ PART_SD = 0.3  # of a share that is anything between 0 and 1
 OMEGA = 2.0 * pi * LINES_HZ
 SIGNAL_S = 30.0
 BAND_HZ = (0.8, 200.0)
-PERIOD_US = US_PER_S / PROBE_RATE_HZ
 HANN_SPREAD = 35.0 / 18.0  # of the variance of what is fitted under it: mean w^4 / (mean w^2)^2
 SIGNAL_COUNTS = 20.0  # rms in the band, of a signal that says something
 SIGNAL_COHERENT = 0.5  # share of the velocity channel's power that is the torque channel's
 MOST_SKEW = 0.1  # of a sample: 9 degrees at 1 kHz
 MOST_DAMPING_NS_PER_M = 0.05
-SKEW = "probe skew"
 
 
 class Channel(NamedTuple):
@@ -200,7 +199,7 @@ class Phase:
         # the zero crossing of a line is where it is: what its interpolation adds is in f^3
         to_us = US_PER_S / (2.0 * pi)
         skew = to_us * float(self.fit.values[0])
-        return Value.around(SKEW, skew, "us", to_us * float(self.fit.halves[0]))
+        return Value.around("probe skew", skew, "us", to_us * float(self.fit.halves[0]))
 
     def mismatch(self, judged: ReferenceSpring) -> Value:
         """Damping that unequal high-passes feign on the spring of `judged`."""
@@ -210,6 +209,30 @@ class Phase:
         per_radian = judged.stiffness_n_per_m / (2.0 * pi * low)
         half = per_radian * cos(angle) * self.fit.half(of)
         return Value.around("high-pass mismatch", -per_radian * sin(angle), "N s/m", half)
+
+    def result(self, judged: ReferenceSpring) -> StepResult:
+        """Both, and what is to be thought of them; the skew goes into the device file."""
+        skew = self.skew
+        mismatch = self.mismatch(judged)
+        share = skew.value / SAMPLE_US
+        most = max(abs(mismatch.low), abs(mismatch.high))
+        findings = [
+            checked(
+                f"the velocity is sampled {skew.value:.3g} us after the force, {share:.2g} of a"
+                " sample",
+                abs(share) <= MOST_SKEW,
+                "sample both together; until then live trials take it out, as the device file says",
+            ),
+            checked(
+                f"unequal high-passes look like {mismatch.value:.3g} N s/m on a spring of"
+                f" {judged.stiffness_n_per_m:g} N/m at {judged.lowest_hz:g} Hz",
+                most <= MOST_DAMPING_NS_PER_M,
+                "couple both channels directly or with equal corners, or judge from a higher"
+                " frequency",
+            ),
+        ]
+        change = Change("probe_velocity", "skew_us", skew.rounded)
+        return StepResult("probe", [skew, mismatch], findings, [change])
 
 
 def _columns(f: Floats) -> Floats:
@@ -237,28 +260,3 @@ def phase(torque: Floats, velocity: Floats) -> Phase | Finding:
     angles = np.angle(cross * np.sign(cross.sum().real))
     fit = least_squares(_columns(f[inside]), angles, np.abs(t), inflate=UNEVEN * HANN_SPREAD)
     return Phase(fit._replace(freedom=len(angles) / HANN_SPREAD - len(fit.values)))
-
-
-def skew_change(skew: Value) -> Change:
-    """`skew` into the device file."""
-    return Change("probe_velocity", "skew_us", skew.rounded)
-
-
-def phase_findings(skew: Value, mismatch: Value, judged: ReferenceSpring) -> list[Finding]:
-    """What is to be thought of both."""
-    share = skew.value / PERIOD_US
-    late = f"the velocity is sampled {skew.value:.3g} us after the force, {share:.2g} of a sample"
-    together = "sample both together; until then live trials take it out, as the device file says"
-    what = (
-        f"unequal high-passes look like {mismatch.value:.3g} N s/m on a spring of"
-        f" {judged.stiffness_n_per_m:g} N/m at {judged.lowest_hz:g} Hz"
-    )
-    most = max(abs(mismatch.low), abs(mismatch.high))
-    return [
-        checked(late, abs(share) <= MOST_SKEW, together),
-        checked(
-            what,
-            most <= MOST_DAMPING_NS_PER_M,
-            "couple both channels directly or with equal corners, or judge from a higher frequency",
-        ),
-    ]

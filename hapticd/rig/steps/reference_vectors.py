@@ -75,8 +75,7 @@ def _off(point: tuple[float, float, float], delay_periods: float, expected: floa
 
 
 def _spa() -> Finding:
-    random = np.random.default_rng(1)
-    force, noise = random.standard_normal((2, SPA_SAMPLES))
+    force, noise = np.random.default_rng(1).standard_normal((2, SPA_SAMPLES))
     velocity = np.convolve(force, (0.6, 0.3, -0.2))[:SPA_SAMPLES] + 0.2 * noise
     frequency_hz = np.array(SPA_HZ)
     found = spa(force, velocity, SPA_RATE_HZ, SPA_LAG, frequency_hz, detrend=False)

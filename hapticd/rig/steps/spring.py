@@ -18,7 +18,7 @@ position that is wrong (`rig encoder` comes first).
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import hypot
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -53,6 +53,7 @@ SETTLE_S = 0.8
 READ_S = 0.5
 OFFSET_REPEATS = 3
 HELD_N_PER_M = 200.0  # rendered while the offset is measured
+Rest = tuple[float, float]  # means at rest: commanded force [N] and position [m]
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,6 @@ class Spring:
 
     n_per_m: float
     tolerance: float = 0.01  # relative, half of the 95 % interval
-
-
-class Rest(NamedTuple):
-    """Means of the handle at rest."""
-
-    force_n: float  # commanded
-    position_m: float
 
 
 def measure(bench: Client, ask: Ask, spring: Spring) -> StepResult:
@@ -98,7 +92,7 @@ def _loop(bench: Client, most_n: float, start_m: float) -> list[list[Rest]]:
 def _rest(bench: Client, force_n: float, start_m: float) -> Rest:
     pull(bench, force_n, start_m, RAMP_S, SETTLE_S)
     found = collect(bench, READ_S).records
-    return Rest(float(found["force_n"].mean()), float(found["position_m"].mean()))
+    return float(found["force_n"].mean()), float(found["position_m"].mean())
 
 
 def analyse(rests: Floats, spring: Spring, device: Mapping[str, Any]) -> StepResult:
@@ -107,11 +101,12 @@ def analyse(rests: Floats, spring: Spring, device: Mapping[str, Any]) -> StepRes
     """
     forces, places = rests.mean(axis=1).T
     found = line(forces, places)
-    scale = spring.n_per_m * found.slope
+    slope = float(found.values[0])
+    scale = spring.n_per_m * slope
     ways = np.diff(rests, axis=1)[:, 0]
-    friction_m = float(np.abs(ways[:, 1] - found.slope * ways[:, 0]).mean()) / 2.0
-    slope_half = hypot(found.slope_half, REPEATS * friction_m / float(np.ptp(forces)))
-    gain = full_scale(scale, device, hypot(slope_half / abs(found.slope), spring.tolerance))
+    friction_m = float(np.abs(ways[:, 1] - slope * ways[:, 0]).mean()) / 2.0
+    slope_half = hypot(float(found.halves[0]), REPEATS * friction_m / float(np.ptp(forces)))
+    gain = full_scale(scale, device, hypot(slope_half / abs(slope), spring.tolerance))
     friction = spring.n_per_m * friction_m
     seen = Value.around("friction seen", friction, "N", friction)
     remedy = "does the spring buckle or end, the lever slip, or the handle stick? Repeat the step"
@@ -138,5 +133,5 @@ def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> St
     half_n = hypot(mean_half(means), REPEATS * friction_of(readings))
     offset = offset_of(float(means.mean()), half_n, servo["device"])
     finding = Finding(f"{offset.value:.3g} counts make no force", "ok")
-    changes = [zero_change(offset)]
-    return StepResult("motor", (offset,), [finding], changes, {"readings_n": readings})
+    arrays = {"readings_n": readings}
+    return StepResult("motor", (offset,), [finding], [zero_change(offset)], arrays)

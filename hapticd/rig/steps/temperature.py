@@ -116,7 +116,12 @@ def analyse(readings: Floats, stated: KnownTemperatures, device: Mapping[str, An
     scale = device["temperature"]
     per_count = float(scale["per_count"])
     drift = drift_of(readings[-1], per_count)
-    findings = [_living(readings), _steady(drift)]
+    steady = checked(
+        f"it drifts by {drift.value:.2g} K/min",
+        max(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_C_PER_MIN,
+        "wait until the winding is as warm as what is around it",
+    )
+    findings = [_living(readings), steady]
     values = [deviation("temperature noise", per_count * readings[-1], "K rms"), drift]
     changes: list[Change] = []
     if settled(findings):
@@ -141,47 +146,32 @@ def _living(readings: Floats) -> Finding:
     return checked(what, follows, "stuck sensor: it does not follow the temperature", "refused")
 
 
-def _steady(drift: Value) -> Finding:
-    return checked(
-        f"it drifts by {drift.value:.2g} K/min",
-        max(abs(drift.low), abs(drift.high)) <= MOST_DRIFT_C_PER_MIN,
-        "wait until the winding is as warm as what is around it",
-    )
-
-
 def drift_of(counts: Floats, per_count: float) -> Value:
     """Slope of `counts` (n,) over REST_S, in K/min: of the means of ten blocks."""
     away = counts - counts[0]  # so that a sensor that does not move has no rounding of its mean
     means = away[: len(counts) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
     at_min = (np.arange(BLOCKS) + 0.5 - BLOCKS / 2) * REST_S / BLOCKS / 60.0
-    found = line(at_min, per_count * means)
-    return Value.around("temperature drift", found.slope, "K/min", found.slope_half)
+    return line(at_min, per_count * means).value(0, "temperature drift", "K/min")
 
 
 def scale_of(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any]) -> list[Value]:
     """Offset, and with two temperatures the scale too, from counts (k, n)."""
     counts = readings.mean(axis=1)
     celsius = np.array(stated.celsius)
+    scales: list[Value] = []
     if len(celsius) == 1:
         per_count = int(scale["sign"]) * float(scale["per_count"])
-        offset = float(counts[0] - celsius[0] / per_count)
         unsure_c = hypot(stated.tolerance_c, SCALE_HALF * celsius[0])
-        return [_offset(offset, unsure_c / abs(per_count))]
-    apart_c = float(celsius[1] - celsius[0])
-    per_count = float(apart_c / (counts[1] - counts[0]))
-    size = abs(per_count)
-    half = size * sqrt(2.0) * stated.tolerance_c / abs(apart_c)
+    else:
+        apart_c = abs(float(celsius[1] - celsius[0]))
+        per_count = float((celsius[1] - celsius[0]) / (counts[1] - counts[0]))
+        half = abs(per_count) * sqrt(2.0) * stated.tolerance_c / apart_c
+        scales = [Value.around("temperature.c_per_count", abs(per_count), "K", half)]
+        # 0 degC lies beyond both: their errors reach there by the lever
+        unsure_c = stated.tolerance_c * hypot(*celsius) / apart_c
     offset = float(counts[0] - celsius[0] / per_count)
-    # 0 degC lies beyond both: their errors reach there by the lever
-    reach = hypot(*celsius) / abs(apart_c)
-    return [
-        Value.around("temperature.c_per_count", size, "K", half),
-        _offset(offset, stated.tolerance_c * reach / size),
-    ]
-
-
-def _offset(offset: float, half: float) -> Value:
-    return Value.around("temperature.offset_count", offset, "counts", half)
+    half = unsure_c / abs(per_count)
+    return [*scales, Value.around("temperature.offset_count", offset, "counts", half)]
 
 
 def _plausible(

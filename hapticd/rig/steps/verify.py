@@ -124,8 +124,8 @@ def measure(bench: Client, ask: Ask, known: KnownParts) -> StepResult:
     for number, part in enumerate(parts_of(known), 2):
         if part.request:
             ask(part.request)
-        waveform = noise(known.seconds, loud_n, number)
-        runs[part.name] = perturbation_run(bench, waveform, part.environment)
+        loud = noise(known.seconds, loud_n, number)
+        runs[part.name] = perturbation_run(bench, loud, part.environment)
         if part.request:
             ask(free)
     counts = {name: count - before.get(name, 0) for name, count in counted(bench).items()}
@@ -334,8 +334,8 @@ def _delay(delays_us: Floats, rendering: Rendering) -> Finding:
     """How long forces came after their samples, and how much that varied."""
     if not delays_us.size:
         return Finding("timing: from sample to force", "not done", "the board tells no ages")
-    quantiles = np.quantile(delays_us, (0.005, 0.5, 0.995))
-    low, middle, high = quantiles * rendering.rate_hz / US_PER_S
+    periods = delays_us * rendering.rate_hz / US_PER_S
+    low, middle, high = np.quantile(periods, (0.005, 0.5, 0.995))
     return checked(
         f"timing: sample to force {middle:.3g} periods, 99 % within {high - low:.3g}",
         high - low <= MOST_SPREAD,

@@ -50,6 +50,7 @@ from hapticd.rig.result import (
     relative_half,
     settled,
 )
+from hapticd.rig.steps.coast_down import UNKNOWN
 from hapticd.rig.steps.motor import allowed_n
 from hapticd.usb.codec import I16_HIGHEST
 
@@ -63,7 +64,6 @@ SHAKE_S = 5.0
 WINDOW_S = 0.02
 SLIPPED_M = 1e-3  # of a handle that is held
 LEAST_M_PER_S = 5e-3  # rms of a motion that says something
-UNKNOWN = 0.01  # half of the interval of a scale whose source does not state it
 DEAD_COUNTS = 20.0  # span of a channel that says nothing
 AGREE = 0.05
 RESTING = ("force_n", "current_a", "voltage_v", "winding_c")
@@ -117,8 +117,7 @@ def windows(records: Records, rate_hz: float) -> Floats:
     """Means over consecutive windows (n, 2): velocity by the encoder [m/s] and voltage [V]."""
     size = max(2, round(WINDOW_S * rate_hz))
     edges = np.arange(0, len(records), size)
-    position = records["position_m"].astype(np.float64)
-    speed = np.diff(position[edges]) * rate_hz / size
+    speed = np.diff(records["position_m"].astype(np.float64)[edges]) * rate_hz / size
     voltage = _means(records["voltage_v"].astype(np.float64), size)
     length = min(len(speed), len(voltage))
     return np.column_stack([speed[:length], voltage[:length]])
@@ -150,10 +149,16 @@ def analyse(
     speed_m_per_s, induced_v = moved.T
     celsius = float(winding_c.mean())
     warmed = COPPER_PER_K * float(np.ptp(winding_c)) / 2.0 if isfinite(celsius) else UNKNOWN
-    per_ampere = _slope("motor.force_n_per_a", "N/A", current_a, force_n, newton)
-    ohm = _slope("motor.winding_ohm", "ohm", current_a, voltage_v, warmed)
-    induced = _slope("back-EMF", "V s/m", speed_m_per_s, induced_v, metre)
-    findings += [_signs(per_ampere, ohm, induced), _agreement(per_ampere, induced)]
+    per_ampere = line(current_a, force_n).value(0, "motor.force_n_per_a", "N/A", newton)
+    ohm = line(current_a, voltage_v).value(0, "motor.winding_ohm", "ohm", warmed)
+    induced = line(speed_m_per_s, induced_v).value(0, "back-EMF", "V s/m", metre)
+    ratio = induced.value / per_ampere.value
+    agreement = checked(
+        f"back-EMF is {ratio:.3g} of the force per ampere; in SI they are one number",
+        abs(ratio - 1.0) <= AGREE,
+        "the scales of current, voltage, force or position are wrong: see their data sheets",
+    )
+    findings += [_signs(per_ampere, ohm, induced), agreement]
     values = [per_ampere, ohm, induced]
     reference_c = round(celsius, 1) if isfinite(celsius) else ROOM_C
     changes = [*map(change_of, values[:2]), Change("motor", "reference_c", reference_c)]
@@ -162,12 +167,6 @@ def analyse(
         values.append(Value.around("torque constant", torque, "N m/A", lever_m * per_ampere.half))
         changes.append(Change("motor", "lever_m", lever_m))
     return StepResult("motor", values, findings, changes, arrays)
-
-
-def _slope(name: str, unit: str, x: Floats, y: Floats, relative: float) -> Value:
-    """Slope of the line y(x), with an interval that `relative` widens."""
-    found = line(x, y)
-    return Value.around(name, found.slope, unit, hypot(found.slope_half, relative * found.slope))
 
 
 def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> Iterator[Finding]:
@@ -198,15 +197,6 @@ def _signs(per_ampere: Value, ohm: Value, induced: Value) -> Finding:
         not wrong,
         "correct the sign of `current` or `voltage` in the device file",
         "refused",
-    )
-
-
-def _agreement(per_ampere: Value, induced: Value) -> Finding:
-    ratio = induced.value / per_ampere.value
-    return checked(
-        f"back-EMF is {ratio:.3g} of the force per ampere; in SI they are one number",
-        abs(ratio - 1.0) <= AGREE,
-        "the scales of current, voltage, force or position are wrong: see their data sheets",
     )
 
 

@@ -49,7 +49,6 @@ from hapticd.zwidth.store import EndReason
 from hapticd.zwidth.trial import TrialResult
 
 __all__ = [
-    "Curve",
     "Trace",
     "draw",
     "draw_traces",
@@ -82,33 +81,23 @@ IMPEDANCE = View("Z", "N s/m", 1)
 ADMITTANCE = View("Y", "m/(N s) = s/kg", -1)
 
 
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """Z (F,) [N s/m] to draw; `spread` (F,) is half the interval of ln |Z|, and of the phase in
-    radians.
+def draw(
+    places: tuple[Axes, Axes],
+    frequency_hz: Floats,
+    z: Complexes,
+    look: Look,
+    words: str | None = None,
+    spread: Any = np.nan,
+    view: View = IMPEDANCE,
+) -> None:
+    """Size and phase of Z (F,) [N s/m], tinted where the interval is known: `spread` (F,) is half
+    of that of ln |Z|, and of the phase in radians.
     """
-
-    frequency_hz: Floats
-    z: Complexes
-    look: Look
-    words: str | None = None
-    spread: Floats | None = None
-
-
-def draw(size: Axes, phase: Axes, curve: Curve, view: View = IMPEDANCE) -> None:
-    """Its size and its phase, tinted where the interval is known."""
-    spread = (
-        np.full(curve.z.size, np.nan)
-        if curve.spread is None
-        else np.where(curve.spread < 1.0, curve.spread, np.nan)
-    )
-    draw_band(
-        size, curve.frequency_hz, np.abs(curve.z) ** view.sign, spread, curve.look, curve.words
-    )
-    turned = view.sign * np.degrees(np.angle(curve.z))
-    draw_band(
-        phase, curve.frequency_hz, turned, np.degrees(spread), curve.look, curve.words, linear=True
-    )
+    size, phase = places
+    known = np.where(spread < 1.0, spread, np.nan)
+    draw_band(size, frequency_hz, np.abs(z) ** view.sign, known, look, words)
+    turned = view.sign * np.degrees(np.angle(z))
+    draw_band(phase, frequency_hz, turned, np.degrees(known), look, words, linear=True)
 
 
 def dress(
@@ -166,22 +155,15 @@ def trial_figure(
     figure, (size, phase, known) = axes(3, 1, 7.2, 8.4, _title(result, view), **panels)
     worst = result.verdict.margin_deg
     f = z.frequency_hz[seen]
-    draw(
-        size,
-        phase,
-        Curve(f, z.impedance_ns_per_m[seen], look, "measured", _interval(z)[seen]),
-        view,
-    )
+    places = (size, phase)
+    measured = z.impedance_ns_per_m[seen]
+    draw(places, f, measured, look, "measured", _interval(z)[seen], view)
     if result.predicted is not None:
-        draw(size, phase, Curve(f, result.predicted[seen], PREDICTED, "predicted"), view)
+        draw(places, f, result.predicted[seen], PREDICTED, "predicted", view=view)
     if sines is not None:
-        points = Curve(
-            sines.frequency_hz,
-            sines.impedance_ns_per_m,
-            {**MARKS, "marker": "D"},
-            "stepped sine",
-        )
-        draw(size, phase, points, view)
+        points = {**MARKS, "marker": "D"}
+        z_of_sines = sines.impedance_ns_per_m
+        draw(places, sines.frequency_hz, z_of_sines, points, "stepped sine", view=view)
     phase.plot(
         worst.frequency_hz,
         view.sign * np.interp(worst.frequency_hz, z.frequency_hz, z.phase_deg),
