@@ -244,7 +244,10 @@ def remedies(
     ] = False,
     seconds: common.Seconds = 90.0,
     seeds: Annotated[
-        int, typer.Option("--seeds", metavar="N", min=1, help="Noises by which each K is searched.")
+        int,
+        typer.Option(
+            "--seeds", metavar="N", min=0, help="Noises by which each K is searched, or 0."
+        ),
     ] = 4,
     out: common.Out = None,
     as_json: terminal.Json = False,

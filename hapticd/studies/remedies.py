@@ -69,6 +69,7 @@ VALUES = 7
 BEYOND = 1.1  # of the ends of a grid over what is known of the set
 WIDER = 1.5  # factor of an end beyond which the set goes on
 WIDENINGS = 12  # at most
+TOLERANCE = 0.05  # of a limit by trials: between seeds it scatters as much
 ANGLES = np.pi * (np.arange(1024) + 0.5) / 1024.0  # of the unit circle, for the mean of a spectrum
 Passive = Callable[[Floats], Flags]
 
@@ -103,7 +104,7 @@ REMEDIES = (
 
 @dataclass(frozen=True, slots=True)
 class RemediesParams:
-    """What is compared, and how: `seconds` and `seeds` of the trials of each row."""
+    """What is compared, and how: `seconds` and `seeds` of the trials of each row; no seed: none."""
 
     scenes: tuple[Scene, ...]
     remedies: tuple[Remedy, ...] = REMEDIES
@@ -153,9 +154,9 @@ def treated(scene: Scene, remedy: Remedy, corner_hz: float | None = None) -> Sce
 
 def passive_by_theorem(scene: Scene) -> Passive:
     """Whether environments (N, 3) are passive on the scene's device at its active damping."""
-    shown = display(scene)
-    at = Conditions(level(scene), shown.filters, shown.model.delay_periods, 0.0)
-    return partial(Theorem(shown.model).safe, at=at)
+    model = display(scene).model
+    at = Conditions(level(scene), display(scene).filters, model.delay_periods, 0.0)
+    return partial(Theorem(model).safe, at=at)
 
 
 def largest_stiffness(passive: Passive, virtual_damping_ns_per_m: float) -> float:
@@ -218,9 +219,11 @@ def set_volume(passive: Passive, best: tuple[float, float], counts: Sequence[int
 
 
 def rendered(scene: Scene, asked: tuple[float, float]) -> Complexes:
-    """Z at the probe over the asked K / s + B at RENDERED_HZ (3,), without dry friction."""
+    """Z over the asked K / s + B at RENDERED_HZ (3,), no dry friction; nan if nothing is asked."""
     shown = display(scene)
     k, b = asked
+    if not isfinite(k):
+        return np.full(len(RENDERED_HZ), nan, np.complex128)
     f = np.array(RENDERED_HZ)
     z = predicted_impedance(
         shown.model, (k, b, 0.0), f, level(scene), shown.filters, recorded=False
@@ -267,13 +270,10 @@ def judged(
 
 
 def run_remedies(
-    params: RemediesParams,
-    store: TrialStore,
-    tell: Progress = silent,
+    params: RemediesParams, store: TrialStore, tell: Progress = silent
 ) -> tuple[Row, ...]:
     """All remedies on all devices, the first remedy being what the others are compared with: by
-    theory, then, unless `quick`, by the trials that the store lacks.
-    ConfigError as `compose` and `simulate`.
+    theory, then by the trials that the store lacks. ConfigError as `compose` and `simulate`.
     """
     steps = Steps(tell, len(params.scenes) * len(params.remedies))
     found: list[tuple[Scene, Row]] = []
@@ -284,17 +284,16 @@ def run_remedies(
             found.append(judged(scene, asked, remedy, params.quick))
             asked = found[-1][1].asked
     steps.end()
-    if params.quick:
+    if params.quick or not params.seeds:
         return tuple(row for _, row in found)
     plans = [limits.plan_limits(_searched(params, *one)) for one in found]
-    results = limits.run_plans(plans, store, tell)
-    return tuple(
-        replace(row, trials=result.limits[0])
-        for (_, row), result in zip(found, results, strict=True)
-    )
+    pairs = zip(found, limits.run_plans(plans, store, tell), strict=True)
+    return tuple(replace(row, trials=result.limits[0]) for (_, row), result in pairs)
 
 
 def _searched(params: RemediesParams, scene: Scene, row: Row) -> limits.LimitsParams:
     base = (0.0, np.nan_to_num(row.virtual_damping_ns_per_m), 0.0)
     given = outcomes.Conditions(scene, params.seconds, noise(scene))
-    return limits.LimitsParams(given, (level(scene),), axes=(0,), seeds=params.seeds, base=base)
+    return limits.LimitsParams(
+        given, (level(scene),), axes=(0,), seeds=params.seeds, base=base, tolerance=TOLERANCE
+    )

@@ -13,6 +13,7 @@ from support.cli_sim import MINE, spoken
 
 from hapticd.core.environment import FilterParams
 from hapticd.model.effects import Delay, Encoder
+from hapticd.model.loop import responses
 from hapticd.model.scene import Scene
 from hapticd.model.theorem import required_damping
 from hapticd.render.filters import design
@@ -152,10 +153,22 @@ def test_noise_at_rest_of_a_spring_is_that_of_a_rounded_position() -> None:
 
 def test_a_device_that_is_active_by_itself_has_no_stiffness_and_no_volume() -> None:
     """Two lags in its damping circuit: 1.74 N s/m damp `light` at 100 Hz and drive it at 4 kHz."""
-    found = row(load_scene("light"), Remedy("", active_damping_ns_per_m=1.74))
+    scene = load_scene("light")
+    velocity = responses(display(scene).model, np.array([100.0, 4000.0]), 1.74).velocity[0, 1]
+    slow, fast = (1.0 / velocity).real
+    assert fast < 0.0 < 1.5 < slow
+    found = row(scene, Remedy("", active_damping_ns_per_m=1.74))
     assert np.isnan([found.stiffness_n_per_m, found.stiffness_alone_n_per_m]).all()
     assert found.volume == 0.0
     assert np.isfinite(found.rendered).all()
+
+
+def test_an_environment_that_cannot_be_asked_gives_no_number() -> None:
+    """The printed numbers alone dissipate nothing: only active damping makes room for any K."""
+    none, damped = rows(load_scene("literal"), AS_IT_IS, Remedy("", active_damping_ns_per_m=1.74))
+    assert np.isnan([none.stiffness_n_per_m, none.noise_n]).all()
+    assert np.isnan(none.rendered).all()
+    assert damped.stiffness_n_per_m > 1000.0
 
 
 def test_shipped_devices_differ_and_are_passive_without_a_remedy() -> None:
@@ -194,6 +207,7 @@ def test_steady_kalman_estimator_is_the_low_pass_of_a_difference() -> None:
 # --- by trials, and the verb ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_trials_search_the_stiffness_that_is_predicted_and_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
