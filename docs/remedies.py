@@ -41,7 +41,8 @@ def gained(value: float | None, before: float | None) -> str:
 
 def over_asked(pairs: list[list[float]]) -> str:
     """Magnitude and phase of each ratio."""
-    return ", ".join(f"{cell(hypot(re, im))} at {round(degrees(atan2(im, re)))}°" for re, im in pairs)
+    shown = [(cell(hypot(re, im)), round(degrees(atan2(im, re)))) for re, im in pairs]
+    return ", ".join(f"{size} at {phase}°" for size, phase in shown)
 
 
 def tried(trials: dict[str, Any] | None) -> str:

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from math import pi, sqrt
 from pathlib import Path
 from typing import Any
@@ -121,8 +122,8 @@ def test_a_rate_keeps_delay_in_seconds_and_filters_in_hertz() -> None:
 def test_volume_grows_with_damping_and_hardly_with_the_grid() -> None:
     levels = [Remedy("", active_damping_ns_per_m=level) for level in (0.0, 0.87, 1.74, 3.48)]
     volumes = [found.volume for found in rows(rigid(0.6875), *levels)]
-    assert volumes == sorted(volumes)
     assert volumes[0] > 0.0
+    assert all(after > 1.5 * before for before, after in pairwise(volumes))
     passive = remedies.passive_by_theorem(treated(rigid(0.6875), AS_IT_IS))
     best = remedies.stiffest(passive)
     coarse, fine = (remedies.set_volume(passive, best, (n, n, n)) for n in (12, 24))
