@@ -14,7 +14,8 @@
     recording   record, rec, replay
     system      config, doctor, install-system
     keys        keys
-    sim         sim run, explain, effects, ceiling; accuracy; sim_board: sim-board
+    sim         sim run, explain, effects, ceiling; accuracy; studies remedies; sim_board:
+                sim-board
     zwidth/     zwidth predict, trial, limits, map, search, walls, import, report, compare
 
 stdout is data and stderr is talk. `--json` gives one object (or one per line for a stream), also

@@ -58,6 +58,7 @@ SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, 
         "accuracy": "sim.accuracy",
         "sim-board": "sim_board.sim_board",
         "sim": "sim.sim_app",
+        "studies": "sim.studies_app",
     },
     "Measure": {"zwidth": "zwidth.app", "perturb": "daemon.perturb_app"},
 }

@@ -1,4 +1,4 @@
-"""Simulate scenes: run them, explain them, their effects, their damping, their accuracy."""
+"""Simulate scenes: run and explain them, their effects, damping and accuracy; remedies."""
 
 import time
 from typing import Annotated, Any, Literal
@@ -8,6 +8,7 @@ import typer
 from hapticd.cli import terminal
 from hapticd.cli.deferred import deferred_imports
 from hapticd.cli.terminal import progress
+from hapticd.cli.zwidth import common
 
 with deferred_imports():
     from hapticd.model import compose, stability
@@ -15,6 +16,7 @@ with deferred_imports():
     from hapticd.settings import scene as scenes
     from hapticd.studies import accuracy as accuracies
     from hapticd.studies import effects as effect_studies
+    from hapticd.studies import remedies as remedy_studies
     from hapticd.studies import report
     from hapticd.studies import scene as scene_studies
     from hapticd.zwidth import scenes as displays
@@ -30,6 +32,12 @@ QUESTIONS = (
 sim_app = typer.Typer(
     no_args_is_help=True,
     help="Simulate scenes: run, explain, find the effects they need and the damping they bear.",
+)
+studies_app = typer.Typer(no_args_is_help=True, help="Compare many simulated displays.")
+REMEDIES_NOTE = (
+    "K in N/m, B in N s/m, volume in N/m N s/m kg. By theory, without an interval: up to noise;"
+    " predicted: with friction;\nby trials: the scatter is that between seeds, passive up to and"
+    " not from are the ends of the interval"
 )
 
 
@@ -221,3 +229,43 @@ def accuracy(
     measured = table.text(report.accuracy_table(result))
     lines = [f"{_head(loaded)}\n\n{measured}\n", *report.accuracy_words(result)]
     terminal.show(found, lines, as_json)
+
+
+@terminal.verb(studies_app, "remedies")
+def remedies(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENE...]", help="Scenes or devices (default: five shipped ones)."
+        ),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Theory alone, on coarser grids: without trials.")
+    ] = False,
+    seconds: common.Seconds = 90.0,
+    seeds: Annotated[
+        int,
+        typer.Option(
+            "--seeds", metavar="N", min=0, help="Noises by which each K is searched, or 0."
+        ),
+    ] = 4,
+    out: common.Out = None,
+    as_json: terminal.Json = False,
+) -> None:
+    """Compare what lets a display render more: a faster loop, a shorter delay, another velocity
+    filter, active damping, and pairs of them.
+
+    Ctrl-C is safe: the same command with the same --out goes on with the trials where it ended.
+    """
+    terminal.need_engine()
+    scenes_asked = tuple(common.scene_of(name) for name in names or remedy_studies.SCENES)
+    params = remedy_studies.RemediesParams(scenes_asked, quick=quick, seconds=seconds, seeds=seeds)
+    folder = common.folder(out, "remedies")
+    kept = store.TrialStore(folder / "trials.jsonl")
+    with common.keeping(kept, folder), progress(as_json) as tell:
+        rows = remedy_studies.run_remedies(params, kept, tell)
+    found = {"simulated": True, "quick": quick, "seconds": seconds, "seeds": seeds}
+    found["rows"] = store.to_json(rows)
+    common.write_summary(folder, {"kind": "remedies", **found})
+    lines = [table.text(report.remedies_table(rows)), REMEDIES_NOTE]
+    common.show_result(found, lines, folder, (), as_json)

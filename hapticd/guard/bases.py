@@ -46,6 +46,8 @@ from hapticd.model.theorem import (
     outside_circles,
 )
 
+__all__ = ["Conditions", "Theorem"]
+
 LEVELS = 16
 _KEPT = 4 * LEVELS  # of lifts, circles and ticks: levels, some delays, filters
 _SLACK = 1e-9  # N s/m: a margin equal to what is asked for is enough

@@ -1,6 +1,6 @@
 """What studies of a scene found, as figures, tables and sentences: its traces and impedance, what
-is simulated and why, which effects a question needs, what accuracy costs in time, and where
-explicit methods blow up.
+is simulated and why, which effects a question needs, what accuracy costs in time, where explicit
+methods blow up, and what remedies gain.
 
 One section a study: figure, table and sentences of the same result stand together. Lines and
 colours are those of `zwidth.report.style`: with active damping solid, without it dashed.
@@ -9,6 +9,7 @@ Limitations: an error of 0 on a logarithmic axis. Those that are none are drawn 
 called exact; a change that is out of range is drawn at the end of its axis.
 """
 
+from collections.abc import Sequence
 from itertools import cycle
 from math import inf, isinf, isnan, nan
 from typing import Any
@@ -22,6 +23,7 @@ from hapticd.render.winding import LEAST_LOOP_GAIN
 from hapticd.signal.verdict import DEFAULT_BAND_HZ
 from hapticd.studies.accuracy import GROUP, AccuracyResult, AccuracyRow, Cost
 from hapticd.studies.effects import EffectsResult, LeftOut
+from hapticd.studies.remedies import RENDERED_HZ, Row
 from hapticd.studies.scene import Ceiling, Integrators, SceneResult, SceneTrial
 from hapticd.zwidth.report.paper import legends
 from hapticd.zwidth.report.style import (
@@ -67,6 +69,7 @@ __all__ = [
     "explained",
     "impedance_rows",
     "integrators_figure",
+    "remedies_table",
     "scene_figure",
     "scene_table",
     "step_words",
@@ -704,3 +707,38 @@ def integrators_figure(found: Integrators, title: str, width_mm: float | None = 
     axis.text(found.steps_per_ms[-1], GONE, "blown up", ha="right", va="center", fontsize="small")
     legends(figure, (), 1, "", (axis, legend_handles(axis), {"loc": "center right"}))
     return figure
+
+
+# --- remedies -------------------------------------------------------------------------------------
+
+
+def remedies_table(rows: Sequence[Row]) -> Table:
+    """Every device with every remedy: by theory, then by trials where they were made."""
+    hertz = ", ".join(f"{hz:g}" for hz in RENDERED_HZ)
+    columns = [
+        "device", "remedy", "ticks/s", "corner Hz", "K at B = 0", "best B", "K there", "volume",
+        f"|Z|/asked at {hertz} Hz", "phase less asked deg", "noise mN", "K predicted",
+        "K by trials", "sd", "passive up to", "not from",
+    ]  # fmt: skip
+    return table(columns, map(_remedy_cells, rows))
+
+
+def _remedy_cells(row: Row) -> list[Cell]:
+    tried = row.trials
+    known = (nan,) * 5
+    if tried is not None:
+        known = (tried.scan.predicted, tried.value, tried.sd, tried.lower, tried.upper)
+    return [
+        row.device,
+        row.remedy,
+        row.rate_hz,
+        row.corner_hz,
+        row.stiffness_alone_n_per_m,
+        row.virtual_damping_ns_per_m,
+        row.stiffness_n_per_m,
+        row.volume,
+        ", ".join(f"{size:.3g}" for size in np.abs(row.rendered)),
+        ", ".join(f"{degrees:.0f}" for degrees in np.degrees(np.angle(row.rendered))),
+        1e3 * row.noise_n,
+        *known,
+    ]

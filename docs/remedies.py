@@ -1,0 +1,102 @@
+"""Bring docs/remedies.md up to date with runs of `hapticd studies remedies`:
+`python docs/remedies.py build/remedies`, with one folder or several for different devices.
+
+The rows are kept in docs/figures/remedies.json, and the tables of the page are made from them. The
+words are written by hand. Without a folder the kept rows fill the page again.
+"""
+
+import json
+import sys
+from math import atan2, degrees, hypot
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).resolve().parent
+sys.path[:0] = [str(DOCS)]
+
+from pages.markdown import replaced, table  # noqa: E402
+
+PAGE = DOCS / "remedies.md"
+KEPT = DOCS / "figures" / "remedies.json"
+HEADINGS = (
+    "remedy", "corner Hz", "K at B = 0", "best B", "K there", "volume",
+    "Z over asked at 5, 30, 100 Hz", "noise mN", "K predicted", "K by trials",
+)  # fmt: skip
+Rows = list[dict[str, Any]]
+
+
+def cell(value: float | None, digits: int = 3) -> str:
+    """A number to three digits; "-" where there is none."""
+    if value is None:
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.{digits}g}"
+
+
+def gained(value: float | None, before: float | None) -> str:
+    """A number, and in brackets how many times the first row's it is."""
+    if value is None or not before or value == before:
+        return cell(value)
+    return f"{cell(value)} ({cell(value / before)}x)"
+
+
+def over_asked(pairs: list[list[float]]) -> str:
+    """Magnitude and phase of each ratio."""
+    shown = [(cell(hypot(re, im)), round(degrees(atan2(im, re)))) for re, im in pairs]
+    return ", ".join(f"{size} at {phase}°" for size, phase in shown)
+
+
+def tried(trials: dict[str, Any] | None) -> str:
+    """The limit by trials with its scatter between seeds and its interval."""
+    if trials is None or trials["value"] is None:
+        return "-"
+    scatter = "" if trials["sd"] is None else f" ± {cell(trials['sd'], 2)}"
+    return f"{cell(trials['value'])}{scatter} [{cell(trials['lower'])}, {cell(trials['upper'])}]"
+
+
+def line(row: dict[str, Any], first: dict[str, Any]) -> tuple[str, ...]:
+    """One remedy of a device whose first row is `first`."""
+    return (
+        row["remedy"],
+        cell(row["corner_hz"]),
+        gained(row["stiffness_alone_n_per_m"], first["stiffness_alone_n_per_m"]),
+        cell(row["virtual_damping_ns_per_m"]),
+        gained(row["stiffness_n_per_m"], first["stiffness_n_per_m"]),
+        gained(row["volume"], first["volume"]),
+        over_asked(row["rendered"]),
+        cell(None if row["noise_n"] is None else 1e3 * row["noise_n"]),
+        cell((row["trials"] or {"scan": {"predicted": None}})["scan"]["predicted"]),
+        tried(row["trials"]),
+    )
+
+
+def filled(page: str, rows: Rows) -> str:
+    """The page with a table of K for all devices, and one of everything for each."""
+    devices = list(dict.fromkeys(row["device"] for row in rows))
+    columns = []
+    for device in devices:
+        own = [row for row in rows if row["device"] == device]
+        lines = [line(row, own[0]) for row in own]
+        page = replaced(page, f"remedies {device}", table(HEADINGS, lines))
+        columns.append([line[4] for line in lines])
+    names = [row["remedy"] for row in rows if row["device"] == devices[0]]
+    gains = table(("remedy", *devices), list(zip(names, *columns, strict=True)))
+    return replaced(page, "remedies stiffness", gains)
+
+
+def kept() -> Rows:
+    """The rows that the page was made from."""
+    return list(json.loads(KEPT.read_text())["rows"])
+
+
+def main(folders: list[str]) -> None:
+    """Keep the rows of the runs, and fill the page."""
+    runs = [json.loads((Path(folder) / "run.json").read_text()) for folder in folders]
+    if runs:
+        rows = [row for run in runs for row in run["rows"]]
+        about = {name: runs[0][name] for name in ("quick", "seconds", "seeds")}
+        KEPT.write_text(json.dumps({**about, "rows": rows}, indent=1) + "\n")
+    PAGE.write_text(filled(PAGE.read_text(), kept()))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

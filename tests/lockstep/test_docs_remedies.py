@@ -1,0 +1,51 @@
+"""The tables of docs/remedies.md are those of its kept rows, and the rows those of the study."""
+
+import importlib
+import json
+from types import ModuleType
+
+import pytest
+from support.tree import ROOT
+
+from hapticd.settings.scene import load_scene
+from hapticd.studies.remedies import (
+    REMEDIES,
+    SCENES,
+    largest_stiffness,
+    passive_by_theorem,
+    treated,
+)
+
+PAGE = ROOT / "docs" / "remedies.md"
+
+
+@pytest.fixture
+def remedies(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script, which is no part of the package."""
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    return importlib.import_module("remedies")
+
+
+def test_page_has_the_tables_of_the_kept_rows(remedies: ModuleType) -> None:
+    page = PAGE.read_text()
+    assert remedies.filled(page, remedies.kept()) == page
+
+
+def test_kept_rows_are_every_remedy_on_every_device(remedies: ModuleType) -> None:
+    found = [(row["device"], row["remedy"]) for row in remedies.kept()]
+    assert found == [(name, remedy.name) for name in SCENES for remedy in REMEDIES]
+    assert json.loads(remedies.KEPT.read_text())["quick"] is False
+
+
+@pytest.mark.parametrize("place", range(0, 65, 7))
+def test_kept_stiffness_is_that_of_the_theorem(remedies: ModuleType, place: int) -> None:
+    row = remedies.kept()[place]
+    remedy = next(one for one in REMEDIES if one.name == row["remedy"])
+    scene = treated(load_scene(row["device"]), remedy, row["corner_hz"])
+    passive = passive_by_theorem(scene)
+    for b, kept in (
+        (0.0, row["stiffness_alone_n_per_m"]),
+        (row["virtual_damping_ns_per_m"], row["stiffness_n_per_m"]),
+    ):
+        if kept is not None:
+            assert largest_stiffness(passive, b) == pytest.approx(kept, rel=1e-6)
