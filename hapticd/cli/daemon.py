@@ -137,9 +137,9 @@ hapticd is ready, disabled, at {config.realtime.rate_hz:g} Hz; {_guarded(guard)}
 Try in another terminal{_activation()}:
 
   hapticd damping on{which}                active damping, {level}; also off, auto, or a level
-  hapticd set K=100 B=1 M=0.010{which}     stiffness N/m, damping N s/m, mass kg
+  hapticd set K=100 B=1 M=0.010{which}     stiffness N/m, virtual damping N s/m, mass kg
   hapticd enable{which}                    force on; the gain ramps up in {ramp}
-  hapticd guard{which}                     what is passive, and what is done with what is not
+  hapticd guard{which}                     the passive range and the policy for other values
   hapticd monitor{which}                   watch it
   hapticd stop{which}                      force off, latched; then: hapticd reset
   hapticd status{which}

@@ -77,7 +77,7 @@ TOO_MANY = CommandError(
     "busy", f"{MOST_QUEUED} requests wait for the gateway already; slow down and ask again"
 )
 OVERTAKEN = CommandError(
-    "refused", "reset: a stop came after it; look whether it is safe, ask again"
+    "refused", "reset: a stop followed it; check that it is safe, then ask again"
 )
 OUTDATED = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
 SERVO_ENDED = CommandError(

@@ -62,7 +62,7 @@ def test_a_stop_that_is_asked_last_stands_though_it_goes_first(flight: Flight, p
     send(flight, {"cmd": "perturb", "action": "stop"})  # so that stop and reset meet no one tick
     send(flight, {"cmd": "reset"}, {"cmd": "enable"}, {"cmd": "stop"})
     (refused,) = (one for one in flight.replies if not one["ok"])
-    assert refused["error"]["message"].startswith("reset: a stop came after it")
+    assert refused["error"]["message"].startswith("reset: a stop followed it")
     flight.fly(200)
     assert flight.view.state is State.STOPPED
 
