@@ -378,7 +378,7 @@ ROWS: list[Row] = [
         "preempt=full",
     ),
     (probes.preemption, {}, {}, ASKED, "warn", "unknown", "linux-image-rt-amd64"),
-    (probes.irq_priority, {}, {}, ASKED, "ok", "no threads", ""),
+    (probes.irq_priority, {}, {}, ASKED, "ok", "not threads", ""),
     (
         probes.irq_priority,
         IRQ_THREAD,

@@ -1,5 +1,5 @@
-"""What was cancelled, overtaken or judged without force does not come into force: the desk with the
-guard's judge in front of the servo itself, on virtual time.
+"""What was cancelled, overtaken or judged without force does not come into force: the command
+server, with the guard's judge, in front of the servo itself, on virtual time.
 """
 
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ def flight() -> Iterator[Flight]:
 def send(flight: Flight, *requests: dict[str, Any], client: bytes = b"a") -> None:
     """Requests that come together."""
     messages = [[client, packed(**one)] for one in requests]
-    replies = flight.desk.serve(messages, flight.stack.clock.now_ns())
+    replies = flight.server.serve(messages, flight.stack.clock.now_ns())
     flight.replies = [decoded(reply) for reply in replies]
 
 
@@ -32,7 +32,7 @@ def until_posted(flight: Flight) -> None:
     """Passes of the gateway, without a tick, until a command is in the servo's ring."""
     for _ in range(10):
         flight.view.refresh(flight.stack.clock.now_ns())
-        flight.desk.collect(flight.stack.clock.now_ns())
+        flight.server.collect(flight.stack.clock.now_ns())
         if flight.stack.gateway.backlog:
             return
     raise AssertionError("nothing was posted")
@@ -97,7 +97,7 @@ def test_an_enable_that_was_taken_back_is_not_asked_again(flight: Flight, end: s
     flight.stack.run(at - flight.view.tick + 2)
     flight.stack.mailbox.take = take  # type: ignore[method-assign]
     if end == "leave":
-        flight.desk.leave(b"a")
+        flight.server.leave(b"a")
     else:
         send(flight, {"cmd": end}, client=b"b")
     flight.fly(100)
@@ -112,7 +112,7 @@ def test_an_enable_that_the_servo_has_not_taken_ends_with_its_connection(
     assert flight.ask(cmd="guard", policy=policy)["ok"]
     send(flight, {"cmd": "enable"})
     until_posted(flight)
-    flight.desk.leave(b"a")
+    flight.server.leave(b"a")
     assert not flight.fly(50)["gain"][2:].any()
     assert flight.view.state is State.DISABLED
 
@@ -180,7 +180,7 @@ def test_an_end_brings_nothing_back_once_its_clients_lease_ended_at_zero(flight:
     at = flight.view.tick + 50
     assert flight.ask(cmd="set", K=30.0, ramp_s=0.0, at_tick=at, until_tick=at + 500)["ok"]
     flight.fly(100)
-    flight.desk.leave(b"a")
+    flight.server.leave(b"a")
     assert flight.fly(600)["stiffness_n_per_m"][-1] == 0.0
 
 
