@@ -37,8 +37,7 @@ _FARTHEST = 7.0  # fixed steps: there the ladder is no denser than they are
 def held_poles(model: Model, active_damping_ns_per_m: float) -> Complexes:
     """Poles [rad/s] (n - 1,) of `model` with its probe held still."""
     rotor = port_states(model)[0]
-    a = model.a(active_damping_ns_per_m)
-    held = np.delete(np.delete(a, rotor, 0), rotor, 1)
+    held = np.delete(np.delete(model.a(active_damping_ns_per_m), rotor, 0), rotor, 1)
     return np.linalg.eigvals(held).astype(np.complex128)
 
 

@@ -330,10 +330,9 @@ class ModelPrior:
         return self._last
 
     def _linearised(self, environments: Floats) -> list[Linearised]:
-        parts = chunks(environments)
         return [
             linearise(self._loop, part, self._coulomb, self._start, self._perturbation)
-            for part in parts
+            for part in chunks(environments)
         ]
 
 
