@@ -141,8 +141,7 @@ class Servo:
             for reason in (check.uncompensated, check.unsampled):
                 if reason:
                     startup_message(reason)
-            rights = host.prepare(params.realtime)
-            plain = {name: one._asdict() for name, one in rights.items()}
+            plain = {name: one._asdict() for name, one in host.prepare(params.realtime).items()}
             mailbox.report({"realtime": plain, **self._about(), **check.report()})
             mailbox.publish()
             notify("READY=1", f"STATUS={served}")
