@@ -130,14 +130,13 @@ class BatchResult:
         force = np.asarray(
             self.force_spectrum if self.force_spectrum.ndim == 1 else self.force_spectrum[trial]
         )
-        samples = int(self.samples[trial])
         return Spectra(
             grid_frequencies(self.rate_hz, LAG),
             self.velocity_spectrum[trial],
             force,
             self.cross_spectrum[trial],
             self.rate_hz,
-            samples,
+            int(self.samples[trial]),
             LAG,
         )
 

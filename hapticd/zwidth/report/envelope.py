@@ -240,12 +240,11 @@ def strip(axis: Axes, frequency_hz: Floats, rows: Sequence[Floats], title: str) 
 
     middle = np.sqrt(frequency_hz[1:] * frequency_hz[:-1])
     borders = np.concatenate((frequency_hz[:1], middle, frequency_hz[-1:]))
-    colours = ListedColormap([NOTHING, *(colour for _, colour in PARTS)])
     axis.pcolormesh(
         borders,
         np.arange(len(rows) + 1.0),
         np.array(rows),
-        cmap=colours,
+        cmap=ListedColormap([NOTHING, *(colour for _, colour in PARTS)]),
         vmin=-1.5,
         vmax=len(PARTS) - 0.5,
         rasterized=True,
