@@ -39,7 +39,6 @@ def console(
         if ready is not None:
             os.write(ready, b"1")
             return
-        line = f"operators' page: {url}   (Ctrl-C here ends it)"
-        terminal.show({"url": url}, [line], as_json)
+        terminal.show({"url": url}, [f"operators' page: {url}   (Ctrl-C here ends it)"], as_json)
 
     server.serve(instance, port, on_stop, tell)

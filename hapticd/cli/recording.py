@@ -265,8 +265,7 @@ def _drawn(
     result: "replays.ReplayResult", path: Path, title: str, changed: str, width_mm: float | None
 ) -> list[str]:
     figure = figures.replay_figure(result, title, changed or "replayed", width_mm)
-    named = path.suffix in {f".{kind}" for kind in store.FIGURE_KINDS}
-    name = path.stem if named else path.name
+    name = path.stem if path.suffix in {f".{kind}" for kind in store.FIGURE_KINDS} else path.name
     return [str(one) for one in style.save(figure, path.parent, name)]
 
 

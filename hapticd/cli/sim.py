@@ -159,8 +159,7 @@ def sim_effects(
         "figures": paths,
     }
     effects = table.text(report.effects_table(result))
-    lines = [f"{_head(loaded)}\n\n{effects}\n", report.effects_words(result)]
-    terminal.show(found, lines, as_json)
+    terminal.show(found, [f"{_head(loaded)}\n\n{effects}\n", report.effects_words(result)], as_json)
 
 
 def share(text: str) -> float:
@@ -215,8 +214,7 @@ def accuracy(
             "integrators": report.integrators_figure(explicit, loaded.title, figure_width),
         }
         for name, figure in figures.items():
-            named = f"{loaded.name}-{name}"
-            paths += terminal.save_figure(figure, out, named, as_json)
+            paths += terminal.save_figure(figure, out, f"{loaded.name}-{name}", as_json)
     found = {
         "simulated": True,
         "scene": loaded.name,

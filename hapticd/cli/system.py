@@ -200,8 +200,7 @@ def doctor(
         findings.append(finding)
     failed = [finding.name for finding in findings if finding.level == "fail"]
     if report is not None:
-        content = reports.report_of(machine, asked, findings, measured, status)
-        reports.write_report(report, content)
+        reports.write_report(report, reports.report_of(machine, asked, findings, measured, status))
         terminal.talk(f"hapticd: {report}: attach this file to a question; read it before")
     found = {
         "ok": not failed,

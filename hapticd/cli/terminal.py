@@ -66,8 +66,7 @@ def _with_single_options(function: Verb) -> Verb:
 
     def called(**given: Any) -> None:
         for name, group in groups.items():
-            own = {field.name: given.pop(field.name) for field in fields(group)}
-            given[name] = group(**own)
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         function(**given)
 
     single: list[inspect.Parameter] = []

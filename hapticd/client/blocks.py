@@ -103,8 +103,7 @@ class Excerpt:
 
 def concatenated(blocks: Sequence[Block]) -> tuple[Records, int]:
     """All records of `blocks` in one structured array (n,), and how many it lacks."""
-    records = np.concatenate([block.records for block in blocks])
-    return records, sum(block.gap for block in blocks)
+    return np.concatenate([block.records for block in blocks]), sum(block.gap for block in blocks)
 
 
 def chunks(samples_n: ArrayLike) -> Iterator[dict[str, Any]]:

@@ -108,8 +108,7 @@ class ClientLease:
 
     def take(self) -> LeaseHeld:
         """Take it. CommandError: another holds it."""
-        reply = self._call("lease", what=self._what, **self._asked)
-        held = answer_of(LeaseHeld, reply["result"])
+        held = answer_of(LeaseHeld, self._call("lease", what=self._what, **self._asked)["result"])
         self._ttl_s = held.ttl_s
         self._released = False
         return held

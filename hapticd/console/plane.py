@@ -98,9 +98,8 @@ def main(path: str, parent: str) -> int:
     die_with_parent(int(parent))
     os.nice(NICENESS)
     request = json.load(sys.stdin)
-    setup = from_plain(GuardSetup, json.loads(Path(path).read_text()), path)
     content = {
-        **Judge(setup).answer(request),
+        **Judge(from_plain(GuardSetup, json.loads(Path(path).read_text()), path)).answer(request),
         "basis": request["basis"],
         "M": request["target"]["M"],
     }

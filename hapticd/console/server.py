@@ -194,8 +194,7 @@ class Console:
 
 def _number(text: str) -> int:
     """The actor in the request of a page; of one that does not know its own, the stop word's."""
-    known = text.isdecimal() and len(text) <= MOST_DIGITS
-    return int(text) if known else ACTOR_STOP_WORD
+    return int(text) if text.isdecimal() and len(text) <= MOST_DIGITS else ACTOR_STOP_WORD
 
 
 def port_before(place: Path) -> int | None:

@@ -71,8 +71,7 @@ def owner_of(client: Address, server: Address, table: Iterable[str]) -> int | No
         # number, local, remote, state, queues, timer, retransmits, uid, timeout, inode, ...
         fields = line.split()
         if fields[1:3] in (ends, mapped):
-            is_open = fields[3] == ESTABLISHED and fields[9] != NO_INODE
-            return int(fields[7]) if is_open else None
+            return int(fields[7]) if fields[3] == ESTABLISHED and fields[9] != NO_INODE else None
     return None
 
 

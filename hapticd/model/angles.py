@@ -37,8 +37,7 @@ _FARTHEST = 7.0  # fixed steps: there the ladder is no denser than they are
 def held_poles(model: Model, active_damping_ns_per_m: float) -> Complexes:
     """Poles [rad/s] (n - 1,) of `model` with its probe held still."""
     rotor = port_states(model)[0]
-    a = model.a(active_damping_ns_per_m)
-    held = np.delete(np.delete(a, rotor, 0), rotor, 1)
+    held = np.delete(np.delete(model.a(active_damping_ns_per_m), rotor, 0), rotor, 1)
     return np.linalg.eigvals(held).astype(np.complex128)
 
 
@@ -69,8 +68,7 @@ def _modes(model: Model, active_damping_ns_per_m: float) -> tuple[Floats, Floats
     """Angle of each mode with the probe held, folded to 0..pi, and its half-width [rad]."""
     poles = held_poles(model, active_damping_ns_per_m) / model.rate_hz
     poles = poles[poles.imag > 0.0]
-    folded = np.abs(np.remainder(poles.imag + np.pi, 2.0 * np.pi) - np.pi)
-    return folded, np.abs(poles.real)
+    return np.abs(np.remainder(poles.imag + np.pi, 2.0 * np.pi) - np.pi), np.abs(poles.real)
 
 
 def unresolved_hz(model: Model, active_damping_ns_per_m: float) -> list[float]:

@@ -196,7 +196,6 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         frozen(part) for part in (residual[:, :n], both[:, :n], residual[:, n:], both[:, n:])
     ]
     heating = plan.heating
-    winding = None if heating is None else Winding(heating, plan.residual_ohm, *per_ohm)
     return Model(
         name=name,
         rate_hz=rate_hz,
@@ -217,7 +216,7 @@ def _model(name: str, plan: Blueprint, rate_hz: float) -> Model:
         ),
         drive=_drive(plan, states),
         noise=Noise(*noise) if any(noise) else None,
-        winding=winding,
+        winding=None if heating is None else Winding(heating, plan.residual_ohm, *per_ohm),
         estimate_offset_m_per_s=plan.estimate_offset_m_per_s,
         level_gain=plan.level_gain,
         level_offset_ns_per_m=plan.level_offset_ns_per_m,

@@ -143,8 +143,7 @@ def marked(force_n: Floats) -> Floats:
             f"a perturbation of {force_n.size} samples has no room for a mark, {end} are needed;"
             " make the trial longer"
         )
-    level_n = float(np.std(force_n))
-    return np.concatenate((force_n[:MARK_LEAD], level_n * signs, force_n[end:]))
+    return np.concatenate((force_n[:MARK_LEAD], float(np.std(force_n)) * signs, force_n[end:]))
 
 
 def held_noise(samples: int, psd: float, seed: int, stream: int) -> Floats:

@@ -196,8 +196,7 @@ def _resistance_zeros(model: Model, level: float, spare: float) -> Complexes | N
 def _moves_held(model: Model, level: float) -> bool:
     """Whether a command moves the encoder while the probe is held still."""
     rotor = port_states(model)[0]
-    a = model.a(level)
-    held = np.delete(np.delete(a, rotor, 0), rotor, 1)
+    held = np.delete(np.delete(model.a(level), rotor, 0), rotor, 1)
     state = np.delete(model.b(level)[:, model.inputs.command], rotor)
     encoder = np.delete(model.outputs.encoder.row(level), rotor)
     for _ in range(len(held)):

@@ -156,12 +156,11 @@ def at_level(model: Model, active_damping_ns_per_m: float) -> AtLevel:
     """Stability and modes of the open device at that damping level."""
     verdict = stability(model, active_damping_ns_per_m)
     upper = [complex(value) for value in modes(model, active_damping_ns_per_m) if value.imag >= 0.0]
-    slow_first = sorted(upper, key=abs)
     return AtLevel(
         active_damping_ns_per_m,
         verdict,
         1.0 / (1.0 + verdict.loop_gain),
-        tuple(_mode(value) for value in slow_first),
+        tuple(_mode(value) for value in sorted(upper, key=abs)),
     )
 
 

@@ -127,14 +127,13 @@ _STOP = """\
 def step_source(params: BoardParams) -> str:
     """Source text of the step for `params`. ConfigError if the numbers describe no device."""
     _check(params)
-    ends = ((params.upper_stop_m, ">"), (params.lower_stop_m, "<"))
     return _SOURCE.format(
         mass_kg=params.mass_kg,
         viscous_ns_per_m=params.viscous_ns_per_m,
         substep_rate_hz=SUBSTEPS_PER_TICK * params.rate_hz,
         stops="".join(
             _STOP.format(stop_m=stop_m, beyond=beyond)
-            for stop_m, beyond in ends
+            for stop_m, beyond in ((params.upper_stop_m, ">"), (params.lower_stop_m, "<"))
             if isfinite(stop_m)
         ),
     )

@@ -119,10 +119,9 @@ def _residuals(model: Model, trim_ohm: float) -> tuple[float, ...]:
     if model.winding is None:
         return (model.residual_ohm,)
     winding = model.winding.heating
-    ends_c = (min(winding.start_c, winding.ambient_c), HOTTEST_C)
     low, high = (
         copper_ohm(winding.resistance_ohm, winding.reference_c, end_c) - winding.compensated_ohm
-        for end_c in ends_c
+        for end_c in (min(winding.start_c, winding.ambient_c), HOTTEST_C)
     )
     count = TRIMMED_RESIDUALS if trim_ohm else RESIDUALS
     return tuple(float(residual_ohm) for residual_ohm in np.linspace(low - trim_ohm, high, count))

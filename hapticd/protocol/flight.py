@@ -354,11 +354,10 @@ def flights_folder(instance: str) -> Path:
     $XDG_STATE_HOME/hapticd, ~/.local/state/hapticd.
     """
     service = os.environ.get("STATE_DIRECTORY")
-    home = os.environ.get("XDG_STATE_HOME")
     state = (
         Path(service.split(":")[0])
         if service
-        else Path(home or Path.home() / ".local" / "state") / "hapticd"
+        else Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "hapticd"
     )
     return (
         state / "flights"

@@ -186,8 +186,7 @@ class Leases:
         """`actor` has asked for something, so it lives."""
         for lease in list(self._held.values()):
             if lease.actor == actor:
-                deadline_ns = self._now_ns + lease.ttl_ns
-                self._held[lease.what] = lease._replace(deadline_ns=deadline_ns)
+                self._held[lease.what] = lease._replace(deadline_ns=self._now_ns + lease.ttl_ns)
 
     def advance(self, now_ns: int) -> list[Ended]:
         """It is `now_ns`; the leases whose holders were silent for too long."""
@@ -222,8 +221,7 @@ class Leases:
 
     def _put_off(self, step_ns: int) -> None:
         for lease in list(self._held.values()):
-            deadline_ns = lease.deadline_ns + step_ns
-            self._held[lease.what] = lease._replace(deadline_ns=deadline_ns)
+            self._held[lease.what] = lease._replace(deadline_ns=lease.deadline_ns + step_ns)
 
     def _end(self, lease: Lease, how: str, by: str = "") -> Ended:
         del self._held[lease.what]

@@ -70,8 +70,7 @@ class Ledger:
 
     def _booked(self, records: Records) -> NDArray[np.float64]:
         seen = records if self._seen is None else joined((self._seen, records))
-        usable = (seen["flags"] & Flag.MISSING_IN) == 0
-        rows = np.flatnonzero(usable)
+        rows = np.flatnonzero((seen["flags"] & Flag.MISSING_IN) == 0)
         found = np.zeros((len(seen), len(NAMES)))
         motor = np.zeros(len(seen))
         motor[: len(self._motor_n)] = self._motor_n

@@ -361,15 +361,12 @@ class ProbeDecoder:
             count = min(frame[_COUNT_PLACE], frames.PAIR_MAX)
             if flags & _STALE or not count:
                 continue
-            if self._is_restart(frame):
+            if self._next is not None and self._first(frame) < self._next - RESTART:
                 found += self._flush(origin)
                 self._next = None
                 self.run = self.run + 1
             self._gather(frame, count, time_ns)
         return found + self._flush(origin)
-
-    def _is_restart(self, frame: bytes) -> bool:
-        return self._next is not None and self._first(frame) < self._next - RESTART
 
     def _first(self, frame: bytes) -> int:
         (wrapped,) = _INDEX.unpack_from(frame, _INDEX_PLACE)

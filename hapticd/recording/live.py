@@ -162,23 +162,17 @@ class LiveFile:
         self._file.close()
 
 
-class LiveContent(NamedTuple):
-    """What is in a live file."""
-
-    attributes: dict[str, Any]
-    blocks: dict[str, list[Records]]  # rows by group; the first block is empty
-    dropped_bytes: int  # behind the last whole frame
-
-
 def is_live(path: Path) -> bool:
     """Whether the file at `path` is a live file, or was one. OSError: it cannot be read."""
     with path.open("rb") as file:
         return file.read(len(MAGIC)) == MAGIC
 
 
-def read_live(path: Path) -> LiveContent:
-    """What is in the live file at `path`, which may grow meanwhile. OSError, LookupError,
-    TypeError, ValueError or struct.error: its header is damaged.
+def read_live(path: Path) -> tuple[dict[str, Any], dict[str, list[Records]], int]:
+    """What is in the live file at `path`, which may grow meanwhile: its attributes, the blocks of
+    each group (the first is empty), and the bytes behind the last whole frame.
+
+    OSError, LookupError, TypeError, ValueError or struct.error: its header is damaged.
     """
     with path.open("rb") as file:
         data = memoryview(mmap(file.fileno(), 0, access=ACCESS_READ))
@@ -199,7 +193,7 @@ def read_live(path: Path) -> LiveContent:
                 blocks[name].append(np.frombuffer(data, kind, count, begin))
             begin += size
         place = after
-    return LiveContent(header["attributes"], blocks, len(data) - place)
+    return header["attributes"], blocks, len(data) - place
 
 
 def _integers(*names: str) -> list[tuple[str, str]]:

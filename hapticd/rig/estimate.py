@@ -97,9 +97,9 @@ def separable(
     for _ in range(rounds):
         columns = columns_of(at)
         linear = least_squares(columns, target, weight).values
-        steps = step * np.eye(len(at))
         slopes = [
-            (columns_of(at + one) - columns_of(at - one)) @ linear / (2.0 * step) for one in steps
+            (columns_of(at + one) - columns_of(at - one)) @ linear / (2.0 * step)
+            for one in step * np.eye(len(at))
         ]
         left = target - columns @ linear
         fit = least_squares(np.column_stack([columns, *slopes]), left, weight, least=1.0)

@@ -145,12 +145,11 @@ def recording(found: Streams) -> Recording:
     )
     if not len(at_ns):
         raise AnalysisError("probe and servo streams do not belong together; repeat the step")
-    shift = np.median(samples["index"][last][of_sample] - latched[of_tick])
     return Recording(
         samples["index"].astype(np.float64),
         samples["torque"].astype(np.float64),
         samples["velocity"].astype(np.float64),
-        latched + shift,
+        latched + np.median(samples["index"][last][of_sample] - latched[of_tick]),
         ticks["position_m"].astype(np.float64),
         ticks["state"].astype(np.uint8),
     )
@@ -171,8 +170,7 @@ def amplitudes(at: Floats, values: Floats) -> Complexes:
     window = np.sin(pi * (since + 0.5) / (since[-1] + 1.0)) ** 2
     turns = 2.0 * pi / PROBE_RATE_HZ * np.outer(at, LINES_HZ)
     trend = np.stack([np.ones_like(at), since / since[-1]], axis=1)
-    columns = np.hstack([np.cos(turns), np.sin(turns), trend])
-    weighted = columns * window[:, None]
+    weighted = np.hstack([np.cos(turns), np.sin(turns), trend]) * window[:, None]
     found = np.linalg.lstsq(weighted.T @ weighted, weighted.T @ (values * window).T, rcond=None)[0]
     size = len(LINES_HZ)
     return np.asarray((found[:size] - 1j * found[size : 2 * size]).T)

@@ -54,7 +54,6 @@ def main(arguments: list[str]) -> int:
         ends = ("--fd", str(line.fileno()), "--parent", str(os.getpid()))
         return launch(GUARD_MODULE, str(asked.folder), *ends, keep=(line.fileno(),))
 
-    judged = (asked.folder / GUARD_JSON).exists()
     try:
         server.run(
             asked.folder,
@@ -62,7 +61,7 @@ def main(arguments: list[str]) -> int:
             clock,
             should_stop,
             lambda: _say_ready(asked.ready),
-            judge if judged else None,
+            judge if (asked.folder / GUARD_JSON).exists() else None,
         )
     except HapticdError as error:
         sys.stderr.write(f"hapticd gateway: {error}\n")

@@ -151,14 +151,13 @@ def scene_params(
     timing = sample_timing(model.delay_periods)._asdict()
     levels = tuple(step.level_ns_per_m for step in scene.active_damping)
     board = board_of(device, scene.rate_hz, scene.effects, levels, seed=seed, **timing)
-    limit_n = model.force_limit_n or device.limits.force_n
     servo = ServoParams(
         instance=instance,
         simulated=True,
         environment=scene.environment,
         device=replace(device_params(device), force_smoothing_hz=smoothing_hz(scene.effects)),
         safety=SafetyParams(
-            force_limit_n=limit_n,
+            force_limit_n=model.force_limit_n or device.limits.force_n,
             active_damping_slew_ns_per_m_s=AT_ONCE_NS_PER_M_S,
             limit_cycle_faults=False,
         ),

@@ -138,11 +138,9 @@ class Servo:
             check = self.loop.connection.check
             for one in check.differences:
                 startup_message(f"not the board of the device file: {one}")
-            for reason in (check.uncompensated, check.unsampled):
-                if reason:
-                    startup_message(reason)
-            rights = host.prepare(params.realtime)
-            plain = {name: one._asdict() for name, one in rights.items()}
+            for reason in filter(None, (check.uncompensated, check.unsampled)):
+                startup_message(reason)
+            plain = {name: one._asdict() for name, one in host.prepare(params.realtime).items()}
             mailbox.report({"realtime": plain, **self._about(), **check.report()})
             mailbox.publish()
             notify("READY=1", f"STATUS={served}")

@@ -230,8 +230,7 @@ class _AsyncConnection:
         self._board.sleep(seconds)
 
     async def listen(self, topic: str, timeout_s: float) -> AsyncGenerator[bytes, None]:
-        payloads: Generator[bytes, None, None] = self._board._payloads(topic)
-        for payload in payloads:
+        for payload in self._board._payloads(topic):
             yield payload
 
     async def close(self) -> None:

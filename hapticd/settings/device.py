@@ -140,9 +140,9 @@ def effects_of(
 
     Effects of converters are taken from `scales`, by key.
     """
-    chosen = [*ALWAYS, *(name for name in names if name not in ALWAYS)]
     return tuple(
-        scales[name] if name in FROM_SCALES else _effect(name, model.table(name)) for name in chosen
+        scales[name] if name in FROM_SCALES else _effect(name, model.table(name))
+        for name in [*ALWAYS, *(name for name in names if name not in ALWAYS)]
     )
 
 

@@ -132,10 +132,9 @@ def _take_out(data: dict[str, Any], path: KeyPath) -> None:
 
 def concerns(paths: Iterable[KeyPath], wrong: Iterable[KeyPath]) -> bool:
     """Whether any of `wrong` stands at one of `paths`, above it, or in the same table beside it."""
-    tables = [path[:-1] or path for path in paths]
     return any(
         mistake[: len(table)] == table or table[: len(mistake)] == mistake
-        for table in tables
+        for table in [path[:-1] or path for path in paths]
         for mistake in wrong
     )
 

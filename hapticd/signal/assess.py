@@ -137,8 +137,7 @@ class Assessment:
         )
         record = self.trial.record
         record = record and replace(record, findings=(*record.findings, *low))
-        trial = replace(self.trial, record=record)
-        return _judged(trial, self.criteria, self.model, finer)
+        return _judged(replace(self.trial, record=record), self.criteria, self.model, finer)
 
 
 def assess(trial: MeasuredTrial, criteria: Criteria, model: LoopModel) -> Assessment:

@@ -216,11 +216,10 @@ def _by_emf(
     of_force = (Known(FORCE, 1.0, GAIN), Known(RATE, -AMPLIFIER_S, AMPLIFIER_S))
     of_seen = fit(fine, MOTOR, (Known(SEEN), *of_force, Known(ONE)), current_n)
     residual = Known(FORCE, 0.0, RESIDUAL / scale_ns_per_m)
-    lag = Known(ACCELERATION, -LAG_S, LAG_S)
     sees = fit(
         coarse,
         SEEN,
-        (Known(VELOCITY), residual, lag, Known(ONE)),
+        (Known(VELOCITY), residual, Known(ACCELERATION, -LAG_S, LAG_S), Known(ONE)),
         device.emf_velocity.per_count / sqrt(WINDOW),
     )
     return Slope(

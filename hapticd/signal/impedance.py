@@ -110,11 +110,10 @@ def impedance(trial: Spectra, estimator: Estimator = "spa") -> Impedance:
     spread = np.sqrt(2.0) * relative_sd(coherence, trial.degrees_of_freedom)
     at_ends = trial.frequency_hz % (0.5 * trial.rate_hz) <= 1e-8  # 0 Hz, half the sample rate
     noise_sd = noise * np.sqrt(np.where(at_ends, 2.0, 1.0) * trial.variance_factor)
-    sd = spread_of(np.abs(z), spread)
     return Impedance(
         trial.frequency_hz,
         z,
-        sd,
+        spread_of(np.abs(z), spread),
         coherence,
         noise,
         noise_sd,

@@ -144,13 +144,12 @@ def fitted_line(signal: Floats) -> tuple[float, float]:
     """
     n = signal.size
     middle = 0.5 * (n - 1)
-    starts = range(0, n, _BLOCK)
     moment = sum(
         float(
             np.arange(start - middle, min(start + _BLOCK, n) - middle)
             @ signal[start : start + _BLOCK]
         )
-        for start in starts
+        for start in range(0, n, _BLOCK)
     )
     slope = moment / (n * (float(n) * n - 1.0) / 12.0)
     return float(signal.mean()) - slope * middle, slope

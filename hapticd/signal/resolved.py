@@ -203,11 +203,10 @@ def _replaced(trial: Spectra, frequency_hz: Floats, fit: Fit, bias: Complexes) -
     rest = trial.part(~np.isin(trial.frequency_hz, frequency_hz))
     joined = np.concatenate((rest.frequency_hz, frequency_hz))
     order = np.argsort(joined)
-    force = fit.power * size * (1.0 + share)
     return Resolved(
         frequency_hz=joined[order],
         velocity=np.concatenate((rest.velocity, fit.power))[order],
-        force=np.concatenate((rest.force, force))[order],
+        force=np.concatenate((rest.force, fit.power * size * (1.0 + share)))[order],
         cross=np.concatenate((rest.cross, fit.z * fit.power))[order],
         rate_hz=trial.rate_hz,
         n_samples=trial.n_samples,
@@ -313,8 +312,7 @@ def _fitted(force_n: Floats, velocity_m_per_s: Floats, trial: Spectra) -> LowFit
     whole = float(np.vdot(moved[1:], moved[1:]).real)
     powers = legvander((2.0 * f - low - high) / (high - low), ORDER).astype(np.float64)
     rest, slope = _explained(f * force, force, moved[bins], powers)
-    unexplained = rest / np.maximum(np.abs(slope) ** 2 * whole, TINY)
-    return LowFit(f, rest, unexplained)
+    return LowFit(f, rest, rest / np.maximum(np.abs(slope) ** 2 * whole, TINY))
 
 
 def _explained(

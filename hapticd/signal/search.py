@@ -193,7 +193,9 @@ def next_trials(search: Search, count: int = 1) -> Floats:
     """
     found = _fitted(search)
     box = search.box
-    unit, ends = _boundary(search)
+    unit, ends = boundary(
+        lambda at: predicted_passive(search, box.to_environment(at)), _middle(search)
+    )
     interest = np.where(ends, _END_INTEREST, 1.0)
     if search.headroom is not None:
         escaping = np.abs(search.headroom(box.to_environment(unit)) - search.least) < _NARROW
@@ -242,12 +244,6 @@ def _fitted(search: Search) -> Surrogate:
             " direct"
         )
     return search.surrogate
-
-
-def _boundary(search: Search) -> tuple[Floats, Flags]:
-    return boundary(
-        lambda unit: predicted_passive(search, search.box.to_environment(unit)), _middle(search)
-    )
 
 
 def _middle(search: Search) -> Floats:
@@ -330,10 +326,9 @@ class ModelPrior:
         return self._last
 
     def _linearised(self, environments: Floats) -> list[Linearised]:
-        parts = chunks(environments)
         return [
             linearise(self._loop, part, self._coulomb, self._start, self._perturbation)
-            for part in parts
+            for part in chunks(environments)
         ]
 
 

@@ -36,8 +36,7 @@ class EventPins:
 
     def power_up(self) -> None:
         """Number anew, from the code that is there."""
-        first = PinEvent(0, self._code, LONG_AGO)
-        self._waiting = deque([first], maxlen=EVENT_DEPTH)
+        self._waiting = deque([PinEvent(0, self._code, LONG_AGO)], maxlen=EVENT_DEPTH)
         self._taken = 0
 
     def change(self, code: int, substep: int) -> None:

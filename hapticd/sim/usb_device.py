@@ -120,12 +120,11 @@ class UsbDevice:
         if setup.request == GET_DESCRIPTOR and setup.value >> 8 != STRING:
             return self._descriptors.get(setup.value >> 8)
         halted = kind == TO_ENDPOINT and setup.place & 0xFF in self._halted
-        answers = {
+        return {
             GET_STATUS: bytes((halted, 0)),
             GET_CONFIGURATION: bytes((self.configuration,)),
             GET_INTERFACE: b"\0",
-        }
-        return answers.get(setup.request)
+        }.get(setup.request)
 
     def write(self, endpoint: int, data: memoryview, t_ns: int) -> bool:
         """An OUT transfer of any length arrives; False: nobody takes it (NAK). TransferFault."""

@@ -282,8 +282,7 @@ class PhaseComparison(ReferenceComparison[Complexes]):
         """
         own = self.own
         kbm = self.scene.environment.free
-        damping = level(self.scene)
-        asked = (damping, own.filters, own.perturbation)
+        asked = (level(self.scene), own.filters, own.perturbation)
         z, alone_s = timed(
             self.now_ns, lambda: predicted_impedance(own.model, kbm, self._f, *asked), ALONE_REPEATS
         )
@@ -325,8 +324,7 @@ class PositionComparison(ReferenceComparison[Floats]):
 
     def __init__(self, scene: Scene, source: str | Path, exact: Setting, now_ns: Stopwatch) -> None:
         super().__init__(scene, source, exact, now_ns)
-        quantum_m = self.own.model.encoder_quantum_m or QUANTUM_M
-        self._floor = UM_PER_M * quantum_m / np.sqrt(12.0)
+        self._floor = UM_PER_M * (self.own.model.encoder_quantum_m or QUANTUM_M) / np.sqrt(12.0)
         self._true, _ = self._simulated(exact, 1).traces(0)
         known = f"position known to a count ({self._floor:.2g} um rms)"
         self.reference = f"the same trial, {exact.substeps} sub-steps, f64; {known}"

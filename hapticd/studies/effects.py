@@ -160,8 +160,7 @@ def compare_each(names: dict[str, float], full: Floats, other: Floats) -> Compar
     change, and the others.
     """
     change = max(relative(one, two) for one, two in zip(full, other, strict=True))
-    scaled = zip(names, (other * [*names.values()]).tolist(), strict=True)
-    return change, dict(scaled)
+    return change, dict(zip(names, (other * [*names.values()]).tolist(), strict=True))
 
 
 def compare_phase(full: Floats, other: Floats) -> Compared:
@@ -236,10 +235,10 @@ def plan_effects(params: EffectsParams) -> EffectsPlan:
     if params.question == "peak":
         peak_mass_kg(params)
     nonlinear = {effect.key for effect in params.scene.effects if effect.nonlinearity}
-    methods = {
-        key: SIMULATED if key in nonlinear else PREDICTED for key in candidates(params.scene)
-    }
-    return EffectsPlan(params, methods)
+    return EffectsPlan(
+        params,
+        {key: SIMULATED if key in nonlinear else PREDICTED for key in candidates(params.scene)},
+    )
 
 
 def run_effects(plan: EffectsPlan, now_ns: Stopwatch, tell: Progress = silent) -> EffectsResult:

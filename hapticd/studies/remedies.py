@@ -252,7 +252,7 @@ def judged(
     passive = passive_by_theorem(own)
     best = stiffest(passive)
     asked = asked or (0.5 * best[1], best[0])
-    row = Row(
+    return own, Row(
         device=scene.name,
         remedy=remedy.name,
         rate_hz=own.rate_hz,
@@ -266,7 +266,6 @@ def judged(
         rendered=rendered(own, asked),
         noise_n=noise_at_rest(own, asked),
     )
-    return own, row
 
 
 def run_remedies(

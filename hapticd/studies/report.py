@@ -455,15 +455,13 @@ def effects_figure(result: EffectsResult, width_mm: float | None = None) -> Figu
     title = f"{params.scene.title}: {QUESTIONS[params.question]}"
     figure, (axis,) = axes(1, 1, 8.5, 1.8 + 0.3 * len(rows), title, width_mm=width_mm)
     changes = [min(max(row.change, LEAST), MOST) for row in rows]
-    colours = [BLUE if row.effect in result.kept else DROPPED for row in rows]
-    hatches = ["" if row.method == "predicted" else "///" for row in rows]
     _bars(
         axis,
         [row.effect for row in rows],
         changes,
         [_changed(row) for row in rows],
-        color=colours,
-        hatch=hatches,
+        color=[BLUE if row.effect in result.kept else DROPPED for row in rows],
+        hatch=["" if row.method == "predicted" else "///" for row in rows],
     )
     axis.axvline(params.tolerance, color=RED)
     words = f"tolerance {changed(params.tolerance)}"
@@ -637,13 +635,12 @@ def _draw_step_errors(result: AccuracyResult, rows: list[AccuracyRow], axis: Axe
         color=SKY,
         label="error of the sub-step alone",
     )
-    words = "single precision, 1 and 4 sub-steps"
     axis.plot(
         [row.seconds for row in single],
         [row.total for row in single],
         "v",
         color=PURPLE,
-        label=words,
+        label="single precision, 1 and 4 sub-steps",
     )
 
 

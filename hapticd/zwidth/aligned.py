@@ -160,8 +160,7 @@ def _on_own_samples(track: Track, channels: Floats, came: Flags) -> tuple[Floats
     even, _ = GapFiller().filled(track.place, channels[:, track.rows])
     measured = np.zeros(even.shape[1], dtype=bool)
     measured[track.place - track.place[0]] = came[track.rows]
-    own_samples = np.arange(track.first, track.after)
-    at = track.clock.at(own_samples) - track.place[0]
+    at = track.clock.at(np.arange(track.first, track.after)) - track.place[0]
     below = np.floor(at).astype(np.int64)
     inside = (below >= 0) & (below + 1 < measured.size)
     below = np.clip(below, 0, measured.size - 2)

@@ -293,8 +293,7 @@ class LiveRecording:
         """Where the mark began, in samples of the record; {} without one."""
         if not self._marked:
             return {}
-        force = np.concatenate([values[0] for values, _ in self._parts])[:settle]
-        marks = find_marks(force)
+        marks = find_marks(np.concatenate([values[0] for values, _ in self._parts])[:settle])
         return {MARK_SAMPLE: marks[0].row - settle} if marks else {}
 
     def _probe_blocks(self) -> Iterator[Block]:

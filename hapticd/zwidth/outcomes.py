@@ -321,9 +321,8 @@ def envelope_of(outcomes: list[Outcome]) -> Envelope:
 
 def _envelope(outcome: Outcome) -> Envelope:
     k, b, m = outcome.environment
-    name = f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g"
     return of_one(
-        name,
+        f"K {k:.4g} N/m, B {b:.3g} N s/m, M {1e3 * m:.3g} g",
         outcome.frequency_hz,
         outcome.z[:, 0] + 1j * outcome.z[:, 1],
         outcome.relative_sd,

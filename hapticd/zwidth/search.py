@@ -206,12 +206,11 @@ def _searched(
 
 def _batches(params: SearchParams, wanted: Floats, done: int) -> list[TrialBatch]:
     """A trial each of `wanted` (n, 3) after `done` trials, with noise of its own."""
-    points = enumerate(points_of(wanted), done)
     return [
         TrialBatch(
             params.conditions.perturbed(more_seed=place), params.active_damping_ns_per_m, (point,)
         )
-        for place, point in points
+        for place, point in enumerate(points_of(wanted), done)
     ]
 
 
@@ -292,8 +291,7 @@ def observed(conditions: Conditions, outcome: Outcome) -> Observation | None:
     """What a trial teaches; None where the loop was not stable, or moved by something else than
     the perturbation.
     """
-    limit_n = conditions.display.force_limit_n
-    escaped = outcome.max_force_n >= SATURATED * limit_n or (
+    escaped = outcome.max_force_n >= SATURATED * conditions.display.force_limit_n or (
         not outcome.passes and outcome.margin_ns_per_m > 0.0
     )
     if not outcome.z.size or escaped:

@@ -190,14 +190,13 @@ def _joined(
         for channels in zip(*((part.force_n, part.velocity_m_per_s) for part in parts), strict=True)
     )
     commands = [part.max_command_n for part in parts if part.max_command_n is not None]
-    more = {**parts[-1].more, "flown_again": again, **summed([part.more for part in parts])}
     return replace(
         parts[-1],
         force_n=force,
         velocity_m_per_s=velocity,
         ended=ended,
         max_command_n=max(commands, default=None),
-        more=more,
+        more={**parts[-1].more, "flown_again": again, **summed([part.more for part in parts])},
     )
 
 

@@ -58,8 +58,7 @@ def run(
     options: StepOptions, measure: "Callable[[clients.Client, hands.Ask], results.StepResult]"
 ) -> None:
     """Do a step on the daemon, keep and write what it found, and show it."""
-    settings = load.load(options.config)
-    show(perform(options, settings, measure), options.as_json)
+    show(perform(options, load.load(options.config), measure), options.as_json)
 
 
 def show(result: "results.StepResult", as_json: bool) -> None:

@@ -116,8 +116,7 @@ def motor(
             masses = motor_step.Masses(tuple(mass), pulls_to, radius_ratio)
             return motor_step.measure_gain(client, ask, masses)
         if spring is not None:
-            known = spring_step.Spring(spring, spring_tolerance)
-            return spring_step.measure(client, ask, known)
+            return spring_step.measure(client, ask, spring_step.Spring(spring, spring_tolerance))
         if offset:
             return spring_step.measure_offset(client, ask)
         if winding:

@@ -100,8 +100,7 @@ def command(
     paths = common.drawn(folder, "limits", figure, results.plot)
     judged = "; ".join(sorted({limit.judged.words for limit in result.limits}))
     lines = [table.text(_table(result)), NOTE, judged, f"{result.made} trials made"]
-    found = {"made": result.made, "limits": rows}
-    common.show_result(found, lines, folder, paths, results.as_json)
+    common.show_result({"made": result.made, "limits": rows}, lines, folder, paths, results.as_json)
 
 
 def _table(result: "limits.LimitsResult") -> "table.Table":

@@ -95,8 +95,7 @@ def _verdict(found: "forecast.Forecast") -> str:
     if not found.passive:
         if prediction.margin_ns_per_m[0] < 0.0:
             return "not passive"
-        growing = "a burst of motion does not die out"
-        why = "the loop is unstable" if prediction.calm[0] else growing
+        why = "the loop is unstable" if prediction.calm[0] else "a burst of motion does not die out"
         return f"not passive: Re Z >= 0 all over the band, but {why}"
     if found.theorem_passive:
         return "passive, for every input and in every passive hand"

@@ -126,11 +126,10 @@ def _map_params(kept: dict[str, Any]) -> "maps.MapParams":
     low, high = asked["band_hz"]
     conditions = common.conditions(scene, asked["seconds"], asked["seed"], (low, high))
     stiffness, damping, mass = (np.asarray(axis) for axis in kept["axes"])
-    levels = tuple(level["active_damping_ns_per_m"] for level in kept["levels"])
     return maps.MapParams(
         conditions,
         (stiffness, damping, mass),
-        levels,
+        tuple(level["active_damping_ns_per_m"] for level in kept["levels"]),
         asked["near"],
         asked["everywhere"],
         asked["refine"],
@@ -189,8 +188,7 @@ def _own_trial(
     """A trial of the environment that the scene itself describes."""
     asked = sources.Trial(scene.environment.free, scenes.level(scene), seconds, scenes.noise(scene))
     plan = trials.plan_trial(trials.TrialParams(asked, scene))
-    result = trials.run_trial(plan, simulated.engine_source(scene))
-    return draw_trial(result, folder, width_mm)
+    return draw_trial(trials.run_trial(plan, simulated.engine_source(scene)), folder, width_mm)
 
 
 Files = Annotated[

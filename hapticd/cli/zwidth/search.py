@@ -74,8 +74,7 @@ def command(
     with common.keeping(kept, folder), executors.executor(trials.where) as pool, progress() as tell:
         for level in common.levels(active_damping):
             params = search.SearchParams(conditions, level, budget, together, doubt)
-            plan = search.plan_search(params)
-            found.append(search.run_search(plan, kept, tell, pool, follow))
+            found.append(search.run_search(search.plan_search(params), kept, tell, pool, follow))
     levels = [_level(result) for result in found]
     about = {"kind": "search", "scene": scene, "levels": levels}
     common.write_summary(folder, about, seed=trials.seed)
@@ -83,8 +82,7 @@ def command(
     paths = common.drawn(folder, "search", figure, results.plot)
     judged = "; ".join(sorted({result.judged.words for result in found}))
     lines = [_table(conditions.scene.device, levels), judged, NOTE]
-    content = {"levels": store.to_json(levels)}
-    common.show_result(content, lines, folder, paths, results.as_json)
+    common.show_result({"levels": store.to_json(levels)}, lines, folder, paths, results.as_json)
     if not results.as_json:
         common.tell_open(levels, "box")
 

@@ -561,5 +561,4 @@ def import_record(
         if align
         else record_files.read_file(source, *file.columns)
     )
-    results = TrialResultOptions(out=out, plot=plot, as_json=as_json)
-    _tried(asked, file, recorded, "", results)
+    _tried(asked, file, recorded, "", TrialResultOptions(out=out, plot=plot, as_json=as_json))

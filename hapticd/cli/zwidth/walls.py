@@ -66,8 +66,7 @@ def command(
     figure = partial(passive_set.walls_figure, result, width_mm=figure_width)
     paths = common.drawn(folder, "walls", figure, plot)
     found = {"lines": store.to_json(result.lines)}
-    lines = [table.text(_table(result, dampings))]
-    common.show_result(found, lines, folder, paths, as_json)
+    common.show_result(found, [table.text(_table(result, dampings))], folder, paths, as_json)
 
 
 def _grid(

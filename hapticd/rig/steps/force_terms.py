@@ -83,12 +83,10 @@ class Terms(NamedTuple):
 def commanded(run: PerturbationRun, clock: Clock, lag_us: float, spread_us2: float) -> Floats:
     """F (N - 1,): the staircase of commands behind its delay and smoothing."""
     if spread_us2 < 0.0:  # continued evenly, so that noise about 0 has no edge to lean on
-        straight = commanded(run, clock, lag_us, 0.0)
-        return 2.0 * straight - commanded(run, clock, lag_us, -spread_us2)
+        return 2.0 * commanded(run, clock, lag_us, 0.0) - commanded(run, clock, lag_us, -spread_us2)
     smooth_us = float(np.sqrt(spread_us2))
     edge_us = run.board_us + (lag_us - smooth_us)
-    index = run.first_index + np.arange(run.torque_n.size + 1)
-    grid_us = clock.phase_us + SAMPLE_US * index
+    grid_us = clock.phase_us + SAMPLE_US * (run.first_index + np.arange(run.torque_n.size + 1))
     twice = _integral(edge_us / US_PER_S, run.force_n, smooth_us / US_PER_S, grid_us / US_PER_S)
     return np.asarray(np.diff(twice, 2) / H_S**2)
 
@@ -231,8 +229,7 @@ def _phase(run: PerturbationRun, phase_us: float, corner_rad_s: float) -> Clock:
     columns = (seen, speed, lost, bent, run.position_m[inside])
     block = round(CLOCK_BLOCK_S * rate_hz)
     parts = [lines(one[1:-1], block, rate_hz, CLOCK_HZ) for one in columns]
-    fit = jackknife(np.dstack(parts[:-1]), parts[-1])
-    gain, shift, corner, further = fit.values.tolist()
+    gain, shift, corner, further = jackknife(np.dstack(parts[:-1]), parts[-1]).values.tolist()
     phase_us -= US_PER_S * shift / gain
     return Clock(phase_us, gain, corner_rad_s + corner / gain, further / gain)
 

@@ -282,9 +282,8 @@ def silence(bench: Client, seconds: float) -> Silence:
         )
     answer = found[after[0]]
     status = int(answer["status"])
-    passed_us = int(answer["board_us"]) - int(found["board_us"][quiet[-1]])
     return Silence(
-        passed_us / US_PER_S,
+        (int(answer["board_us"]) - int(found["board_us"][quiet[-1]])) / US_PER_S,
         bool(status & StatusBit.WATCHDOG),
         bool(status & StatusBit.ENABLED),
         float(answer["active_damping_effect_ns_per_m"]),

@@ -115,14 +115,15 @@ def fit_added_mass(
     """Fit both recordings; `turned` (l,) is the phase of the velocity channel against the torque
     channel.
     """
-    parts = [_parts(one, of_velocity, turned) for one in (bare, loaded)]
-    inner = np.concatenate([one.inner for one in parts])
+    bare_torque, bare_inner, bare_own = _parts(bare, of_velocity, turned)
+    loaded_torque, loaded_inner, loaded_own = _parts(loaded, of_velocity, turned)
+    inner = np.concatenate((bare_inner, loaded_inner))
     # inner, then acceleration, velocity, friction and position of each recording
     columns = np.zeros((len(inner), 9), np.complex128)
     columns[:, 0] = inner
-    columns[: len(LINES_HZ), 1:5] = parts[0].own
-    columns[len(LINES_HZ) :, 5:] = parts[1].own
-    torque = np.concatenate([one.torque for one in parts])
+    columns[: len(LINES_HZ), 1:5] = bare_own
+    columns[len(LINES_HZ) :, 5:] = loaded_own
+    torque = np.concatenate((bare_torque, loaded_torque))
     known = np.concatenate([columns.real, columns.imag])
     seen = np.concatenate([torque.real, torque.imag])
     free = least_squares(known, seen, inflate=UNEVEN)
@@ -145,15 +146,13 @@ def _within_mass(known: Floats, seen: Floats, free: Fit) -> tuple[Floats, Floats
     return np.vstack([known, weight * row]), np.append(seen, 0.0)
 
 
-class _Parts(NamedTuple):
-    """Lines (l,) of one recording, on the encoder's clock."""
-
-    torque: Complexes  # counts
-    inner: Complexes  # m/s^2, of the probe's end beyond the encoder's
-    own: Complexes  # (l, 4) acceleration, velocity, friction and position
-
-
-def _parts(found: Recording, of_velocity: Channel, turned: Floats) -> _Parts:
+def _parts(
+    found: Recording, of_velocity: Channel, turned: Floats
+) -> tuple[Complexes, Complexes, Complexes]:
+    """Lines of one recording, on the encoder's clock: of the torque (l,) in counts, of the
+    acceleration (l,) of the probe's end beyond the encoder's [m/s^2], and of the encoder's own
+    acceleration, velocity, friction and position (l, 4).
+    """
     seen = lines(found)
     probe = seen.velocity * np.exp(-1j * of_velocity.phase) / of_velocity.counts
     torque = seen.torque * np.exp(-1j * (of_velocity.phase - turned))
@@ -163,7 +162,7 @@ def _parts(found: Recording, of_velocity: Channel, turned: Floats) -> _Parts:
     (friction,) = amplitudes(found.number, signs[None, :])
     friction = friction * np.exp(-1j * of_velocity.turn_per_hz * LINES_HZ)
     own = np.stack([acceleration, speed, friction, seen.position_m], axis=1)
-    return _Parts(torque, 1j * OMEGA * probe - acceleration, own)
+    return torque, 1j * OMEGA * probe - acceleration, own
 
 
 def _without_high_pass(found: Recording, of_velocity: Channel) -> Floats:

@@ -133,5 +133,6 @@ def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> St
     half_n = hypot(mean_half(means), REPEATS * friction_of(readings))
     offset = offset_of(float(means.mean()), half_n, servo["device"])
     finding = Finding(f"{offset.value:.3g} counts make no force", "ok")
-    arrays = {"readings_n": readings}
-    return StepResult("motor", (offset,), [finding], [zero_change(offset)], arrays)
+    return StepResult(
+        "motor", (offset,), [finding], [zero_change(offset)], {"readings_n": readings}
+    )

@@ -177,11 +177,10 @@ def analyse(
     z = {name: measured(one) for name, one in runs.items()}
     parts = parts_of(known)
     values = seen([difference(one, z[""], z[one.name], rendering) for one in parts])
-    ticks = sum(one.board_us.size for one in runs.values())
     findings = [
         *(agreement(*one, servo["device"]) for one in zip(parts, values, strict=True)),
         *reference_vectors.compared(),
-        _late(counts, ticks),
+        _late(counts, sum(one.board_us.size for one in runs.values())),
         _delay(delays, rendering),
         *_calibrations(servo, day),
     ]
@@ -334,8 +333,7 @@ def _delay(delays_us: Floats, rendering: Rendering) -> Finding:
     """How long forces came after their samples, and how much that varied."""
     if not delays_us.size:
         return Finding("timing: from sample to force", "not done", "the board tells no ages")
-    periods = delays_us * rendering.rate_hz / US_PER_S
-    low, middle, high = np.quantile(periods, (0.005, 0.5, 0.995))
+    low, middle, high = np.quantile(delays_us * rendering.rate_hz / US_PER_S, (0.005, 0.5, 0.995))
     return checked(
         f"timing: sample to force {middle:.3g} periods, 99 % within {high - low:.3g}",
         high - low <= MOST_SPREAD,

@@ -191,9 +191,10 @@ def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> Iterator[
 def _signs(per_ampere: Value, ohm: Value, induced: Value) -> Finding:
     names = {"current": per_ampere, "voltage over current": ohm, "voltage over speed": induced}
     wrong = [name for name, value in names.items() if value.value <= 0.0]
-    what = f"the wrong way: {', '.join(wrong)}"
     return checked(
-        what if wrong else "current and voltage have the signs of the force",
+        f"the wrong way: {', '.join(wrong)}"
+        if wrong
+        else "current and voltage have the signs of the force",
         not wrong,
         "correct the sign of `current` or `voltage` in the device file",
         "refused",

@@ -120,7 +120,6 @@ class Machine:
 def this_machine() -> Machine:
     """The one we run on."""
     options, flags, debug = sysconfig.get_config_vars("CONFIG_ARGS", "PY_CFLAGS", "Py_DEBUG")
-    version = platform.python_version()
     return Machine(
         root=Path("/"),
         uid=os.getuid(),
@@ -131,7 +130,9 @@ def this_machine() -> Machine:
         clock_resolution_s=time.clock_getres(time.CLOCK_MONOTONIC),
         may_write=lambda path: os.access(path, os.W_OK),
         free_bytes=lambda path: shutil.disk_usage(path).free,
-        build=Build(version, sys.base_prefix, options or "", flags or "", bool(debug)),
+        build=Build(
+            platform.python_version(), sys.base_prefix, options or "", flags or "", bool(debug)
+        ),
     )
 
 

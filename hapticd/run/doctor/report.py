@@ -113,12 +113,11 @@ def _versions() -> dict[str, str]:
 
 
 def _interpreter() -> dict[str, Any]:
-    options = re.findall(r"--(?:enable|with|disable|without)-[^\s'\"]+", _flag("CONFIG_ARGS"))
     return {
         "version": platform.python_version(),
         "implementation": platform.python_implementation(),
         "compiler": platform.python_compiler(),
-        "options": options,
+        "options": re.findall(r"--(?:enable|with|disable|without)-[^\s'\"]+", _flag("CONFIG_ARGS")),
         "flags": {name: _flag(name) for name in BUILD_FLAGS},
     }
 

@@ -130,15 +130,13 @@ class BatchResult:
         force = np.asarray(
             self.force_spectrum if self.force_spectrum.ndim == 1 else self.force_spectrum[trial]
         )
-        samples = int(self.samples[trial])
-        frequencies_hz = grid_frequencies(self.rate_hz, LAG)
         return Spectra(
-            frequencies_hz,
+            grid_frequencies(self.rate_hz, LAG),
             self.velocity_spectrum[trial],
             force,
             self.cross_spectrum[trial],
             self.rate_hz,
-            samples,
+            int(self.samples[trial]),
             LAG,
         )
 
@@ -354,11 +352,10 @@ def run_chunk(job: Job, params: Array, numbers: Sequence[int]) -> BatchResult:
     """Trials of these K, B, M (n, 3), each with the number by which it draws noise of its own."""
     made = prepared(job)
     lanes = made.shape.lanes
-    starts = range(0, len(params), lanes)
     return joined(
         [
             _run_group(job, made, params[start : start + lanes], numbers[start : start + lanes])
-            for start in starts
+            for start in range(0, len(params), lanes)
         ]
     )
 

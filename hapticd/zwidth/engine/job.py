@@ -111,10 +111,9 @@ def prepared(job: Job) -> Prepared:
     shape = shape_of(model, job.environment, damped, job.substeps, job.dtype)
     if job.keep not in KEEPS:
         raise ConfigError(f"keep {job.keep!r}: use one of {', '.join(KEEPS)}")
-    recorded = job.keep in ("records", "ticks")
     shape = replace(
         shape,
-        lanes=LANES_OF_RECORDS[job.dtype] if recorded else shape.lanes,
+        lanes=LANES_OF_RECORDS[job.dtype] if job.keep in ("records", "ticks") else shape.lanes,
         renders=job.renders,
         own_torque=job.own_torque,
         ticks=job.keep == "ticks",

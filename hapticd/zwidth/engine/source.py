@@ -310,11 +310,10 @@ def tick(shape: Shape, row: Rows) -> Iterator[str]:
 def _sample(shape: Shape, row: Rows, j: int) -> Iterator[str]:
     """One 4 kHz interval: its sub-steps, then what the record gets."""
     for i in range(shape.states):
-        noisy = shape.noise is not None and shape.noise[i]
         terms = [
             *term(shape.torque[i], f"T{i}", f" * t{j}", row),
             *term(shape.drift[i], f"D{i}", "", row),
-            *term(noisy, f"E{i}", f" * e{j}", row),
+            *term(shape.noise is not None and shape.noise[i], f"E{i}", f" * e{j}", row),
             *term(shape.command[i], f"G{i}", " * u", row),
         ]
         yield from total(f"b{i}", terms)

@@ -90,10 +90,9 @@ def envelope_figure(
     `levels`: (active damping [N s/m], its trials). `inverse`: of the admittance, whose largest
     values are owned by the smallest |Z|.
     """
-    styles = level_styles([level for level, _ in levels])
     shown = [
         _of_trials(conditions, *level, look, inverse)
-        for level, look in zip(levels, styles, strict=True)
+        for level, look in zip(levels, level_styles([level for level, _ in levels]), strict=True)
     ]
     f = shown[0].envelope.frequency_hz
     seen = judged(trial for _, trials in levels for trial in trials)
@@ -134,7 +133,6 @@ def envelopes_figure(
     `styled`.
     """
     count = len(shown)
-    heights = [3.0, *([0.36] * count), 1.9]
     figure, (size, *strips, phase) = axes(
         2 + count,
         1,
@@ -143,7 +141,7 @@ def envelopes_figure(
         title,
         width_mm=width_mm,
         sharex=True,
-        height_ratios=heights,
+        height_ratios=[3.0, *([0.36] * count), 1.9],
     )
     hertz_axis(phase, *ends_hz)
     size.set_yscale("log")
@@ -242,13 +240,11 @@ def strip(axis: Axes, frequency_hz: Floats, rows: Sequence[Floats], title: str) 
 
     middle = np.sqrt(frequency_hz[1:] * frequency_hz[:-1])
     borders = np.concatenate((frequency_hz[:1], middle, frequency_hz[-1:]))
-    colours = ListedColormap([NOTHING, *(colour for _, colour in PARTS)])
-    heights = np.arange(len(rows) + 1.0)
     axis.pcolormesh(
         borders,
-        heights,
+        np.arange(len(rows) + 1.0),
         np.array(rows),
-        cmap=colours,
+        cmap=ListedColormap([NOTHING, *(colour for _, colour in PARTS)]),
         vmin=-1.5,
         vmax=len(PARTS) - 0.5,
         rasterized=True,
@@ -271,7 +267,6 @@ def _names(axis: Axes, borders: Floats, row: Floats, height: float) -> None:
         if row[first] == NOBODY or np.log(high / low) < wide * np.log(high_hz / low_hz):
             continue
         name = PARTS[int(row[first])][0]
-        ink = "white" if name == "B < 0" else "black"
         axis.text(
             float(np.sqrt(low * high)),
             height,
@@ -279,7 +274,7 @@ def _names(axis: Axes, borders: Floats, row: Floats, height: float) -> None:
             fontsize="small",
             ha="center",
             va="center",
-            color=ink,
+            color="white" if name == "B < 0" else "black",
         )
 
 

@@ -101,16 +101,13 @@ def set_figure(result: MapResult, width_mm: float | None = None) -> Figure:
     shown = slices(result)
     columns = min(COLUMNS, len(shown))
     rows = -(-len(shown) // columns)
-    title = (
-        "Passive set: the largest passive K at each"
-        f" B\n{how(result.plan.params.conditions, [result.judged])}"
-    )
     figure, places = axes(
         rows,
         columns,
         0.6 + 3.0 * columns,
         2.7 * rows + 1.2,
-        title,
+        "Passive set: the largest passive K at each"
+        f" B\n{how(result.plan.params.conditions, [result.judged])}",
         width_mm=width_mm,
         sharex=True,
         sharey=True,
@@ -358,28 +355,24 @@ def limits_figure(result: LimitsResult, width_mm: float | None = None) -> Figure
     groups, styles = (
         (params.levels, level_styles(params.levels)) if many else ((params.amplitudes[0],), [ALONE])
     )
-    title = (
-        "Axis limits, the other two being"
-        f" 0\n{how(params.conditions, (limit.judged for limit in result.limits))}"
-    )
     figure, places = axes(
         1,
         len(params.axes),
         max(NARROWEST_IN, 3.2 * len(params.axes)),
         4.2,
-        title,
+        "Axis limits, the other two being"
+        f" 0\n{how(params.conditions, (limit.judged for limit in result.limits))}",
         width_mm=width_mm,
     )
     for place, axis in zip(places, params.axes, strict=True):
         mine = [limit for limit in result.limits if limit.scan.axis == axis]
         for group, look in zip(groups, styles, strict=True):
-            name = f"by trials, {level_label(group)}" if many else "by trials"
             _limit_line(
                 place,
                 [one for one in mine if not many or one.scan.active_damping_ns_per_m == group],
                 many,
                 look,
-                name,
+                f"by trials, {level_label(group)}" if many else "by trials",
             )
         place.set(
             ylabel=AXIS_LABELS[mine[0].name][0], ylim=(0.0, None), xlabel="active damping (N s/m)"

@@ -95,7 +95,7 @@ def _broken(row: Sequence[str]) -> list[list[str]]:
 
 
 def _aligned(line: Sequence[str], widths: Sequence[int], numeric: Sequence[bool]) -> str:
-    cells = zip(line, widths, numeric, strict=True)
     return GAP.join(
-        cell.rjust(width) if right else cell.ljust(width) for cell, width, right in cells
+        cell.rjust(width) if right else cell.ljust(width)
+        for cell, width, right in zip(line, widths, numeric, strict=True)
     ).rstrip()

@@ -156,8 +156,7 @@ def trial_figure(
     worst = result.verdict.margin_deg
     f = z.frequency_hz[seen]
     places = (size, phase)
-    measured = z.impedance_ns_per_m[seen]
-    draw(places, f, measured, look, "measured", _interval(z)[seen], view)
+    draw(places, f, z.impedance_ns_per_m[seen], look, "measured", _interval(z)[seen], view)
     if result.predicted is not None:
         draw(places, f, result.predicted[seen], PREDICTED, "predicted", view=view)
     if sines is not None:
