@@ -154,8 +154,7 @@ def bound_tcp(host: str, port: int) -> socket.socket:
     ConfigError if the address is not ours.
     """
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        family, _, _, _, address = found[0]
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         return socket.create_server(address[:2], family=family)
     except OSError as error:
         if error.errno != errno.EADDRINUSE or port == 0:

@@ -76,9 +76,7 @@ MOST_QUEUED = 100  # requests that wait for their turn
 TOO_MANY = CommandError(
     "busy", f"{MOST_QUEUED} requests wait for the gateway already; slow down and ask again"
 )
-OVERTAKEN = CommandError(
-    "refused", "reset: a stop followed it; check that it is safe, then ask again"
-)
+OVERTAKEN = "a stop followed it; check that it is safe, then ask again"
 OUTDATED = "the gateway stood still for more than 1 s and drops what came meanwhile; ask again"
 SERVO_ENDED = CommandError(
     "servo_down", "the servo ended before it answered; when it starts anew it is disabled"
@@ -145,7 +143,7 @@ class CommandServer:
         for message in messages:
             self._queue.append(unpacked(message))
             in_time()
-        replies = self._resets_overtaken()
+        replies = self._overtaken()
         # the sort is stable: all others keep the order in which they came
         self._queue.sort(key=lambda one: one.cmd != "stop")
         replies += [self._refused(one, TOO_MANY) for one in self._queue[MOST_QUEUED:]]
@@ -157,13 +155,17 @@ class CommandServer:
                 break
         return replies
 
-    def _resets_overtaken(self) -> list[Reply]:
-        """The refusals of resets that came before a stop, which goes first: none may undo it."""
+    def _overtaken(self) -> list[Reply]:
+        """Refuse resets and scheduled changes that came before a stop: it goes first, so that they
+        would undo or outlive it.
+        """
         last = max((at for at, one in enumerate(self._queue) if one.cmd == "stop"), default=0)
-        resets = [one for one in self._queue[:last] if one.cmd == "reset"]
-        kept = [one for one in self._queue[:last] if one.cmd != "reset"]
-        self._queue[:last] = kept
-        return [self._refused(one, OVERTAKEN) for one in resets]
+        before = self._queue[:last]
+        gone = [one for one in before if one.cmd == "reset" or one.plain.get("at_tick")]
+        self._queue[:last] = [one for one in before if one not in gone]
+        return [
+            self._refused(one, CommandError("refused", f"{one.cmd}: {OVERTAKEN}")) for one in gone
+        ]
 
     def collect(self, now_ns: int) -> list[Reply]:
         """Read the servo's answers; the replies that are due."""
@@ -173,6 +175,7 @@ class CommandServer:
         try:
             for answer in self._view.answers():
                 self._leasing.heard(answer)
+                self._guarded.heard(answer)
                 if scheduled := self._outstanding.take(answer, self._view.life):
                     # its first answer may have come just before, and is the reply
                     replies += self._due(now_ns)
@@ -188,8 +191,7 @@ class CommandServer:
 
     def _due(self, now_ns: int) -> list[Reply | None]:
         """Close what is to be replied to."""
-        due = self._outstanding.due(self._view.tick, now_ns)
-        return [self._closed(one, now_ns) for one in due]
+        return [self._closed(one, now_ns) for one in self._outstanding.due(self._view.tick, now_ns)]
 
     def leave(self, client: bytes) -> None:
         """The connection of `client` is gone, and with it its leases and what waits of it."""
@@ -197,7 +199,7 @@ class CommandServer:
         self._leasing.leave(actor)
         self._guarded.leave(actor)
         self._queue = [one for one in self._queue if one.client != client or one.cmd in OBEYED]
-        if self._view.state is State.DISABLED:  # a servo that stands would obey it once it goes on
+        if self._view.state is State.DISABLED:  # a suspended servo would take it when it continues
             for message in self._outstanding.asked_by(actor):
                 self._taken_back(message)
 

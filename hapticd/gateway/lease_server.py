@@ -46,6 +46,7 @@ from hapticd.protocol.schemas import LeaseRequest
 from hapticd.protocol.view import ServoView
 
 FORMER = "a client of the gateway before this one"
+NO_ACTOR = 0  # of whom no client's scheduled changes are kept
 UNANSWERED_NS = NS_PER_S  # after which the servo is told again
 DAMPING_PLACES = (Value.ACTIVE_DAMPING, Value.ACTIVE_DAMPING_ON)
 SCHEDULABLE = {
@@ -155,7 +156,9 @@ class LeaseServer:
         """What becomes of force and environment; nothing is done to the damping."""
         if lease.at_end == "zero" and ENVIRONMENT in PARTS[lease.what]:
             self._do(Command.SET, dict.fromkeys(STRENGTH_VALUES, 0.0))
-            self._cancel(lease.what, 0)  # an end that would bring more back than 0
+            self._cancel(
+                lease.what, NO_ACTOR
+            )  # again, after the set: ends that would restore force
         elif lease.at_end == "disable":
             self._do(Command.DISABLE, {})
 
@@ -214,8 +217,7 @@ class LeaseServer:
             holders = {MEASURING: holders[DAMPING], PERTURBATION: holders[PERTURBATION]}
         for what, actor in holders.items():
             if actor:
-                lease = Lease(what, actor, FORMER, 0, self._params.at_end, 0)
-                self._end(Ended(lease, GONE))
+                self._end(Ended(Lease(what, actor, FORMER, 0, self._params.at_end, 0), GONE))
 
     def _post(self, now_ns: int) -> None:
         """Do what waits, as far as the servo takes it."""

@@ -209,8 +209,9 @@ class Relay:
         name = self._clients.name(key)
         if not name:
             self._connections.refuse(address.decode(), f"its key {key.decode()} is not known")
-        status = b"200" if name else b"400"
-        self._zap.send_multipart([b"1.0", number, status, b"", name.encode(), b""])
+        self._zap.send_multipart(
+            [b"1.0", number, b"200" if name else b"400", b"", name.encode(), b""]
+        )
 
     def _note(self) -> None:
         self._connections.take(*zmq_monitor.take(self._monitor))

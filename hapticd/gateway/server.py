@@ -170,8 +170,7 @@ class GatewayServer:
     def _serve(self, now_ns: int) -> None:
         requests = self._sockets.command.receive(REQUESTS_PER_PASS)
         came = [[identity, *parts] for identity, parts in requests]
-        outdated = now_ns < self._settled_ns
-        replies = self._commands.serve(came, now_ns, outdated, self._in_time)
+        replies = self._commands.serve(came, now_ns, now_ns < self._settled_ns, self._in_time)
         if receipts := self._commands.collect(now_ns):
             self._watchful_ns = now_ns + WATCHFUL_NS
         for identity, *parts in replies + receipts:

@@ -131,8 +131,7 @@ def environment_text(environment: Environment) -> str:
     """An environment by its numbers."""
     k, b, m = environment.free
     level = environment.active_damping_ns_per_m
-    kbm = f"K = {k:g} N/m, B = {b:g} N s/m, M = {m:g} kg"
-    return f"{kbm} with {level:.4g} N s/m of active damping"
+    return f"K = {k:g} N/m, B = {b:g} N s/m, M = {m:g} kg with {level:.4g} N s/m of active damping"
 
 
 def hand_text(hand: Hand, hz: float, in_wall: bool) -> dict[str, Any]:

@@ -78,8 +78,7 @@ class Judge:
             return False
         spare = self.setup.guard.margin_ns_per_m
         filters = self.setup.environment.filters
-        at = Conditions(self._cold.pop(0), filters, self._warm_delay, spare)
-        self.theorem.prepare(at)
+        self.theorem.prepare(Conditions(self._cold.pop(0), filters, self._warm_delay, spare))
         return bool(self._cold)
 
     def answer(self, request: Mapping[str, Any]) -> dict[str, Any]:

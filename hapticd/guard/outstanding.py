@@ -51,8 +51,9 @@ class Outstanding:
         return any(one.message.cmd == cmd for one in self._pending.values())
 
     def asked_by(self, actor: int) -> list[RequestMessage]:
-        """What `actor` asked and has no reply to yet."""
-        return [one.message for one in self._pending.values() if one.actor == actor]
+        """What `actor` asked and the servo has not answered yet."""
+        mine = (one for one in self._pending.values() if one.actor == actor)
+        return [one.message for one in mine if one.answer is None]
 
     def post(
         self,

@@ -36,7 +36,7 @@ from hapticd.guard.pending import PendingChange, ends_force, forbidden_by, stage
 from hapticd.guard.question import former, question
 from hapticd.guard.refusals import refused, unknown_refused, verdict_beside
 from hapticd.guard.scheduled import ScheduledChanges
-from hapticd.guard.stages import ChangeReply, StagedChange
+from hapticd.guard.stages import LATCHED, ChangeReply, StagedChange
 from hapticd.guard.status import VERDICT_NS, Guard
 from hapticd.guard.transition_planner import Stage
 from hapticd.mailbox.client_side import Answer
@@ -91,6 +91,7 @@ class GuardedQueue:
         self._under_way = StagedChange(view, outstanding, self._replies)
         self._scheduled = ScheduledChanges()  # of the present servo life
         self._life = 0
+        self._latched = False  # whether the servo was when it was last looked at
         self._terms_sent = (0, ANY_TERMS)  # servo life, number of the terms that it knows
         self._chosen_ns = -CHOICE_NS  # when the level of mode auto was last looked at
         self._chosen_for: tuple[Any, ...] = ()
@@ -165,11 +166,9 @@ class GuardedQueue:
             self._replies.append(reply)
 
     def take_back_enables(self, why: str) -> None:
-        """No enable that waits shall come after the command `why`, which was asked later; nor what
-        is to be scheduled after a stop, which cancels what is.
-        """
+        """Refuse the enables that wait, because the command `why` was asked later."""
         for change in self._waits():
-            if _enables(change) or (change.at_tick and why == "stop"):
+            if _enables(change):
                 self._end(change, "refused", f"{why} was asked before it was judged; ask again")
         self._under_way.take_back(_enables, f"{why} was asked meanwhile")
 
@@ -179,11 +178,14 @@ class GuardedQueue:
         """
         for change in self._waits_of(actor):
             self._drop(change)
+        self._under_way.take_back(
+            lambda change: _enables(change) and change.actor == actor, "its connection is gone"
+        )
 
-        def concerned(change: PendingChange) -> bool:
-            return _enables(change) and change.actor == actor
-
-        self._under_way.take_back(concerned, "its connection is gone")
+    def heard(self, answer: Answer) -> None:
+        """Forget what the servo has cancelled: scheduled changes, and ends of changes in force."""
+        if answer.result is Result.CANCELLED:
+            self._scheduled.close(answer.seq, applied=False)
 
     def give_up(self, actor: int) -> None:
         """The client `actor` has failed: of what it asked nothing more is posted."""
@@ -213,6 +215,7 @@ class GuardedQueue:
         """Go on as far as can be; what is to be said. `idle`: no command is on its way."""
         self._forget_other_lives()
         self._forget_who_may_not()
+        self._forget_scheduled_at_a_stop()
         self._forget_other_terms()
         self._expire(now_ns)
         if self._beside is not None:
@@ -247,6 +250,15 @@ class GuardedQueue:
             if error := forbidden_by(self._leases, change):
                 self._give_back(change, error)
 
+    def _forget_scheduled_at_a_stop(self) -> None:
+        """A stop or fault cancels what is to be scheduled, as the servo cancels what is."""
+        latched = self._view.state in LATCHED
+        if latched and not self._latched:
+            for change in self._waits():
+                if getattr(change.request, "at_tick", 0):
+                    self._end(change, "refused", f"the servo is {self._view.state_name}; ask again")
+        self._latched = latched
+
     def _forget_other_terms(self) -> None:
         """Under a strict policy nothing comes into force that was judged by other terms, or
         scheduled through a gateway before this one.
@@ -265,7 +277,7 @@ class GuardedQueue:
     def _expire(self, now_ns: int) -> None:
         for change in [one for one in self._queue if now_ns - one.came_ns >= WAITING_NS]:
             why = "others were before it"
-            if isinstance(change.request, Enable) and (staged := self._under_way.summary()):
+            if self._waits_for_stages(change) and (staged := self._under_way.summary()):
                 why = f"stage {staged['stage']} of {staged['stages']} of a change is still to come"
             text = f"it was not judged within 1 s, {why}; nothing happened, ask again"
             self._end(change, "timeout", text)
@@ -306,9 +318,7 @@ class GuardedQueue:
 
     def _begin(self, now_ns: int) -> None:
         change = self._queue[0]
-        under_way = self._under_way.change
-        # what is scheduled is judged with the force that acts, an enable with what is scheduled
-        if under_way is not None and (_enables(change) or (change.at_tick and _enables(under_way))):
+        if self._waits_for_stages(change):
             return
         if self._must(change) and not self._guard.settled and self._asks(change):
             if now_ns - change.came_ns >= SETTLING_NS:
@@ -321,6 +331,15 @@ class GuardedQueue:
             self._ask(self._queue.popleft(), now_ns)
         elif now_ns - change.ready_ns >= VERDICT_NS:
             self._try_unjudged(self._queue.popleft(), now_ns, self._late())
+
+    def _waits_for_stages(self, change: PendingChange) -> bool:
+        """Whether it is judged after the stages under way: what is scheduled, with the force that
+        an enable brings; an enable, with what is in force by then.
+        """
+        under_way = self._under_way.change
+        if under_way is None:
+            return False
+        return _enables(change) or (bool(change.at_tick) and _enables(under_way))
 
     def _late(self) -> str:
         """Why there is no verdict from a worker that was asked, or could not be."""
@@ -342,8 +361,9 @@ class GuardedQueue:
         self._chosen_for = about
         self._chosen_ns = now_ns
         request = Damping(cmd="damping", value="auto")
-        message = INTERNAL_REQUEST
-        own = PendingChange(message, GATEWAY_ACTOR, request, self._life, now_ns, replied=True)
+        own = PendingChange(
+            INTERNAL_REQUEST, GATEWAY_ACTOR, request, self._life, now_ns, replied=True
+        )
         self._ask(own, now_ns)
 
     def _ask(self, change: PendingChange, now_ns: int) -> None:
@@ -356,7 +376,8 @@ class GuardedQueue:
         change.policy = self._policy(change)
         change.ahead = len(before)
         change.revision = guard.in_force.revision
-        change.former = former(change.request, before, guard.in_force.target())
+        ends = self._scheduled.ends(change.at_tick, change.request.end_tick)
+        change.former = former(change.request, [*before, *ends], guard.in_force.target())
         after = [*filter(None, [change.former]), *after]
         asked = question(change, before, after, self._auto(change), guard, self._view)
         change.number = guard.ask(asked, now_ns)

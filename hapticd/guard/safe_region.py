@@ -125,8 +125,7 @@ class SafeRegion:
 
         (lowest_k, highest_k), *others = zip(limits.lowest, limits.highest, strict=True)
         ranges = [(max(lowest_k, 0.0), highest_k), *others]
-        found = intervals(safe, ranges, environment.free)
-        return dict(zip(AXES, found, strict=True))
+        return dict(zip(AXES, intervals(safe, ranges, environment.free), strict=True))
 
 
 def _moved(point: Floats, axis: int, values: Floats, environment: Environment) -> Floats:

@@ -43,11 +43,24 @@ class ScheduledChanges:
         if not applied:
             self._changes.pop(-seq, None)
 
+    def ends(self, at_tick: int, until_tick: int) -> list[dict[str, Any]]:
+        """What the ends of changes in force at `at_tick` bring back up to `until_tick`."""
+        waiting = {one.seq for one in self._changes.values() if one.tick > at_tick}
+        return [
+            one.fields
+            for one in self._in_order()
+            if one.seq < 0 and -one.seq not in waiting and at_tick < one.tick <= until_tick
+        ]
+
     def around(self, at_tick: int, tick: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
         """What comes into force up to `at_tick`, and after it. It is `tick`: what was due is
         forgotten.
         """
         self._changes = {seq: one for seq, one in self._changes.items() if one.tick > tick}
-        booked = sorted(self._changes.values())
+        booked = self._in_order()
         before = [one.fields for one in booked if one.tick <= at_tick]
         return before, [one.fields for one in booked[len(before) :]]
+
+    def _in_order(self) -> list[ScheduledChange]:
+        """As the servo applies them: by tick, then by command."""
+        return sorted(self._changes.values(), key=lambda one: (one.tick, abs(one.seq)))

@@ -61,8 +61,8 @@ class StagedChange:
         self._view = view
         self._outstanding = outstanding
         self._replies = replies
-        half_count = abs(view.params.device.active_damping.per_count) / 2
-        self.resolution_ns_per_m = half_count + 1e-6  # the wire rounds to the nearest count
+        # the wire rounds to the nearest count
+        self.resolution_ns_per_m = abs(view.params.device.active_damping.per_count) / 2 + 1e-6
 
     def summary(self) -> dict[str, Any] | None:
         """What `status` tells; None while nothing is under way."""
@@ -119,8 +119,7 @@ class StagedChange:
             change.since_ns = now_ns
         elif now_ns - change.since_ns >= self._patience_ns(change):
             effect = float(self._view.record["active_damping_effect_ns_per_m"])
-            stage = change.stages[change.place]
-            least = stage.active_damping_at_least
+            least = change.stages[change.place].active_damping_at_least
             lacks = f"the board reports {effect:.3g} of {least:.3g} N s/m" if least else "it moves"
             self.cancel(f"the next stage waited too long: {lacks}")
 

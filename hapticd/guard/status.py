@@ -378,8 +378,7 @@ class Guard:
         self._looked_at = about
         self._looked_delay = about.delay_periods
         if timing := answer.get("timing"):
-            measured = about.delay_periods is not None
-            self._timing = {"measured": measured, **timing}
+            self._timing = {"measured": about.delay_periods is not None, **timing}
         verdict = self._looked.get("verdict", {})
         if same and before and verdict.get("safe") is False and self.policy != "off":
             text = f"what is in force is not known to be passive any more: {verdict.get('text')}"

@@ -282,8 +282,7 @@ def _gained(segment: Segment, count: int) -> list[Environment]:
     if count < 3:
         return []
     here = replace(segment.end, active_damping_ns_per_m=segment.start.active_damping_ns_per_m)
-    rising = [here.scaled((place + 1) / (count - 1)) for place in range(count - 1)]
-    return [*rising, segment.end]
+    return [*(here.scaled((place + 1) / (count - 1)) for place in range(count - 1)), segment.end]
 
 
 def _patch(segment: Segment, shares: Sequence[float], levels: Sequence[float]) -> Environment:

@@ -158,8 +158,9 @@ class Worker:
             raise BadMessage("no hello before its first answer")
         theirs = str(hello.get("config_hash", ""))
         if theirs != self._config_hash:
-            why = f"it judges configuration {theirs[:12]}, the gateway {self._config_hash[:12]}"
-            raise BadMessage(why)
+            raise BadMessage(
+                f"it judges configuration {theirs[:12]}, the gateway {self._config_hash[:12]}"
+            )
         self.hello = hello
 
     def close(self) -> None:

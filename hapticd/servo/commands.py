@@ -389,9 +389,10 @@ def _ends(one: Scheduled) -> bool:
 
 
 def _stays(one: Scheduled, plan: Plan) -> bool:
-    """Whether it is such an end, and brings back no more than there is: none of it pushes."""
+    """Whether it is such an end, and each strength that it names stays or goes towards 0."""
     named = STRENGTHS.intersection(masked_places(one.values))
-    return _ends(one) and all(abs(one.values[at]) <= abs(plan.values[at].end) for at in named)
+    ways = ((one.values[at], plan.values[at].end) for at in named)
+    return _ends(one) and all(min(now, 0.0) <= value <= max(now, 0.0) for value, now in ways)
 
 
 def _without(plan: Plan, gone: list[Scheduled], params: ServoParams) -> tuple[Plan, list[Answer]]:
@@ -436,7 +437,11 @@ def judged_otherwise(plan: Plan, values: tuple[float, ...]) -> Result | None:
 
 
 def apply_settings(plan: Plan, one: Scheduled, params: ServoParams) -> tuple[Plan, list[Answer]]:
-    """The settings of `one` come into force at its tick."""
+    """The settings of `one` come into force at its tick. An end that others judged and that would
+    raise a strength is cancelled.
+    """
+    if _ends(one) and one.terms != plan.terms and not _stays(one, plan):
+        return plan, [answer(plan, one.seq, Result.CANCELLED, (one.tick, one.tick), params)]
     if refused := judged_otherwise(plan, one.values):
         return plan, [answer(plan, one.seq, refused, (one.tick, one.tick), params)]
     try:
@@ -466,7 +471,7 @@ def _end(before: Plan, one: Scheduled, params: ServoParams) -> Scheduled:
         if place not in UNBOUNDED
     }
     values = values_of(given | {Value.TERMS: float(ANY_TERMS)})
-    return Scheduled(one.seq, one.actor, int(until), values)
+    return Scheduled(one.seq, one.actor, int(until), values, before.terms)
 
 
 def filters_idle(plan: Plan, tick: int) -> bool:

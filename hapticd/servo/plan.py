@@ -148,6 +148,7 @@ class Scheduled(NamedTuple):
     actor: int
     tick: int
     values: tuple[float, ...]
+    terms: int = ANY_TERMS  # of the end of a bounded change: those by which the change was judged
 
 
 def initial_plan(params: ServoParams) -> Plan:

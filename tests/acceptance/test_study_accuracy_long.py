@@ -12,7 +12,6 @@ from hapticd.model.scene import Excitation
 from hapticd.settings.scene import load_scene
 from hapticd.studies.accuracy import (
     GROUP,
-    REFERENCE,
     PhaseComparison,
     PositionComparison,
     Setting,
@@ -43,10 +42,13 @@ def test_linear_scene_is_measured_against_its_exact_answer(linear) -> None:
 
 def test_linear_scene_has_no_step_error(linear) -> None:
     found, _ = linear
-    assert max(one.step for one in found.sweep("sub-steps") if one.note != REFERENCE) < 1e-9
+    assert max(one.step for one in found.sweep("sub-steps") if one.note != "the reference") < 1e-9
     assert max(one.step for one in found.sweep("precision")) < 1e-2
     assert (
-        len({round(one.total, 3) for one in found.sweep("sub-steps") if one.note != REFERENCE}) == 1
+        len(
+            {round(one.total, 3) for one in found.sweep("sub-steps") if one.note != "the reference"}
+        )
+        == 1
     )
 
 

@@ -3,6 +3,7 @@ server, with the guard's judge, in front of the servo itself, on virtual time.
 """
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ from support.gateway_rig import decoded, packed
 from support.guard_stages import LEVEL_NS_PER_M, STIFF, Flight, rendering
 
 from hapticd.mailbox.layout import State
+from hapticd.mailbox.stop_word import press_stop
 
 NOTHING = {"K": 0.0, "B": 0.0}
 
@@ -67,19 +69,39 @@ def test_a_stop_that_is_asked_last_stands_though_it_goes_first(flight: Flight, p
     assert flight.view.state is State.STOPPED
 
 
-def test_a_stop_ends_what_waits_to_be_scheduled(flight: Flight) -> None:
+@pytest.mark.parametrize("by", ["a client", "the stop word"])
+def test_a_stop_ends_what_waits_to_be_scheduled(flight: Flight, by: str) -> None:
     enabled(flight, "refuse")
     flight.worker.silent = True
     at = flight.view.tick + 700
     send(flight, {"cmd": "set", "K": 30.0, "at_tick": at})
     flight.fly(5)
     asked = flight.worker.changes[-1]
-    for cmd in ("stop", "reset"):
-        send(flight, {"cmd": cmd}, client=b"b")
-        flight.fly(50)
+    if by == "a client":
+        send(flight, {"cmd": "stop"}, client=b"b")
+    else:
+        press_stop(Path(flight.stack.mailbox.folder))
+    flight.fly(50)
+    send(flight, {"cmd": "reset"}, client=b"b")
+    flight.fly(50)
     flight.worker.silent = False
     flight.worker.said.append({**flight.judge.answer(asked), "n": asked["n"]})
     send(flight, {"cmd": "enable"}, client=b"b")
+    assert not flight.fly(800)["stiffness_n_per_m"].any()
+    # the stop word is not for others to reset within a second
+    assert flight.view.state is (State.ENABLED if by == "a client" else State.STOPPED)
+
+
+@pytest.mark.parametrize("policy", ["off", "refuse"])
+def test_a_stop_ends_what_was_to_be_scheduled_before_it(flight: Flight, policy: str) -> None:
+    """Both come in one batch, and the stop goes first."""
+    enabled(flight, policy)
+    at = flight.view.tick + 700
+    send(flight, {"cmd": "set", "K": 30.0, "at_tick": at}, {"cmd": "stop"})
+    assert "set: a stop followed it" in str([one.get("error") for one in flight.replies])
+    for cmd in ("reset", "enable"):
+        flight.fly(50)
+        send(flight, {"cmd": cmd})
     assert not flight.fly(800)["stiffness_n_per_m"].any()
     assert flight.view.state is State.ENABLED
 
@@ -194,7 +216,7 @@ def test_the_end_of_a_push_is_not_replaced_by_what_is_scheduled_for_its_tick(
     flight.fly(50)
     assert flight.ask(cmd="set", K=20.0, at_tick=at + 200)["ok"]
     flight.worker.silent = True
-    assert flight.fly(600)["stiffness_n_per_m"][-1] != 30.0
+    assert flight.fly(600)["stiffness_n_per_m"][-1] == 20.0
 
 
 def test_bounded_changes_that_overlap_bring_no_push_back(flight: Flight) -> None:
@@ -206,3 +228,50 @@ def test_bounded_changes_that_overlap_bring_no_push_back(flight: Flight) -> None
     records = flight.fly(400)
     rendered = dict(zip(records["tick"].tolist(), records["stiffness_n_per_m"], strict=True))
     assert [rendered[at + after] for after in (50, 150, 250, 350)] == [30.0, 20.0, 0.0, 0.0]
+
+
+def test_the_ends_of_changes_that_overlap_are_judged_as_they_come(flight: Flight) -> None:
+    """The second end takes over what the first one brings back: damping must not go behind it."""
+    rendering(flight, "refuse")
+    at = flight.view.tick + 50
+    for begin, end, stiffness in ((at, at + 100, 0.0), (at + 50, at + 200, 5.0)):
+        asked = {**NOTHING, "K": stiffness, "at_tick": begin, "until_tick": end}
+        assert flight.ask(cmd="set", ramp_s=0.0, **asked)["ok"]
+    refused = flight.ask(cmd="set", active_damping=0.0, at_tick=at + 400)
+    assert refused["error"]["guard"]["given"]["K"] == STIFF["K"]
+    assert not stiff_without_damping(flight.fly(1500))
+
+
+def test_an_end_of_another_sign_brings_nothing_back(flight: Flight) -> None:
+    enabled(flight, "warn")
+    assert flight.ask(cmd="set", K=-20.0)["ok"]
+    at = flight.view.tick + 20
+    assert flight.ask(cmd="set", K=0.0, at_tick=at, until_tick=at + 400)["ok"]
+    flight.fly(50)
+    assert flight.ask(cmd="set", K=30.0)["ok"]
+    assert flight.ask(cmd="guard", policy="refuse")["ok"]
+    assert flight.fly(600)["stiffness_n_per_m"][-1] == 30.0
+
+
+def test_an_end_is_looked_at_again_at_its_tick(flight: Flight) -> None:
+    """It brought nothing back when the gateway was replaced, but would by then."""
+    enabled(flight, "refuse")
+    assert flight.ask(cmd="set", K=20.0)["ok"]
+    at = flight.view.tick + 20
+    assert flight.ask(cmd="set", K=30.0, ramp_s=0.0, at_tick=at, until_tick=at + 1500)["ok"]
+    flight.fly(50)
+    flight.another_gateway()
+    flight.fly(650)
+    assert flight.ask(cmd="set", K=0.0)["ok"]
+    assert flight.fly(1200)["stiffness_n_per_m"][-1] == 0.0
+
+
+def test_an_end_that_was_cancelled_refuses_nothing(flight: Flight) -> None:
+    rendering(flight, "refuse")
+    at = flight.view.tick + 50
+    assert flight.ask(cmd="set", **NOTHING, ramp_s=0.02, at_tick=at, until_tick=at + 1200)["ok"]
+    flight.fly(200)
+    for cmd in ("stop", "reset"):
+        assert flight.ask(cmd=cmd)["ok"]
+        flight.fly(100)
+    assert flight.ask(cmd="damping", value="off")["ok"]

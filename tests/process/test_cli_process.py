@@ -41,6 +41,12 @@ def gone(pid: int) -> bool:
         return True
 
 
+def judged(answer: Any) -> str:
+    """The message of a refusal; none where a busy computer gave no verdict in time."""
+    message = str(answer["error"]["message"])
+    return "" if "the computer is busy" in message else message
+
+
 def test_from_start_to_stop(
     daemon: Daemon, ask: Callable[..., Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,7 +71,7 @@ def test_from_start_to_stop(
         2.5, abs=10 / 65535
     )
     changed = ("set", "K=-5", "filters.velocity_hz=80")
-    assert "filters change only" in ask(*changed, code=4)["error"]["message"]
+    assert "filters change only" in until(lambda: judged(ask(*changed, code=4)), "a verdict")
     assert ask("disable")["state"] == "disabled"
     assert ask(*changed)["effective"]["K"] == -5.0
     assert ask("enable")["state"] == "enabled"
