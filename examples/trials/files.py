@@ -50,8 +50,8 @@ TRUTH = "truth.json"
 LICENSE = Path(__file__).parent / "LICENSE"
 ABOUT = """Recorded trials of simulated one-axis haptic displays
 
-A display renders a virtual stiffness K, damping B and mass M. A probe shakes it with white noise
-while force and velocity are recorded at the port. Is the display passive from 2 to 500 Hz?
+A display renders a stiffness K, a virtual damping B and a mass M. A probe shakes it with white
+noise while force and velocity are recorded at the port. Is the display passive from 2 to 500 Hz?
 
 perturbation_n      force of the probe on the device, N
 velocity_m_per_s    velocity of the port, m/s, mean over each sample

@@ -108,8 +108,8 @@ class TrialSpec:
     def rendered(self) -> tuple[float, float, float]:
         """K, B, M as the device renders them."""
         gain = FORCE_GAINS.get(self.device, 1.0)
-        stiffness, damping, mass = self.environment
-        return gain * stiffness, gain * damping, gain * mass
+        stiffness, virtual_damping, mass = self.environment
+        return gain * stiffness, gain * virtual_damping, gain * mass
 
     @property
     def scene(self) -> Scene:
@@ -147,11 +147,11 @@ def drawn() -> Iterator[TrialSpec]:
     """The trials of CHOSEN, without name and seed."""
     for device, chosen in CHOSEN.items():
         gain = FORCE_GAINS.get(device, 1.0)
-        for share, damping, mass, level in chosen:
-            base = (0.0, gain * damping, gain * mass)
+        for share, virtual_damping, mass, level in chosen:
+            base = (0.0, gain * virtual_damping, gain * mass)
             edge = predicted_limit(known(device), level, 0, base, BAND_HZ) / gain
             stiffness = float(f"{share * edge:.{DIGITS}g}")
-            yield TrialSpec("", device, share, (stiffness, damping, mass), level, 0)
+            yield TrialSpec("", device, share, (stiffness, virtual_damping, mass), level, 0)
 
 
 def truth_of(spec: TrialSpec) -> dict[str, Any]:

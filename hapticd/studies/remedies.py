@@ -124,7 +124,7 @@ class Row:
     corner_hz: float  # of the velocity filter
     stiffness_alone_n_per_m: float  # largest K at B = 0
     virtual_damping_ns_per_m: float  # B that lets K go farthest
-    stiffness_n_per_m: float  # largest K there
+    stiffness_n_per_m: float  # largest K at that B
     volume: float  # N/m N s/m kg
     asked: tuple[float, float]  # K [N/m], B [N s/m] of `rendered` and `noise_n`
     rendered: Complexes  # (3,) at RENDERED_HZ, Z over what is asked
