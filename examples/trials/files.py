@@ -14,8 +14,8 @@ velocity to 10 um/s, which is far below what the perturbation causes.
 The same trial gives the same bytes on one machine and one version of numba, numpy and zlib: nothing
 in a file depends on the time or the place where it was made.
 
-What would break it: another release of the compiler. Motion with friction is chaotic, so a trial
-may then have another noise of the same kind, and the same truth.
+Limitations: another release of the compiler. Motion with friction is chaotic, so a trial may then
+have another noise of the same kind, and the same truth.
 """
 
 import gzip

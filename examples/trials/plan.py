@@ -18,8 +18,8 @@ within 0.1 N s/m near the edge. No margin of a device with friction is smaller t
 (tests/acceptance/test_example_trials.py). Counts of encoder and converter are left out: they add
 noise, and no force that follows the motion.
 
-What would break it: a trial whose answer depends on whether friction is counted on, stable with it
-and unstable without. A test looks for one.
+No answer may depend on whether friction is counted on, stable with it and unstable without. A test
+checks.
 """
 
 from collections.abc import Iterator

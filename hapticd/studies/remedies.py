@@ -25,8 +25,8 @@ The second-order Butterworth low-pass of a difference is, in continuous time, th
 estimator of a velocity that white acceleration moves, and its corner (2 pi f)^4 = q / r the only
 number of it: the search for a corner is the search for that estimator too.
 
-What would break it: a set that K leaves and enters again; the first exit counts. A scene without
-the delay, the circuit or the encoder that a remedy changes is left as it is there.
+Limitations: a set that K leaves and enters again; the first exit counts. A scene without the delay,
+the circuit or the encoder that a remedy changes is left as it is there.
 """
 
 from collections.abc import Callable, Sequence
