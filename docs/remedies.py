@@ -19,7 +19,7 @@ from pages.markdown import replaced, table  # noqa: E402
 PAGE = DOCS / "remedies.md"
 KEPT = DOCS / "figures" / "remedies.json"
 HEADINGS = (
-    "remedy", "corner Hz", "K at B = 0", "best B", "K there", "volume",
+    "remedy", "corner Hz", "K at B = 0", "best B", "K at best B", "volume",
     "Z over asked at 5, 30, 100 Hz", "noise mN", "K predicted", "K by trials",
 )  # fmt: skip
 Rows = list[dict[str, Any]]

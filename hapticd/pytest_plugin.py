@@ -14,7 +14,7 @@
 real time: its virtual time goes on only while it is run, streamed or recorded. Both take the
 configuration that the fixture `hapticd_config` names: overwrite it to have your own.
 
-What would break it: a script that reads a clock, on virtual time.
+On virtual time, a script must not read a clock.
 """
 
 import json

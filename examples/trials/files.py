@@ -14,8 +14,8 @@ velocity to 10 um/s, which is far below what the perturbation causes.
 The same trial gives the same bytes on one machine and one version of numba, numpy and zlib: nothing
 in a file depends on the time or the place where it was made.
 
-What would break it: another release of the compiler. Motion with friction is chaotic, so a trial
-may then have another noise of the same kind, and the same truth.
+Limitations: another release of the compiler. Motion with friction is chaotic, so a trial may then
+have another noise of the same kind, and the same truth.
 """
 
 import gzip
@@ -50,8 +50,8 @@ TRUTH = "truth.json"
 LICENSE = Path(__file__).parent / "LICENSE"
 ABOUT = """Recorded trials of simulated one-axis haptic displays
 
-A display renders a virtual stiffness K, damping B and mass M. A probe shakes it with white noise
-while force and velocity are recorded at the port. Is the display passive from 2 to 500 Hz?
+A display renders a stiffness K, a virtual damping B and a mass M. A probe shakes it with white
+noise while force and velocity are recorded at the port. Is the display passive from 2 to 500 Hz?
 
 perturbation_n      force of the probe on the device, N
 velocity_m_per_s    velocity of the port, m/s, mean over each sample

@@ -45,8 +45,8 @@ def judge(folder: Path, tell: Progress = silent) -> list[GivenVerdict]:
 def verdict_of(path: Path) -> GivenVerdict:
     """The verdict on one file."""
     record = read_file(path, force=FORCE, velocity=VELOCITY)
-    stiffness, damping, mass, level = metadata_of(path)
-    trial = Trial((stiffness, damping, mass), level, record.seconds)
+    stiffness, virtual_damping, mass, level = metadata_of(path)
+    trial = Trial((stiffness, virtual_damping, mass), level, record.seconds)
     try:
         found = run_trial(plan_trial(TrialParams(trial)), file_source(record)).verdict
     except AnalysisError:

@@ -18,8 +18,8 @@ within 0.1 N s/m near the edge. No margin of a device with friction is smaller t
 (tests/acceptance/test_example_trials.py). Counts of encoder and converter are left out: they add
 noise, and no force that follows the motion.
 
-What would break it: a trial whose answer depends on whether friction is counted on, stable with it
-and unstable without. A test looks for one.
+No answer may depend on whether friction is counted on, stable with it and unstable without. A test
+checks.
 """
 
 from collections.abc import Iterator
@@ -108,8 +108,8 @@ class TrialSpec:
     def rendered(self) -> tuple[float, float, float]:
         """K, B, M as the device renders them."""
         gain = FORCE_GAINS.get(self.device, 1.0)
-        stiffness, damping, mass = self.environment
-        return gain * stiffness, gain * damping, gain * mass
+        stiffness, virtual_damping, mass = self.environment
+        return gain * stiffness, gain * virtual_damping, gain * mass
 
     @property
     def scene(self) -> Scene:
@@ -147,11 +147,11 @@ def drawn() -> Iterator[TrialSpec]:
     """The trials of CHOSEN, without name and seed."""
     for device, chosen in CHOSEN.items():
         gain = FORCE_GAINS.get(device, 1.0)
-        for share, damping, mass, level in chosen:
-            base = (0.0, gain * damping, gain * mass)
+        for share, virtual_damping, mass, level in chosen:
+            base = (0.0, gain * virtual_damping, gain * mass)
             edge = predicted_limit(known(device), level, 0, base, BAND_HZ) / gain
             stiffness = float(f"{share * edge:.{DIGITS}g}")
-            yield TrialSpec("", device, share, (stiffness, damping, mass), level, 0)
+            yield TrialSpec("", device, share, (stiffness, virtual_damping, mass), level, 0)
 
 
 def truth_of(spec: TrialSpec) -> dict[str, Any]:

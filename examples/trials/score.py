@@ -11,7 +11,7 @@ the right answer there. Four things can happen:
 A margin is the least Re Z over the band [N s/m]. Of trials that are stable, and have one, the error
 is what was given minus the truth. An interval covers where the truth lies in it.
 
-What would break it: a truth of another band than the one that was judged.
+The band of the truth must be the one that was judged.
 """
 
 import csv

@@ -12,8 +12,7 @@ every device are (`zwidth.report.envelope`, `zwidth.report.trial`), with the pap
 Colours and line styles are those of `zwidth.report.style`; all figures are drawn within `styled`. A
 bracket at the foot spans the frequencies that a number was averaged over.
 
-What would break it: two envelopes that are compared on axes of unlike range; IMPEDANCE_RANGE is
-one for all of them.
+Envelopes must be compared on axes of one range; IMPEDANCE_RANGE is one for all of them.
 """
 
 from math import isnan

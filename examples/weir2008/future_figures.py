@@ -10,8 +10,7 @@ Bands and bars are 95 % intervals of the mean over seeds, by Student's t. The br
 spans the frequencies of the means in dB. A strip below an envelope says which part of the lower
 edge's owner weighs most at that frequency. All figures are drawn within `styled`.
 
-What would break it: a result without seeds; it has no intervals, and the title then says that all
-is predicted.
+A result without seeds has no intervals, and the title then shows that all is predicted.
 """
 
 from collections.abc import Sequence

@@ -42,9 +42,9 @@ it is what one grid can know of the boundary, the floor. The search has noise of
 wrong where the search, or the prediction alone, answers otherwise than the reference; shares are of
 the passive points.
 
-What would break it: Eq. 2 of the paper as a judge of B < 0, where it relaxes (`model.theorem`
-refuses it); a level at which the damping circuit itself oscillates (`model.stability`), or one that
-no board can command.
+Limitations: Eq. 2 of the paper as a judge of B < 0, where it relaxes (`model.theorem` refuses it);
+a level at which the damping circuit itself oscillates (`model.stability`), or one that no board can
+command.
 """
 
 from dataclasses import dataclass, field, replace

@@ -10,8 +10,8 @@ those that are drawn or rendered here; `rows` puts ours beside them.
                        limits instead of a lag in the path of the force
     weir2008_literal   the printed numbers alone: no lag, no friction, no physical damping
 
-What would break it: a number that was read from a picture. The paper's curves exist only as
-pictures, so nothing but its words and printed numbers is taken.
+No number may be read from a picture. The paper's curves exist only as pictures, so nothing but its
+words and printed numbers is taken.
 """
 
 import tomllib

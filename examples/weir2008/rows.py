@@ -18,8 +18,8 @@ arithmetic   follows from numbers in the paper alone
 Six limits were fitted with five numbers, so agreement there is a fit. A row that does not match
 carries one reason in its note.
 
-What would break it: a quantity that is renamed. The names are those of table.json, and the marks
-in docs/reproduction.md ask for them.
+A quantity must keep its name. The names are those of table.json, and the marks in
+docs/reproduction.md ask for them.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping

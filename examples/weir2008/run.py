@@ -19,8 +19,8 @@ Prediction says which trials of the grid cannot pass: those where even 85 % of t
 not. The others are tried: that alone makes seconds of a laboratory's 13 days. Without
 trials the prediction alone fills set and envelope.
 
-What would break it: comparing a limit of one perturbation with that of another; a set that is not
-star-shaped about K = B = M = 0, where a passive piece far from the rest would be missed.
+A limit of one perturbation must not be compared with that of another. Limitations: a set that is
+not star-shaped about K = B = M = 0, where a passive piece far from the rest would be missed.
 """
 
 from collections.abc import Sequence

@@ -4,7 +4,7 @@ A cell holds our value, one standard deviation between seeds, the difference fro
 square brackets, the number of the note below the table. Each note is listed once, with the
 quantities that it belongs to.
 
-What would break it: rows of one quantity with unlike units; the unit column shows the first.
+All rows of one quantity must have one unit; the unit column shows the first.
 """
 
 from collections.abc import Iterable, Mapping

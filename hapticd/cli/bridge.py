@@ -4,7 +4,7 @@ Lab Streaming Layer (Kothe et al. 2025) joins EEG, eye trackers and other device
 host. On Linux that is CLOCK_MONOTONIC, by which the servo stamps its ticks, so they go out as they
 are. Ticks that were lost on the way are left out; the stamps of the others tell it.
 
-What would break it: a host whose LSL was built with another clock (checked when it begins).
+LSL must have been built with the same clock (checked at the start).
 """
 
 import time

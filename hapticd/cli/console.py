@@ -1,7 +1,7 @@
 """The operators' page, served by hand; `hapticd run` starts it by itself.
 
-`--parent PID` names the supervisor that it ends with; a byte written to the descriptor of `--ready
-FD` says that it serves.
+`--parent PID` names the supervisor that it ends with. With `--ready FD`, a byte is written to that
+descriptor once the page is served.
 """
 
 import os

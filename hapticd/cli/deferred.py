@@ -9,7 +9,7 @@ its names. So only whole modules can wait, not names of them, and a module that 
 error at its first use. Nothing waits in `sys.modules`: libraries that look through all modules, as
 `inspect` does, would load unneeded modules, in the middle of other imports.
 
-What would break it: a package that gives a name to something else than its module of that name.
+A package must not give the name of one of its modules to anything else.
 """
 
 import builtins

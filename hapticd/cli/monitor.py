@@ -8,8 +8,8 @@ gives way to NO DATA: an old value never looks like a fresh one. Each line is cu
 and what stops the device stands left in the first.
 
 Keys come from the terminal without waiting and without Enter, and none come when stdin is no
-terminal. What would break it: waiting for data without a time-out, for then a silent daemon would
-leave an old screen standing.
+terminal. A wait for data must have a time-out: a silent daemon would otherwise leave an old screen
+standing.
 """
 
 import os

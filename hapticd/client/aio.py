@@ -9,8 +9,8 @@ Several tasks may ask at once: one task reads all replies, and wakes those who w
 came. So a stop waits for nobody's answer, and after 40 ms the stop word is pressed, as by the
 client that waits.
 
-What would break it: use from a second event loop, since a socket belongs to one; a task that does
-not yield for longer than a lease lives.
+One event loop must use it, since a socket belongs to one. Tasks must yield within the life of a
+lease.
 """
 
 import asyncio

@@ -12,8 +12,8 @@ Every call ends within its time-out, with a reply, a CommandError (the daemon re
 numpy is loaded by what needs it, streams and waveforms: a verb at the shell does not wait for it.
 
 Requests of several threads take turns (a lease that is kept alive has one of its own); streams
-belong to one thread. Limitations: waiting for a reply without a deadline would hang where a gateway
-dies between request and reply.
+belong to one thread. A wait for a reply must have a deadline: a gateway may die between request and
+reply.
 """
 
 import threading

@@ -5,7 +5,7 @@ the reply, or the error that the request ended with. The clients carry it out, a
 gives, a value or something to await, is the client's: `Commands[Receipt, Hello, ...]` or
 `Commands[Awaitable[Receipt], Awaitable[Hello], ...]`.
 
-What would break it: an exchange that reads a socket or sleeps by itself.
+An exchange must not itself read a socket or sleep.
 """
 
 import time

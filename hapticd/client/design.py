@@ -18,8 +18,8 @@ for; what a policy made less of is in force as K, B, M and damping say. Every re
 holds its revision, so `joined` gives each condition exactly the ticks in which it was in force,
 ramps left out, whatever the clocks of both programs say.
 
-What would break it: somebody else who changes something meanwhile; each change is a revision of its
-own, whose ticks then belong to no row. Take the lease of the environment.
+Take the lease of the environment: a change by another client is a revision of its own, whose ticks
+belong to no row.
 """
 
 import csv

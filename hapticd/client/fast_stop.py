@@ -8,8 +8,8 @@ asked: no gateway, which may be flooded, and no socket, whose library takes long
 of this. It takes less than 100 ms, the interpreter included.
 
 What a daemon that was killed has left behind counts for nothing, and a folder that is not believed
-(`mailbox.daemons`) is named and left alone. Standard library only. What would break it: an import
-at the top that costs milliseconds, an open that waits.
+(`mailbox.daemons`) is named and left alone. Standard library only. No import at the top may cost
+milliseconds, and no open may wait.
 """
 
 import sys

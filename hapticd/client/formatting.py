@@ -1,7 +1,7 @@
 """Receipts, verdicts and events as people read them: one wording for terminal and page.
 
-What would break it: an import that is large; `hapticd --help` loads this. An event of a kind that
-is not known here is shown by its fields.
+Its imports must be small, because `hapticd --help` loads it. An event of an unknown kind is shown
+by its fields.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping

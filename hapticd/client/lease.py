@@ -118,7 +118,7 @@ class ClientLease:
         self._call("lease", what=self._what, action="renew")
 
     def sleep(self, seconds: float) -> None:
-        """Wait, and keep it meanwhile. CommandError as soon as it is lost."""
+        """Wait at least `seconds`, and keep it meanwhile. CommandError as soon as it is lost."""
         self.renew()
         while seconds > 0.0:
             slice_s = min(seconds, self._ttl_s / RENEWALS)

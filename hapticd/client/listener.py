@@ -7,7 +7,7 @@ The folder of keys holds server.key, the gateway's, and this listener's own NAME
 (`hapticd keys`). A connection that is refused looks like silence to a ZeroMQ socket, so its monitor
 is read: when nothing comes for the time-out, the error says why.
 
-What would break it: a folder with the secrets of several listeners (refused by name).
+A folder with the secrets of several listeners is refused by name.
 """
 
 from pathlib import Path

@@ -4,7 +4,7 @@ Each request has a number that comes back in its reply, so a reply that arrives 
 is recognised and dropped, and never taken for the answer to a later request. The client that waits
 (`client`) and the one of asyncio (`aio`) are two ways of carrying these bytes.
 
-What would break it: two trackers that share a socket, since both begin to count at 1.
+Each socket must have one tracker, since every tracker counts from 1.
 """
 
 from pathlib import Path

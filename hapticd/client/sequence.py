@@ -26,8 +26,8 @@ says which steps acted, which did not and why, and in which state the display wa
 
 Its requests are an `Exchange` of `commands`, which both clients carry out.
 
-What would break it: two sequences at the same time by clients of one name, since scheduled changes
-are told apart by name and number of their request; take the lease of the environment.
+Sequences by clients of one name must not run at the same time: scheduled changes are told apart by
+name and number of their request. Take the lease of the environment.
 """
 
 from collections.abc import Mapping, Sequence

@@ -11,7 +11,7 @@ where the share of right answers p has p^down = 1/2: 0.707 for two, 0.794 for th
 factors, so the threshold is the geometric mean of the levels at which the direction turned; the
 first turns depend on where it began and are left out.
 
-What would break it: levels that may be 0 or negative, since a step multiplies them.
+Levels must be positive, since a step multiplies them.
 """
 
 from math import exp, inf, isfinite, log

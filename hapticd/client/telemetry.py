@@ -4,7 +4,7 @@ events in them (`TelemetryReader`).
 The socket connects to the socket file of a daemon of this computer (`client`), or to the port of
 one on another (`listener`). What is read is the same.
 
-What would break it: use from several threads, since a ZeroMQ socket belongs to one.
+One thread must use it, since a ZeroMQ socket belongs to one.
 """
 
 import time

@@ -3,8 +3,8 @@
 `GuardWarnings` emits one `GuardWarning` for each environment that came into force, or will, though
 its verdict says that it is not safe.
 
-What would break it: a filter that makes warnings errors; the change has then acted before the
-error is raised. Whoever wants nothing unsafe to act asks for that (`Client(strict=True)`).
+Limitations: a filter that makes warnings errors; the change has then acted before the error is
+raised. With `Client(strict=True)` no unsafe change acts.
 """
 
 import json

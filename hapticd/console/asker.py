@@ -9,7 +9,7 @@ What was asked before a stop and is still waiting behind it is not done any more
 `enable` that an operator pressed just before STOP must not follow it. Nor is what a page that has
 left had asked: its connection ends at once, and the gateway drops what waits of it.
 
-Limitations: a client whose `close` waits for its last answer.
+The `close` of a client must not wait for its last answer.
 """
 
 import json

@@ -10,7 +10,7 @@ seconds of telemetry. So at most WINDOW frames are on their way that the browser
 acknowledged: one that is slow, or stands still, finds after its pause at most that many old frames
 and then the newest.
 
-Limitations: another kind for every message, for nothing would then be bounded.
+Messages must not each have a kind of their own: nothing would then be bounded.
 """
 
 import asyncio

@@ -6,8 +6,8 @@ seconds, so it must not run where telemetry and STOP go. A process of its own re
 writes the answer, at low priority, and ends with its parent:
 `python -m hapticd.console.plane GUARD_JSON PARENT`. The live point is the page's.
 
-Limitations: a worker that outlives the console (it dies with it), or one that judges on another
-configuration than the daemon's (the file is read for each plane).
+The worker dies with the console. The configuration is read for each plane, so that it is the
+daemon's.
 """
 
 import json

@@ -4,8 +4,8 @@ It is that verb, so the file is the same, and a page or a console that dies ends
 recorder dies with the console by SIGTERM, which finishes the file. Files go to the folder in which
 the console was started; nothing that a page sends becomes part of a path.
 
-`--parent` has the kernel send SIGTERM when this process is gone, however it went. Limitations:
-starting it from a thread that ends, for the kernel means that thread.
+`--parent` has the kernel send SIGTERM when this process is gone, however it went. A thread that
+lasts must start it, for the kernel means that thread.
 """
 
 import asyncio

@@ -17,8 +17,8 @@ Where the page is stands in a file of the daemon's folder (`mailbox.daemons` rea
 console that was killed stays, so that the next one of this daemon listens at the same port and open
 pages find it again. A folder that is not ours to write (the service's) gets none.
 
-Limitations: a wait in the loop that is no await; listening at an address of the network; a web
-server that logs under another name than LOGGER, or names no protocol where one failed.
+The loop must wait in `await` alone, and listen at no address of the network. The web server must
+log as LOGGER, and name the protocol where one failed.
 """
 
 import asyncio

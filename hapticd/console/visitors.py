@@ -16,7 +16,7 @@ MOST_VISITS are attended to at once, whoever asks; STOP does not count among the
 is not uvicorn's own limit. Connections on which nobody asks are bounded by the process's
 descriptors alone (SECURITY.md).
 
-Limitations: a host name of the outside in HOSTS, or a reply with CORS headers.
+HOSTS must not contain a host name of the outside, and no reply may have CORS headers.
 """
 
 import asyncio

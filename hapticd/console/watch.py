@@ -8,8 +8,8 @@ the newest record's own values, as lamps and numbers show them. Everything else 
 
 Each block of the gateway becomes a frame when it comes: 50 a second.
 
-Limitations: anything that takes longer than a few milliseconds in `publish`, which runs in this
-thread; the gateway drops what is not taken within 100 messages.
+Nothing in `publish` may take longer than a few milliseconds, because it runs in this thread; the
+gateway drops what is not taken within 100 messages.
 """
 
 import json

@@ -9,7 +9,7 @@ telemetry record. Each number is declared with its row of the table FIELDS: its 
 forms and in messages, its unit and range, and how a change of it acts. Every translation is derived
 from the table.
 
-Limitations: `workspace` is configured once and has no row in the table, for nothing changes it.
+`workspace` is configured once and has no row in the table, for nothing changes it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -86,7 +86,8 @@ FAULTS: tuple[Fault, ...] = (
         "sensor_range",
         "the encoder moved further in a tick than any hand can move it",
         _TO_SAFE,
-        "if the handle rang, lower K, B or M; if not, check encoder and cable; reset, home or zero",
+        "if the handle rang, lower K, B or M; if not, check encoder and cable. Then reset, and home"
+        " or zero",
     ),
     Fault(
         10,
@@ -142,7 +143,7 @@ FAULTS: tuple[Fault, ...] = (
         "board_restarted",
         "the board's firmware restarted: its position origin is lost",
         _TO_SAFE,
-        "check its supply, reset, home or zero again",
+        "check its supply, then reset, and home or zero again",
     ),
     Fault(
         20,

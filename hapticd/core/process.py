@@ -3,7 +3,7 @@
 A process dies with its parent, and stops on SIGINT and SIGTERM alike. systemd is told by one
 datagram to the socket that it names; without systemd nothing happens.
 
-Limitations: a second thread that handles signals (Python runs handlers in the main thread).
+Signals must be handled in the main thread: Python runs handlers there.
 """
 
 import ctypes

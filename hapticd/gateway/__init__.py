@@ -20,8 +20,8 @@ It renders nothing and may be killed at any time.
     publisher         what is due to subscribers; the servo's state in words
 
 `zmtp` and `command_server` do no socket work and read no clock: bytes, messages, records and times
-go in, messages come out. `server` owns the only loop, in one thread. Limitations: the rings of the
-mailbox have one reader and one writer, so no second thread may use it. A request never waits for
-the servo; its answer is collected in a later pass. Receipts and states are the servo's, and limits
-are checked here only to explain them better.
+go in, messages come out. `server` owns the only loop, in one thread. The rings of the mailbox have
+one reader and one writer, so no second thread may use it. A request never waits for the servo; its
+answer is collected in a later pass. Receipts and states are the servo's, and limits are checked
+here only to explain them better.
 """

@@ -14,8 +14,7 @@ Nothing here waits, and whatever a peer does is bounded:
 That a peer has died the kernel says: at once on this machine; over TCP when its probes or data stay
 unanswered for SILENCE_S. A peer is known by a number that is never used twice.
 
-What would break it: a caller that does not call `receive` in every pass (peers that were read from
-are not looked at again before).
+`receive` must be called in every pass: peers that were read from are not looked at again before.
 """
 
 import selectors

@@ -15,7 +15,7 @@ and the gateway starts it anew when it ends.
 
 What goes inwards is a subscription and nothing else: one part, LONGEST_SUBSCRIPTION bytes.
 
-What would break it: an import that is not needed here (memory), a wait anywhere but in the poll.
+It must import only what it needs (memory), and wait in the poll alone.
 """
 
 import argparse

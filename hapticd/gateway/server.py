@@ -12,9 +12,8 @@ after 0.25 ms. When a lamp of somebody's page changes, which is state, fault or 
 board reports, it publishes at once, and for 5 ms after a receipt it looks for that every
 millisecond. Sends never wait.
 
-What would break it: a single request or publication that takes longer than the servo's patience
-with the heartbeat (1 s), or a second gateway in the folder (the claim is taken before anything is
-bound).
+No request or publication may take longer than the servo's patience with the heartbeat (1 s). A
+folder has one gateway: the claim is taken before anything is bound.
 """
 
 import hashlib

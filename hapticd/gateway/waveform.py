@@ -4,8 +4,8 @@ It comes in chunks that follow each other (a message holds 64 kB) and is convert
 counts of the board's probe converter. Whether anything is played from it is asked before
 (`commands`): it is written only while nothing is.
 
-What would break it: chunks of two clients in one waveform (the second client is refused), or what
-was loaded for a servo that is no more (a new life begins with none).
+A waveform has the chunks of one client (a second client is refused). A new life of the servo begins
+with none.
 """
 
 import numpy as np

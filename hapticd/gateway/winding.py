@@ -5,7 +5,7 @@ What is compensated is base + trim; what the winding has is known by the sensor 
 one the rest, and the loop gain with it, is unknown (the servo then compensates what the winding
 must have at least). The physics is `render.winding`.
 
-What would break it: a count of a board without the DAC, which the servo keeps at 0.
+The servo keeps the count of a board without the DAC at 0.
 """
 
 from math import isfinite, nan

@@ -14,8 +14,8 @@ what a peer sends, and aborts the process by an assertion when a peer dies behin
 length before its body is awaited, a message by its parts and bytes as they come. What breaks a
 bound or the protocol is a WireError, and its connection ends.
 
-What would break it: a caller that feeds more while `take` still finds frames (then the buffer
-grows), and a partner that speaks ZMTP 2 or older (its version is refused).
+A caller must not feed more while `take` still finds frames: the buffer would grow. A partner that
+speaks ZMTP 2 or older is refused.
 """
 
 from collections.abc import Sequence

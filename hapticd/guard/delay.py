@@ -7,7 +7,7 @@ is longer, and as shorter only once it was so for 10 s: each new delay costs the
 second. One delay is one number for a theorem that knows no varying one: that is said beside every
 verdict.
 
-Limitations: rounding down, or a minute without records that still counts the one before.
+The delay must be rounded up, and a minute without records must not count the one before.
 """
 
 import numpy as np

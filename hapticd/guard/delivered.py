@@ -8,7 +8,7 @@ block that tells nothing takes its place too, so what is known gets old.
 Low is an interval whose upper end stays below 80 % of what is commanded for 3 s. That is told once
 until it is enough again; it is the fault where the environment in force relies on more.
 
-Limitations: records that are not consecutive without `forget`.
+Records must be consecutive, or `forget` called between them.
 """
 
 from collections import deque

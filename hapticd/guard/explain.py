@@ -1,7 +1,7 @@
 """Explain a verdict: the verdict as it is sent, the reasons and remedies for an environment, and
 the hand that shakes it.
 
-Limitations: a sentence without value, unit and remedy, or `safe` without what no verdict promises
+Each sentence must have value, unit and remedy, and `safe` must have what no verdict promises
 (NOT_COVERED) beside it.
 """
 

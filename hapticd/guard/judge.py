@@ -6,8 +6,7 @@ and at most 20 points of the way there (`transition_planner`), in free space and
 (`policies`). A `look` tells of the environment in force and of what the delay costs, a `hand` names
 the passive hand that shakes one.
 
-Limitations: answering from anything but the request and the setup; the same request has the same
-answer, and tests and lock-step flights rely on it.
+The answer depends on request and setup alone: tests and lock-step flights rely on it.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -9,8 +9,7 @@ While nobody asks, it prepares the levels of damping that it will be asked about
 Exit code 0: the gateway is gone or asked it to end; 78: guard.json is wrong, and a restart would
 not help.
 
-Limitations: an import that brings numba, zmq or pydantic (a test looks), or a message that is
-longer than it says.
+It must not import numba, zmq or pydantic (a test checks).
 """
 
 import argparse

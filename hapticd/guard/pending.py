@@ -1,4 +1,4 @@
-"""A request on its way past the guard, and the stages in which the guard's worker says to do it.
+"""A request on its way past the guard, and the stages into which the worker divides it.
 
 `request_queue` keeps one `PendingChange` of each request. The worker is another process: its answer
 is checked before it is used.

@@ -16,8 +16,8 @@ From outside the set a way is also taken on which every point is no worse than t
 Mode `auto` takes the least of the kept levels that leaves the margin asked for. It goes down only
 to a level that leaves HYSTERESIS more, so that it does not go up and down with every change.
 
-Limitations: an answer whose stages were not judged as they are sent. What a clamp or a follow
-leaves is a plan of its own, and is judged again.
+Stages must be judged as they are sent. What a clamp or a follow leaves is a plan of its own, and is
+judged again.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -1,6 +1,4 @@
-"""What is said of a change that was not judged, or judged beside its way: verdicts as maps, and
-refusals with the remedy.
-"""
+"""Refusals and verdicts for changes that were not judged, or were judged after they were posted."""
 
 from typing import Any
 
@@ -18,13 +16,13 @@ from hapticd.protocol.explanation import (
 
 
 def refused(change: PendingChange, why: Explanation) -> CommandError:
-    """The refusal of what nobody judged."""
+    """The refusal of a change without a verdict."""
     verdict = change.verdict | why.plain(Outcome.REFUSED) | {"cmd": change.cmd}
     return CommandError("guard", f"{change.cmd}: {verdict['text']}", guard=verdict)
 
 
 def unknown_refused(change: PendingChange) -> CommandError:
-    """The same by a strict policy, with what would do it all the same."""
+    """The refusal by a strict policy, with the policy that would accept the change."""
     remedy = "`hapticd guard warn` would do it all the same"
     if change.strict:
         remedy = "under `warn` a client that is not strict would do it all the same"

@@ -20,8 +20,7 @@ A change of several stages goes on by itself (`stages`) while the next ones are 
 judged by other terms (policy, basis, margin) and is still to come, as a stage or scheduled, is
 cancelled where the policy is strict.
 
-Limitations: a request that waits for ever (each has a deadline), or a verdict that is believed
-after policy or environment have changed.
+Each request has a deadline. A verdict counts only while policy and environment are the same.
 """
 
 from collections import deque

@@ -3,8 +3,7 @@
 A bounded change is two of them: what it asks for, and what comes back at its end. That end is known
 by the negative number of its command.
 
-What would break it: a change that is kept after its servo has ended, since every later verdict
-would count it.
+A change must not be kept after its servo has ended: every later verdict would count it.
 """
 
 from typing import Any, NamedTuple

@@ -6,8 +6,7 @@ timer. Each is posted with the revision of the environment that it was judged fo
 refuse, follow). A newer request supersedes what is left; the end of the state in which it began
 cancels it. What is in force then stays.
 
-Limitations: a stage that is posted on the word of anything but the newest record, or one that waits
-for ever (it has a deadline).
+Each stage is posted by the newest record alone, and has a deadline.
 """
 
 from collections.abc import Callable
@@ -124,7 +123,7 @@ class StagedChange:
             self.cancel(f"the next stage waited too long: {lacks}")
 
     def take_back(self, concerned: Callable[[PendingChange], bool], why: str) -> None:
-        """Of a change that is `concerned` no further stage comes, because of `why`."""
+        """Post no further stage of a change that is `concerned`, because of `why`."""
         change = self.change
         if change is not None and concerned(change):
             self.cancel(why)

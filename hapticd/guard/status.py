@@ -12,8 +12,8 @@ Policy, basis, margin and mode are those of the configuration until a client cha
 left of that when the gateway starts anew is said in `terms`. While measuring is leased the policy
 is `off`.
 
-Limitations: taking silence for a yes (`unknown` is a verdict of its own, and `must` says which
-policies refuse it).
+Silence is not consent: `unknown` is a verdict of its own, and `must` names the policies that refuse
+it.
 """
 
 from collections import deque

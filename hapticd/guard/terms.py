@@ -6,7 +6,7 @@ the same environment in force, and would otherwise judge it by a laxer policy th
 believes in. So the terms are kept in the runtime folder with the epoch of the servo, and what was
 asked for counts again where it is no laxer than what is configured (ADR-0018).
 
-Limitations: terms that outlive their servo, or a laxer one that survives its gateway.
+Terms end with their servo; a laxer one ends with its gateway.
 """
 
 import json

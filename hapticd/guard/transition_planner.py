@@ -17,7 +17,7 @@ corners of what may then act have to be safe (`mixture`).
 An environment is (K, B, M) in free space and (K + K_wall, B + B_wall, M) in the wall; whatever is
 said of it has to hold for both.
 
-Limitations: a parameter that moves without being asked.
+No parameter may move without a request.
 """
 
 from collections.abc import Mapping, Sequence

@@ -6,8 +6,8 @@ hello. Nothing here waits: what is sent fits the socket or the worker hangs, wha
 the selector says so. A worker that ends, sends what is no message, or does not take what is sent is
 killed, and started anew, at most every 2 s.
 
-Limitations: a worker that outlives the gateway (it ends when the socket is closed, and dies with
-its parent), or believing a worker of another configuration (its hello names the hash).
+The worker ends with the gateway. Its hello names the hash, so a worker of another configuration is
+not used.
 """
 
 import selectors

@@ -24,8 +24,8 @@ Three kinds of mailbox: every value, in order, once -> command and answer ring; 
 but counted -> telemetry; the latest value -> a word. A writer never waits: a full ring answers
 busy, an unread record is overwritten.
 
-Limitations: a store of the head that overtakes the data it announces (see `files.word_access`), a
-reader that trusts what it maps (readers check magic, layout hash and epoch; the servo checks
-sequence, CRC and range of every command), two servos in one folder (`files.claim` refuses), two
-writers of one ring (there is one gateway, its claim is checked the same way).
+A store of the head must not overtake the data it announces (see `files.word_access`). Readers check
+magic, layout hash and epoch; the servo checks sequence, CRC and range of every command. A folder
+has one servo (`files.claim` refuses others). A ring has one writer (there is one gateway, its claim
+is checked the same way).
 """

@@ -11,8 +11,7 @@ may be another user's trap. Such a folder is refused by name, and nothing in it 
 A daemon is alive if it holds the stop word or listens at the gateway's socket. Files alone prove
 nothing: a daemon that was killed leaves them all behind.
 
-Limitations: no large import at the top and no wait in here (`hapticd stop` starts with this
-module).
+It must have no large import at the top and must not wait: `hapticd stop` starts with this module.
 """
 
 import os

@@ -9,8 +9,8 @@ ACQUIRE)`. A Python lock or a bare `dmb`-less store would not be enough: neither
 barrier. Records carry their number first and last and commands carry a CRC, so a mistake here is
 detected.
 
-Limitations: a runtime folder on a network file system (locks, shared maps), or a large import at
-the top (`hapticd stop` and every command start with this module).
+Limitations: a runtime folder on a network file system (locks, shared maps). No import at the top
+may be large: `hapticd stop` and every command start with this module.
 """
 
 import fcntl

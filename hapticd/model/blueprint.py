@@ -16,8 +16,8 @@ algebraic loop that needs a lag (an amplifier or a circuit with a bandwidth) to 
 
 Standard library alone: reading a settings file must not load numpy.
 
-Limitations: two effects that write the same rate (the later one would win in silence), or a body
-whose name a state of another effect already has.
+Two effects must not write the same rate (the later one would win in silence). A body must not have
+the name of a state of another effect.
 """
 
 from collections.abc import Mapping

@@ -22,8 +22,8 @@ both stronger until the circuit oscillates at g dR / K^2 = -1. The inductance er
 The open device (no virtual environment) must be stable at every damping level that the scene uses;
 a damping circuit beyond one of these limits is refused, unless the scene says `allow_unstable`.
 
-Limitations: resistance or inductance errors without the lags that make the loop a differential
-equation (refused).
+Errors of resistance or inductance are refused without the lags that make the loop a differential
+equation.
 """
 
 from collections.abc import Iterable

@@ -19,7 +19,7 @@ between nodes one interpolation. A winding that heats up has its temperature as 
 the state. Views are the outputs as generated functions. Generated source stays in `linecache`, so
 that a traceback shows it.
 
-Limitations: friction on more than two bodies, or coefficients loaded in another order than
+Limitations: friction on more than two bodies. Coefficients must be loaded in the order of
 `RowTerms.flat`.
 """
 

@@ -22,8 +22,8 @@ method 3.
 `computable` says clearly where double precision cannot compute a device's numbers: one of a device
 file has the right sign and unit, and may still be 1e-308 kg.
 
-Limitations: a computation of the composed model that is not inside `computable`, a platform whose
-long double is a double (the last three digits go), or an input that is not held over the step.
+Computations of the composed model must be inside `computable`, and the input must be held over the
+step. Limitations: a platform whose long double is a double (the last three digits go).
 """
 
 from collections.abc import Iterator

@@ -49,8 +49,8 @@ integral h / w, and a second-order low-pass y'' + 2 zeta w y' + w^2 y = w^2 u ha
 minus (y' + 2 zeta w y) / w^2. These integrals are `travel` (of velocity) and `impulse` (what the
 filter keeps back of the torque).
 
-Limitations: an effect written before one whose signals it takes up; and a low-pass of the shaped
-damping beside the circuit's own bandwidth w_d. Two lags in series turn damping into its opposite
+An effect must be written after those whose signals it takes up. No low-pass of the shaped damping
+may stand beside the circuit's own bandwidth w_d. Two lags in series turn damping into its opposite
 above sqrt(w_h w_d), and there the shaped damper is active; a high-pass and one lag never do that.
 """
 

@@ -12,7 +12,7 @@ Sequences", 1967): by it a record of another system is found to belong to a tria
 begins (`signal.alignment`). It is as strong as the rms of the perturbation in whose place it
 stands, so it is inside of every limit that the perturbation is inside of.
 
-Limitations: drawing a stream in pieces (a record is made whole, then cut).
+A stream must not be drawn in pieces: a record is made whole, then cut.
 """
 
 from enum import IntEnum

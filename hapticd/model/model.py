@@ -22,7 +22,8 @@ Columns of u, by name in `InputColumns` (absent ones are None):
 
 Everything that is not linear stands beside it, present or None: for None no instruction is spent.
 
-Limitations: changing an array (they are read-only), or a level from before the DAC's quantisation.
+Arrays must not be changed (they are read-only), and a level must be that after the DAC's
+quantisation.
 """
 
 from dataclasses import dataclass, replace

@@ -36,8 +36,8 @@ zero exceeds what rounding may have made of it. A dip below zero has two real ze
 rounded away, a conjugate pair at its bottom. What is not decided is not positive. r > x needs no
 grid either: r - x has no zero with s^2 < 0.
 
-Limitations: poles that are missing from the list. The formula is therefore compared with the sums
-themselves between the nodes; where they differ the device is not positive anywhere.
+The list must have all poles. The formula is therefore compared with the sums themselves between the
+nodes; where they differ the device is not positive anywhere.
 """
 
 from dataclasses import dataclass

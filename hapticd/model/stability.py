@@ -12,8 +12,7 @@ g dR / K^2 = -1, an inductance error, or more damping than its bandwidth allows 
 
 `explain` lists states, modes, nonlinearities, and why each effect is there.
 
-Limitations: a position that is no state named ..._position (its translation would not be divided
-out).
+A position must be a state named ..._position (its translation would otherwise not be divided out).
 """
 
 from collections.abc import Callable, Iterable

@@ -23,9 +23,9 @@ expm1, phi2 (which would cancel) from its series below |a| = 1. At the servo's s
 
 Standard library alone: the servo process runs it.
 
-Limitations: a force that changes within h (hold it, as the amplifier does); calling one step from
-two boards (it remembers the damping level); or a piece that is long against the motion when there
-are stops: a stop is met at the end of a piece, inelastically.
+The force must be constant within h (hold it, as the amplifier does). Two boards must not call one
+step (it remembers the damping level). Limitations: a piece that is long against the motion when
+there are stops: a stop is met at the end of a piece, inelastically.
 """
 
 from collections.abc import Callable

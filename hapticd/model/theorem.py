@@ -35,8 +35,8 @@ It has no friction in it and holds for every input, a multisine that drives f an
 included. Harmonics beyond `_IMAGES` fall off as 1/w_k^2 at least; their sum in closed form, scaled
 to the last one, stands for them.
 
-Limitations: an unstable loop, for both presume stability (`loop.spectral_radius`); or r_k < 0 by
-the device itself, which then has nothing to spare.
+The loop must be stable: both presume it (`loop.spectral_radius`). Limitations: r_k < 0 by the
+device itself, which then has nothing to spare.
 """
 
 from dataclasses import dataclass

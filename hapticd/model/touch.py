@@ -26,8 +26,8 @@ restarts. While nothing but friction acts and the motion keeps its direction, a 
 step. Friction that the device itself has at the rotor is handed over to this contact (by
 `step.make_plant`), because two set-valued forces on one body are one.
 
-Limitations: a response (Wx, Wv) of another level of damping than the step's, or a device whose
-rotor reverses within a piece at whose ends it moves the same way.
+The response (Wx, Wv) must be of the step's level of damping. Limitations: a device whose rotor
+reverses within a piece at whose ends it moves the same way.
 """
 
 from collections.abc import Callable

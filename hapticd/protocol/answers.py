@@ -5,7 +5,7 @@ replies with `answer_of`. It leaves out fields that this release does not know, 
 with a newer daemon. A field with a default may be missing. Units are in the names of numbers.
 `None` stands for what is not known.
 
-Limitations: a field that the gateway sends and that is not here (a test compares both).
+Every field that the gateway sends must be here (a test compares both).
 """
 
 from collections.abc import Callable, Mapping

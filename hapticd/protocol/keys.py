@@ -4,8 +4,8 @@
     clients/NAME.key                public keys of those who may listen
     NAME.key_secret                 at the listener alone
 
-Limitations: a secret that another account may read (refused), or keys that are made again over keys
-that somebody has the other half of (refused).
+A secret that another account may read is refused. So are new keys over keys whose other half is
+given away.
 """
 
 import os

@@ -19,8 +19,8 @@ nobody.
 Pure: the time is passed in. Only time in which the gateway listened counts: a pass that comes late,
 or a clock that jumps, puts all ends off by as much, for nobody could be heard meanwhile.
 
-Limitations: an actor number that changes while its connection is there (`journal.Actors` keeps it),
-or a caller that changes something without asking `may`.
+The actor number of a connection must not change (`journal.Actors` keeps it). A caller must ask
+`may` before it changes anything.
 """
 
 from collections import OrderedDict

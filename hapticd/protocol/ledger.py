@@ -7,8 +7,8 @@ push that is not of the law had asked for follows from the parts beside it. What
 read off the frames alone: by the sequence number that the board reports, and 0 where it grants no
 torque.
 
-Limitations: records out of order, or a gap that is not told with `forget` (nothing is then known of
-the motion across it).
+Records must be in order, and `forget` must be called at a gap (nothing is then known of the motion
+across it).
 """
 
 import numpy as np

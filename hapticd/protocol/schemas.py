@@ -194,8 +194,9 @@ class Set(Rendered):
     )
     ramp_s: float = _absent("length of the ramp; left out: as configured")
     until_tick: Tick = _absent(
-        "servo tick at which it ends: the same fields are then as they were before; that end is"
-        " judged with the change, and only what ends force cancels it"
+        "servo tick at which it ends: the same fields return to their values before it; the end is"
+        " judged with the change. A stop or a fault cancels it; if it would raise K, B, M or a"
+        " wall, so do other terms, another gateway or another holder of the lease"
     )
 
     @model_validator(mode="after")

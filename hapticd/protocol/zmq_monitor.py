@@ -2,7 +2,7 @@
 ends of a line with keys (`relay`, `client.listener`).
 
 pyzmq has a reader of these messages as well, but it loads asyncio, which the relay has no memory
-for. Limitations: reading another's monitor (a monitor socket has one reader).
+for. A monitor socket must have one reader.
 """
 
 import struct

@@ -20,7 +20,7 @@ where it comes from, can be replayed bit by bit, and is exported to MATLAB and C
 
 Rules. Numbers are int64, float64, float32, small unsigned integers or fixed-length text: what
 Octave 7 and MATLAB load. The live file is no HDF5: `file` reads it while it grows. After kill -9 it
-holds all whole frames, and `rec recover` packs them. Limitations: two writers of one file.
+holds all whole frames, and `rec recover` packs them. A file must have one writer.
 
 For scripts:
 

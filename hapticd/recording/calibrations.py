@@ -8,7 +8,7 @@ than the device file's `calibration_days`, dated after today, of another board t
 found with a scale of force that has changed since: active damping is weighed in newtons.
 A simulated device is what its file says: nothing is asked for.
 
-Limitations: a scale that is used and not listed here.
+Every scale that is used must be listed here.
 """
 
 import datetime

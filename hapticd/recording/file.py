@@ -7,7 +7,7 @@ whole frames count, and of a flight recording all records; both have the columns
 A segment is a stretch of consecutive ticks of one servo life, from its first checkpoint up to the
 next gap, or to a tick whose requests were lost (`break`).
 
-Limitations: a field that changed its meaning under the same name.
+A field must keep its meaning under its name.
 """
 
 import json

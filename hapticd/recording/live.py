@@ -14,7 +14,7 @@ stay in the mapped file until their columns are read.
 `Writer.take` gets payloads and `Writer.write` is called ten times a second; there is no socket and
 no clock here. A stream of records becomes one column a field, in units as UDUNITS writes them.
 
-Limitations: a write after one that failed; a second writer.
+No write may follow one that failed, and a file must have one writer.
 """
 
 import struct

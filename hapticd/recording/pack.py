@@ -11,8 +11,8 @@ the probe's signals in SI and seconds, is in the export of an unfinished one too
 with a line that begins with # and says where it comes from, SIMULATED or not, and which part is one
 trial.
 
-Limitations: a filter that HDF5 1.8 does not have, or the removal of the live file before the final
-one is on the disk.
+The final file must use filters of HDF5 1.8 alone. The live file must stay until the final one is on
+the disk.
 """
 
 import csv
@@ -102,11 +102,14 @@ def _check_room(source: Path, final: Path, free_bytes: Callable[[Path], int]) ->
 
 def summary(recording: Recording) -> dict[str, Any]:
     """Records, probe samples, seconds, missing records, servo lives."""
-    time_ns = recording.column("servo", "time_ns")
+    first_ns, last_ns = (
+        int(np.sum(recording.column("servo", "time_ns", row, row + 1)))
+        for row in (0, max(0, recording.rows["servo"] - 1))
+    )
     return {
-        "records": len(time_ns),
+        "records": recording.rows["servo"],
         "probe_samples": recording.rows["probe"],
-        "seconds": int(np.sum(time_ns[-1:] - time_ns[:1])) / NS_PER_S,
+        "seconds": (last_ns - first_ns) / NS_PER_S,
         "missing": recording.missing,
         "lost_slots": _lost_slots(recording),
         "lives": recording.rows["life"],

@@ -5,8 +5,8 @@ Whatever a run or a recording leaves on the disk carries this, so that its numbe
 the code, the libraries and the machine that made them. Libraries that an extra brings are imported
 when they are first used, for the package must import without them.
 
-Limitations: an attribute that is read from this machine while the daemon runs on another one. What
-belongs to the daemon is therefore taken from its own messages.
+No attribute of the daemon may be read from this machine, for the daemon may run on another one.
+What belongs to the daemon is therefore taken from its own messages.
 """
 
 import hashlib

@@ -8,7 +8,7 @@ loses about a second. A slow disk delays the flush: what comes meanwhile waits i
 is full the recording ends in order; after a write error it ends at once, and what was flushed stays
 for `hapticd rec recover`.
 
-Limitations: `fdatasync` in the loop itself, which a slow disk delays for seconds; or a write after
+The loop itself must not call `fdatasync`, which a slow disk delays for seconds. No write may follow
 one that failed (see `live`).
 """
 

@@ -5,8 +5,8 @@ one, `run.replay` runs the servo's own step on the recorded samples. The motion 
 recorded one: with settings held at other values a replay shows what the tick law would have
 commanded, not how the display would have moved.
 
-Limitations: a tick whose result depends on anything but the checkpoint, the samples and the
-requests that are in the file. `first_difference` then names that tick.
+The result of a tick must depend on the checkpoint, the samples and the requests in the file alone.
+Otherwise `first_difference` names that tick.
 """
 
 from collections.abc import Sequence

@@ -21,7 +21,7 @@ it was given. Steady motion under a passive environment (Colgate and Schenkel 19
 physical damping) takes more than it gets at every frequency, so E keeps only the part that varies
 within a swing. A limit cycle grows out of any bound.
 
-Limitations: forces outside the law that store energy (they count as work), a clamp that is not
+Limitations: forces outside the law that store energy (they count as work). Every clamp must be
 reported.
 """
 

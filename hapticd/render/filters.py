@@ -6,8 +6,8 @@ velocity and 72 Hz for acceleration. It states neither damping ratio nor mapping
 parameters. A filter is five numbers (b0, b1, b2, a1, a2) of y = b0 u + z1; z1' = b1 u - a1 y + z2;
 z2' = b2 u - a2 y (transposed direct form II), gain 1 at DC.
 
-Limitations: a corner at or above half the rate (refused), coefficients swapped under force (a force
-that jumps now or swells for seconds), a rate other than the tick's.
+A corner must be below half the rate (refused otherwise), and the rate must be the tick's.
+Coefficients must not be swapped under force: the force would jump now or swell for seconds.
 """
 
 import math

@@ -12,9 +12,9 @@ outside, helpers called only in the rare case. Both filters always run, so that 
 switched on without a jump. The rate is folded into the filter coefficients: they act on
 differences. Positive force pushes to positive x.
 
-Limitations: fastmath or contraction in a compiler (bits differ from CPython), and coefficients for
-another rate. A limit must test that the force is not inside it, not that the force is outside: only
-the first is also true of NaN, which `clamp` then turns into 0.
+A compiler must use neither fastmath nor contraction (bits would differ from CPython), and
+coefficients must be for the rate. A limit must test that the force is not inside it, not that the
+force is outside: only the first is also true of NaN, which `clamp` then turns into 0.
 """
 
 from typing import Final

@@ -7,7 +7,7 @@ plainly as what was. The page is HTML without anything from elsewhere, so that i
 
 `recording.certificate` finds it again, and says whether the device file has changed since.
 
-What would break it: a step that verifies something and is not a finding.
+Each verification of a step must be a finding.
 """
 
 import html

@@ -11,7 +11,7 @@ A table may be one of another, `model.masses`. Tables with `measured_on`, `measu
 were measured; in a table of an effect `source` is a tag, and `note` has the words. Raw records are
 kept beside it (`keep`): the device file names them, with their SHA-256.
 
-What would break it: two programs that write at once (the last one wins, whole).
+Limitations: two programs that write at once (the last one wins, whole).
 """
 
 import copy

@@ -7,7 +7,7 @@ A record is cut into blocks instead, each of which is left out once (`jackknife`
 gives deviations and correlations without presuming that residuals are white or of one size. An
 equation that holds at every sample holds for the Fourier lines of each block as well (`lines`).
 
-What would break it: residuals that go together over more than a block (intervals too narrow).
+Limitations: residuals that go together over more than a block (intervals too narrow).
 """
 
 from collections.abc import Callable

@@ -13,8 +13,8 @@ Encoder and probe have clocks of one board: sample n of the probe ends at n * 25
 constant, which the ticks that brought the samples tell (`Recording.place`). Lines are fitted to
 what came (weighted least squares with a Hann window), so samples may be missing and ticks jitter.
 
-What would break it: a handle whose motion is no linear matter of the force (static friction that
-the try does not overcome, or friction above the probe's force), or one that drifts into a stop.
+Limitations: a handle whose motion is no linear matter of the force (static friction that the try
+does not overcome, or friction above the probe's force), or one that drifts into a stop.
 """
 
 from collections.abc import Mapping

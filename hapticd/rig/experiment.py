@@ -13,8 +13,8 @@ Before a waveform the handle rests: what the torque channel shows then is its of
 when each sample was latched by the board's clock, which force was commanded, and how long the one
 before took (`perturbation_run`).
 
-What would break it: telemetry that is read more slowly than it comes (what is lost is counted),
-or somebody who changes the wall meanwhile.
+Limitations: telemetry that is read more slowly than it comes (what is lost is counted), or another
+client that changes the wall meanwhile.
 """
 
 from collections.abc import Callable, Iterable, Iterator

@@ -7,8 +7,8 @@ Positions of a hand are metres to positive x from A, the place that the person c
 A program listens at a Unix socket (`asked_at`). Each request is a connection with one line of JSON,
 {"action", "amount", "text"}; the answer is one line, {"done": true} or {"error": "why not"}.
 
-What would break it: an action that two steps understand differently (they are all named here), or a
-program that answers before it is done.
+All actions are named here, so that steps understand them alike. A program must not answer before it
+is done.
 """
 
 import json

@@ -4,7 +4,7 @@ and what is to be written into the device file.
 A value says the 95 % interval in which it lies. A finding says what is wrong and what to do about
 it; a step with a finding that is `refused` writes nothing.
 
-What would break it: a step that writes although one of its findings is refused (`settled`).
+A step must not write if one of its findings is refused (`settled`).
 """
 
 from collections.abc import Iterable, Mapping, Sequence

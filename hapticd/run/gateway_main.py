@@ -6,7 +6,7 @@ names the supervisor that it ends with; a byte written to the descriptor of `--r
 it serves. Exit code 0: asked to end; 1: a hapticd error, printed in one line on stderr; 78: the
 configuration is wrong and a restart would not help.
 
-Limitations: an import that brings numba, scipy or pyusb (import-linter and a test look).
+It must not import numba, scipy or pyusb (import-linter and a test check).
 """
 
 import argparse

@@ -5,7 +5,7 @@ Nothing sleeps, nothing depends on the machine, and two runs with the same param
 seeds give the same bytes. The gateway's place is taken by `command`. `scene_params` makes the
 parameters of servo and simulated board for a scene.
 
-Limitations: code in the servo that reads a clock of its own instead of the one it is given.
+Code in the servo must read the clock that it is given, and none of its own.
 """
 
 import tempfile

@@ -7,7 +7,7 @@ a damaged file. A counterfactual replay holds some settings at other values and 
 later asked of them; the motion stays the recorded one, so it shows what the law would have asked
 for, not what the handle would then have done.
 
-Limitations: a step that reads a clock or the mailbox, or a request that is not recorded.
+A step must not read a clock or the mailbox, and every request must be recorded.
 """
 
 from collections.abc import Sequence

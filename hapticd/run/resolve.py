@@ -2,7 +2,7 @@
 
 The processes start from these files alone: they read no TOML and load no pydantic.
 
-Limitations: a parameter that `to_plain` and `from_plain` do not carry to the last bit.
+`to_plain` and `from_plain` must carry every parameter to the last bit.
 """
 
 import json

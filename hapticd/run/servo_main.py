@@ -11,8 +11,8 @@ pyusb. Exit code 0: asked to end; else the `exit_code` of the error, which is pr
 stderr: 78 the configuration or, for half a minute, the board's protocol is wrong, 6 a right was
 refused in strict mode (a restart would not help), 1 others.
 
-Limitations: an import at the top that loads numpy, pydantic or zmq, or a simulator for a real
-board; import-linter and a test look at that.
+No import at the top may load numpy, pydantic or zmq, or a simulator for a real board (import-linter
+and a test check).
 """
 
 import os

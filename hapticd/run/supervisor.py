@@ -18,8 +18,8 @@ supervisor prints nothing: progress goes to a callback.
 The operators' page is a third child, started once the two serve. It is nobody's safety: however it
 ends it comes back like a gateway, and if it never served it is told and left out.
 
-Limitations: a second supervisor in the folder (its claim is refused), or waiting without looking at
-signals: every wait here is a poll of POLL_NS.
+A second supervisor in the folder is refused (by its claim). Every wait must look at signals: it is
+a poll of POLL_NS.
 """
 
 import os

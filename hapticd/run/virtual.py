@@ -13,7 +13,7 @@ are renewed by requests alone.
 The hand is a spring and a damper (500 N/m, 3 N s/m: a light grasp) to a point that wanders by
 1 mm rms, first order below 10 Hz, seeded (`model.touch`).
 
-Limitations: a request that a thread sends, since the clock belongs to whoever asks.
+A thread must not send a request, since the clock belongs to the caller that asks.
 """
 
 import json

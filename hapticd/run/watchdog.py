@@ -9,8 +9,8 @@ that a process exists (ADR-0021).
 It maps the ring for reading, starts before the servo takes real-time rights (so it has none), and
 dies with the servo. Standard library alone.
 
-Limitations: a ring that is replaced while the servo lives (a servo makes it once), or
-NotifyAccess=main in the unit.
+The ring must not be replaced while the servo lives (a servo makes it once), and the unit must not
+have NotifyAccess=main.
 """
 
 import os

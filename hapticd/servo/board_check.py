@@ -9,8 +9,8 @@ contradicts the device file (`usb.agreement`), or the bus is too slow for the ra
 keeps running, so that you can read the results. A check that fails, or that has not run yet, bars
 force as well, and is repeated.
 
-Limitations: no call between two ticks of a servo that renders (a check exchanges frames, and a
-request may take 100 ms).
+No call may come between two ticks of a servo that renders (a check exchanges frames, and a request
+may take 100 ms).
 """
 
 from typing import Any, Final, NamedTuple

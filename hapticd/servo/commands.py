@@ -8,8 +8,7 @@ depends on the state: the ramps of gain and force, the damping circuit, activiti
 whether the origin is still valid. A stop ramps down the force that acts with authority in its tick,
 once: no order or repetition of commands makes force.
 
-Limitations: a state may be entered through `enter` only, and an answer may be given only when the
-plan is as it reports.
+A state is entered through `enter` only, and an answer is given only when the plan is as it reports.
 """
 
 from collections.abc import Iterable, Sequence

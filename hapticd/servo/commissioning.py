@@ -16,7 +16,7 @@ offset it. A hand that presses a spring or moves through a damper looks just lik
 ends the force within a millimetre too: commissioning is for pushes. Positions are those that the
 law used, at most a tick old.
 
-Limitations: a change of the origin under force (only `zero` does that, and it is refused).
+The origin must not change under force (only `zero` changes it, and it is then refused).
 """
 
 from typing import Final, NamedTuple

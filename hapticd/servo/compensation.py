@@ -12,8 +12,7 @@ just restarted. From there it rises along the slew. While frames are lost it kee
 and faults of the servo make no difference: damping by the circuit acts in all of them, and its
 strength depends on the resistance that the circuit assumes.
 
-Limitations: the readings must not cost time in every tick, and their interval counts slots, not a
-clock.
+The readings must not cost time in every tick, and their interval counts slots, not a clock.
 """
 
 from typing import Final

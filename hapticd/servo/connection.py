@@ -5,7 +5,7 @@ the start (`servo.board_check`). A board that has restarted without leaving the 
 flashed, and may make no force until it has been checked again. That check waits for a tick without
 force, because each of its requests may take 100 ms. All results are written to servo.report.
 
-Limitations: no check may run in a tick that renders.
+No check may run in a tick that renders.
 """
 
 from math import nan

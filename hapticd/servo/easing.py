@@ -18,8 +18,7 @@ The force is continuous in the share, but neither monotonic nor linear (clamp, w
 value), so bisection finds the share. A step lies between half the bound and the bound, and any
 change completes.
 
-Limitations: a force that is not a continuous function of its parameters, or parameters that change
-without a ramp.
+The force must be a continuous function of its parameters, and parameters must change on a ramp.
 """
 
 from math import inf, isfinite

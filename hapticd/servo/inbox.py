@@ -16,8 +16,8 @@ kHz 3, 4 or 5). This holds the FIFO near 8 of 16: neither end runs dry or over w
 differ by less than 25 %. A waveform that is played once ends when the FIFO has run dry after its
 last sample. The under-run that the board then reports is the end, not a loss.
 
-Limitations: a stop word that is written back in another tick than one that it stops (a press in
-between is lost), a level that is not of the newest frame.
+The stop word must be written back in a tick that it stops (otherwise a press in between is lost).
+The level must be that of the newest frame.
 """
 
 import math

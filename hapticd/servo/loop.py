@@ -16,8 +16,8 @@ ticks were lost. Requests and answers of clients are in ticks. Without the board
 records show it, the force is 0, and the board is searched for with back-off. The loop ends when
 `stopping` is set or `ticks` are done; `finish` ramps the force down and releases the board.
 
-Limitations: a name of `run` that a closure shares (it becomes a cell, slower at every use), slow
-work before the record is published.
+No closure may share a name of `run` (it would become a cell, slower at every use). No slow work may
+come before the record is published.
 """
 
 import os

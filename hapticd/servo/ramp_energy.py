@@ -26,8 +26,8 @@ to 0, a wall that is removed, and whatever removes the whole force. So in any se
 more than the budget, or the energy of a single tick, which `limits.force_step_n` bounds. The window
 is kept in SHARES of a second, so it is 1.05 s at most.
 
-Limitations: a parameter that stores energy and has no `power`, a state in which force acts and
-parameters move past `eased`.
+A parameter that stores energy must have a `power`. Where force acts, parameters must not move past
+`eased`.
 """
 
 from math import prod

@@ -1,7 +1,7 @@
 """A tick without effect: on dummy data at the start of the spin it warms the caches (see `wait`).
 
-Limitations: a rehearsal that has an effect, a closure of the loop (a variable that the loop shares
-with one costs a tick more than a local).
+A rehearsal must have no effect. The loop must have no closure (a variable that it shares with one
+costs a tick more than a local).
 """
 
 import os

@@ -16,8 +16,7 @@ authority in that tick, after the other commands: none when disabled, and never 
 `damping` are accepted in every state and act where the table permits. A perturbation plays while
 enabled and ends with it. The module is pure: no clock, no I/O.
 
-Limitations: a state added without its row (the import of this module checks that TABLE is
-complete).
+Each state must have its row (the import of this module checks that TABLE is complete).
 """
 
 from hapticd.core.faults import BY_CODE

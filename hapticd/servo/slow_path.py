@@ -5,8 +5,7 @@ Order within a tick: arrivals (`samples`) -> faults (`causes`) -> commands -> sc
 homing -> active damping and ramps. So a stop that arrives with an enable wins, and a reset sees a
 fault that appears in this tick.
 
-Limitations: the fast path looks only at `TickConstants`, so each change of the plan has to update
-it.
+The fast path looks only at `TickConstants`, so each change of the plan has to update it.
 """
 
 from typing import Any

@@ -11,8 +11,8 @@ State is a short tuple (see `plan`). Its first place holds everything slow, so a
 in one piece. The force limit is the last step before the wire: the law clamps in newtons, this
 module clamps the count once more.
 
-Limitations: mutable values in the state, a time or a random number read here, a float that reaches
-the wire.
+The state must have no mutable values. No time or random number may be read here, and no float may
+reach the wire.
 """
 
 from collections.abc import Callable

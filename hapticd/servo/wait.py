@@ -6,7 +6,7 @@ caches. Deadlines lie half a period off the millisecond, away from the scheduler
 millisecond of sleep the caches go cold, and a tick costs twice as much as a hot one. A rehearsal of
 the tick on dummy data at the start of the spin warms them. In virtual time: move the clock.
 
-Limitations: a rehearsal that has an effect.
+A rehearsal must have no effect.
 """
 
 import time

@@ -10,8 +10,8 @@ watchdog has tripped reports this in its answer and does nothing else, so its IN
 damping that it holds. The next frame has no ENABLE again, which clears a tripped watchdog. A board
 that has not tripped has authority over no force for one period: that is the price of an answer.
 
-Limitations: a force in the state disabled, or a board that holds damping for less time than a
-silence may take.
+No force may act in the state disabled, and the board must hold damping for as long as a silence may
+take.
 """
 
 from hapticd.core.params import ServoParams

@@ -19,7 +19,7 @@ For scripts:
 `config` and `device` are the tables themselves, `tables` reads them and says what is wrong; `guard`
 writes guard.json.
 
-Limitations: a second place for a fact that the device file holds (limits and scales are checked
-against it, not repeated), or a value changed after validation (overrides are merged before it, so
-that they are checked as well).
+A fact that the device file holds must have no second place (limits and scales are checked against
+it, not repeated). No value may change after validation (overrides are merged before it, so that
+they are checked as well).
 """

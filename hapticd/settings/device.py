@@ -17,7 +17,7 @@ once:
 Converters and limits are not repeated there: `encoder`, `force_dac`, `damping_dac`, `probe_adc` and
 `saturation` take their numbers from the scales and limits of the same file.
 
-Limitations: an effect with a field that is not a number.
+Every field of an effect must be a number.
 """
 
 import datetime

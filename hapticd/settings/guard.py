@@ -5,8 +5,8 @@ or the one rigid mass of a simulated board without a model. A real device withou
 and then nothing is known of it. A .zwidth file counts for the device file, rate and filters that it
 was measured with, and for nothing else: what does not fit is kept as the reason why it is refused.
 
-Limitations: numbers of the model that JSON rounds (it does not: floats are written so that they are
-read back to the last bit).
+JSON must not round numbers of the model (floats are written so that they are read back to the last
+bit).
 """
 
 import hashlib

@@ -6,7 +6,7 @@ effects that somebody asks for must exist and fit together. Everything that is w
 once, one line each, with file, line, value, unit and limit: in both files, and also by the rules
 that do not rest on what is wrong already (`tables.parsed`).
 
-Limitations: overrides merged after validation (they would go unchecked).
+Overrides must be merged before validation (they would otherwise go unchecked).
 """
 
 import copy

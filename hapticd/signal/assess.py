@@ -13,7 +13,7 @@ The samples of one trial are there. A batch keeps none: it assesses the spectra 
 simulates those again that `needs_record` names, and gives their samples to `with_samples`. A trial
 that is still under way has its spectra alone: its verdict is final where `needed` is empty.
 
-Limitations: spectra that are not those of the samples.
+Spectra must be those of the samples.
 """
 
 from dataclasses import dataclass, replace

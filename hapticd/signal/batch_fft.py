@@ -26,8 +26,8 @@ begun; even k1, which need half of the sums, come before odd ones; and each sum 
 two sections. Rows k1 and 32 - k1 are transformed in place and summed at once, while they are in the
 first-level cache. What one trial gets does not depend on its neighbours in the vector.
 
-Limitations: arrays that do not begin on a border of 64 bytes (`arrays.aligned` makes those that
-do), or llvmlite without typed pointers in its IR builder.
+Arrays must begin on a border of 64 bytes (`arrays.aligned` makes those that do), and llvmlite must
+have typed pointers in its IR builder.
 """
 
 import operator

@@ -13,8 +13,7 @@ by a section:
 Trends are taken out of the sums afterwards (`line_products`). float32 costs 1e-7 of the largest
 value of a spectrum.
 
-Limitations: a force record that differs between trials, or a window other than 2,048 samples (`spa`
-is for those).
+Trials must have one force record, and the window must have 2,048 samples (`spa` is for others).
 """
 
 from dataclasses import dataclass

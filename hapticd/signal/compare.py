@@ -18,8 +18,7 @@ the same from the start, since maximum and minimum double together. Friction and
 with the mass too, so the density that belongs to it is per mass squared. Envelopes measured under
 unlike conditions are not laid over each other unless the difference is named (`check_alike`).
 
-Limitations: a band that the envelope does not cover, or a K-B map without the value of M (both
-refused).
+A band that the envelope does not cover is refused, and so is a K-B map without the value of M.
 """
 
 from collections.abc import Collection, Sequence

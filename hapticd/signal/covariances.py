@@ -13,9 +13,9 @@ Trends. The paper (Weir, Colgate and Peshkin 2008, section 2.2) detrends the who
 products and takes the lines out of the covariances afterwards (`line_products`): the products of a
 signal with a line need only the totals sum(x) and sum(k x) and the first and last M samples.
 
-Limitations: a lag that changes while sums are kept, blocks of unequal length in the two channels
-(refused), or in a stream an offset some 10^6 times the motion, which leaves nothing of sixteen
-digits.
+The lag must not change while sums are kept. Blocks of unequal length in the two channels are
+refused. Limitations: in a stream, an offset some 10^6 times the motion, which leaves nothing of
+sixteen digits.
 """
 
 from dataclasses import dataclass

@@ -10,8 +10,7 @@ by about one of its standard deviations; confirm an owner with a second trial be
 The envelope of the admittance is the same with maximum and minimum exchanged: 1/|Z|, minus the
 phase.
 
-Limitations: trials on other frequencies, or at another port or with another estimator (all
-refused).
+Trials on other frequencies, at another port or with another estimator are refused.
 """
 
 from dataclasses import dataclass, replace

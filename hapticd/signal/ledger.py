@@ -39,8 +39,8 @@ The whole is computed from other numbers: the force in effect at each sample and
 board reports both. `unexplained` is the whole less all causes, itself no cause: a frame that never
 arrived, a delay that was not what was believed, several forces between two samples.
 
-Limitations: rows that are not consecutive without `periods` saying so, a delay beyond LONGEST
-periods (it becomes `unexplained`), parts of a force that are left out of SAMPLE.
+Rows must be consecutive unless `periods` says otherwise, and SAMPLE must have all parts of a force.
+Limitations: a delay beyond LONGEST periods (it becomes `unexplained`).
 """
 
 from math import exp

@@ -38,8 +38,7 @@ The band is judged from edge to edge: an edge that is no line of the window is i
 (`Spectra.band`). Multisines, and frequencies of one's own choice, are judged where they are, so a
 verdict names its first and its last frequency.
 
-Limitations: a band below 1/(M T), where the window smooths, or a record of too few windows; both
-are refused.
+A band below 1/(M T), where the window smooths, is refused, and so is a record of too few windows.
 """
 
 from collections.abc import Iterator

@@ -14,8 +14,9 @@ when its caller has been woken. A read takes the packet that waits, or the next 
 latched and the controller asks for it; meanwhile what the board latches waits in the board, queued
 or replaced. Transfers in flight take the same bus (`sim.flight`).
 
-Limitations: a second thread (there is no lock in the tick's way), a time-out shorter than the
-transport (the packet is delivered all the same, late, as libusb does when its timer fires late).
+One thread must use it (there is no lock in the tick's way). Limitations: a time-out shorter than
+the transport (the packet is delivered all the same, late, as libusb does when its timer fires
+late).
 """
 
 import errno

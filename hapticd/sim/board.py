@@ -13,8 +13,8 @@ A host that pauses must not harm a simulation: one call plays 20 ms at most. The
 on the board (board time, watchdog and probe stand still); it is counted in `sim_slip_ns` and
 reported to `on_slip`.
 
-Limitations: a plant whose second state is not a velocity (it would not be seen running away), or a
-t_ns far in the past.
+The second state of a plant must be a velocity (the plant would otherwise not be seen running away),
+and t_ns must not be far in the past.
 """
 
 import struct

@@ -5,7 +5,7 @@ modulo 256 and shown to the host one at a time, oldest first. The next one follo
 taken EVENT_FRAMES frames with the one before, so a frame that is lost loses no event. Of more than
 EVENT_DEPTH the oldest are lost; the step of the number tells how many. The last one stays.
 
-Limitations: a frame that is counted as taken and shows another event than it carried.
+A frame that is counted as taken must show the event that it carried.
 """
 
 from collections import deque

@@ -9,8 +9,8 @@ As usbfs does it, an OUT is copied when it is submitted and an IN when it is rea
 meets NAK stays on its way, and is tried again whenever the host looks. A transfer that fails ends
 with its error; one whose device is gone ends with ENODEV.
 
-Limitations: a look at the board between two looks of the host (it is then as it was), two owners of
-one board.
+Limitations: a look at the board between two looks of the host (it is then as it was). A board must
+have one owner.
 """
 
 import errno

@@ -6,8 +6,8 @@ reply to that OUT. An InjectionParams strikes at its `tick`, or at any tick with
 (1: always), and then for `count` ticks on end. The same seed and the same transfers give the same
 faults. What is a property of a board, and no event, is a field of BoardParams instead.
 
-Limitations: a fault that must know what the board computes (it would belong to the board), a packet
-that is handed out past those that wait before it.
+A fault must not need what the board computes (it would belong to the board). A packet must not be
+handed out past those that wait before it.
 """
 
 import errno

@@ -30,8 +30,9 @@ seconds of one core, whatever else the machine does. What is timed here runs on 
 engine computes a group of trials with every instruction, so its cost is that of a full group, for
 each trial.
 
-Limitations: a kernel that is compiled while it is timed (every setting is therefore computed once
-before), or another program that keeps the core's caches busy (the quickest of a few rounds counts).
+No kernel may be compiled while it is timed (every setting is therefore computed once before).
+Limitations: another program that keeps the core's caches busy (the quickest of a few rounds
+counts).
 """
 
 from abc import ABC, abstractmethod

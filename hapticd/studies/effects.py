@@ -20,8 +20,8 @@ differences are those of the effects):
 A scene that noise does not move gets the paper's perturbation. Walls are left out: they have no
 impedance of their own.
 
-Limitations: answers that were simulated with different perturbations, whose difference is chance;
-or effects that hide each other, which is why the proposal is simulated as a whole.
+Answers must be simulated with the same perturbations: their difference is otherwise chance.
+Limitations: effects that hide each other, which is why the proposal is simulated as a whole.
 """
 
 from collections.abc import Callable, Iterable

@@ -25,8 +25,8 @@ The second-order Butterworth low-pass of a difference is, in continuous time, th
 estimator of a velocity that white acceleration moves, and its corner (2 pi f)^4 = q / r the only
 number of it: the search for a corner is the search for that estimator too.
 
-What would break it: a set that K leaves and enters again; the first exit counts. A scene without
-the delay, the circuit or the encoder that a remedy changes is left as it is there.
+Limitations: a set that K leaves and enters again; the first exit counts. A scene without the delay,
+the circuit or the encoder that a remedy changes is left as it is there.
 """
 
 from collections.abc import Callable, Sequence
@@ -124,7 +124,7 @@ class Row:
     corner_hz: float  # of the velocity filter
     stiffness_alone_n_per_m: float  # largest K at B = 0
     virtual_damping_ns_per_m: float  # B that lets K go farthest
-    stiffness_n_per_m: float  # largest K there
+    stiffness_n_per_m: float  # largest K at that B
     volume: float  # N/m N s/m kg
     asked: tuple[float, float]  # K [N/m], B [N s/m] of `rendered` and `noise_n`
     rendered: Complexes  # (3,) at RENDERED_HZ, Z over what is asked

@@ -713,7 +713,7 @@ def remedies_table(rows: Sequence[Row]) -> Table:
     """Every device with every remedy: by theory, then by trials where they were made."""
     hertz = ", ".join(f"{hz:g}" for hz in RENDERED_HZ)
     columns = [
-        "device", "remedy", "ticks/s", "corner Hz", "K at B = 0", "best B", "K there", "volume",
+        "device", "remedy", "ticks/s", "corner Hz", "K at B = 0", "best B", "K at best B", "volume",
         f"|Z|/asked at {hertz} Hz", "phase less asked deg", "noise mN", "K predicted",
         "K by trials", "sd", "passive up to", "not from",
     ]  # fmt: skip

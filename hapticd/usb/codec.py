@@ -4,10 +4,9 @@ Two forms of the same rules: `encode_*`/`decode_*` give named values and clear e
 tests and tools; `out_packer`/`in_parser` work in place on the servo's two buffers, so that a tick
 allocates nothing that outlives it. A frame is taken whole or refused whole: length, CRC, count and
 axis must be right. Reserved bytes and samples beyond the count are sent as 0 and ignored on
-receipt. Limitations: a field order other than in `frames` (the packers use the same Struct
-objects), a buffer that is replaced instead of refilled (both keep memoryviews of the buffer they
-were given), or a short read that the caller does not notice (`in_parser` then sees the frame of the
-tick before).
+receipt. The field order must be that of `frames` (the packers use the same Struct objects). A
+buffer must be refilled, not replaced (both keep memoryviews of the buffer they were given). The
+caller must notice a short read (`in_parser` otherwise sees the frame of the tick before).
 """
 
 import struct

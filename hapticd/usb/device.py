@@ -26,7 +26,7 @@ holds.
 Almost every frame is simply the next one, intact; `receive` and `send` know that case in straight
 line and leave every other to the codec: a frame that is not exactly as expected is judged by
 `in_parser` as if nobody had looked. LinkLost is for the loop; everything less is counted and
-survived here. Limitations: two tasks calling it, buffers that are replaced.
+survived here. One task must call it, and buffers must not be replaced.
 """
 
 from array import array

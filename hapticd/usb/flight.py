@@ -20,8 +20,8 @@ The rules, which bound what a transfer can do to a tick:
 Both buffers may be used again at once: the kernel copies an OUT when it is submitted and an IN when
 it is reaped. An OUT that failed is known in the next tick, which has no sample anyway.
 
-Limitations: a backend that fills the buffer of an IN before it is reaped, a caller that leaves an
-IN unread for ticks (it is then one frame behind, which `usb.device` reads past).
+A backend must not fill the buffer of an IN before it is reaped. Limitations: a caller that leaves
+an IN unread for ticks (it is then one frame behind, which `usb.device` reads past).
 """
 
 import errno

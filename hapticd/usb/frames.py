@@ -7,8 +7,8 @@ against another header is refused. What counts for the fingerprint are declarati
 space and the line that carries the result do not, so the header can be explained better or
 formatted anew without forcing anyone to flash a board.
 
-Limitations: a field added here and not in the header, or a changed header with the old
-PROTOCOL_HASH (`tests/unit/test_wire_header.py` computes it anew).
+A field added here must be added in the header, and a changed header needs another PROTOCOL_HASH
+(`tests/unit/test_wire_header.py` computes it anew).
 """
 
 import struct

@@ -17,8 +17,8 @@ Each look for the board has a libusb context of its own. A context lists the dev
 when it was made, and after that learns of others from udev's messages alone, which reach no
 container without udevd and no network namespace (PrivateNetwork=).
 
-Limitations: sharing a device between threads, a time-out used as a clock, since libusb fires late,
-and a device that outlives its context by more than one look.
+Threads must not share a device. A time-out is no clock, since libusb fires late. A device must not
+outlive its context by more than one look.
 """
 
 import errno

@@ -10,7 +10,7 @@ when it is another one than before, and "" when the board answers.
 A hash that stays wrong does not pass: somebody has to flash or install something. `MISMATCH_NS`
 is how long a start waits for another answer; a servo that runs already goes on looking.
 
-Limitations: a reason that changes with every look (a count, a time), since each is told.
+A reason must not change with every look (a count, a time), since each new one is reported.
 """
 
 from collections.abc import Callable

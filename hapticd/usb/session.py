@@ -14,7 +14,7 @@ Wrapping. A reading stands for the integer nearest to the one before it; unique 
 a period passes between two readings: 35 minutes of board time, 6 days of probe indices, 1 km of
 travel at 0.5 um.
 
-Limitations: keeping a `previous` across a re-plug (unwrap from the first reading anew).
+A `previous` must not be kept across a re-plug (unwrap from the first reading anew).
 """
 
 from hapticd.core.errors import ProtocolMismatch

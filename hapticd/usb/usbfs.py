@@ -15,8 +15,8 @@ Structures and buffers are made once, so no call of a tick makes anything that l
 would copy them and lose their addresses, which the kernel keeps. Errors come as pyusb raises them
 (`usb.core.USBError` with libusb's errno): a transaction that failed on the wire is EIO.
 
-Limitations: a structure that Python moves or frees while its transfer is under way (they live as
-long as this object, and `cancel` closes the descriptor first), two threads.
+Python must not move or free a structure while its transfer is under way (they live as long as this
+object, and `cancel` closes the descriptor first). One thread must use it.
 """
 
 import ctypes

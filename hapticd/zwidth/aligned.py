@@ -11,8 +11,8 @@ live trial (`watch`).
 Each channel is compared with the daemon's own: an inverted one is turned, and that is said; one
 that is more like the other channel, or like neither, is refused by name.
 
-What would break it: a force sensor elsewhere than the probe, with mass between; then the two forces
-differ by that mass, and the verdict is that of the port where the file's sensor is.
+Limitations: a force sensor elsewhere than the probe, with mass between; then the two forces differ
+by that mass, and the verdict is that of the port where the file's sensor is.
 """
 
 from dataclasses import dataclass, replace

@@ -12,7 +12,7 @@ A recording is cut to its longest stretch that is one trial (`recording.stretch`
 samples are missing follows from their numbers. A mark of the perturbation lies before that stretch
 (`excitation.marked`); where it begins is said in samples of it, for `aligned`.
 
-What would break it: a column of another unit; all of them are written by this package.
+Columns must have the units of this package, which writes all of them.
 """
 
 import json

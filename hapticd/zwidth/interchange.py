@@ -12,7 +12,7 @@ the intervals of the verdict cover by chance; what a fit leaves open (`resolved`
 The least Re Z over the band is what control theory calls the input feedforward passivity index,
 here of the band alone: nu = min lambda_min(Z + Z^H) / 2. Each of these tools can compute it again.
 
-What would break it: frequencies without a value; they are left out, and so is 0 Hz.
+Frequencies without a value are left out, and so is 0 Hz.
 """
 
 from pathlib import Path

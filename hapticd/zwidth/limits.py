@@ -18,7 +18,7 @@ scatter is given beside the mean. A lower band edge is one of the conditions.
 Outcomes go to an append-only store: limits that were interrupted, or are asked for again with more
 seeds, levels or amplitudes, run only the trials that are missing.
 
-What would break it: a set that is not in one piece along the line that is searched.
+Limitations: a set that is not in one piece along the line that is searched.
 """
 
 from collections.abc import Callable, Iterable, Sequence

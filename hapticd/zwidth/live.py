@@ -14,8 +14,8 @@ samples are filled in and counted by `watch`.
 Calibrations that cannot be relied on are refused (`recording.calibrations`), or named with the
 record and its verdict.
 
-What would break it: a board without probe inputs (refused), a host so busy that slots are lost
-(named, then undecided), or ticks and samples that come much apart; both are cut by the same servo.
+Limitations: a board without probe inputs (refused), a host so busy that slots are lost (named, then
+undecided), or ticks and samples that come much apart; both are cut by the same servo.
 """
 
 import datetime

@@ -13,9 +13,9 @@ Outcomes go to an append-only store, keyed by all that they depend on; a map tha
 or is asked again with a wider grid, makes only the trials that are missing. Tasks run on any
 executor of concurrent.futures; results do not depend on it.
 
-What would break it: a device whose prediction is off by more than `near` (the limits say by how
-much it is); then `everywhere`. And a hole in the set that is smaller than a cell; no finer grid
-finds it where coarse neighbours agree.
+Limitations: a device whose prediction is off by more than `near` (the limits say by how much it
+is); then `everywhere`. And a hole in the set that is smaller than a cell; no finer grid finds it
+where coarse neighbours agree.
 """
 
 from concurrent.futures import Executor

@@ -21,8 +21,8 @@ A trial's key is the hash of what it depends on, so a trial that the store has i
 again, whichever procedure asks for it. Each task is stored as soon as it is finished; tasks that
 have not begun are cancelled when the caller stops.
 
-What would break it: anything random that is drawn by a trial's place in its task and not by what
-its key is made of; a map that is continued, or cut into other tasks, would be another map.
+Anything random must be drawn by what a trial's key is made of, not by its place in its task; a map
+that is continued, or cut into other tasks, would otherwise be another map.
 """
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence

@@ -12,8 +12,8 @@ frequencies, perturbation, length of a trial, confidence, port and estimator. Wh
 refused by name unless it was allowed, and an allowed difference is named with the result. The
 perturbation counts as alike if its force is the same, or the same per mass (`signal.compare`).
 
-What would break it: a device file that was edited without a new name, which the hash shows only to
-those who have the older file.
+Limitations: a device file that was edited without a new name, which the hash shows only to those
+who have the older file.
 """
 
 import hashlib

@@ -10,8 +10,8 @@ the two differ, the record is refused: every limit is proportional to the rate o
 that a column of seconds, or the counter that the user names, shows to be missing are filled in and
 counted, as those that a live trial loses are (`watch`). No column counts as a counter by its name.
 
-What would break it: channels that were not sampled together, or in other units that are not far
-enough off to be suspected (`signal.channels`).
+Limitations: channels that were not sampled together, or in other units that are not far enough off
+to be suspected (`signal.channels`).
 """
 
 import csv

@@ -6,7 +6,7 @@ Z is measured as the paper does it (noise at the probe, `signal.spectra`) and ta
 that are evenly spaced in ln f. They lie on the grid of the paper's window, so that a longer window
 has them on its grid too.
 
-What would break it: comparing what is predicted at one perturbation with trials at another.
+A prediction and the trials that it is compared with must have the same perturbation.
 """
 
 from dataclasses import dataclass, field, replace

@@ -21,8 +21,8 @@ Each trial is also a check: what was expected of it before it was learnt is kept
 (`Step`). A `Slice` through what was found is the largest passive K over B at one M, beside what was
 predicted before the first trial.
 
-What would break it: a device whose Re Z differs from the prediction in a way that changes faster
-than the surrogate's correlation lengths (`signal.surrogate`); no later trial then corrects it.
+Limitations: a device whose Re Z differs from the prediction in a way that changes faster than the
+surrogate's correlation lengths (`signal.surrogate`); no later trial then corrects it.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """Trials by the batch engine: the record of one, and the impedance of several.
 
-What would break it: a scene with walls or soft ends; they are left out, because the impedance of an
-environment is measured away from them.
+Walls and soft ends of a scene are left out, because the impedance of an environment is measured
+away from them.
 """
 
 from dataclasses import replace

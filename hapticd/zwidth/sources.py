@@ -10,8 +10,8 @@ K, B and M what is not given is that of the scene that was named, else 0: nobody
 environment is that of the record, else of the scene as it is, else 0. The active damping is a
 property of the device's drive: it is the record's, else the scene's, unless it is given.
 
-What would break it: a file whose record was made in another environment than the user says; only
-this package's own files state theirs.
+The environment that the user gives must be that of the file's record; only this package's own files
+state theirs.
 """
 
 from collections.abc import Callable

@@ -7,7 +7,7 @@ whole periods and nothing leaks. On a linear device it must agree with noise; wi
 a sine of the same rms sees a different equivalent damping (4/pi Fc/V beside sqrt(2/pi) Fc/sigma),
 so there the two differ, and both are right for their amplitude.
 
-What would break it: a loop that rings for longer than the second that is left out.
+Limitations: a loop that rings for longer than the second that is left out.
 """
 
 from dataclasses import dataclass, replace

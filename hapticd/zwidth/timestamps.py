@@ -17,8 +17,8 @@ say.
 A counter grows by 1 with every sample, so a larger step is a loss. It begins anew at 2^48 at the
 latest, as a clock of 48 bits does: a step back of about that much is a step forward.
 
-What would break it: losses beside jitter of half a period or more; then the times do not run
-evenly, and are refused. So is a counter of fewer bits that begins anew within the record.
+Limitations: losses beside jitter of half a period or more; then the times do not run evenly, and
+are refused. So is a counter of fewer bits that begins anew within the record.
 """
 
 from dataclasses import dataclass

@@ -21,7 +21,7 @@ The record holds the realisations one after the other, each from rest and with t
 it settles. A realisation whose force did not repeat, because a stalled host let the board run out
 of samples, is recorded again.
 
-What would break it: a loop so lightly damped that it rings for more than a period.
+Limitations: a loop so lightly damped that it rings for more than a period.
 
 On disk it is a run folder with record, summary and Z(f):
 

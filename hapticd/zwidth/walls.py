@@ -11,8 +11,8 @@ two.
 
 Params -> plan_walls -> Plan -> run_walls -> Result.
 
-What would break it: a device whose stable walls are not in one piece as K is raised; a piece beyond
-the first unstable wall is not looked for.
+Limitations: a device whose stable walls are not in one piece as K is raised; a piece beyond the
+first unstable wall is not looked for.
 """
 
 from collections.abc import Iterator, Sequence

@@ -21,9 +21,9 @@ and says at any time how many seconds would buy the confidence that was asked fo
 seconds, so a record that it ends holds the second that was wrong: the verdict on that record says
 the same again.
 
-What would break it: a perturbation that is not stationary, such as a stepped sine; do not let it
-watch one. Under a force that repeats it gives no verdict on the way (`random` is False), for its
-spectra are those of noise.
+Limitations: a perturbation that is not stationary, such as a stepped sine; do not let it watch one.
+Under a force that repeats it gives no verdict on the way (`random` is False), for its spectra are
+those of noise.
 
 Samples of the probe and slots of the servo that were lost are filled, counted and named. A record
 whose gaps are closed up jumps at every one of them, and a jump is noise at all frequencies: half a

@@ -1,6 +1,6 @@
 """A mutant of tests/mutants in this process: its functions have the code of the defect for a while.
 
-What would break it: a mutant of a module's own statements, which belong to no function.
+Limitations: a mutant of a module's own statements, which belong to no function.
 """
 
 from collections.abc import Iterator

@@ -7,8 +7,8 @@ outputs are held, and it is called exactly when it asked to be.
 
 Its clock starts a second before it wraps, so every run longer than that crosses the wrap.
 
-What would break it: times that are no whole microseconds (at 1 kHz a sub-step of T/16 is 62.5 us:
-all times are then rounded down, which two sub-steps undo).
+Limitations: times that are no whole microseconds (at 1 kHz a sub-step of T/16 is 62.5 us: all times
+are then rounded down, which two sub-steps undo).
 """
 
 import ctypes

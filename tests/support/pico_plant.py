@@ -4,7 +4,7 @@ The plant goes in the pieces of the simulated board, 62.5 us at 1 kHz, ahead of 
 outputs that are held: the chip gets the encoder's counts at the ends of the next pieces, and makes
 their edges. An output that changes acts from the next piece on; the plan is then made anew.
 
-What would break it: a plant whose encoder jumps farther in a piece than the decoder can follow.
+Limitations: a plant whose encoder jumps farther in a piece than the decoder can follow.
 """
 
 import errno

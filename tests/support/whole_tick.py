@@ -17,7 +17,7 @@ Higham (2005), for many levels of damping at a time.
 The law is written as the difference equations of its text, with histories of positions, filtered
 velocities and filtered accelerations (direct form I; the package keeps another state).
 
-What would break it: a force that the law does not render (a limit, a wall that is left).
+The law must render the whole force (no limit, no wall that is left).
 """
 
 from dataclasses import dataclass

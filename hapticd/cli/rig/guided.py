@@ -4,7 +4,7 @@ What is measured already says its date and may be left out, so the path goes on 
 after a restart of the daemon, an interruption, or on another day. A step that writes is followed by
 a restart, since the daemon reads its device file when it starts; the path waits for that.
 
-What would break it: a step whose numbers cannot be asked for in one line.
+The numbers of a step must fit in one line of input.
 """
 
 import datetime

@@ -4,7 +4,7 @@ A step that is interrupted (Ctrl-C, a cable, a fault) leaves the force off and t
 was; it can be repeated by itself. With --yes nothing is asked: what a hand should do is announced,
 and some seconds pass.
 
-What would break it: a way out of a step that leaves the device enabled.
+Every way out of a step must leave the device disabled.
 """
 
 import datetime

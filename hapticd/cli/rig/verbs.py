@@ -1,6 +1,6 @@
 """The verbs of `hapticd rig`: what each asks for, and which step of `hapticd.rig` does it.
 
-What would break it: two measurements of the motor asked for at once (refused).
+Two measurements of the motor at once are refused.
 """
 
 from datetime import datetime

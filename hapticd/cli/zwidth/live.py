@@ -1,8 +1,7 @@
 """The device of a running daemon under a trial: which one it is, and what is said before it moves.
 
 Nothing moves that was not announced: the device by its name, whether it is real, and the
-environment in which it is enabled. What would break it: a way out of the process that leaves the
-device enabled.
+environment in which it is enabled. Every way out of the process must leave the device disabled.
 """
 
 import signal

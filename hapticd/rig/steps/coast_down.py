@@ -36,10 +36,9 @@ greatest level that is allowed is named.
 The physical damping is what is proportional to speed without active damping; friction is not, and
 counts for nothing at large motions. The device file gets LEAST_SHARE of the least that it can be.
 
-What would break it: a `half_width_95` that is kept although its scale was changed by hand,
-a handle that is held or pushed by something else meanwhile, or that has not
-come to rest (such a push is no row), friction that depends on the level of damping (without a
-current).
+Limitations: a `half_width_95` that is kept although its scale was changed by hand, a handle that is
+held or pushed by something else meanwhile, or that has not come to rest (such a push is no row),
+friction that depends on the level of damping (without a current).
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -16,7 +16,7 @@ half of what smaller levels promise, or comes near a loop gain of -1 ends that, 
 
 What all pushes say together, and with which interval, is `coast_down` as well.
 
-What would break it: a hand on the handle (its push is no row, or lies beside the line).
+Limitations: a hand on the handle (its push is no row, or lies beside the line).
 """
 
 from collections.abc import Iterator

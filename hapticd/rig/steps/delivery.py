@@ -27,7 +27,7 @@ compensation: force and damping are weaker by 1 / (1 + rho b), and nothing oscil
 much is compensated, and at -1 the circuit latches up. So -0.15 is warned about and -0.3 refused,
 and the greatest damping that keeps -0.3 is named.
 
-What would break it: a hand that does not move (there is nothing to see then), scales of current and
+Limitations: a hand that does not move (there is nothing to see then), scales of current and
 position that are wrong, a board whose spring is not passive with that of SPRING.
 """
 

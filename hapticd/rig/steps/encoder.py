@@ -8,7 +8,7 @@ quadrature. While it moves, each of the lowest bits has to change: one that neve
 
 An encoder with an index mark says in a frame how far behind it lies: each passage tells its place.
 
-What would break it: a handle that is moved by somebody else than who is asked (the signs of the
+Limitations: a handle that is moved by another person than the one asked (the signs of the
 repetitions then differ, which is refused).
 """
 

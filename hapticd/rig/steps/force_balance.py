@@ -29,7 +29,7 @@ of speed that differs by direction, a delay that drifts, a steady pull. Added to
 coefficient has Student's t, so the chance of a false alarm is known: SIGNIFICANCE for all of them
 together (Bonferroni).
 
-What would break it: motion above HIGH_HZ that is no small part of it.
+Limitations: motion above HIGH_HZ that is no small part of it.
 """
 
 from collections.abc import Sequence

@@ -13,8 +13,8 @@ velocity agree for the right constant alone, to some 0.1 us. The same equation g
 between both, the corner of a high-pass in the velocity channel, and by how much the encoder goes
 further at high frequencies (a transmission that yields).
 
-What would break it: a velocity so noisy that phi is chance (more than some 2 % of the motion), or a
-handle that hardly moves within CLOCK_HZ, so that nothing tells the constant.
+Limitations: a velocity so noisy that phi is chance (more than some 2 % of the motion), or a handle
+that hardly moves within CLOCK_HZ, so that nothing tells the constant.
 """
 
 from dataclasses import dataclass

@@ -12,7 +12,7 @@ model is what `zwidth predict`, the guard and `search` calculate with. Friction 
 it was felt there; the mass is in two parts where the transmission was seen to yield; a smoothing
 stands for itself where it was told from delay.
 
-What would break it: a hand on the handle (its mass and damper are then the device's).
+Limitations: a hand on the handle (its mass and damper are then the device's).
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -24,8 +24,8 @@ Damping of COUNTS converter counts is on meanwhile, which nobody feels, so that 
 to hold. That it tripped, and what it holds, is the board's own word, and the torque was 0 all the
 time: that a force ends is not seen here. The finding and the certificate say so.
 
-What would break it: somebody who uses the device meanwhile (it is asked to be disabled). A host
-that is late by periods after a silence only costs more of them: what counts is the board's clock.
+The device must not be used meanwhile (it is asked to be disabled). A host that is late by periods
+after a silence only costs more of them: what counts is the board's clock.
 """
 
 from collections.abc import Iterator, Mapping

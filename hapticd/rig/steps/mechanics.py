@@ -9,7 +9,7 @@ by the curvature of the command's path, by the board's clock (the delay is at le
 and by neither to the last: both say their intervals. A smoothing that cannot be told from delay
 counts as delay, since their sum is what decides stability.
 
-What would break it: two scales that are wrong alike (nothing here contradicts them).
+Limitations: two scales that are wrong alike (nothing here contradicts them).
 """
 
 from collections.abc import Mapping, Sequence

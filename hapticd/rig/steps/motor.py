@@ -18,7 +18,7 @@ o. Its residuals show whether the motor is linear, and give the intervals (Stude
 with a friction that differs from reading to reading by a share REPEATS: few masses may lie on a
 line by chance.
 
-What would break it: a friction that differs from one reading to the next (it shows as residuals).
+Limitations: a friction that differs from one reading to the next (it shows as residuals).
 """
 
 from collections.abc import Iterator, Mapping

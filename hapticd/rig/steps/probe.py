@@ -10,8 +10,8 @@ their phases (`probe_fits`).
 Dead and swapped channels are found before anything is fitted. What is played is known: the torque
 channel has to follow it, delayed at most, and the velocity channel the encoder's velocity.
 
-What would break it: a mass that rattles (the residuals show it), or one that is fixed behind
-something soft (its mode has to be far above 30 Hz).
+Limitations: a mass that rattles (the residuals show it), or one that is fixed behind something soft
+(its mode has to be far above 30 Hz).
 """
 
 from collections.abc import Iterator, Mapping

@@ -22,7 +22,7 @@ are taken out, of V' before its sign is taken too: 0.1 Hz at 10 Hz shift the rev
 a slow reversal takes. The scale of V' falls with the square of the frequency as the transmission
 gives; what it is at 0 Hz is its gain.
 
-What would break it: sticking for a good part of the time (the residuals show it), and a mass behind
+Limitations: sticking for a good part of the time (the residuals show it), and a mass behind
 something soft of its own.
 
 Signal. What the probe's two channels do to one and the same signal: skew and high-pass mismatch. A
@@ -42,8 +42,8 @@ The phases are fitted by least squares with the signal's power as weight (noise 
 white) between BAND_HZ. A Hann window takes nearly half of the record away, which widens the
 interval.
 
-What would break it: a signal without content near f_min (the interval of the mismatch says so), or
-inputs that are coupled otherwise than by the signal.
+Limitations: a signal without content near f_min (the interval of the mismatch says so), or inputs
+that are coupled otherwise than by the signal.
 """
 
 from dataclasses import dataclass

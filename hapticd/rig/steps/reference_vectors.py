@@ -8,7 +8,7 @@
               the bad ones refused for the stated reason
 
 What is compared are the modules in use, with the libraries of this machine (numba or not, whatever
-numpy it has). What would break it: a mistake that both sides share; the tests look for those.
+numpy it has). Limitations: a mistake that both sides share; the tests look for those.
 """
 
 import json

@@ -11,8 +11,8 @@ way down: it cancels in the mean of the two. The line x(F) has the slope s / k. 
 from x0; it is measured without a spring (`measure_offset`). Forces of both signs are on the line,
 so its residuals show a motor that is not linear, a spring that is not, or a lever that slips.
 
-What would break it: a spring that buckles or is stretched to its end (residuals), and a scale of
-position that is wrong (`rig encoder` comes first).
+Limitations: a spring that buckles or is stretched to its end (residuals), and a scale of position
+that is wrong (`rig encoder` comes first).
 """
 
 from collections.abc import Mapping

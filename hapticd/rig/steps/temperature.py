@@ -12,8 +12,8 @@ its interval, as noise of a sensor is rarely white.
 
 The back-EMF is measured in the same step, while a hand shakes the handle (`winding`).
 
-What would break it: a winding that is still warm from what was done before (the drift shows it), or
-a thermometer that is not where the sensor is.
+Limitations: a winding that is still warm from what was done before (the drift shows it), or a
+thermometer that is not where the sensor is.
 """
 
 from collections.abc import Mapping, Sequence

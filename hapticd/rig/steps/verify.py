@@ -26,7 +26,7 @@ is no constant.
 Beside it the `reference_vectors`, timing meanwhile, and the age of every calibration are
 findings. `certificate` makes the document of them. What is not verified here is said there.
 
-What would break it: a handle that somebody holds (another mass), a first resonance below HIGH_HZ.
+Limitations: a hand on the handle (another mass), a first resonance below HIGH_HZ.
 """
 
 import datetime

@@ -16,10 +16,9 @@ velocity that is as late, by blocks.
 Commanded newtons have the interval of `rig motor`, metres that of `rig encoder`; both are taken
 from the sources in the device file.
 
-What would break it: a hand that lets the handle slip while it is held (the windows say so), or
-shakes it so slowly that an AC-coupled amplifier shows, and a winding that warms up by more than the
-interval allows (the resistance is that at the mean temperature of the rests, which is written
-beside it).
+Limitations: a hand that lets the handle slip while it is held (the windows say so), or shakes it so
+slowly that an AC-coupled amplifier shows, and a winding that warms up by more than the interval
+allows (the resistance is that at the mean temperature of the rests, which is written beside it).
 """
 
 from collections.abc import Iterator, Mapping

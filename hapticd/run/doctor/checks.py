@@ -6,7 +6,7 @@
 
 Nothing is measured and nothing is changed. A simulated board needs none of the USB checks.
 
-Limitations: a fix that the reader cannot paste into a shell.
+A fix must be a command that can be pasted into a shell.
 """
 
 from collections.abc import Callable

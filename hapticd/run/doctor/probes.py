@@ -5,8 +5,8 @@ process) and of the requirements. It returns a sentence where all is well, else 
 level, a reason or a remedy of its own where those of the table in `checks` do not fit. So every
 branch is tested on a made-up tree of files.
 
-Limitations: a probe that raises for a file that is missing (containers and virtual machines lack
-many of them: `Machine.text` returns None).
+A probe must not raise for a missing file (containers and virtual machines lack many of them:
+`Machine.text` returns None).
 """
 
 import json

@@ -6,7 +6,7 @@ its faults; names of clients, leases, addresses and the texts of events stay out
 has ids and places, of the board what the checks say. No key is read. The home folder is written as
 ~ wherever it occurs.
 
-Limitations: a new field of KEPT that holds what a person named.
+No field of KEPT may hold what a person named.
 """
 
 import json

@@ -13,7 +13,7 @@ all; friction, ends and cogging are solved once per sub-step. The law is compile
 written again. Nothing is spent on an effect that the scene does not have. Results do not depend on
 how trials are spread over lanes, tasks, threads or machines of one kind.
 
-What would break it: fastmath with reassociation or without NaN (`source`), an array that does not
-begin on a cache line (half the speed), a law compiled without fastmath=False said aloud
-(`compiled`). numba is imported when a kernel is needed, not before.
+The fastmath of `source` must not reassociate and must keep NaN. An array must begin on a cache line
+(otherwise half the speed), and a law must be compiled with an explicit fastmath=False (`compiled`).
+numba is imported when a kernel is needed, not before.
 """

@@ -9,8 +9,8 @@ What is random of a trial alone is drawn by what the trial is: by its K, B and M
 in the batch where each has a torque record of its own. So one that is simulated alone, again, or
 among others is the same trial.
 
-What would break it: a seed or a record that depends on the task that a trial falls into (results
-would then depend on the number of cores).
+Seeds and records must not depend on the task that a trial falls into (results would then depend on
+the number of cores).
 """
 
 import os

@@ -13,7 +13,7 @@ that they are called with, so three of four times such a read crosses a cache li
 variable that asks for 64 bytes makes LLVM align the frame. Results do not depend on it.
 
 Imports numba and llvmlite: only kernels import this module, so that the rest is light to import.
-What would break it: a helper of the law that is not in HELPERS (numba would not find it).
+Every helper of the law must be in HELPERS (numba would otherwise not find it).
 """
 
 from types import FunctionType

@@ -24,8 +24,8 @@ moves with tau, tens of seconds, so coefficients are refreshed every 0.1 s. They
 grid of temperatures and interpolated between its nodes; at 0.5 K the neglected curvature is below
 1e-6 of a coefficient.
 
-What would break it: a Job with a field that does not pickle, a time constant of a winding that is
-not long against the refresh.
+Every field of a Job must pickle. Limitations: a time constant of a winding that is not long against
+the refresh.
 """
 
 from collections.abc import Iterator, Sequence

@@ -3,8 +3,8 @@ of a second.
 
 Folder: $XDG_CACHE_HOME/hapticd/kernels-VERSION (~/.cache without it). A kernel is k_HASH.py there,
 found through sys.path, because that is what numba's own disk cache needs to find compiled code
-again; HASH covers the text and the law it calls. What would break it: a file that kernels are
-compiled from and that `_called` does not read (an old kernel would be found again).
+again; HASH covers the text and the law it calls. `_called` must read every file that kernels are
+compiled from (an old kernel would otherwise be found again).
 """
 
 import hashlib

@@ -1,8 +1,8 @@
 """The coefficients of a kernel: a model at a level of active damping, an environment and trials
 become numbers by the names that the text uses (`source`).
 
-Every map is exact (`model.discrete`). The kernel picks what it has by name. What would break it: a
-name here that the text does not use is ignored, one that it uses and that is missing here stays 0.
+Every map is exact (`model.discrete`). The kernel picks what it has by name. A name here that the
+text does not use is ignored; one that it uses and that is missing here stays 0.
 """
 
 from collections.abc import Iterator

@@ -6,7 +6,7 @@ frequency. That needs one torque record for all trials and a velocity that is re
 where trials have their own torque, or the probe adds noise or counts, the group's records are kept
 until its end and analysed one by one, which gives the same spectra more slowly.
 
-What would break it: a block that ends inside a section (legs end at sections, see `job`).
+A block must not end inside a section (legs end at sections, see `job`).
 """
 
 from collections.abc import Sequence

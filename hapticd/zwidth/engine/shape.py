@@ -23,7 +23,7 @@ p < 1) the sample lies (1 - p) of the tick in, possibly inside a sub-step (`samp
 exact output row leads to it), and the command waits m whole ticks. That is the order of lock-step
 and of the hardware, and it needs no split input.
 
-What would break it: a position whose state is not named so (`_is_position`).
+The state of a position must have a name that `_is_position` accepts.
 """
 
 from dataclasses import dataclass, fields, replace

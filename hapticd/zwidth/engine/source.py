@@ -46,9 +46,9 @@ the variable `force`, from the names of a position [m], a velocity [m/s] and of 
 runs, so that no lane divides. The lines become vector instructions: no branch and no loop, only
 conditional expressions; constants are T(...), in the precision of the kernel.
 
-What would break it: a name in a rotor law that the text of a sub-step has already (a law keeps to
-z, r and its force), a branch in the lane loop, fastmath that may reassociate (results would depend
-on the compiler) or that excludes NaN (a lane that diverges would not be found).
+A rotor law must not use a name that the text of a sub-step has already (it keeps to z, r and its
+force). The lane loop must have no branch. fastmath must not reassociate (results would depend on
+the compiler) or exclude NaN (a lane that diverges would not be found).
 """
 
 from collections.abc import Callable, Iterable, Iterator

@@ -1,8 +1,8 @@
 """The figure and the tables of displays beside each other: as they are, and per kilogram of what
 moves, where a larger display is no better one.
 
-What would break it: displays that were measured under unlike conditions. What is unlike stands in
-the title of the figure and of the tables, by name.
+Limitations: displays that were measured under unlike conditions. What is unlike is in the title of
+the figure and of the tables, by name.
 """
 
 from textwrap import fill

@@ -7,7 +7,7 @@ as far apart by their noise alone, 2 sqrt(2 ln N) standard deviations, nobody ow
 Bands are 95 % intervals of the owning trial alone; the smallest of many noisy values lies below the
 smallest true one, so a lower edge lies below its prediction partly because it is a minimum.
 
-What would break it: envelopes of unlike grids side by side; a finer grid always goes lower.
+Limitations: envelopes of unlike grids side by side; a finer grid always goes lower.
 """
 
 from collections.abc import Sequence

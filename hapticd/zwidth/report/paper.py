@@ -8,8 +8,8 @@ A figure is drawn at its final size. What follows from a width, on a screen or i
     words     titles, labels and legends are broken into lines, never before a unit
     height    follows from all that, up to what a page can hold
 
-What would break it: a panel whose numbers or bar of colours take more room than `PANEL_IN`; its
-figure passes `panel_in`.
+A panel whose numbers or bar of colours take more room than `PANEL_IN` needs a figure that passes
+`panel_in`.
 """
 
 import re

@@ -5,8 +5,8 @@ The set is shown as the largest K over B, a line with a tinted area below it, do
 predicted. A slice of a search shows only the trials whose M is next to its own, for a boundary in K
 and B moves with M; all trials are in the panel below.
 
-What would break it: a set that is drawn over another without its rank; the first level, the smaller
-set, must be on top.
+A set that is drawn over another must have its rank: the first level, the smaller set, must be on
+top.
 """
 
 from collections.abc import Iterable, Sequence

@@ -16,8 +16,7 @@ without a window and kept as PNG of 300 dpi, SVG and PDF; the same data give the
 none of them carries a date or random names. Sizes stand in `figure.mplstyle`, what a width asks for
 in `paper`.
 
-What would break it: a figure that chooses colours of its own, or one that is drawn outside
-`styled`.
+A figure must not choose colours of its own, and must be drawn inside `styled`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence

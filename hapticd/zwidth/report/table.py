@@ -1,7 +1,7 @@
 """Tables as text: columns with units, numbers to three digits, aligned; and shares and durations in
 words.
 
-What would break it: a column of numbers and words; it is aligned as words.
+A column of numbers and words is aligned as words.
 """
 
 from collections.abc import Iterable, Sequence

@@ -5,8 +5,7 @@ Every figure of an impedance has the same two axes, size above phase, and `draw`
 both. Logarithm and phase of the admittance are those of the impedance with the other sign, and so
 is the interval.
 
-What would break it: an interval of more than a factor of e; it is left out, for it is no longer
-normal.
+An interval of more than a factor of e is left out, for it is no longer normal.
 """
 
 from collections.abc import Iterable, Sequence

@@ -4,7 +4,7 @@ Each attack draws one value of each of its features, in turns so that all come e
 plays one life at random moments on a fresh `Stand`. Most have a control, which is the same without
 the attack: there the motor has to push.
 
-What would break it: a feature that decides nothing (the counts would grow all the same).
+A feature must decide something (the counts would grow all the same).
 """
 
 from collections import Counter

@@ -5,7 +5,7 @@ force, an enable or a change of the environment, brings it at once. So one quest
 attack on the life of a request, whether the simulated motor pushed. Neither replies nor records of
 the servo are asked.
 
-What would break it: lives so long that the wall pushes the handle out of itself, after some 5 s.
+Limitations: lives so long that the wall pushes the handle out of itself, after some 5 s.
 """
 
 from collections.abc import Mapping

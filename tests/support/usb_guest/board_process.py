@@ -10,8 +10,8 @@ case says so: one line on stdin, one line of JSON back.
 
 `--firmware` puts the C reference firmware in the place of the Python board.
 
-What would break it: a fault that is set between the two halves of a transfer (there is one thread
-that serves, and Python lets the other in between its instructions only).
+A fault must not be set between the two halves of a transfer (there is one thread that serves, and
+Python lets the other in between its instructions only).
 """
 
 import argparse
