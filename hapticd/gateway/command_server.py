@@ -11,8 +11,8 @@ What changes the environment goes past the guard first (`guard.request_queue`), 
 process; all else is posted at once. `guard.outstanding` keeps posted commands until they are
 answered.
 
-What would break it: a request that is forgotten (each has a deadline), or a reply that repeats what
-a client sent (it holds nothing foreign but a bounded id and a few printable characters).
+Each request has a deadline. A reply repeats nothing that a client sent but a bounded id and a few
+printable characters.
 """
 
 from collections.abc import Callable, Sequence

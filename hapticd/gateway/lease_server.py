@@ -16,8 +16,7 @@ servo that starts anew is disabled and as configured: what waited for the old on
 the new one is told who holds what. Records that name holders of another gateway are those of one
 that died, with all its connections: their leases have failed, and go as configured.
 
-What would break it: `tend` not called in every pass, or an answer of the servo that is not shown to
-`heard`.
+`tend` must be called in every pass, and `heard` with every answer of the servo.
 """
 
 from typing import Any
