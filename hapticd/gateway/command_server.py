@@ -161,10 +161,11 @@ class CommandServer:
         """
         last = max((at for at, one in enumerate(self._queue) if one.cmd == "stop"), default=0)
         before = self._queue[:last]
-        gone = [one for one in before if one.cmd == "reset" or one.plain.get("at_tick")]
-        self._queue[:last] = [one for one in before if one not in gone]
+        self._queue[:last] = [one for one in before if not _outlives_a_stop(one)]
         return [
-            self._refused(one, CommandError("refused", f"{one.cmd}: {OVERTAKEN}")) for one in gone
+            self._refused(one, CommandError("refused", f"{one.cmd}: {OVERTAKEN}"))
+            for one in before
+            if _outlives_a_stop(one)
         ]
 
     def collect(self, now_ns: int) -> list[Reply]:
@@ -175,11 +176,11 @@ class CommandServer:
         try:
             for answer in self._view.answers():
                 self._leasing.heard(answer)
-                self._guarded.heard(answer)
                 if scheduled := self._outstanding.take(answer, self._view.life):
                     # its first answer may have come just before, and is the reply
                     replies += self._due(now_ns)
                     self._report(scheduled, answer, now_ns)
+                self._guarded.heard(answer)
         except MailboxError as error:
             self._journal.note("warning", text=str(error))
         self._leasing.tend(now_ns)
@@ -406,3 +407,8 @@ class CommandServer:
         if isinstance(error, CommandError) and error.guard:
             content["guard"] = error.guard
         return message.reply({"ok": False, "error": content})
+
+
+def _outlives_a_stop(message: RequestMessage) -> bool:
+    """Whether it would undo a stop, or act after it."""
+    return message.cmd == "reset" or bool(message.plain.get("at_tick"))

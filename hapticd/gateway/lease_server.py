@@ -155,9 +155,8 @@ class LeaseServer:
         """What becomes of force and environment; nothing is done to the damping."""
         if lease.at_end == "zero" and ENVIRONMENT in PARTS[lease.what]:
             self._do(Command.SET, dict.fromkeys(STRENGTH_VALUES, 0.0))
-            self._cancel(
-                lease.what, NO_ACTOR
-            )  # again, after the set: ends that would restore force
+            # again, after the set: ends that would restore force
+            self._cancel(lease.what, NO_ACTOR)
         elif lease.at_end == "disable":
             self._do(Command.DISABLE, {})
 

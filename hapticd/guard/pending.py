@@ -16,7 +16,7 @@ from hapticd.protocol.codec import RequestMessage
 from hapticd.protocol.commands import forbidden
 from hapticd.protocol.journal import GATEWAY_ACTOR
 from hapticd.protocol.leases import ENVIRONMENT, Leases
-from hapticd.protocol.schemas import Judged, Request, Set
+from hapticd.protocol.schemas import Enable, Judged, Request, Set
 
 __all__ = ["PendingChange"]
 
@@ -62,6 +62,11 @@ class PendingChange:
     def own(self) -> bool:
         """Whether the guard does it by itself: mode auto."""
         return self.actor == GATEWAY_ACTOR
+
+    @property
+    def enables(self) -> bool:
+        """Whether force comes with it."""
+        return isinstance(self.request, Enable)
 
     @property
     def strict(self) -> bool:

@@ -10,7 +10,7 @@ from hapticd.core.environment import Environment
 from hapticd.guard.pending import PendingChange
 from hapticd.guard.stages import ramp_s
 from hapticd.guard.status import Guard
-from hapticd.protocol.schemas import Enable, Request
+from hapticd.protocol.schemas import Request
 from hapticd.protocol.view import ServoView
 
 Fields = dict[str, Any]  # of an environment, nested as in `set`
@@ -45,7 +45,7 @@ def question(
         "target": in_force.target().message(),
         "state": view.state_name,
         "gain": float(view.record["gain"]),
-        "enable": isinstance(change.request, Enable),
+        "enable": change.enables,
         "change": change.request.change(in_force.level),
         "before": before,
         "after": after,

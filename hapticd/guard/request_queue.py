@@ -35,17 +35,17 @@ from hapticd.guard.pending import PendingChange, ends_force, forbidden_by, stage
 from hapticd.guard.question import former, question
 from hapticd.guard.refusals import refused, unknown_refused, verdict_beside
 from hapticd.guard.scheduled import ScheduledChanges
-from hapticd.guard.stages import LATCHED, ChangeReply, StagedChange
+from hapticd.guard.stages import ChangeReply, StagedChange
 from hapticd.guard.status import VERDICT_NS, Guard
 from hapticd.guard.transition_planner import Stage
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import ANY_TERMS, Command, Result, Value, values_of
+from hapticd.mailbox.layout import ANY_TERMS, LATCHED, Command, Result, Value, values_of
 from hapticd.protocol.codec import INTERNAL_REQUEST
 from hapticd.protocol.commands import changed_parts, posting, receipt, refusal
 from hapticd.protocol.explanation import Reason, because
 from hapticd.protocol.journal import GATEWAY_ACTOR, Actors
 from hapticd.protocol.leases import Leases
-from hapticd.protocol.schemas import Damping, Enable
+from hapticd.protocol.schemas import Change, Damping
 from hapticd.protocol.view import ServoView
 
 __all__ = ["GuardedQueue"]
@@ -167,9 +167,9 @@ class GuardedQueue:
     def take_back_enables(self, why: str) -> None:
         """Refuse the enables that wait, because the command `why` was asked later."""
         for change in self._waits():
-            if _enables(change):
+            if change.enables:
                 self._end(change, "refused", f"{why} was asked before it was judged; ask again")
-        self._under_way.take_back(_enables, f"{why} was asked meanwhile")
+        self._under_way.take_back(lambda change: change.enables, f"{why} was asked meanwhile")
 
     def leave(self, actor: int) -> None:
         """The connection of `actor` is gone: of what it asked nothing more is posted, but for the
@@ -178,13 +178,15 @@ class GuardedQueue:
         for change in self._waits_of(actor):
             self._drop(change)
         self._under_way.take_back(
-            lambda change: _enables(change) and change.actor == actor, "its connection is gone"
+            lambda change: change.enables and change.actor == actor, "its connection is gone"
         )
 
     def heard(self, answer: Answer) -> None:
-        """Forget what the servo has cancelled: scheduled changes, and ends of changes in force."""
-        if answer.result is Result.CANCELLED:
-            self._scheduled.close(answer.seq, applied=False)
+        """Forget the scheduled change that an answer is the last one to, and with it an end that
+        does not come.
+        """
+        if answer.result is not Result.SCHEDULED:
+            self._scheduled.close(answer.seq, answer.result is Result.APPLIED)
 
     def give_up(self, actor: int) -> None:
         """The client `actor` has failed: of what it asked nothing more is posted."""
@@ -254,7 +256,7 @@ class GuardedQueue:
         latched = self._view.state in LATCHED
         if latched and not self._latched:
             for change in self._waits():
-                if getattr(change.request, "at_tick", 0):
+                if isinstance(change.request, Change) and change.request.at_tick:
                     self._end(change, "refused", f"the servo is {self._view.state_name}; ask again")
         self._latched = latched
 
@@ -338,7 +340,7 @@ class GuardedQueue:
         under_way = self._under_way.change
         if under_way is None:
             return False
-        return _enables(change) or (bool(change.at_tick) and _enables(under_way))
+        return change.enables or (bool(change.at_tick) and under_way.enables)
 
     def _late(self) -> str:
         """Why there is no verdict from a worker that was asked, or could not be."""
@@ -454,7 +456,7 @@ class GuardedQueue:
 
     def _stages(self, change: PendingChange, answer: dict[str, Any]) -> tuple[Stage, ...]:
         found = stages_of(answer)
-        if isinstance(change.request, Enable) and found[-1].change:
+        if change.enables and found[-1].change:
             return (*found, Stage({}, None, False))  # force comes on once all of it is in force
         return found
 
@@ -492,7 +494,7 @@ class GuardedQueue:
             raise refused(change, because(Reason.UNKNOWN, f"{text}: {guard.trouble}"))
         change.revision = None
         change.stages = ()
-        if not change.at_tick and not isinstance(change.request, Enable):
+        if not change.at_tick and not change.enables:
             self._under_way.supersede(change)
         self._post(change, now_ns)
         if change.at_tick:
@@ -519,8 +521,6 @@ class GuardedQueue:
             if change.former:
                 self._scheduled.add(change.request.end_tick, -answer.seq, change.former)
             return ChangeReply(change, receipt=receipt(answer))
-        if scheduled:
-            self._scheduled.close(answer.seq, result is Result.APPLIED)
         if result is Result.APPLIED:
             return self._applied(change, answer, now_ns)
         if result in JUDGED_OTHERWISE and change.tries < TRIES and not change.taken_back:
@@ -551,7 +551,3 @@ class GuardedQueue:
         if change.at_tick <= self._view.tick and not change.request.end_tick:
             change.at_tick = 0  # a bounded change that is late is refused: it was to last so long
         self._queue.appendleft(change)
-
-
-def _enables(change: PendingChange) -> bool:
-    return isinstance(change.request, Enable)

@@ -25,9 +25,6 @@ class ScheduledChanges:
     def __init__(self) -> None:
         self._changes: dict[int, ScheduledChange] = {}
 
-    def __len__(self) -> int:
-        return len(self._changes)
-
     def clear(self) -> None:
         """Another servo holds none of them."""
         self._changes.clear()

@@ -19,9 +19,18 @@ from hapticd.guard.in_force import IN_MOTION
 from hapticd.guard.outstanding import Outstanding
 from hapticd.guard.pending import PendingChange
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import ANY_TERMS, REVISION_MASK, Command, Flag, State, Value, values_of
+from hapticd.mailbox.layout import (
+    ANY_TERMS,
+    LATCHED,
+    REVISION_MASK,
+    Command,
+    Flag,
+    State,
+    Value,
+    values_of,
+)
 from hapticd.protocol.commands import Posting, change_posting, parameters
-from hapticd.protocol.schemas import Enable, Request, Set
+from hapticd.protocol.schemas import Request, Set
 from hapticd.protocol.view import ServoView
 
 __all__ = ["ChangeReply"]
@@ -32,7 +41,6 @@ PASS_THROUGH_FIELDS = (
     "until_tick",
 )  # fields of `set` that come along with what is judged
 STAGE_NS = 2 * NS_PER_S  # beyond the time that the damping takes to rise
-LATCHED = frozenset({State.STOPPED, State.FAULT})
 
 
 class ChangeReply(NamedTuple):
@@ -89,7 +97,7 @@ class StagedChange:
         change.state = self._view.state
         change.seen = self._view.revision
         change.since_ns = now_ns
-        if not change.at_tick and not isinstance(request, Enable):
+        if not change.at_tick and not change.enables:
             self.supersede(change)
         if self._met(change):
             self._post_stage(change, now_ns)
@@ -106,7 +114,7 @@ class StagedChange:
         ended = change.state is State.ENABLED and state is not State.ENABLED
         if state is not None and state is not change.state and (ended or state in LATCHED):
             self.cancel(f"the servo is {self._view.state_name}")
-        elif isinstance(change.request, Enable) and self._view.revision != change.seen:
+        elif change.enables and self._view.revision != change.seen:
             self.cancel("something else was changed before it")
         elif now_ns - change.since_ns >= self._patience_ns(change) + STAGE_NS:
             self.cancel("the gateway stood still meanwhile")
@@ -217,7 +225,7 @@ class StagedChange:
             values[Value.ENVIRONMENT_REVISION] = ahead & REVISION_MASK
         if change.terms != ANY_TERMS:
             values[Value.TERMS] = change.terms
-        if isinstance(change.request, Enable) and last:
+        if change.enables and last:
             return Command.ENABLE, 0, values_of(values)
         given = change.request.given if isinstance(change.request, Set) else {}
         names = PASS_THROUGH_FIELDS if change.place == 0 else PASS_THROUGH_FIELDS[:1]

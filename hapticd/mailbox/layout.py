@@ -26,6 +26,7 @@ __all__ = [
     "GATEWAY_BEAT_WORD",
     "HEADER",
     "HEADER_PID",
+    "LATCHED",
     "LAYOUT_HASH",
     "LONGEST_SILENCE_S",
     "LOST_SLOTS",
@@ -157,6 +158,9 @@ class State(IntEnum):
     STOPPED = 2
     FAULT = 3
     HOMING = 4
+
+
+LATCHED: Final = frozenset({State.STOPPED, State.FAULT})  # until a reset
 
 
 class Command(IntEnum):

@@ -21,7 +21,7 @@ from hapticd.core.environment import JUDGED, Environment, flat
 from hapticd.core.errors import CommandError
 from hapticd.core.faults import BY_NUMBER, FAULTS, Fault
 from hapticd.mailbox.client_side import Answer
-from hapticd.mailbox.layout import Command, Result, State, Value, values_of
+from hapticd.mailbox.layout import LATCHED, Command, Result, State, Value, values_of
 from hapticd.protocol.journal import Actors
 from hapticd.protocol.leases import DAMPING, ENVIRONMENT, PERTURBATION, Leases
 from hapticd.protocol.limits import PLACES, CommandLimits
@@ -56,7 +56,6 @@ __all__ = [
 ]
 
 Posting = tuple[Command, int, tuple[float, ...]]  # kind, apply_tick (0: now), values
-LATCHED = frozenset({State.STOPPED, State.FAULT})
 ALLOWED: dict[
     str, tuple[State, ...]
 ] = {  # what the servo's safety table allows; the others are allowed in every state

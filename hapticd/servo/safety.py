@@ -29,7 +29,7 @@ State = layout.State
 FAULT_EVENT = 100  # internal command: something is lost; its first value is the fault number
 PERTURB_DONE_EVENT = 101
 ORPHANED_EVENT = 102  # in place of what a gateway that is gone asked for
-LATCHED = frozenset({State.STOPPED, State.FAULT})
+LATCHED = layout.LATCHED
 GRANTED = frozenset({State.ENABLED, State.HOMING})  # torque authority
 
 _STAY = None

@@ -650,4 +650,4 @@ def test_scheduled_change_whose_tick_comes_in_the_same_look_has_its_reply(
     replies = [decoded(one) for one in rig.run(6)]
     assert [one["receipt"]["result"] for one in replies] == ["scheduled"]
     assert [one["result"] for one in rig.journal.recent if one["kind"] == "answer"] == ["applied"]
-    assert not rig.server._guarded._scheduled  # or every later verdict would count it
+    assert not rig.server._guarded._scheduled._changes  # or every later verdict would count it
