@@ -154,9 +154,9 @@ def treated(scene: Scene, remedy: Remedy, corner_hz: float | None = None) -> Sce
 
 def passive_by_theorem(scene: Scene) -> Passive:
     """Whether environments (N, 3) are passive on the scene's device at its active damping."""
-    model = display(scene).model
-    at = Conditions(level(scene), display(scene).filters, model.delay_periods, 0.0)
-    return partial(Theorem(model).safe, at=at)
+    shown = display(scene)
+    at = Conditions(level(scene), shown.filters, shown.model.delay_periods, 0.0)
+    return partial(Theorem(shown.model).safe, at=at)
 
 
 def largest_stiffness(passive: Passive, virtual_damping_ns_per_m: float) -> float:
