@@ -1,14 +1,14 @@
-"""Commissioning of a real rig: from a bare board to values that somebody measured.
+"""Commissioning of a real rig: from an unknown board to measured values with intervals.
 
     steps        a package with a module for each step: `measure(bench, ..) -> StepResult`
     experiment   how a step drives an ordinary client: lease, ramp, push, perturbation, records
-    excitation   what the probe plays, and the recording of sines
+    excitation   perturbation waveforms of the probe, and the recording of sines
     estimate     weighted least squares, block jackknife, intervals
     result       StepResult: values with intervals, findings, changes of the device file
-    hand         what a step asks of a person, or of a program in their place
-    device_file  measured values into the device file; raw records beside it
-    certificate  what `verify` found, as JSON and as a page
+    hand         requests of a step to a person, or to a program in their place
+    device_file  writes measured values into the device file and keeps raw records next to it
+    certificate  result of `verify`, as JSON and as a page
 
-A step leaves the device disabled. What it concludes comes from pure functions of arrays.
-Nothing here knows a simulated board from a real one.
+A step leaves the device disabled. Its conclusions come from pure functions of arrays. No module
+here distinguishes a simulated board from a real one.
 """

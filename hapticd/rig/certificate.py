@@ -1,11 +1,12 @@
-"""The certificate of a rig: what was verified, when, on what; as JSON and as one page.
+"""The certificate of a rig: what was verified, when, and on which device, as JSON and as one page.
 
-It is of one device file, by the hash of its bytes, and of one board, by serial number, firmware and
-life; and it names everything that the numbers rest on: every calibration with date, board and
-interval, versions of hapticd and of its libraries, the machine. It says what was not verified as
-plainly as what was. The page is HTML without anything from elsewhere, so that it prints and keeps.
+It belongs to one device file (by the hash of its bytes) and to one board (by serial number,
+firmware and life). It lists everything that the numbers depend on: every calibration with date,
+board and interval, the versions of hapticd and of its libraries, and the machine. Items that were
+not verified are listed as prominently as the verified ones. The page is self-contained HTML, so it
+prints and can be archived.
 
-`recording.certificate` finds it again, and says whether the device file has changed since.
+`recording.certificate` finds the certificate and reports whether the device file has changed since.
 
 Each verification of a step must be a finding.
 """
@@ -56,8 +57,8 @@ text-align:left;vertical-align:top;padding:.15em .6em .15em 0;font-size:9pt}
 def content(
     result: StepResult, now: datetime, hello: Hello, status: Status, board: BoardIdentity
 ) -> dict[str, Any]:
-    """The certificate as JSON values; `result` is that of `verify`, for the device of the daemon
-    that said `hello`. In `status` stand the rights that its servo got.
+    """Return the certificate as JSON values. `result` is that of `verify`, for the device of the
+    daemon that sent `hello`. `status` contains the real-time rights that its servo obtained.
     """
     servo = to_plain(hello.servo)
     device = servo["device"]
@@ -93,7 +94,7 @@ def content(
 
 
 def _calibrations(device: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Every scale that measurements rest on; its source states values with intervals for people."""
+    """Every scale that measurements depend on; its source states values with intervals, as text."""
     return [
         {
             "table": table,
@@ -107,8 +108,8 @@ def _calibrations(device: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def write(said: Mapping[str, Any], device_file: Path) -> list[Path]:
-    """The certificate beside the device file, as JSON and as a page, in place of an earlier one of
-    the same device file; both paths.
+    """Write the certificate next to the device file, as JSON and as a page, and return both paths.
+    It replaces an earlier certificate of the same device file.
     """
     path = certificate_path(device_file, said["device"]["file_sha256"])
     path.parent.mkdir(exist_ok=True)
@@ -121,7 +122,7 @@ def write(said: Mapping[str, Any], device_file: Path) -> list[Path]:
 
 
 def page(said: Mapping[str, Any]) -> str:
-    """The certificate `said` as one page of HTML."""
+    """Return the certificate `said` as one page of HTML."""
     device = said["device"]
     badge = "SIMULATED: no force left the computer. " if device["simulated"] else ""
     values = [(one["name"], _interval(one)) for one in said["values"]]
@@ -150,7 +151,7 @@ def page(said: Mapping[str, Any]) -> str:
 
 
 def _about(said: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Of what it is, on what it was made, and by which software."""
+    """Device, board, machine and software, as rows of the first table."""
     device = said["device"]
     software = said["software"]
     libraries = ", ".join(f"{name} {one}" for name, one in software["libraries"].items())

@@ -1,17 +1,17 @@
-"""Measured values into a device file, comments and everything else left as they are.
+"""Write measured values into a device file, and leave comments and all other text unchanged.
 
-tomlkit changes the text: values in place, keys that are missing behind the last one of their
-table, tables that are missing at the end. So that nothing depends on how well it does so, the new
-text is parsed again by another parser: it must say what the old one did, but for these values. Then
-it is validated as every device file is, in a file beside, which takes the place of the old one in
-one step. Until then the old file is untouched, whatever happens.
+tomlkit edits the text: existing values in place, missing keys after the last key of their table,
+missing tables at the end. The result does not rely on tomlkit alone: another parser reads the new
+text, which must contain the old data with only these values changed. Then it is validated like
+every device file, in a temporary file that replaces the old one atomically. Until then the old file
+is untouched, whatever fails.
 
-A table may be one of another, `model.masses`. Tables with `measured_on`, `measured_by`, `serial`,
-`half_width_95` and `source` say there when, by which step, at which board and how well their values
-were measured; in a table of an effect `source` is a tag, and `note` has the words. Raw records are
-kept beside it (`keep`): the device file names them, with their SHA-256.
+A table may be nested, like `model.masses`. Tables with `measured_on`, `measured_by`, `serial`,
+`half_width_95` and `source` record when, by which step, on which board and with which interval
+their values were measured. In a table of an effect `source` is a tag, and `note` has the text. Raw
+records are kept next to the device file (`keep`), which names them with their SHA-256.
 
-Limitations: two programs that write at once (the last one wins, whole).
+Limitations: if two programs write at the same time, the last one wins, with its whole file.
 """
 
 import copy
@@ -40,14 +40,14 @@ __all__ = ["keep", "refuse_shipped", "write"]
 
 Stated = Written | datetime.date | Mapping[str, float]
 Values = Mapping[tuple[str, str], Stated]  # by table and key
-_DIGITS = 12  # of the hash of a kept file
+_DIGITS = 12  # digits of the hash of a kept file
 
 
 def keep(
     device_file: Path, step: str, day: datetime.date, arrays: Mapping[str, npt.NDArray[Any]]
 ) -> str:
-    """Write `arrays` beside `device_file`, as rig/NAME-DATE-STEP.npz; an earlier file of that day
-    stays. Returns the name in that form, and the first digits of the SHA-256.
+    """Write `arrays` next to `device_file` as rig/NAME-DATE-STEP.npz, and keep earlier files of
+    that day. Return that name, and the first digits of the SHA-256.
     """
     folder = device_file.parent / "rig"
     folder.mkdir(exist_ok=True)
@@ -64,10 +64,10 @@ def keep(
 def write(
     path: Path, changes: Iterable[Change], step: str, day: datetime.date, words: str = ""
 ) -> DeviceFile:
-    """Write `changes` into the device file `path`. Tables in which more than a sign is written say
-    by which `step` (a `params.RigStep`) and on which day, with the board's serial, half widths of
-    intervals, and `words` for people. Returns the device as it is then. ConfigError leaves the file
-    as it was.
+    """Write `changes` into the device file `path`, and return the device as changed. A table in
+    which more than a sign or an offset changes also gets `step` (a `params.RigStep`), `day`, the
+    board's serial, half widths of intervals, and `words` for people. ConfigError leaves the file
+    unchanged.
     """
     refuse_shipped(path)
     read(path)  # says what is wrong with a file that is no TOML
@@ -80,7 +80,7 @@ def write(
         "serial": str(before.get("serial", "")),
         "source": f"{step}: {words}" if words else step,
     }
-    # a sign or an offset by itself says nothing of how the scale beside it is known
+    # a sign or an offset alone gives no information about how well the scale is known
     for table in dict.fromkeys(one.table for one in asked if not _beside(one)):
         told = provenance
         if table.startswith("model."):
@@ -98,7 +98,7 @@ def write(
 
 
 def refuse_shipped(path: Path) -> None:
-    """ConfigError for a device file of this package, which an update would replace."""
+    """Raise ConfigError for a device file of this package, which an update would replace."""
     if path.resolve().is_relative_to(shipped("config").resolve()):
         raise ConfigError(
             f"{path} is shipped with hapticd; copy it to devices/NAME.toml beside your hapticd.toml"
@@ -111,7 +111,7 @@ def _beside(change: Change) -> bool:
 
 
 def _replace(path: Path, text: str) -> DeviceFile:
-    """`text` in place of the file `path`, once it is a valid device file."""
+    """Replace the file `path` with `text`, once that is a valid device file."""
     fresh = path.with_name(f".{path.stem}.new.toml")
     try:
         with fresh.open("wb") as file:
@@ -127,7 +127,7 @@ def _replace(path: Path, text: str) -> DeviceFile:
 
 
 def changed(text: str, values: Values) -> str:
-    """The TOML `text` with `values`. ConfigError if it cannot be changed so."""
+    """Return the TOML `text` with `values`. ConfigError if it cannot be changed in this way."""
     expected = copy.deepcopy(tomllib.loads(text))
     document = tomlkit.parse(text)
     try:
@@ -162,7 +162,9 @@ def _item(value: Stated) -> Any:
 
 
 def _table(document: Any, dotted: str) -> Any:
-    """The table `dotted`, made where there is none. ParseError where a value stands for it."""
+    """Return the table `dotted`, creating it if missing. ParseError if the name holds a plain
+    value.
+    """
     found = document
     for name in dotted.split("."):
         if name not in found:
@@ -174,7 +176,7 @@ def _table(document: Any, dotted: str) -> Any:
 
 
 def _set(table: Any, key: str, value: Any) -> None:
-    """`key = value`, behind the last value of `table` and before the comments that follow it."""
+    """Set `key = value` after the last value of `table`, before the comments that follow it."""
     body = table.value.body if isinstance(table, Table) else []
     named = [place for place, (name, _) in enumerate(body) if name is not None]
     nested = any(isinstance(item, Table) for _, item in body)

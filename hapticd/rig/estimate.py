@@ -1,13 +1,15 @@
-"""Weighted least squares, and the 95 % intervals of what is estimated.
+"""Weighted least squares, and the 95 % intervals of the estimates.
 
-Independent rows are fitted by `least_squares`: the residuals give the variance, and Student's t the
-interval. `separable` fits a few more unknowns in which the columns are not linear (Gauss-Newton).
+`least_squares` fits independent rows: the residuals give the variance, and Student's t the
+interval. `separable` fits a few additional unknowns in which the columns are nonlinear
+(Gauss-Newton).
 
-A record is cut into blocks instead, each of which is left out once (`jackknife`, Tukey 1958). That
-gives deviations and correlations without presuming that residuals are white or of one size. An
-equation that holds at every sample holds for the Fourier lines of each block as well (`lines`).
+A record is cut into blocks instead, each of which is left out once (`jackknife`, Tukey 1958). This
+gives deviations and correlations without assuming that residuals are white or of equal size. An
+equation that holds at every sample also holds for the Fourier lines of each block (`lines`).
 
-Limitations: residuals that go together over more than a block (intervals too narrow).
+Limitations: residuals that are correlated over more than a block give intervals that are too
+narrow.
 """
 
 from collections.abc import Callable
@@ -22,12 +24,12 @@ from hapticd.rig.result import Value
 from hapticd.signal.verdict import student_quantile
 
 UPPER_END = 0.975  # share of a distribution below the upper end of its 95 % interval
-NORMAL = 1.96  # deviations to that end, of a normal distribution
+NORMAL = 1.96  # standard deviations to that end, of a normal distribution
 NEXT_TO_NOTHING = 1e-12  # of the largest singular value
 
 
 class Fit(NamedTuple):
-    """Coefficients (p,), by their covariance (p, p) and its degrees of freedom."""
+    """Coefficients (p,) with their covariance (p, p) and its degrees of freedom."""
 
     values: Floats
     covariance: Floats
@@ -45,17 +47,17 @@ class Fit(NamedTuple):
         return quantile(self.freedom) * self.sd
 
     def value(self, place: int, name: str, unit: str, relative: float = 0.0) -> Value:
-        """The coefficient at `place` as the value `name`; `relative` widens its interval."""
+        """Return the coefficient at `place` as the value `name`; `relative` widens its interval."""
         size = float(self.values[place])
         return Value.around(name, size, unit, hypot(float(self.halves[place]), relative * size))
 
     def half(self, of: Floats) -> float:
-        """Half of the 95 % interval of the sum of `of` (p,) times the coefficients."""
+        """Return half of the 95 % interval of the sum of `of` (p,) times the coefficients."""
         return quantile(self.freedom) * sqrt(max(0.0, float(of @ self.covariance @ of)))
 
 
 def quantile(freedom: float) -> float:
-    """Deviations to the upper end of a 95 % interval with so many degrees of freedom."""
+    """Return the deviations to the upper end of a 95 % interval with `freedom` degrees."""
     return student_quantile(UPPER_END, freedom)
 
 
@@ -66,8 +68,8 @@ def least_squares(
     least: float = 0.0,
     inflate: float = 1.0,
 ) -> Fit:
-    """`columns` (n, p) on `target` (n,), each row times `weight` (n,), one over its deviation. The
-    variance is that of the residuals times `inflate`, and `least` at least.
+    """Fit `columns` (n, p) to `target` (n,), each row times `weight` (n,), 1 / its standard
+    deviation. The variance is that of the residuals times `inflate`, and at least `least`.
     """
     weight = np.ones(len(target)) if weight is None else weight
     rows = columns * weight[:, None]
@@ -90,8 +92,9 @@ def separable(
     rounds: int,
     weight: Floats | None = None,
 ) -> Fit:
-    """`columns_of(x)` (n, p) on `target` (n,), with the unknowns x (q,) from `begin` on, whose
-    derivatives are taken over `step`. The coefficients of the columns come before x.
+    """Fit `columns_of(x)` (n, p) to `target` (n,), with nonlinear unknowns x (q,) starting at
+    `begin`. Derivatives are taken over `step`. In the result, the coefficients of the columns come
+    before x.
     """
     at = begin
     for _ in range(rounds):
@@ -108,24 +111,24 @@ def separable(
 
 
 def line(x: Floats, y: Floats) -> Fit:
-    """The line y(x) through (n,) points, n at least 3: its slope, then its intercept."""
+    """Fit the line y(x) to (n,) points, n at least 3: its slope, then its intercept."""
     return least_squares(np.column_stack([x, np.ones_like(x)]), y)
 
 
 def mean_half(values: Floats) -> float:
-    """Half of the 95 % interval of the mean of independent `values` (n,), n at least 2."""
+    """Return half of the 95 % interval of the mean of independent `values` (n,), n at least 2."""
     return quantile(len(values) - 1) * float(values.std(ddof=1)) / sqrt(len(values))
 
 
 def deviation(name: str, values: Floats, unit: str) -> Value:
-    """Standard deviation of independent `values` (n,), as the value `name`."""
+    """Return the standard deviation of independent `values` (n,), as the value `name`."""
     found = float(values.std())
     return Value.around(name, found, unit, NORMAL * found / sqrt(2.0 * len(values)))
 
 
 def jackknife(columns: Floats, target: Floats) -> Fit:
-    """`target` (blocks, rows) by `columns` (blocks, rows, p). AnalysisError where these are no
-    motion at all.
+    """Fit `columns` (blocks, rows, p) to `target` (blocks, rows). AnalysisError if a column is all
+    zero.
     """
     scale = np.sqrt((columns**2).sum(axis=(0, 1)))
     if not (scale > 0.0).all():
@@ -144,7 +147,9 @@ def jackknife(columns: Floats, target: Floats) -> Fit:
 
 
 def in_blocks(values: Floats, blocks: int) -> Floats:
-    """`values` (n, ..) as (blocks, rows, ..); a row of zeros ends a block that is a row shorter."""
+    """Return `values` (n, ..) as (blocks, rows, ..); a row of zeros pads a block that is a row
+    shorter.
+    """
     count = len(values)
     block = np.arange(count) * blocks // count
     row = np.arange(count) - np.searchsorted(block, block)
@@ -154,7 +159,9 @@ def in_blocks(values: Floats, blocks: int) -> Floats:
 
 
 def lines(values: Floats, block: int, rate_hz: float, band_hz: tuple[float, float]) -> Floats:
-    """Real and imaginary parts (blocks, 2 l) of `values` (n,) at l lines of each block."""
+    """Return real and imaginary parts (blocks, 2 l) of `values` (n,) at l Fourier lines of each
+    block.
+    """
     count = values.size // block
     parts = values[: count * block].reshape(count, block)
     window = np.hanning(block)

@@ -1,20 +1,21 @@
-"""What the probe plays into a free handle, and how loud it may be: noise, or sines.
+"""Perturbations of a free handle, and their permitted amplitude: noise, or sines.
 
-Noise has all frequencies from LOW_HZ up; above CORNER_HZ it falls off, so that the handle moves
-rather than trembles. It begins and ends softly. A short soft try says how far the handle goes, and
-the loud part is as much louder as keeps it within TRAVEL_SHARE of its half travel.
+Noise contains all frequencies from LOW_HZ up. It falls off above CORNER_HZ, so that the handle
+moves rather than trembles, and it is faded in and out. A short soft try measures how far the handle
+moves. The loud part is scaled to keep it within TRAVEL_SHARE of its half travel.
 
-Sines are one second of whole Hz from 10 to 30 Hz, over and over, their force rising with the
-frequency so that a mass moves equally fast at each (Schroeder's phases, 1970, keep the peak low).
-Their strength grows until the handle moves far enough to be measured. B = M = 0, and K is so weak
-that it only keeps the handle from wandering off, as the smallest slope would make it.
+Sines repeat one second of whole Hz from 10 to 30 Hz. Their force rises with frequency, so that a
+mass moves equally fast at each (Schroeder's phases, 1970, keep the peak low). Their amplitude grows
+until the handle moves far enough to be measured. B = M = 0, and K is so weak that it only keeps the
+handle from drifting off, as the smallest slope would cause.
 
-Encoder and probe have clocks of one board: sample n of the probe ends at n * 250 us, to within a
-constant, which the ticks that brought the samples tell (`Recording.place`). Lines are fitted to
-what came (weighted least squares with a Hann window), so samples may be missing and ticks jitter.
+Encoder and probe share the clock of one board: sample n of the probe ends at n * 250 us plus a
+constant, which follows from the ticks that brought the samples (`Recording.place`). Lines are
+fitted to the received samples (weighted least squares with a Hann window), so samples may be
+missing and ticks may jitter.
 
-Limitations: a handle whose motion is no linear matter of the force (static friction that the try
-does not overcome, or friction above the probe's force), or one that drifts into a stop.
+Limitations: a handle whose motion is nonlinear in the force (static friction that the try does not
+overcome, or friction above the probe's force), or one that drifts into a stop.
 """
 
 from collections.abc import Mapping
@@ -50,17 +51,17 @@ WEAK_S = 1.0
 SETTLE_S = 0.75
 SEARCH_S = 1.0
 SINES_S = 4.0
-QUIET_S = 0.1  # until what played has ended, and another waveform may be loaded
+QUIET_S = 0.1  # until the waveform has ended and another one may be loaded
 FIRST_SHARE = 0.05  # of the probe's force
 MOST_SHARE = 0.95
-ENOUGH_M = 3e-3  # rms: friction then takes little of the force
+ENOUGH_M = 3e-3  # rms: friction then takes only a small part of the force
 MOST_STRONGER = 2.0  # from one try to the next
 LEAST_STRONGER = 1.2
 REACH_M = 12e-3  # from where the handle was let go, or from x = 0 if that is nearer
 
 
 class Recording(NamedTuple):
-    """What came of the probe's samples (n,) and of the ticks beside them (m,)."""
+    """Received samples (n,) of the probe, and the ticks (m,) of the same time."""
 
     number: Floats  # (n,) of the sample
     torque: Floats  # (n,) counts
@@ -79,8 +80,8 @@ class Lines(NamedTuple):
 
 
 def noise(seconds: float, most_n: float, number: int) -> Floats:
-    """Force [N at 4 kHz] (n,) up to `most_n`, from LOW_HZ up, falling off above CORNER_HZ; another
-    one for each `number`.
+    """Return a force [N at 4 kHz] (n,) up to `most_n`, from LOW_HZ up, falling off above CORNER_HZ.
+    Each `number` gives another realisation.
     """
     samples = round(PROBE_RATE_HZ * seconds)
     f = np.fft.rfftfreq(samples, 1.0 / PROBE_RATE_HZ)
@@ -95,7 +96,7 @@ def noise(seconds: float, most_n: float, number: int) -> Floats:
 
 
 def loudest_n(bench: Client, servo: Mapping[str, Any]) -> float:
-    """Greatest force of the loud part, for which the handle keeps well inside its travel."""
+    """Return the maximum force of the loud part that keeps the handle well inside its travel."""
     try_n = TRY_SHARE * float(servo["device"]["probe_limit_n"])
     tried = perturbation_run(bench, noise(TRY_S, try_n, 0), CENTRE)
     ends = servo["environment"]["workspace"]
@@ -106,7 +107,7 @@ def loudest_n(bench: Client, servo: Mapping[str, Any]) -> float:
 
 
 def sines(peak_n: float) -> Floats:
-    """One period (n,) of the perturbation [N] whose largest force is `peak_n`."""
+    """Return one period (n,) of the perturbation [N] whose maximum force is `peak_n`."""
     phases = -pi * np.arange(LINES_HZ.size) * np.arange(1, LINES_HZ.size + 1) / LINES_HZ.size
     turns = np.outer(np.arange(round(PERIOD_S * PROBE_RATE_HZ)) / PROBE_RATE_HZ, LINES_HZ)
     force = np.cos(2.0 * pi * turns + phases) @ LINES_HZ
@@ -114,7 +115,7 @@ def sines(peak_n: float) -> Floats:
 
 
 def sine_run(bench: Client) -> Recording:
-    """Shake the handle with sines as strongly as it takes, and record it. AnalysisError as of
+    """Shake the handle with sines of sufficient amplitude, and record it. AnalysisError as for
     `experiment.record`.
     """
     most_n = bench.hello().servo.device.probe_limit_n
@@ -127,7 +128,7 @@ def sine_run(bench: Client) -> Recording:
             went_m = rms(lines(recording(record(bench, SEARCH_S, watch))).position_m)
             if went_m >= ENOUGH_M or share >= MOST_SHARE:
                 return recording(record(bench, SINES_S, watch))
-            # friction takes its part of a weak force alone: motion grows faster than force
+            # friction takes a constant part of a weak force: motion grows faster than force
             stronger = min(MOST_STRONGER, ENOUGH_M / max(went_m, 1e-9))
             share = min(MOST_SHARE, max(LEAST_STRONGER, stronger) * share)
             bench.perturb_stop()
@@ -135,7 +136,7 @@ def sine_run(bench: Client) -> Recording:
 
 
 def recording(found: Streams) -> Recording:
-    """Both streams on the probe's time. AnalysisError where they do not belong together."""
+    """Return both streams on the probe's time. AnalysisError if they do not belong together."""
     ticks, samples, _ = found
     latched = ticks["board_us"] * (PROBE_RATE_HZ / US_PER_S)
     # the last sample that each tick brought ends within one sample before it was latched
@@ -156,15 +157,15 @@ def recording(found: Streams) -> Recording:
 
 
 def lines(found: Recording) -> Lines:
-    """The lines of a recording of whole seconds."""
+    """Return the lines of a recording of whole seconds."""
     torque, velocity = amplitudes(found.number, np.stack([found.torque, found.velocity]))
     (position_m,) = amplitudes(found.place, found.position_m[None, :])
     return Lines(torque, velocity, position_m)
 
 
 def amplitudes(at: Floats, values: Floats) -> Complexes:
-    """Amplitudes (k, l) of cosines of LINES_HZ in `values` (k, n) at the samples `at` (n,) of the
-    probe; mean and trend are taken out.
+    """Return amplitudes (k, l) of cosines of LINES_HZ in `values` (k, n) at probe samples `at`
+    (n,). Mean and trend are removed.
     """
     since = at - at[0]
     window = np.sin(pi * (since + 0.5) / (since[-1] + 1.0)) ** 2
@@ -177,5 +178,5 @@ def amplitudes(at: Floats, values: Floats) -> Complexes:
 
 
 def rms(amplitude: Complexes) -> float:
-    """Of all lines together."""
+    """Return the rms value of all lines together."""
     return float(np.sqrt(np.sum(np.abs(amplitude) ** 2) / 2.0))

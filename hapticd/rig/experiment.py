@@ -1,20 +1,20 @@
-"""How a step drives the device and records it: ticks of the servo, and 4 kHz samples of the probe.
+"""Drive the device for a step, and record it: servo ticks, and 4 kHz samples of the probe.
 
-A step begins disabled (`begin_step`), and however it ends the device is disabled again (`ready`).
-Forces at rest and pushes come from a weak wall far away: one of stiffness F / FAR_M whose surface
-lies FAR_M behind the handle pushes with F, and with 1 % less for every 0.2 mm that the handle
-moves. Begin and end of a push are scheduled in the servo before anything moves, so it ends in time
-whatever becomes of this process.
+A step begins disabled (`begin_step`), and the device is disabled again however it ends (`ready`).
+Forces at rest and pushes come from a weak wall far away, of stiffness F / FAR_M. Its surface lies
+FAR_M behind the handle, so it pushes with F, and with 1 % less for every 0.2 mm that the handle
+moves. Begin and end of a push are scheduled in the servo before anything moves, so the push ends in
+time even if this process dies.
 
-The perturbation of the probe acts under the measuring lease alone (`perturbing`): nobody else
-changes anything, and if this process hangs or dies, it ends with the lease. Each block of ticks
-that comes is looked at: force has to act, and the handle to stay within its travel (`Watch`).
-Before a waveform the handle rests: what the torque channel shows then is its offset. The ticks say
-when each sample was latched by the board's clock, which force was commanded, and how long the one
-before took (`perturbation_run`).
+The perturbation of the probe acts only under the measuring lease (`perturbing`): no other client
+can change anything, and the perturbation ends with the lease if this process hangs or dies. Each
+received block of ticks is checked: force must act, and the handle must stay within its travel
+(`Watch`). Before a waveform the handle rests: the mean of the torque channel is then its offset.
+The ticks contain the board time at which each sample was latched, the commanded force, and the
+delay of the force before it (`perturbation_run`).
 
-Limitations: telemetry that is read more slowly than it comes (what is lost is counted), or another
-client that changes the wall meanwhile.
+Limitations: telemetry that is read more slowly than it arrives (losses are counted), or another
+client that changes the wall during a push.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -49,8 +49,8 @@ RENEW_TICKS = 1000
 
 # --- pushes ---------------------------------------------------------------------------------------
 FAR_M = 0.02
-# from the last look at a tick to the begin: commands and telemetry take their time; more, each time
-# that it was too little
+# from the last received tick to the begin: commands and telemetry take time; longer after each try
+# that was too late
 LEADS_S = (0.2, 0.6, 2.0)
 AFTER_S = 0.1
 LOOK_S = 0.1
@@ -66,28 +66,28 @@ class TickSpan(NamedTuple):
     """Consecutive ticks."""
 
     records: Records  # structured (n,), of layout.TELEMETRY
-    lost: int  # that telemetry left out
-    newest_tick: int  # that had come; the records may end sooner
+    lost: int  # ticks that telemetry dropped
+    newest_tick: int  # newest tick received; the records may end sooner
 
 
 class Streams(NamedTuple):
-    """Ticks and the samples of the probe beside them."""
+    """Servo ticks, and the samples of the probe of the same time."""
 
     ticks: Records  # structured (n,), of layout.TELEMETRY
     samples: Records  # structured (N,): index, time_ns, torque, velocity
-    lost: int  # records of either that telemetry left out
+    lost: int  # records of either stream that telemetry dropped
 
 
 class BoardIdentity(NamedTuple):
-    """Which board it is, in which of its lives."""
+    """Serial number, firmware and life of a board."""
 
-    serial: str  # as its hello says
-    firmware: str  # as its hello says, like 1.0
-    life: int | None  # changes whenever it starts; None: no frame of it came
+    serial: str  # from its hello
+    firmware: str  # from its hello, like 1.0
+    life: int | None  # changes at every start; None: no frame of it was received
 
 
 class Watch(NamedTuple):
-    """What a recording under force is kept by: the lease, and between which ends the handle is."""
+    """Conditions of a recording under force: the lease, and the limits of the handle's position."""
 
     lease: ClientLease
     low_m: float
@@ -95,18 +95,18 @@ class Watch(NamedTuple):
 
 
 class Push(NamedTuple):
-    """What became of a push of `force_n`."""
+    """Result of a push of `force_n`."""
 
     force_n: float  # commanded
-    moved_m: float  # from its begin to `after_s` beyond its end
+    moved_m: float  # from its begin to `after_s` after its end
     records: Records
 
 
 # --- states ---------------------------------------------------------------------------------------
 def begin_step(bench: Client, what: str = "") -> dict[str, Any]:
-    """The servo's parameters in plain form, with which a step begins. CommandError unless the
-    servo is disabled; AnalysisError that says `what` comes later, while the device's signs are not
-    verified.
+    """Return the servo's parameters in plain form, for a step that begins. CommandError unless the
+    servo is disabled. With `what`, AnalysisError while the device's signs are not verified; its
+    message starts with `what`.
     """
     state = bench.status().state
     if state != "disabled":
@@ -124,7 +124,7 @@ def begin_step(bench: Client, what: str = "") -> dict[str, Any]:
 
 
 def require_force(status: Status) -> None:
-    """AnalysisError with the cause if the servo of `status` is not enabled any more."""
+    """Raise AnalysisError with the cause if the servo of `status` is no longer enabled."""
     if status.state != "enabled":
         raise _force_ended(status)
 
@@ -138,12 +138,12 @@ def _force_ended(status: Status) -> AnalysisError:
 
 
 def servo_rate_hz(bench: Client) -> float:
-    """The rate at which the servo of `bench` ticks."""
+    """Return the tick rate of the servo of `bench`."""
     return bench.hello().servo.realtime.rate_hz
 
 
 def identity_of(bench: Client, records: Records) -> BoardIdentity:
-    """The board of `bench`, which sent the frames of `records`."""
+    """Return the board of `bench`, which sent the frames of `records`."""
     said = {"serial": "", "firmware": "", **bench.status().servo.get("board", {})}
     came = records["in_frame"][records["arrival"] >= 0]
     life = codec.decode_in(bytes(came[-1])).life if len(came) else None
@@ -152,7 +152,9 @@ def identity_of(bench: Client, records: Records) -> BoardIdentity:
 
 # --- records --------------------------------------------------------------------------------------
 def _blocks(bench: Client, *topics: str) -> Iterator[tuple[str, Block]]:
-    """Blocks of `topics` as they come. DaemonDown if none come for 2 s, or after a restart."""
+    """Yield blocks of `topics` as they arrive. DaemonDown if none arrive for 2 s, or after a
+    restart.
+    """
     decoders = {topic: BlockDecoder() for topic in topics}
     quiet = 0
     for message in bench.messages(topics):
@@ -170,8 +172,8 @@ def _blocks(bench: Client, *topics: str) -> Iterator[tuple[str, Block]]:
 
 
 def collect(bench: Client, seconds: float, begin: Callable[[], object] | None = None) -> TickSpan:
-    """The ticks of the next `seconds`, counted from what `begin` does as soon as ticks come.
-    DaemonDown if none come for 2 s, or the servo restarts.
+    """Return the ticks of the next `seconds`, counted from the call of `begin` at the first block.
+    DaemonDown if no ticks arrive for 2 s, or the servo restarts.
     """
     parts: list[Records] = []
     lost = 0
@@ -190,9 +192,9 @@ def collect(bench: Client, seconds: float, begin: Callable[[], object] | None = 
 
 
 def record(bench: Client, seconds: float, watch: Watch | None = None) -> Streams:
-    """Ticks and samples for `seconds` of the probe; without `watch` nothing acts.
+    """Record ticks and samples for `seconds` of the probe; without `watch` no force is required.
 
-    DaemonDown if no telemetry comes for 2 s; AnalysisError if this board has no probe, force ends,
+    DaemonDown if no telemetry arrives for 2 s; AnalysisError if the board has no probe, force ends,
     or the handle leaves its travel.
     """
     parts: dict[str, list[Records]] = {TICKS: [], PROBE: []}
@@ -217,7 +219,7 @@ def record(bench: Client, seconds: float, watch: Watch | None = None) -> Streams
 
 
 def _inside(bench: Client, ticks: Records, watch: Watch) -> None:
-    """AnalysisError where force has ended, or the handle left its travel."""
+    """Raise AnalysisError if force has ended or the handle left its travel."""
     if (ticks["state"] != State.ENABLED).any():
         raise _force_ended(bench.status())
     low_m = float(ticks["position_m"].min())
@@ -233,7 +235,7 @@ def _inside(bench: Client, ticks: Records, watch: Watch) -> None:
 # --- forces ---------------------------------------------------------------------------------------
 @contextmanager
 def ready(bench: Client) -> Iterator[None]:
-    """Enabled without any force; however it is left, disabled without a wall."""
+    """Enable the device without any force; on every exit, disable it and remove the wall."""
     bench.set(K=0.0, B=0.0, M=0.0, wall=FREE, ramp_s=0.0)
     bench.enable()
     try:
@@ -248,7 +250,7 @@ def ready(bench: Client) -> Iterator[None]:
 
 @contextmanager
 def under_force(bench: Client) -> Iterator[None]:
-    """As `ready`; AnalysisError with the cause if force ended before it is left."""
+    """As `ready`; AnalysisError with the cause if force ended before the exit."""
     with ready(bench):
         yield
         status = bench.status()
@@ -257,7 +259,7 @@ def under_force(bench: Client) -> Iterator[None]:
 
 @contextmanager
 def undamped(bench: Client) -> Iterator[None]:
-    """Active damping off, before and after, however it is left."""
+    """Switch active damping off at the begin and on every exit."""
     bench.damping("off")
     try:
         yield
@@ -267,7 +269,7 @@ def undamped(bench: Client) -> Iterator[None]:
 
 @contextmanager
 def rendering(bench: Client, environment: Environment, ramp_s: float) -> Iterator[float]:
-    """Enabled, with K, B and M of `environment` after `ramp_s`; where the handle is then [m]."""
+    """Enable the device and ramp to K, B and M of `environment`; yield the position reached [m]."""
     stiffness, damping, mass = environment.free
     with ready(bench):
         bench.set(K=stiffness, B=damping, M=mass, ramp_s=ramp_s)
@@ -275,7 +277,7 @@ def rendering(bench: Client, environment: Environment, ramp_s: float) -> Iterato
 
 
 def wall_of(force_n: float, at_m: float) -> dict[str, float]:
-    """The wall that pushes a handle at `at_m` with `force_n`."""
+    """Return the wall that pushes a handle at `at_m` with `force_n`."""
     return {
         "stiffness_n_per_m": abs(force_n) / FAR_M,
         "virtual_damping_ns_per_m": 0.0,
@@ -285,13 +287,13 @@ def wall_of(force_n: float, at_m: float) -> dict[str, float]:
 
 
 def pull(bench: Client, force_n: float, at_m: float, ramp_s: float, settle_s: float) -> None:
-    """Push a handle at about `at_m` with `force_n` within `ramp_s`, and let it settle."""
+    """Push a handle at about `at_m` with `force_n`, ramped over `ramp_s`, and let it settle."""
     bench.set(wall=wall_of(force_n, at_m), ramp_s=ramp_s)
     collect(bench, ramp_s + settle_s)
 
 
 def release(bench: Client, ramp_s: float, settle_s: float) -> None:
-    """Take back what `pull` does."""
+    """Undo `pull`."""
     bench.set(wall={"stiffness_n_per_m": 0.0}, ramp_s=ramp_s)
     collect(bench, ramp_s + settle_s)
 
@@ -303,8 +305,8 @@ def push(
     after_s: float = AFTER_S,
     scheduled: Callable[[int], None] = lambda begin: None,
 ) -> Push:
-    """Push with `force_n` for `seconds`, from where the handle is; the servo is enabled. What
-    `scheduled` asks for the tick of the begin comes before it.
+    """Push with `force_n` for `seconds` from the present position; the servo must be enabled.
+    Changes that `scheduled` requests for the first tick of the push take effect before it.
     """
     rate_hz = servo_rate_hz(bench)
     for lead_s in LEADS_S:
@@ -317,7 +319,8 @@ def push(
             bench.set(wall=wall_of(force_n, at_m), ramp_s=0.0, at_tick=begin, until_tick=end)
             break
         except CommandError:
-            # too late: what was scheduled of it ends something, and harms no later push
+            # too late: the part that was scheduled only ends something, and does not affect a later
+            # push
             if lead_s == LEADS_S[-1] or collect(bench, LOOK_S).newest_tick < begin:
                 raise
     found = collect(bench, lead_s + seconds + after_s).records
@@ -329,30 +332,30 @@ def push(
 # --- perturbations --------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class PerturbationRun:
-    """n ticks and N samples of the probe, side by side."""
+    """n ticks and N samples of the probe of the same time."""
 
-    board_us: Floats  # (n,) when the encoder was latched, by the board's clock
+    board_us: Floats  # (n,) time of the encoder latch, by the board's clock
     position_m: Floats  # (n,)
     force_n: Floats  # (n,) commanded for the sample of that tick
-    delay_us: Floats  # (n,) of the force in effect then, by the board's clock; negative: unknown
-    last_index: Floats  # (n,) number of the newest sample that had come by then
+    delay_us: Floats  # (n,) of the force in effect, by the board's clock; negative: unknown
+    last_index: Floats  # (n,) number of the newest sample received by then
     first_index: float  # number of the first sample
     torque_n: Floats  # (N,) interval means, without the offset of the channel
     velocity_m_per_s: Floats  # (N,) interval means
 
     @property
     def period_us(self) -> float:
-        """Of the servo, by the board's clock."""
+        """Mean period of the servo, by the board's clock."""
         return float(self.board_us[-1] - self.board_us[0]) / (len(self.board_us) - 1)
 
     @property
     def delays_us(self) -> Floats:
-        """Those delays (k,) that the board's clock tells."""
+        """The known delays (k,), by the board's clock."""
         return self.delay_us[self.delay_us >= 0.0]
 
 
 def arrays_of(runs: Iterable[PerturbationRun]) -> dict[str, npt.NDArray[Any]]:
-    """What is kept of `runs`, under names with their numbers."""
+    """Return the arrays of `runs` to be kept, with the number of the run in each name."""
     return {
         f"{name}_{number}": np.asarray(value)
         for number, run in enumerate(runs)
@@ -364,9 +367,9 @@ def arrays_of(runs: Iterable[PerturbationRun]) -> dict[str, npt.NDArray[Any]]:
 def perturbing(
     bench: Client, environment: Environment, ramp_s: float, reach_m: float | None = None
 ) -> Iterator[Watch]:
-    """Enabled for a perturbation, with `environment` after `ramp_s`. However it is left, nothing
-    plays and the device is disabled. The handle may go to the ends of its travel, or `reach_m`
-    beyond where it is then and beyond x = 0.
+    """Enable the device for a perturbation, with `environment` after `ramp_s`. On every exit the
+    waveform is stopped and the device disabled. The handle may move to the ends of its travel, or
+    with `reach_m` that far beyond its present position and beyond x = 0.
     """
     ends = bench.hello().servo.environment.workspace
     measuring = bench.lease("measuring", ttl_s=LEASE_S, at_end="disable")
@@ -383,9 +386,9 @@ def perturbing(
 def perturbation_run(
     bench: Client, waveform_n: Floats, environment: Environment
 ) -> PerturbationRun:
-    """Play `waveform_n` (n,) [N at 4 kHz] while `environment` is rendered; disabled afterwards.
+    """Play `waveform_n` (n,) [N at 4 kHz] while `environment` is rendered; disable afterwards.
 
-    AnalysisError where force ends meanwhile, the handle leaves its travel, or records are lost.
+    AnalysisError if force ends during the run, the handle leaves its travel, or records are lost.
     """
     with perturbing(bench, environment, RAMP_S) as watch:
         bench.perturb_load(waveform_n)
@@ -400,7 +403,7 @@ def perturbation_run(
 
 
 def _signal(samples: Records, name: str, device: DeviceParams) -> Floats:
-    """A channel of the probe in SI, by the scale of the device file."""
+    """Return a channel of the probe in SI units, by the scale of the device file."""
     scale: ScaleParams = getattr(device, f"probe_{name}")
     counts = samples[name].astype(np.float64) - scale.offset_count
     return np.asarray(scale.sign * scale.per_count * counts)

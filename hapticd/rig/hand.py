@@ -1,14 +1,15 @@
-"""What a step asks of a person at the rig: in words, and as an action with its amount.
+"""Requests of a step to a person at the rig: as text, and as an action with its amount.
 
-A terminal shows the words. A program (a positioning stage, a scripted hand at a simulated rig) does
-the action; both answer once it is done, or, for what goes on while a step measures, once it begins.
-Positions of a hand are metres to positive x from A, the place that the person chooses first.
+A terminal shows the text. A program (a positioning stage, a scripted hand on a simulated rig)
+performs the action. Both answer when the action is complete, or when it begins if it continues
+while the step measures. Positions of a hand are metres in the direction of positive x from A, the
+place that the person chooses first.
 
-A program listens at a Unix socket (`asked_at`). Each request is a connection with one line of JSON,
-{"action", "amount", "text"}; the answer is one line, {"done": true} or {"error": "why not"}.
+The program listens on a Unix socket (`asked_at`). Each request is one connection with one line of
+JSON, {"action", "amount", "text"}; the answer is one line, {"done": true} or {"error": "why not"}.
 
-All actions are named here, so that steps understand them alike. A program must not answer before it
-is done.
+All actions are defined here, so that all steps use the same set. A program must not answer before
+the action is complete.
 """
 
 import json
@@ -23,22 +24,22 @@ __all__ = ["Ask", "Request", "asked_at"]
 
 PATIENCE_S = 120.0
 Action = Literal[
-    "let go",  # of the handle, and take off everything that was attached
-    "move",  # slowly by about `amount` m, and hold: from now on, within a few seconds
-    "hold",  # the handle `amount` m to positive x of A
-    "origin",  # hold the handle where x = 0 shall be
+    "let go",  # of the handle, and remove all attached parts
+    "move",  # by about `amount` m, slowly, and hold: from now on, within a few seconds
+    "hold",  # the handle `amount` m from A in the direction of positive x
+    "origin",  # hold the handle where x = 0 is to be
     "hang",  # masses of `amount` kg from the handle, and let go of it
     "attach",  # `amount` kg firmly to the handle, so that they move with it, and let go of it
     "spring",  # of `amount` N/m between handle and frame, and let go
     "draw",  # the handle aside by `amount` m, and let go at once: it moves freely
-    "shake",  # the handle to and fro by some mm, for `amount` s from now on
+    "shake",  # the handle back and forth by a few mm, for `amount` s from now on
     "warm",  # the winding to `amount` degC, and hold it there
     "one signal",  # into both probe channels, for `amount` s from now on
 ]
 
 
 class Request(NamedTuple):
-    """What is to be done, and the same in words."""
+    """A requested action, and the same as text."""
 
     action: Action
     text: str
@@ -49,8 +50,8 @@ Ask = Callable[[Request], None]
 
 
 def asked_at(path: Path) -> Ask:
-    """What asks the program at the socket `path`. DaemonDown if nobody listens there, AnalysisError
-    if it cannot do what is asked.
+    """Return a function that sends requests to the program at the socket `path`. DaemonDown if no
+    program listens there, AnalysisError if it cannot perform the action.
     """
 
     def ask(request: Request) -> None:

@@ -1,10 +1,7 @@
-"""What a step of the rig found: values with their intervals, a verdict for each thing it looked at,
-and what is to be written into the device file.
+"""Result of a step of the rig: values with intervals, findings, and changes of the device file.
 
-A value says the 95 % interval in which it lies. A finding says what is wrong and what to do about
-it; a step with a finding that is `refused` writes nothing.
-
-A step must not write if one of its findings is refused (`settled`).
+A value states its 95 % interval. A finding states a problem and its remedy. A step with a finding
+that is `refused` must not write anything (`settled`).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,17 +15,17 @@ __all__ = ["StepResult"]
 
 Verdict = Literal["ok", "warning", "refused", "not done"]
 POSITION_HALF = 2e-3  # relative, of the encoder's scale where the file states none
-FACTOR = 2.0  # between a scale of the file and its measurement: a data sheet is rarely so wrong
+FACTOR = 2.0  # ratio of a scale of the file to its measurement: a data sheet is rarely so wrong
 Scalar = bool | int | float | str
-Written = Scalar | tuple[Scalar, ...]  # what may stand in a device file
+Written = Scalar | tuple[Scalar, ...]  # values that a device file may contain
 
 
 @dataclass(frozen=True, slots=True)
 class Value:
     """A measured quantity in `unit`, and the ends of its 95 % interval.
 
-    `name` is its key, unique in its step and TABLE.KEY for a value of the device file. It has no
-    label beside that: people are shown the key.
+    `name` is its key: unique in its step, and TABLE.KEY for a value of the device file. There is no
+    separate label; people see the key.
     """
 
     name: str
@@ -39,17 +36,17 @@ class Value:
 
     @classmethod
     def around(cls, name: str, value: float, unit: str, half: float) -> "Value":
-        """A quantity in the middle of its interval, of which `half` is half."""
+        """Return a quantity in the middle of its interval, whose half width is `half`."""
         return cls(name, value, unit, value - half, value + half)
 
     @property
     def half(self) -> float:
-        """Half of the interval."""
+        """Half width of the interval."""
         return (self.high - self.low) / 2.0
 
     @property
     def rounded(self) -> float:
-        """As it is written: with the digits that its interval allows."""
+        """The value as written, with the digits that its interval allows."""
         return rounded(self.value, self.low, self.high)
 
     def __str__(self) -> str:
@@ -59,7 +56,7 @@ class Value:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What was looked at, in words, what is to be thought of it, and what to do."""
+    """A checked item in words, its verdict, and the remedy."""
 
     what: str
     verdict: Verdict
@@ -68,11 +65,11 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A value of the device file, and where known half of its 95 % interval; tables that have the
-    keys say beside it when and by what it was measured.
+    """A value of the device file and, where known, the half width of its 95 % interval. Tables that
+    have the keys also record when and by which step it was measured.
     """
 
-    table: str  # dotted, where it is a table of another
+    table: str  # dotted if nested
     key: str
     value: Written
     half_width_95: float | None = None
@@ -80,9 +77,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """What the step `step` found; there are no changes where something was refused. `arrays` are
-    what it was found from.
-    """
+    """Result of `step`; there are no changes if a finding is refused. `arrays` are its raw data."""
 
     step: str
     values: Sequence[Value] = ()
@@ -95,7 +90,7 @@ class StepResult:
             object.__setattr__(self, "changes", ())
 
     def __add__(self, other: "StepResult") -> "StepResult":
-        """Both together, as a result of this step."""
+        """Return both together, as a result of this step."""
         return StepResult(
             self.step,
             (*self.values, *other.values),
@@ -106,11 +101,11 @@ class StepResult:
 
     @property
     def settled(self) -> bool:
-        """Whether nothing was refused."""
+        """Whether no finding is refused."""
         return settled(self.findings)
 
     def plain(self) -> dict[str, Any]:
-        """As JSON values, without the arrays."""
+        """Return the result as JSON values, without the arrays."""
         return {
             "ok": self.settled,
             "step": self.step,
@@ -121,18 +116,20 @@ class StepResult:
 
 
 def settled(findings: Iterable[Finding]) -> bool:
-    """Whether none of the `findings` is refused."""
+    """Return whether none of the `findings` is refused."""
     return all(one.verdict != "refused" for one in findings)
 
 
 def checked(what: str, good: bool, remedy: str, otherwise: Verdict = "warning") -> Finding:
-    """A finding that is ok where it is `good`, else `otherwise` with its `remedy`."""
+    """Return a finding that is ok if `good`, and otherwise has the verdict `otherwise` and its
+    `remedy`.
+    """
     return Finding(what, "ok") if good else Finding(what, otherwise, remedy)
 
 
 def plausible(name: str, per_count: float, scale: Mapping[str, Any], remedy: str) -> Finding:
-    """What is to be thought of `per_count`, with its sign, of the channel `name` whose scale in a
-    hello's device is `scale`; `remedy` where that cannot be meant: a mass in grams, another sensor.
+    """Judge the signed `per_count` of channel `name`, whose scale in the hello's device is `scale`.
+    `remedy` applies if the ratio is implausible: a mass in grams, another sensor.
     """
     ratio = per_count / (int(scale["sign"]) * float(scale["per_count"]))
     what = f"{name}: a count is {ratio:.4g} of what the device file says"
@@ -142,22 +139,22 @@ def plausible(name: str, per_count: float, scale: Mapping[str, Any], remedy: str
 
 
 def change_of(one: Value) -> Change:
-    """The value `one`, whose name is TABLE.KEY, into the device file."""
+    """Return the change of the device file for the value `one`, whose name is TABLE.KEY."""
     table, key = one.name.split(".")
     known = float(f"{one.half:.3g}") if np.isfinite(one.half) else None
     return Change(table, key, one.rounded, known)
 
 
 def relative_half(scale: Mapping[str, Any], otherwise: float) -> float:
-    """Half of the 95 % interval of the `scale` of a hello's device, relative; `otherwise` where the
-    device file states none.
+    """Return the relative half width of the 95 % interval of `scale` (of a hello's device). Return
+    `otherwise` if the device file states none.
     """
     half = scale["half_width_95"]
     return otherwise if half is None else float(half) / abs(float(scale["per_count"]))
 
 
 def rounded(value: float, low: float, high: float) -> float:
-    """`value` with digits down to a hundredth of its interval; six digits if that has no width."""
+    """Round `value` to a hundredth of its interval; to six digits if the interval has no width."""
     width = high - low
     if not 0.0 < width < np.inf:
         return float(f"{value:.6g}")

@@ -1,44 +1,46 @@
-"""What pushes and free glides say of damping: the balance of momentum from rest to rest.
+"""Momentum balance of pushes and free glides, from rest to rest: damping and its compensation.
 
-A handle at rest is pushed with the impulse J, glides, and comes to rest again after the way D and
-the time T of motion. Whatever its mass, and however the force was delayed or smoothed on its way,
+A handle at rest is pushed with the impulse J, glides, and comes to rest again after the distance D
+and the time T of motion. For any mass, and any delay or smoothing of the force,
 
     J = P + (b0 D + Fc T - s G T) (1 + g b)         P = integral of b dx
 
 with the active damping b, the physical damping b0, Coulomb friction Fc, a constant force G
-(gravity, what is left at a count of 0) and the direction s of the motion: nothing is kept from rest
-to rest. Nothing has to be known of the mass, and the lag of amplifier and circuit drops out as
-well: T begins with the command and its delay, since what a smoothed force has before it overcomes
-friction goes into friction. b is what the damping DAC was told, times a gain that is sought; J is
-known by the measured gain of the force, D by that of the encoder.
+(gravity, the force at a count of 0) and the direction s of the motion: no momentum remains from
+rest to rest. The mass need not be known. The lag of amplifier and circuit drops out as well: T
+begins with the command and its delay, since the part of a smoothed force that acts before it
+exceeds friction is absorbed by friction. b is the value sent to the damping DAC times an unknown
+gain. J is known from the measured gain of the force, D from that of the encoder.
 
-g b is the loop gain of the residual resistance: the circuit sees the velocity v + rho F_a, and what
-the motor does is F_a = (F - b v) / (1 + g b), with g = rho. It weakens force and damping alike, so
-from J alone it is seen in how much more of J friction seems to take at higher b: slow pushes are
-mostly friction, fast ones mostly damping. Where the board reports the motor's current, its integral
-Q stands for what friction took,
+g b is the loop gain of the residual resistance: the circuit sees the velocity v + rho F_a, and the
+motor produces F_a = (F - b v) / (1 + g b), with g = rho. It weakens force and damping alike. In J
+alone it appears only as friction that seems to take more of J at higher b: slow pushes are mostly
+friction, fast ones mostly damping. Where the board reports the motor's current, its integral Q
+replaces the friction term,
 
     J = P + N Q (1 + g b)                           N: endpoint force per ampere
 
-and no friction has to be the same twice. N comes from the pushes at b = 0.
+and friction need not be repeatable. N comes from the pushes at b = 0.
 
-Least squares (Gauss-Newton) over all pushes, each weighted by what may be wrong in it: TIMING_S of
-friction, and MODEL of the impulse; where the residuals say more, they count (Student's t).
+Least squares (Gauss-Newton) over all pushes, each weighted by its possible error: TIMING_S of
+friction, and MODEL of the impulse. If the residuals are larger, they determine the interval
+(Student's t).
 
-The gain of the damping is that of all rows together. Its interval adds to that of
-the fit what the device file says of the scales of force and position (`half_width_95`; UNKNOWN
-without one), what the levels scatter about the line, and FLOOR.
+The gain of the damping comes from all rows together. Its interval adds to that of the fit the
+intervals of the scales of force and position (`half_width_95`; UNKNOWN without one), the scatter of
+the levels about the line, and FLOOR.
 
 The residual resistance is the loop gain per N s/m times the square of the force per ampere. Below 0
 the circuit compensates more than the winding has, and at a loop gain of -1 it oscillates, so the
-greatest level that is allowed is named.
+finding states the maximum permitted level.
 
-The physical damping is what is proportional to speed without active damping; friction is not, and
-counts for nothing at large motions. The device file gets LEAST_SHARE of the least that it can be.
+The physical damping is the part proportional to speed without active damping. Friction is not
+proportional, and is negligible at large motions. The device file gets LEAST_SHARE of the lower end
+of its interval.
 
-Limitations: a `half_width_95` that is kept although its scale was changed by hand, a handle that is
-held or pushed by something else meanwhile, or that has not come to rest (such a push is no row),
-friction that depends on the level of damping (without a current).
+Limitations: a `half_width_95` that is kept although its scale was changed by hand; a handle that is
+held or pushed by something else, or that has not come to rest (such a push gives no row); friction
+that depends on the level of damping (without a current).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -67,28 +69,28 @@ from hapticd.rig.result import (
 )
 from hapticd.usb.codec import I16_HIGHEST, U16_HIGHEST
 
-STILL_COUNTS = 6.0  # peak to peak at rest, beside the noise
+STILL_COUNTS = 6.0  # peak to peak at rest, including noise
 REST_S = 0.05  # at either end of a record
 EDGE_COUNTS = 10.0  # from rest, where the motion is timed
-LEAST_WAY_COUNTS = 10.0 * EDGE_COUNTS  # of a way that says something
-GLIDE_EDGES = 20.0  # edges in a way whose last nine are those of its glide
-TIMING_S = 5e-4  # by which the time of motion may be wrong
-MODEL = 0.003  # share of the impulse that the equation may leave out
+LEAST_WAY_COUNTS = 10.0 * EDGE_COUNTS  # minimum distance of a usable push
+GLIDE_EDGES = 20.0  # edges in a distance whose last nine are those of its glide
+TIMING_S = 5e-4  # possible error of the time of motion
+MODEL = 0.003  # share of the impulse that the equation may omit
 ITERATIONS = 30
 LOOP_STEP = 1e-3  # m/s per N, over which the loop gain is differentiated: it is linear
-LEAST_AMPERE_COUNTS = 20.0  # mean current of the weakest push that is believed
+LEAST_AMPERE_COUNTS = 20.0  # mean current of the weakest push that is usable
 EXPLAINED = 0.03  # of the impulse at count 0 that the current may leave unexplained
 LEVELS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2, 1)  # of the limit
 LEAST_LEVELS = 3
 UNKNOWN = 0.01  # half of the interval of a scale whose table states none
-FLOOR = 0.003  # of the gain, however many pushes there were
-BY_FRICTION = 0.1  # of the residual back-EMF, where friction has to be told from it without current
-BIAS = 0.01  # of the physical damping: friction seems to end sooner than it does
-MOST_BESIDE = 0.1  # share of its impulse by which a push may lie beside the others
-BESIDE = 0.03  # share by which a level may lie beside the line
+FLOOR = 0.003  # of the gain, for any number of pushes
+BY_FRICTION = 0.1  # of the residual back-EMF, if it is separated from friction without a current
+BIAS = 0.01  # of the physical damping: friction appears to end sooner than it does
+MOST_BESIDE = 0.1  # share of its impulse by which a push may deviate from the others
+BESIDE = 0.03  # share by which a level may deviate from the line
 REFUSE = LEAST_LOOP_GAIN
 WARN = 0.5 * REFUSE  # loop gain
-LEAST_SHARE = 2.0 / 3.0  # of the least physical damping, for the fault `energy`
+LEAST_SHARE = 2.0 / 3.0  # of the lower limit of the physical damping, for the fault `energy`
 
 
 class Row(NamedTuple):
@@ -97,15 +99,15 @@ class Row(NamedTuple):
     impulse_ns: float  # J, commanded
     way_m: float  # D
     seconds: float  # T
-    damped_ns: float  # P, with the damping as the device file has it
+    damped_ns: float  # P, with the damping according to the device file
     charge_as: float  # Q, of the current above that at rest
     level_ns_per_m: float  # b, steady; that of P / D otherwise
     direction: float  # +1 or -1
 
 
 def row_of(records: Records, force: ScaleParams, m_per_count: float, rate_hz: float) -> Row | None:
-    """What the `records` of a push tell; None where ticks are missing or were late by a period,
-    or it does not begin and end at rest.
+    """Return the row of the `records` of a push. None if ticks are missing or were late by a
+    period, or the push does not begin and end at rest.
     """
     position = records["position_m"].astype(np.float64)
     rest = round(REST_S * rate_hz)
@@ -134,15 +136,15 @@ def row_of(records: Records, force: ScaleParams, m_per_count: float, rate_hz: fl
 
 
 def quantised(force_n: Floats, scale: ScaleParams) -> Floats:
-    """`force_n` (n,) as the converter makes it."""
+    """Return `force_n` (n,) as quantised by the converter."""
     counts = np.floor(scale.sign * force_n / scale.per_count + scale.offset_count + 0.5)
     return np.asarray(scale.sign * (counts - scale.offset_count) * scale.per_count)
 
 
 def _begin(records: Records, commanded: Floats, away: Floats, edge: float, rate_hz: float) -> float:
-    """Period in which the push (n,) began to act: by the command and its delay, as the board's
-    clock tells it; by the motion where that is not told. A force that is smoothed moves the handle
-    later, but friction takes as much of the impulse before.
+    """Return the period in which the push (n,) began to act: the command plus its measured delay.
+    Without a known delay, the motion gives the begin. A smoothed force moves the handle later, but
+    friction takes as much of the impulse before.
     """
     delay_us = records["delay_us"].astype(np.float64)
     told = delay_us[delay_us >= 0.0]
@@ -153,17 +155,18 @@ def _begin(records: Records, commanded: Floats, away: Floats, edge: float, rate_
 
 
 def _end(away: Floats, way: float, edge: float) -> float:
-    """Period in which the motion (n,) ended, that of its beginning backwards. Damping brakes a fast
-    handle more than a slow one, so where a glide is long enough the next order is taken as well.
+    """Return the period in which the motion (n,) ended: `_rest` applied backwards. Damping brakes a
+    fast handle more than a slow one, so a long glide uses the next order as well.
     """
     order = 3 if way > GLIDE_EDGES * edge else 2
     return len(away) - 1 - _rest((way - away)[::-1], edge, order)
 
 
 def _rest(rising: Floats, edge: float, order: int) -> float:
-    """Where a motion (n,) from rest began, between samples. Near there the speed is proportional to
-    time, so the root of the way is a line: it takes as long to `edge` as from there to four times
-    that. With order 3 it is a parabola, through nine times that as well.
+    """Return the sample, interpolated, at which a motion (n,) from rest began. Near there the speed
+    is proportional to time, so the root of the distance is a line: it takes as long to `edge` as
+    from there to four times `edge`. With order 3 it is a parabola, which also uses nine times
+    `edge`.
     """
     root = np.sqrt(np.maximum(rising, 0.0))
     one, two, *more = (_crossing(root, share * edge**0.5) for share in range(1, order + 1))
@@ -171,7 +174,7 @@ def _rest(rising: Floats, edge: float, order: int) -> float:
 
 
 def _crossing(rising: Floats, level: float) -> float:
-    """Where (n,) comes above `level` for the last time from below, between samples."""
+    """Return where (n,) rises above `level` for the last time, between samples."""
     place = int(np.flatnonzero(rising < level)[-1])
     if place + 1 >= len(rising):
         return float(place)
@@ -181,24 +184,24 @@ def _crossing(rising: Floats, level: float) -> float:
 
 @dataclass(frozen=True)
 class Momentum:
-    """What the rows say together, each with half of its 95 % interval."""
+    """Result of the fit to all rows, each value with half of its 95 % interval."""
 
-    gain: float  # of the damping: what it is over what the device file says
+    gain: float  # of the damping, relative to the device file
     gain_half: float
     loop_per_ns_per_m: float  # g, per N s/m of the device file
     loop_half: float
-    n_per_a: float  # 0 where friction was taken in place of the current
+    n_per_a: float  # 0 if friction was fitted in place of the current
     physical_ns_per_m: float
     physical_half: float
     coulomb_n: float
     coulomb_half: float
-    braked_ns: Floats  # (n,) what active damping took of each impulse
+    braked_ns: Floats  # (n,) part of each impulse dissipated by active damping
     beside: Floats  # (n,) share of each impulse that is left over
 
 
 def fit_momentum(rows: Sequence[Row], a_per_count: float) -> Momentum:
-    """The fit to `rows`, at least eight; some at level 0, and at two or more others for the loop
-    gain, which is taken as 0 else.
+    """Fit at least eight `rows`, some at level 0. The loop gain needs two or more other levels, and
+    is taken as 0 otherwise.
     """
     every = _columns(rows)
     # of b0, Fc and G
@@ -216,7 +219,7 @@ def fit_momentum(rows: Sequence[Row], a_per_count: float) -> Momentum:
     mechanics = least_squares(friction, took, weight * weaker, least=1.0)
     physical, coulomb_n, _ = mechanics.values.tolist()
     physical_half, coulomb_half, _ = mechanics.halves.tolist()
-    # an error of all times of motion takes of friction, or adds to it; damping loses as much
+    # a timing error common to all pushes shifts friction; damping changes by the opposite amount
     mistimed_n = coulomb_n * TIMING_S / float(np.median(every.seconds))
     slowness = float(np.median(every.seconds / every.way_m))
     braked = every.impulse_ns - loads @ np.array(coefficients) * weaker
@@ -236,19 +239,19 @@ def fit_momentum(rows: Sequence[Row], a_per_count: float) -> Momentum:
 
 
 def _columns(rows: Sequence[Row]) -> Any:
-    """All rows as a record array (n,): by the names of their fields."""
+    """Return all rows as a record array (n,) with the names of their fields."""
     return np.rec.array(list(rows), dtype=[(name, np.float64) for name in Row._fields])
 
 
 def _weights(every: Any, friction: Floats) -> Floats:
-    """One over what may be wrong in each impulse (n,)."""
+    """Return 1 / the possible error of each impulse (n,)."""
     free = every.damped_ns < 0.05 * every.impulse_ns
     guess = np.linalg.lstsq(friction[free], every.impulse_ns[free], rcond=None)[0]
     return np.asarray(1.0 / np.hypot(TIMING_S * abs(float(guess[1])), MODEL * every.impulse_ns))
 
 
 def _current_tells(every: Any, a_per_count: float) -> bool:
-    """Whether the current of pushes at level 0 is proportional to their impulse."""
+    """Return whether the current of pushes at level 0 is proportional to their impulse."""
     mean_a = np.abs(every.charge_as) / np.maximum(every.seconds, 1e-3)
     if not (mean_a > LEAST_AMPERE_COUNTS * a_per_count).all():
         return False
@@ -258,7 +261,7 @@ def _current_tells(every: Any, a_per_count: float) -> bool:
 
 
 def _fit(every: Any, loads: Floats, weight: Floats, loops: bool) -> Fit:
-    """J = k P + (loads a) (1 + g b): (k, a.., g), without g unless `loops`."""
+    """Fit J = k P + (loads a) (1 + g b): (k, a.., g), without g unless `loops`."""
 
     def columns_of(loop: Floats) -> Floats:
         weaker = 1.0 + loop * every.level_ns_per_m
@@ -275,9 +278,11 @@ def analyse(
     findings: Sequence[Finding] = (),
     arrays: Mapping[str, npt.NDArray[Any]] | None = None,
 ) -> StepResult:
-    """What `rows` say on a device whose file says `device` (as the servo's hello has it)."""
+    """Return the result of `rows` on a device with the parameters `device` (as in the servo's
+    hello).
+    """
     found = fit_momentum(rows, float(device["current"]["per_count"]))
-    # newtons and metres as the device file has them
+    # newtons and metres by the scales of the device file
     scales = hypot(*(relative_half(device[name], UNKNOWN) for name in ("force", "position")))
     levels, gains = by_level(rows, found)
     full = found.gain * float(device["active_damping"]["per_count"]) * U16_HIGHEST
@@ -316,7 +321,7 @@ def analyse(
 
 
 def _changes(gain: Value, physical: Value, top: float) -> Iterator[Change]:
-    """What is written, with the limit `top` [N s/m] of the device file."""
+    """Yield the changes to write, with the limit `top` [N s/m] of the device file."""
     yield change_of(gain)
     if gain.rounded < top:  # no more than the converter makes
         yield Change("limits", "active_damping_ns_per_m", gain.rounded)
@@ -326,7 +331,7 @@ def _changes(gain: Value, physical: Value, top: float) -> Iterator[Change]:
 
 
 def by_level(rows: Sequence[Row], found: Momentum) -> tuple[Floats, Floats]:
-    """The levels (k,) [N s/m, of the device file] of the rows, and the gain by each (k,)."""
+    """Return the levels (k,) of the rows [N s/m, of the device file], and the gain at each (k,)."""
     level = _columns(rows).level_ns_per_m
     steady = np.flatnonzero(level >= 0.9 * LEVELS[0] * level.max())
     octave = np.round(np.log2(level[steady]))
@@ -338,7 +343,7 @@ def by_level(rows: Sequence[Row], found: Momentum) -> tuple[Floats, Floats]:
 
 
 def _residual(found: Momentum, known_n_per_a: float, scales: float) -> Iterator[Value]:
-    """What the compensation leaves of the winding, in ohm where the force of an ampere is known."""
+    """Residual of the compensation, in ohm where the force per ampere is known."""
     rho = found.loop_per_ns_per_m / found.gain
     n_per_a = abs(found.n_per_a)
     if n_per_a:
@@ -352,7 +357,7 @@ def _residual(found: Momentum, known_n_per_a: float, scales: float) -> Iterator[
 
 
 def _together(found: Momentum) -> Finding:
-    """Whether every push fits the others."""
+    """Check that every push fits the others."""
     worst = float(np.abs(found.beside).max())
     return checked(
         f"the worst push lies {percent(worst)} beside the others",
@@ -363,7 +368,7 @@ def _together(found: Momentum) -> Finding:
 
 
 def _line(levels: Floats, shares: Floats) -> Finding:
-    """How far each level lies beside the line."""
+    """Check how far each level deviates from the line."""
     if len(levels) < LEAST_LEVELS:
         remedy = "let go of the handle, leave it free to move, and repeat"
         return Finding(f"only {len(levels)} levels of damping were seen", "refused", remedy)
@@ -380,8 +385,8 @@ def _line(levels: Floats, shares: Floats) -> Finding:
 
 
 def margin(loop: float, top_ns_per_m: float, remedy: str) -> Finding:
-    """What to think of a `loop` gain of the residual resistance at the damping `top_ns_per_m`;
-    `remedy` has a place for the greatest damping that is allowed.
+    """Judge a `loop` gain of the residual resistance at the damping `top_ns_per_m`. `remedy` has a
+    placeholder for the maximum permitted damping.
     """
     return checked(
         f"loop gain {loop:+.2g} at {top_ns_per_m:.3g} N s/m",

@@ -1,22 +1,23 @@
-"""How much a count of the damping DAC damps, whether it damps at all, and what the winding leaves.
+"""Scale and polarity of the damping DAC, and the residual of the winding's compensation.
 
-The handle is pushed and glides until it rests, to either side, at several levels of the damping:
-`coast_down` makes of each push an equation in which its mass has no part. Strong pushes are short
-and fast, gentle ones (twice the friction) slow, so that damping and friction are told apart, and
-with them what the residual resistance of the winding takes of both.
+The handle is pushed and glides until it rests, to either side, at several levels of the damping.
+`coast_down` turns each push into an equation that does not contain the mass. Strong pushes are
+short and fast, gentle ones (twice the friction) slow. This separates damping from friction, and
+both from the effect of the residual resistance of the winding.
 
-Polarity first. A board whose count lightens the handle could be unstable at any greater count, so
-a small one is tried, 1/64 of the device's limit, and not for long: it is switched on at rest just
-before a push and off again 12 ms after its begin, both scheduled in the servo before anything
-moves. Whatever grows meanwhile, grows for 20 ms (12, and up to 8 for the slew). If these pushes and
-those without damping do not tell its sign, twice as much is tried, and twice as much again.
+Polarity comes first. A board whose count reduces damping could be unstable at any larger count. So
+a small count is tried, 1/64 of the device's limit, for a short time: it is switched on at rest just
+before a push and off 12 ms after its begin, both scheduled in the servo before anything moves. Any
+growth lasts 20 ms (12, and up to 8 for the slew). If these pushes and those without damping do not
+determine the sign, twice as much is tried, and twice as much again.
 
-Then the levels rise to the limit, each by a factor of two. What rings at rest, delivers less than
-half of what smaller levels promise, or comes near a loop gain of -1 ends that, and says so.
+Then the levels rise to the limit, each by a factor of two. The rise ends, with a finding, if the
+handle rings at rest, if less than half of the damping predicted by smaller levels is delivered, or
+if the loop gain approaches -1.
 
-What all pushes say together, and with which interval, is `coast_down` as well.
+`coast_down` also evaluates all pushes together, with intervals.
 
-Limitations: a hand on the handle (its push is no row, or lies beside the line).
+Limitations: a hand on the handle (its push gives no row, or deviates from the line).
 """
 
 from collections.abc import Iterator
@@ -55,29 +56,29 @@ from hapticd.rig.steps.motor import allowed_n, await_rest
 __all__ = ["measure"]
 
 # --- pushes ---------------------------------------------------------------------------------------
-FIRST_SHARE = 0.05  # of the force that is allowed
+FIRST_SHARE = 0.05  # of the permitted force
 STRONGER = 1.4
 SHORT_S = 0.02
 LONGEST_S = 1.0
 AFTER_S = 0.5  # for the glide
 MOST_AFTER_S = 4.0
-WAY_M = 4e-3  # that a strong push shall go
+WAY_M = 4e-3  # intended distance of a strong push
 GENTLE_WAY_M = 2e-3
 LEAST_WAY_M = 3e-4
 FASTEST_M_PER_S = 0.2
 GENTLE = 2.0  # times the friction
-STRAYED_M = 6e-3  # from where the handle was first; pushes then go back
+STRAYED_M = 6e-3  # from the first position of the handle; pushes then go back
 LOST_M = 0.015  # from there: something else moves it
 MISSES = 6  # pushes in a row without a row
 
 # --- levels ---------------------------------------------------------------------------------------
 TRIED = (1 / 64, 1 / 32, 1 / 16)  # of the limit, for the polarity
-LEAD_S = 0.02  # by which the count is on before a push
+LEAD_S = 0.02  # time that the count is on before a push
 ON_S = 0.012  # and after its begin
 TRIALS = 4  # pushes at a count whose sign is not known
 QUIET_COUNTS = 6.0  # peak to peak that a level may add at rest
-DELIVERS = 0.5  # of what smaller levels promise: less ends the rise
-NEARLY = -0.8  # loop gain that the next level may come to
+DELIVERS = 0.5  # share of the damping predicted by smaller levels: less ends the rise
+NEARLY = -0.8  # loop gain that the next level may reach
 RECORDED = (
     "slot",
     "position_m",
@@ -88,11 +89,11 @@ RECORDED = (
 )
 
 
-Stimulus = tuple[float, float]  # a push: its force [N] without the sign, and for how long [s]
+Stimulus = tuple[float, float]  # a push: magnitude of its force [N], and its length [s]
 
 
 class Pushing:
-    """The device while it is pushed, and what came of it."""
+    """A device under pushes, and their results."""
 
     def __init__(self, bench: Client, servo: dict[str, Any]) -> None:
         self.bench = bench
@@ -109,7 +110,7 @@ class Pushing:
         self.home_m: float | None = None
 
     def stimulate(self, stimulus: Stimulus, trial: float = 0.0) -> float:
-        """Push once, with the level `trial` [N s/m] on for ON_S; the way [m], with its sign."""
+        """Push once, with the level `trial` [N s/m] on for ON_S; return the signed distance [m]."""
         force_n, seconds = stimulus
         schedule = partial(self._schedule, trial)
         found = push(self.bench, self.side * force_n, seconds, self.after_s, schedule)
@@ -125,8 +126,8 @@ class Pushing:
         return found.moved_m
 
     def row(self, stimulus: Stimulus) -> None:
-        """Push until there is a row of it, or the handle hardly moves. AnalysisError after MISSES
-        pushes that did not end at rest.
+        """Push until it gives a row, or the handle hardly moves. AnalysisError after MISSES pushes
+        that did not end at rest.
         """
         known = len(self.rows)
         for _ in range(MISSES):
@@ -139,14 +140,14 @@ class Pushing:
         )
 
     def _schedule(self, level: float, begin: int) -> None:
-        """Have a trial's `level` on around a push that begins at the tick `begin`."""
+        """Schedule a trial's `level` around a push that begins at the tick `begin`."""
         if level:
             off = begin + round(ON_S * self.rate_hz)
             on = begin - round((LEAD_S + level / self.slew) * self.rate_hz)
             self.bench.set(active_damping=level, at_tick=on, until_tick=off)
 
     def _turn(self, at_m: float) -> None:
-        """The next push goes to the other side, or back when the handle strayed."""
+        """Direct the next push to the other side, or back if the handle strayed."""
         if self.home_m is None:
             self.home_m = at_m
         strayed = at_m - self.home_m
@@ -158,19 +159,19 @@ class Pushing:
         self.side = -self.side if abs(strayed) < STRAYED_M else -1.0 if strayed > 0.0 else 1.0
 
     def noise(self) -> float:
-        """Counts peak to peak at rest."""
+        """Return the counts peak to peak at rest."""
         return float(np.ptp(collect(self.bench, 0.1).records["position_m"])) / self.m_per_count
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """The raw record: what was sent and seen of every push, and the rows made of it."""
+        """Return the raw record: commands and signals of every push, and the computed rows."""
         raw = {name: np.concatenate([part[name] for part in self.parts]) for name in RECORDED}
         rows = zip(Row._fields, np.array(self.rows).reshape(-1, len(Row._fields)).T, strict=True)
         return raw | {f"row_{name}": column for name, column in rows}
 
 
 def measure(bench: Client, ask: Ask) -> StepResult:
-    """Push at rising levels of damping. CommandError unless disabled; AnalysisError where signs are
-    not verified, the handle does not come to rest, or force ends meanwhile.
+    """Push at rising levels of damping. CommandError unless disabled; AnalysisError if the signs
+    are not verified, the handle does not come to rest, or force ends.
     """
     servo = begin_step(bench, "damping is measured")
     device = servo["device"]
@@ -190,7 +191,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
 
 
 def _all_pushes(rig: Pushing, top: float) -> list[Finding]:
-    """Without damping, at a small count for its polarity, then level by level."""
+    """Push without damping, at a small count for its polarity, then level by level."""
     stimulus = _first_pushes(rig)
     if stimulus is None:
         remedy = "no authority: look at emergency stop, amplifier and motor, and let the handle go"
@@ -202,8 +203,8 @@ def _all_pushes(rig: Pushing, top: float) -> list[Finding]:
 
 
 def _first_pushes(rig: Pushing) -> Stimulus | None:
-    """Without damping: stronger and stronger until the way is WAY_M, by force as long as that is
-    allowed, then by time; then some like it and weaker ones. The push that goes WAY_M, or None if
+    """Push without damping until the distance is WAY_M: raise the force to its limit, then the
+    time. Then repeat with similar and weaker pushes. Return the push that goes WAY_M, or None if
     nothing moves.
     """
     force_n = FIRST_SHARE * rig.most_n
@@ -223,14 +224,14 @@ def _first_pushes(rig: Pushing) -> Stimulus | None:
 
 
 def _polarity(rig: Pushing, stimulus: Stimulus, top: float) -> Finding:
-    """Whether a small count damps."""
+    """Determine whether a small count damps."""
     for share in TRIED:
         for _ in range(TRIALS):
             rig.stimulate(stimulus, share * top)
-            rig.row(stimulus)  # without it as well, in turn
+            rig.row(stimulus)  # without it as well, alternating
         if not any(row.damped_ns for row in rig.rows):
             break
-        # a trial's level is a mean over its push, and of no use for the loop gain
+        # a trial's level is a mean over its push, and unusable for the loop gain
         rows = [row._replace(level_ns_per_m=0.0) for row in rig.rows]
         found = fit_momentum(rows, rig.a_per_count)
         if found.gain - found.gain_half > 0.0:
@@ -275,8 +276,8 @@ def _levels(rig: Pushing, top: float) -> Finding:
 
 
 def _pushed_at(rig: Pushing, known: Momentum, level: float) -> Finding | None:
-    """Strong and gentle pushes to both sides; a finding if they say that it damps too little, and
-    then they are no rows.
+    """Push strongly and gently to both sides; return a finding, and drop the rows, if it damps too
+    little.
     """
     before = len(rig.rows)
     for stimulus in _stimuli(rig, known, level):
@@ -301,13 +302,13 @@ def _pushed_at(rig: Pushing, known: Momentum, level: float) -> Finding | None:
 
 
 def _delivered(row: Row, known: Momentum) -> float:
-    """Gain of the damping by one row and the friction that is known."""
+    """Return the gain of the damping from one row and the known friction."""
     took = known.physical_ns_per_m * row.way_m + known.coulomb_n * row.seconds
     return (row.impulse_ns - took) / row.damped_ns
 
 
 def _stimuli(rig: Pushing, known: Momentum, level: float) -> Iterator[Stimulus]:
-    """A strong and a gentle push: with F - Fc = c v the way is v times their length."""
+    """Yield a strong and a gentle push: with F - Fc = c v the distance is v times their length."""
     friction = max(known.coulomb_n, 2.0 * rig.force.per_count)
     damping = level * max(known.gain, 1.0 / FACTOR) + max(known.physical_ns_per_m, 0.0)
     strong_n = min(rig.most_n, friction + damping * FASTEST_M_PER_S)

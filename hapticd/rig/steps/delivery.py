@@ -1,34 +1,35 @@
-"""What is delivered, and what compensation leaves of the winding, while a hand moves the handle.
+"""Delivered force and damping, and the residual of compensation, while a hand moves the handle.
 
-With a weak spring the commanded force follows the position and the velocity is a quarter of a cycle
-ahead of it, so what is proportional to one is told from what is proportional to the other. Nothing
-pushes by itself: a handle that is let go comes to rest. The signals are means over WINDOW periods,
-by Simpson's rule; that of the velocity is exact, as the encoder's difference (`signal.delivered`).
-At the few hertz of a hand, delays and lags of a millisecond turn a force by a hundredth. Both steps
-need the force of an ampere, which `rig motor --winding` measures.
+With a weak spring the commanded force follows the position, and the velocity leads it by a quarter
+of a cycle. So the parts proportional to either can be separated. There is no active force: a handle
+that is let go comes to rest. The signals are means over WINDOW periods, by Simpson's rule; that of
+the velocity is exact, as the encoder's difference (`signal.delivered`). At the few hertz of a hand,
+delays and lags of a millisecond rotate the phase of a force by a hundredth. Both steps need the
+force per ampere, which `rig motor --winding` measures.
 
-`measure_delivery` compares what is commanded with what is delivered. Damping is that of
-`guard.delivered`, which `hapticd status` shows all the time: what the motor does at equal force by
-the velocity of the encoder, over the last four seconds. Force is the slope of what the motor makes
-by its current on what is commanded, at equal velocity.
+`measure_delivery` compares delivered with commanded values. Damping is that of `guard.delivered`,
+which `hapticd status` shows continuously: the slope of the motor's force on the encoder's velocity
+at equal commanded force, over the last four seconds. Force is the slope of the motor's force, from
+its current, on the commanded force at equal velocity.
 
-`measure_residual` shows the residual of the resistance compensation, live. The circuit makes of the
-back-EMF the velocity v + rho F_a: what it does not subtract of the winding's voltage drop looks
-like a velocity, rho of it per newton of the motor. Without active damping nothing depends on it, so
+`measure_residual` shows the residual of the resistance compensation, live. The circuit derives from
+the back-EMF the velocity v + rho F_a: the part of the winding's voltage drop that it does not
+subtract appears as a velocity, rho per newton of the motor. Without active damping nothing depends
+on it, so
 
     v^ = e (v + rho F_a - tau v')        v by the encoder, F_a by the current
 
-gives e by the velocity and rho by the force, over the last SEEN pieces of a second; of the lag tau
-no more is known than that it is LAG_S +- LAG_S. The interval holds the fit's and ALLOWED, for the
-lag of the amplifier.
+gives e from the velocity and rho from the force, over the last SEEN pieces of a second. The lag tau
+is only known to be LAG_S +- LAG_S. The interval contains that of the fit, and ALLOWED for the lag
+of the amplifier.
 
 rho times a level of damping b is the loop gain there. Above 0 the winding is hotter than its
-compensation: force and damping are weaker by 1 / (1 + rho b), and nothing oscillates. Below 0 too
-much is compensated, and at -1 the circuit latches up. So -0.15 is warned about and -0.3 refused,
-and the greatest damping that keeps -0.3 is named.
+compensation assumes: force and damping are weaker by 1 / (1 + rho b), and nothing oscillates. Below
+0 it is overcompensated, and at -1 the circuit latches up. So -0.15 gives a warning, -0.3 is
+refused, and the finding states the maximum damping that keeps -0.3.
 
-Limitations: a hand that does not move (there is nothing to see then), scales of current and
-position that are wrong, a board whose spring is not passive with that of SPRING.
+Limitations: a hand that does not move (nothing can be estimated), wrong scales of current and
+position, a board that is not passive with the spring SPRING.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -57,7 +58,7 @@ __all__ = ["measure_delivery", "measure_residual"]
 SPRING = Environment(100.0, 0.5)
 RAMP_S = 1.0
 PIECE_S = 1.0
-LEAST_N = 0.02  # rms, of a force: less says nothing
+LEAST_N = 0.02  # rms, of a force: a smaller one is unusable
 WAITS = "a hand moves against a spring"  # before that, it looks like a wrong sign
 RAW = (
     "tick",
@@ -71,12 +72,12 @@ RAW = (
     "winding_c",
 )
 AUDIT_S = 6.0
-LOW = 0.8  # of what is commanded
+LOW = 0.8  # of the commanded value
 HIGH = 1.2
 SETTLED = 1  # pieces until hand and damping have settled
 TRIM_S = 20.0
-SEEN = 4  # pieces that an estimate rests on
-ALLOWED = 1e-3  # m/s per N, of what else lags
+SEEN = 4  # pieces that an estimate is based on
+ALLOWED = 1e-3  # m/s per N, for other lags
 LEAST_M_PER_S = 0.005  # of the handle, rms
 
 
@@ -84,14 +85,14 @@ class Means(NamedTuple):
     """Means over windows of a piece, (n,) each."""
 
     force_n: Floats  # commanded
-    motor_n: Floats  # by the current
-    seen_m_per_s: Floats  # velocity by the back-EMF
-    velocity_m_per_s: Floats  # by the encoder
-    faster_m_per_s2: Floats  # acceleration, by the encoder
+    motor_n: Floats  # from the current
+    seen_m_per_s: Floats  # velocity from the back-EMF
+    velocity_m_per_s: Floats  # from the encoder
+    faster_m_per_s2: Floats  # acceleration, from the encoder
 
 
 def means_of(records: Records, n_per_a: float, rate_hz: float) -> Means:
-    """The means of consecutive `records`, with the force of an ampere."""
+    """Return the means of consecutive `records`, with the force per ampere."""
     places = np.arange(0, len(records) - WINDOW, WINDOW)[:, None] + np.arange(WINDOW + 1)
     x = records["position_m"].astype(np.float64)[places]
 
@@ -114,7 +115,7 @@ def joined(pieces: Sequence[Means]) -> Means:
 
 
 def _unknown_ampere(device: Mapping[str, Any]) -> Finding | None:
-    """That nobody measured the force of an ampere; None if `device` of a hello has it."""
+    """Return a finding if the force per ampere is missing in `device` of a hello."""
     if device["motor_n_per_a"]:
         return None
     return Finding(
@@ -127,8 +128,8 @@ def _unknown_ampere(device: Mapping[str, Any]) -> Finding | None:
 def record_hand_motion(
     bench: Client, ask: Ask, seconds: float, seen: Callable[[Records], bool] = lambda new: True
 ) -> list[Records]:
-    """Pieces of PIECE_S while a hand moves the handle for `seconds` against the spring, until
-    `seen`, which gets each, says False. AnalysisError if force ends meanwhile.
+    """Record pieces of PIECE_S while a hand moves the handle for `seconds` against the spring. Stop
+    early when `seen`, which gets each piece, returns False. AnalysisError if force ends.
     """
     pieces: list[Records] = []
     with rendering(bench, SPRING, RAMP_S):
@@ -143,16 +144,16 @@ def record_hand_motion(
 
 
 def raw_of(pieces: Sequence[Records]) -> dict[str, npt.NDArray[Any]]:
-    """The raw record."""
+    """Return the raw record."""
     return {name: np.concatenate([one[name] for one in pieces]) for name in RAW}
 
 
 def measure_delivery(
     bench: Client, ask: Ask, level: float | None = None, seconds: float = AUDIT_S
 ) -> StepResult:
-    """Ask a hand to move the handle for `seconds` with the active damping `level` [N s/m], half of
-    the device's limit by default. CommandError unless disabled; AnalysisError where signs are not
-    verified, or force ends meanwhile.
+    """Ask a hand to move the handle for `seconds` with the active damping `level` [N s/m]. The
+    default is half of the device's limit. CommandError unless disabled; AnalysisError if the signs
+    are not verified, or force ends.
     """
     servo = begin_step(bench, WAITS)
     if missing := _unknown_ampere(servo["device"]):
@@ -176,7 +177,7 @@ def _unseen(what: str) -> StepResult:
 
 
 def _damping(found: Estimate) -> StepResult:
-    """Delivered of commanded damping."""
+    """Compare delivered with commanded damping."""
     if found.estimate_ns_per_m is None or found.low is None or found.high is None:
         return _unseen(f"active damping of {found.commanded:.3g} N s/m: {found.basis}")
     value = Value("delivered damping", found.estimate_ns_per_m, "N s/m", found.low, found.high)
@@ -199,7 +200,7 @@ def _force(means: Means, servo: ServoParams) -> StepResult:
 
 
 def _delivered(what: str, value: Value, commanded: float = 1.0) -> StepResult:
-    """The `value` of what is delivered, judged by its interval over what is `commanded`."""
+    """Judge `value` by its interval relative to the commanded value."""
     enough = value.high / commanded >= LOW
     remedy = "too much: look at the scales of current and force, and at the compensation"
     if not enough:
@@ -214,9 +215,9 @@ def measure_residual(
     seconds: float = TRIM_S,
     told: Callable[[str], None] = lambda line: None,
 ) -> StepResult:
-    """Watch for `seconds` while a hand moves the handle; `told` gets a line a second. It ends when
-    the loop gain at the limit is surely below -0.3. CommandError unless disabled; AnalysisError
-    where signs are not verified, or force ends meanwhile.
+    """Estimate the residual for `seconds` while a hand moves the handle; `told` gets a line a
+    second. Stop when the loop gain at the limit is certainly below -0.3. CommandError unless
+    disabled; AnalysisError if the signs are not verified, or force ends.
     """
     servo = begin_step(bench, WAITS)
     device = servo["device"]
@@ -248,7 +249,7 @@ def measure_residual(
 
 
 def _no_dac(bench: Client) -> Finding | None:
-    """That the board cannot be looked at so; None if it can."""
+    """Return a finding if the board has no resistance DAC."""
     if Capability.RESISTANCE & int(bench.status().servo.get("board", {}).get("capabilities", 0)):
         return None
     return Finding(
@@ -259,7 +260,7 @@ def _no_dac(bench: Client) -> Finding | None:
 
 
 def _shown(found: Value, device: Mapping[str, Any], new: Records) -> str:
-    """A line of the view, after the ticks `new`."""
+    """Return a line of the live view, after the ticks `new`."""
     rho = found.value
     top_ns_per_m = device["active_damping_limit_ns_per_m"]
     stable = f"allowed to {REFUSE / rho:.3g} N s/m" if rho < 0.0 else "any damping is stable"
@@ -272,11 +273,11 @@ def _shown(found: Value, device: Mapping[str, Any], new: Records) -> str:
 
 
 def residual(pieces: Sequence[Means], device: Mapping[str, Any]) -> Value | None:
-    """The residual back-EMF by `pieces`; None where force or velocity is next to nothing."""
+    """Return the residual back-EMF from `pieces`; None if force or velocity is too small."""
     means = joined(pieces)
     if means.motor_n.std() < LEAST_N or means.velocity_m_per_s.std() < LEAST_M_PER_S:
         return None
-    # coefficients of force, velocity, 1 and acceleration; what is known of the last is a row
+    # coefficients of force, velocity, 1 and acceleration; prior knowledge of the last is a row
     ones = np.ones_like(means.motor_n)
     columns = [means.motor_n, means.velocity_m_per_s, ones, means.faster_m_per_s2]
     rows = np.vstack([np.column_stack(columns), [0.0, 0.0, 0.0, 1.0]])
@@ -291,7 +292,7 @@ def residual(pieces: Sequence[Means], device: Mapping[str, Any]) -> Value | None
 
 
 def _last(rho: Value, ohm: float, top_ns_per_m: float) -> StepResult:
-    """The last estimate, with the `ohm` of one m/s per N, and what to think of it."""
+    """Return the last estimate and its finding; `ohm` is the resistance for 1 m/s per N."""
     resistance = Value.around("residual resistance", ohm * rho.value, "ohm", ohm * rho.half)
     remedy = (
         "the greatest allowed damping is {:.3g} N s/m; lower resistance.base_ohm, or"

@@ -1,12 +1,13 @@
-"""What one count means: noise at rest, the sign by hand, m per count between two positions.
+"""Encoder calibration: noise at rest, the sign by hand, m per count between two positions.
 
-The device stays disabled: a hand moves the handle, and is asked to. Sign: the handle goes to
-positive x, and counts rise or fall. Scale: it rests against position A, then against B, a stated
-distance further to positive x, some times over; the counts between scatter by how the handle is
-placed (Student's t), and the stated distance has a tolerance of its own; both are added in
-quadrature. While it moves, each of the lowest bits has to change: one that never does is a wire.
+The device stays disabled: a hand moves the handle on request. Sign: the handle moves to positive x,
+and counts rise or fall. Scale: it rests against position A, then against B, a stated distance
+further to positive x, several times. The counts between scatter with the placing of the handle
+(Student's t), and the stated distance has its own tolerance; both are added in quadrature. During
+the motion each of the lowest bits has to change: a bit that never does is a broken wire.
 
-An encoder with an index mark says in a frame how far behind it lies: each passage tells its place.
+An encoder with an index mark reports in a frame how far behind it the mark lies: each passage gives
+its place.
 
 Limitations: a handle that is moved by another person than the one asked (the signs of the
 repetitions then differ, which is refused).
@@ -39,7 +40,7 @@ MOVE_S = 5.0
 MOVE_M = 5e-3  # about: any distance will do
 HOLD_S = 0.5
 REPEATS = 3
-LEAST_COUNTS = 100.0  # of any motion that says something
+LEAST_COUNTS = 100.0  # minimum counts of a usable motion
 QUIET_COUNTS = 4.0  # peak to peak at rest
 LOW_BITS = 3
 MOST_SCATTER = 0.01  # half of the interval, of the distance
@@ -47,14 +48,14 @@ MOST_SCATTER = 0.01  # half of the interval, of the distance
 
 @dataclass(frozen=True)
 class Distance:
-    """Between the positions A and B."""
+    """Distance between the positions A and B."""
 
     metres: float
     tolerance_m: float = 10e-6  # half of its 95 % interval
 
 
 def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS) -> StepResult:
-    """Ask for the motions and measure them; ends with x = 0 where the handle is put last.
+    """Request the motions and measure them; x = 0 is then the last position of the handle.
 
     CommandError unless disabled; AnalysisError for a distance beyond the travel.
     """
@@ -93,7 +94,7 @@ def measure(bench: Client, ask: Ask, distance: Distance, repeats: int = REPEATS)
         arrays["marks"] = np.array(marks) - float(np.median(here))
     found = analyse(arrays, distance, float(position["per_count"]), str(device["home"]["method"]))
     if any(one.key == "sign" and one.value != position["sign"] for one in found.changes):
-        # which way the motor pushes is not known any more: what was verified counts no longer
+        # the direction of the motor's push is unknown now: the earlier verification is void
         found += StepResult("encoder", changes=[Change("commissioning", "signs_verified", False)])
     return found
 
@@ -108,13 +109,13 @@ def _refuse(distance: Distance, travel: Mapping[str, float]) -> None:
 
 
 def counts_of(records: Records, position: Mapping[str, Any]) -> Floats:
-    """Encoder counts (n,) since the origin, by the scale `position` of the hello."""
+    """Return encoder counts (n,) since the origin, by the scale `position` of the hello."""
     m_per_count = position["sign"] * position["per_count"]
     return np.asarray(np.round(records["position_m"] / m_per_count))
 
 
 def passages(records: Records, counts: Floats) -> Floats:
-    """Counts (k,) of the index mark, as the frames of `records` (n,) with `counts` tell it."""
+    """Return the counts (k,) of the index mark, from the frames of `records` (n,) with `counts`."""
     passed = np.flatnonzero(records["status"] & StatusBit.INDEX)
     heads = (frames.IN_SEALED.unpack(bytes(one)) for one in records["in_frame"][passed])
     behind = np.array([head[codec.HEAD_INDEX_OFFSET] for head in heads])
@@ -124,9 +125,9 @@ def passages(records: Records, counts: Floats) -> Floats:
 def analyse(
     arrays: dict[str, Floats], distance: Distance, m_per_count: float, home: str = "none"
 ) -> StepResult:
-    """What counts at rest (n,), during the motion (m,), of the steps from A to B (k,) and of the
-    index mark from x = 0 on (`marks`, where there is one) say, with the `m_per_count` and the
-    method to `home` of the device file.
+    """Evaluate counts at rest (n,), during the motion (m,), of the steps from A to B (k,) and,
+    where there is one, of the index mark from x = 0 (`marks`). `m_per_count` and the method to
+    `home` are those of the device file.
     """
     rest, moving, steps = (arrays[name] for name in ("rest", "moving", "steps"))
     went = float(np.median(moving[-len(moving) // 10 :]) - moving[0])
@@ -150,7 +151,7 @@ def analyse(
 
 
 def scale_of(steps: Floats, distance: Distance) -> Value:
-    """m per count, from the counts (k,) of k times the same distance, k at least 2."""
+    """Return m per count, from the counts (k,) of k times the same distance, k at least 2."""
     sizes = np.abs(steps)
     mean = float(sizes.mean())
     relative = hypot(mean_half(sizes) / mean, distance.tolerance_m / distance.metres)
@@ -159,7 +160,7 @@ def scale_of(steps: Floats, distance: Distance) -> Value:
 
 
 def _index(place_m: Floats, m_per_count: float, home: str) -> StepResult:
-    """Whether the passages of the index mark, at `place_m` (k,), agree, and where it lies then."""
+    """Check that the passages of the index mark, at `place_m` (k,), agree; return its position."""
     if not len(place_m):
         remedy = "move the handle further, or use another way to home"
         missed = Finding("the index mark was not passed", "warning", remedy)

@@ -1,35 +1,35 @@
 """Mass, friction, delay and smoothing from the balance of forces on a perturbed handle.
 
 Every force on it is known: the probe's torque t, and the servo's commands f, which act after a
-delay D as a held staircase through a smoothing of time constant s. So at every sample of 4 kHz
+delay D as a zero-order hold through a smoothing of time constant s. So at every sample of 4 kHz
 
     m v' + b v + Fc phi + f0 = t + g F,     F = smoothed staircase of f,  g = gain of the motor
 
-and m, b, Fc, g are linear in it (`force_terms` has each term). All terms pass the same window,
-and the equation is solved by lines of LOW_HZ to HIGH_HZ (`estimate.jackknife`). Coulomb and viscous
-friction differ because v grows with the amplitude and phi does not (their describing functions), so
-two amplitudes are played.
+and m, b, Fc, g are linear in it (`force_terms` has each term). All terms pass the same window, and
+the equation is solved at Fourier lines of LOW_HZ to HIGH_HZ (`estimate.jackknife`). Coulomb and
+viscous friction differ because v grows with the amplitude and phi does not (their describing
+functions), so two amplitudes are played.
 
-Delay and smoothing. To the second order in w the path of a command is 1 - jw L - w^2 (L^2 + q) / 2
-with the lag L = D + s and the spread q = s^2. L is known at once. q is told by curvature alone, as
-if a mass K q / 2 were missing, so a mass that is not known to MASS_SHARE leaves q in doubt by
-2 m MASS_SHARE / K, and D with it: D = L - sqrt(q). What the board's clock says of D is its least.
+Delay and smoothing. To second order in w the path of a command is 1 - jw L - w^2 (L^2 + q) / 2 with
+the lag L = D + s and the spread q = s^2. L follows directly. q appears only as a curvature, as if a
+mass K q / 2 were missing. So a mass known to MASS_SHARE leaves q uncertain by 2 m MASS_SHARE / K,
+and D with it: D = L - sqrt(q). The delay by the board's clock is the lower bound of D.
 
-Clocks. `force_terms.clocked` puts both streams into one time. The velocity may come later than the
-torque (a skew), and the torque channel may have a high-pass: two more unknowns of the balance.
+Clocks. `force_terms.clocked` converts both streams to one time. The velocity may come later than
+the torque (a skew), and the torque channel may have a high-pass: two more unknowns of the balance.
 
-Two masses. A transmission that yields shows as a mass that grows with the frequency. A velocity
-channel that is late by interpolation droops, one with a plain delay does not, and a droop feigns
-some of that growth; which it is nobody knows, so half of it is taken, and what the other half would
-change is in the deviations. Each mass by itself is known less well than both together.
+Two masses. A compliant transmission appears as a mass that grows with frequency. A velocity channel
+delayed by interpolation droops, one with a plain delay does not, and a droop imitates part of that
+growth. Which of the two it is remains unknown, so half the droop is assumed, and the effect of the
+other half is included in the deviations. Each mass alone is known less well than their sum.
 
-Assumptions. Each is a term that should not be there: a mass that changes with the frequency (fitted
-along, so that m is what moves slowly), friction that grows with the square of the speed, friction
-of speed that differs by direction, a delay that drifts, a steady pull. Added to the equation its
-coefficient has Student's t, so the chance of a false alarm is known: SIGNIFICANCE for all of them
-together (Bonferroni).
+Assumptions. Each is a term that should be zero: a mass that changes with frequency (fitted along,
+so that m is the mass at low frequency), friction that grows with the square of the speed, viscous
+friction that depends on direction, a delay that drifts, a steady pull. Added to the equation its
+coefficient has Student's t, so the probability of a false alarm is known: SIGNIFICANCE for all of
+them together (Bonferroni).
 
-Limitations: motion above HIGH_HZ that is no small part of it.
+Limitations: a substantial part of the motion above HIGH_HZ.
 """
 
 from collections.abc import Sequence
@@ -63,15 +63,15 @@ from hapticd.signal.verdict import student_quantile
 LEAST_BLOCKS = 8
 LOW_HZ = 5.0
 HIGH_HZ = 200.0
-COUPLED_HZ = 450.0  # up to where a resonance is fitted
-RATIO = 0.05  # of critical damping, to begin with
-SMOOTH_LINES = 15  # on each side, of the residuals that weigh the lines
+COUPLED_HZ = 450.0  # upper limit of the lines at which a resonance is fitted
+RATIO = 0.05  # initial value, of critical damping
+SMOOTH_LINES = 15  # on each side, of the residuals that weight the lines
 FIRST_ROUNDS = 3
 ROUNDS = 10
 SETTLED_US = 0.05
-STRIDE_US = 300.0  # most that a round changes the lag
-SPREADS_US = (0.0, 300.0, 1000.0, 3000.0, 8000.0)  # smoothing to begin with
-SMALL_US2 = 1e3  # difference by which the spread is differentiated
+STRIDE_US = 300.0  # maximum change of the lag in a round
+SPREADS_US = (0.0, 300.0, 1000.0, 3000.0, 8000.0)  # initial values of the smoothing
+SMALL_US2 = 1e3  # step of the derivative by the spread
 SIGNIFICANCE = 0.01
 NAMES = (
     "mass_kg",
@@ -86,66 +86,66 @@ NAMES = (
     "slider_rad_s",
     "slider_ratio",
 )
-COMMON = 8  # of them: the last three are those of a resonance, instead of which
-RIGID = 9  # one rigid mass has bend_kg
+COMMON = 8  # of them: a resonance has the last three instead of bend_kg
+RIGID = 9  # one rigid mass: COMMON and bend_kg
 ABSENT = ("linear", "direction", "delay")  # assumptions as terms of the equation
-DROOP = 0.5  # of that of a channel that interpolates; it lies anywhere between 0 and 1
+DROOP = 0.5  # relative to a channel that interpolates; anywhere between 0 and 1
 
 
 @dataclass(frozen=True, slots=True)
 class Test:
-    """An assumption as a term that should be absent."""
+    """An assumption, as a term that should be zero."""
 
     name: str
     size: float  # of the term, in its unit
     half: float  # of its 95 % interval
-    t: float  # size by its deviation
-    critical: float  # |t| that chance exceeds in SIGNIFICANCE of all cases, for all tests together
+    t: float  # size over its deviation
+    critical: float  # |t| that noise exceeds in SIGNIFICANCE of all cases, for all tests together
 
     @property
     def significant(self) -> bool:
-        """Whether chance alone hardly does this."""
+        """Whether noise alone is an unlikely explanation."""
         return abs(self.t) > self.critical
 
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """The solution. `fit` has the deviations of what NAMES has: the first RIGID, or of all with a
-    resonance.
+    """Solution of the balance. `fit` has the deviations of the quantities in NAMES: of the first
+    RIGID, or of all with a resonance.
     """
 
     handle: Handle
-    settled: bool  # whether a further round would change nothing
-    most_kg: float  # as much as all forces together could move as it moved
+    settled: bool  # whether another round would change nothing
+    most_kg: float  # upper bound of the mass: all forces together could move no more in this way
     fit: Fit
     blocks: int
-    residual: float  # rms of what is left, of the torque
+    residual: float  # rms of the residuals, relative to the torque
     speed_m_per_s: float  # rms
     tests: tuple[Test, ...]
     clocks: tuple[Clock, ...]
 
     def half(self, name: str) -> float:
-        """Half of the 95 % interval of the quantity `name`, by the blocks."""
+        """Return half of the 95 % interval of the quantity `name`, from the blocks."""
         return float(self.fit.halves[NAMES.index(name)])
 
     def covariance(self, one: str, other: str) -> float:
-        """That of two quantities, by the blocks."""
+        """Return the covariance of two quantities, from the blocks."""
         return float(self.fit.covariance[NAMES.index(one), NAMES.index(other)])
 
 
 class _Rows(NamedTuple):
-    """The equation by lines."""
+    """The equation at the Fourier lines."""
 
     columns: Floats  # (blocks, rows, RIGID or all), by NAMES
     target: Floats  # (blocks, rows)
     extra: Floats  # (blocks, rows, tests) terms that should be absent, by ABSENT
-    run: Floats  # (blocks,) to which run a block belongs
+    run: Floats  # (blocks,) run of each block
     pull_n: Floats  # (blocks,)
 
 
 def fit_two_masses(runs: Sequence[PerturbationRun], rigid: Balance) -> Balance:
-    """Two coupled masses, from the fit of one `rigid` mass on: lag and smoothing are known by then.
-    How much the velocity channel droops is not, and what it changes is in the deviations.
+    """Fit two coupled masses, starting from the fit of one `rigid` mass with its lag and smoothing.
+    The droop of the velocity channel is unknown; its effect is included in the deviations.
     """
     further = max(float(np.mean([clock.yield_s2 for clock in rigid.clocks])), 1e-8)
     half_kg = 0.5 * rigid.handle.mass_kg
@@ -166,7 +166,7 @@ def fit_two_masses(runs: Sequence[PerturbationRun], rigid: Balance) -> Balance:
 
 
 def fit_rigid_mass(runs: Sequence[PerturbationRun]) -> Balance:
-    """Solve the balance of all `runs` together, of one rigid mass. AnalysisError where they are too
+    """Solve the balance of all `runs` together, of one rigid mass. AnalysisError if they are too
     short or nothing moves.
     """
     if sum(run.torque_n.size // BLOCK for run in runs) < LEAST_BLOCKS:
@@ -176,7 +176,7 @@ def fit_rigid_mass(runs: Sequence[PerturbationRun]) -> Balance:
 
 
 def _fit(runs: Sequence[PerturbationRun], clocks: tuple[Clock, ...], handle: Handle) -> Balance:
-    """The balance from `handle` on: as many masses as that has."""
+    """Return the balance, starting from `handle`, with as many masses as it has."""
     weight = np.ones(1)
     for _ in range(ROUNDS):
         rows = _rows(runs, clocks, handle)
@@ -200,7 +200,7 @@ def _fit(runs: Sequence[PerturbationRun], clocks: tuple[Clock, ...], handle: Han
 
 
 def _begin(runs: Sequence[PerturbationRun], clocks: Sequence[Clock]) -> Handle:
-    """The best of some guesses of the smoothing, each after a few rounds."""
+    """Return the best of several guesses of the smoothing, each after a few rounds."""
     known = np.concatenate([run.delays_us for run in runs])
     delay_us = float(np.median(known)) if known.size else 0.25 * runs[0].period_us
     tried: list[tuple[float, Handle]] = []
@@ -215,7 +215,7 @@ def _begin(runs: Sequence[PerturbationRun], clocks: Sequence[Clock]) -> Handle:
 
 
 def _moved(handle: Handle, values: Floats) -> tuple[Handle, float]:
-    """`handle` after a round, and how far the lag went [us]."""
+    """Return `handle` after a round, and the change of the lag [us]."""
     mass, viscous, coulomb, gain, lag, spread, skew, corner = values[:COMMON].tolist()
     stride = float(np.clip(lag, -STRIDE_US, STRIDE_US))
     widest = max(4e4, abs(handle.spread_us2))
@@ -277,7 +277,7 @@ def _of_run(run: PerturbationRun, clock: Clock, handle: Handle, number: int) -> 
 def _slopes(
     run: PerturbationRun, clock: Clock, handle: Handle, own: Terms
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Derivatives (n,) by what is not linear in the equation: lag, spread, skew and high-pass."""
+    """Return derivatives (n,) by the nonlinear unknowns: lag, spread, skew and high-pass."""
     later = commanded(run, clock, handle.lag_us + 1.0, handle.spread_us2)
     sooner = commanded(run, clock, handle.lag_us - 1.0, handle.spread_us2)
     wider = commanded(run, clock, handle.lag_us, handle.spread_us2 + SMALL_US2)
@@ -291,14 +291,14 @@ def _slopes(
 
 
 def _bent(own: Terms) -> Floats:
-    """Column of a mass that grows with the square of the frequency."""
+    """Return the column of a mass that grows with the square of the frequency."""
     bent = np.zeros(own.acceleration.size)
     bent[1:-1] = -np.diff(own.acceleration, 2) / (2.0 * np.pi * HIGH_HZ * H_S) ** 2
     return bent
 
 
 def _of_slider(own: Terms, handle: Handle) -> list[Floats]:
-    """Columns of the mass on a spring, of its frequency and of its damping."""
+    """Return the columns of the mass on a spring, of its frequency and of its damping."""
     rate = handle.slider_rad_s
     ratio = handle.slider_ratio
     faster = base_excited_response(own.acceleration, 1.001 * rate, ratio) - own.slider
@@ -312,7 +312,7 @@ def _lines(values: Floats, high_hz: float) -> Floats:
 
 
 def _weights(rows: _Rows, values: Floats) -> Floats:
-    """(blocks, rows): each line of each run by its residuals, smoothed over neighbours."""
+    """Return weights (blocks, rows) of the lines of each run: 1 / their residuals, smoothed."""
     left = (rows.target - rows.columns @ values) ** 2
     half = left.shape[1] // 2
     found = np.empty_like(left)
@@ -327,14 +327,14 @@ def _weights(rows: _Rows, values: Floats) -> Floats:
 
 
 def _most_kg(rows: _Rows, values: Floats) -> float:
-    """What moves as it did cannot be more than all forces together move (triangle inequality)."""
+    """Return an upper bound of the moving mass, from all forces together (triangle inequality)."""
     sizes = np.sqrt((rows.columns[..., :4] ** 2).sum(axis=(0, 1)))
     torque = np.sqrt((rows.target**2).sum())
     return float((torque + np.abs(values[1:4]) @ sizes[1:]) / sizes[0])
 
 
 def _tests(rows: _Rows, fit: Fit, weight: Floats) -> tuple[Test, ...]:
-    """Each assumption by itself, beside what is fitted."""
+    """Test each assumption separately, added to the fitted terms."""
     found = {}
     if rows.columns.shape[-1] == RIGID:
         found["rigid"] = (float(fit.values[-1]), float(fit.sd[-1]))

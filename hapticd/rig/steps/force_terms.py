@@ -1,20 +1,19 @@
-"""The forces on a perturbed handle, each as the mean that the balance of forces takes, and how the
-probe's samples stand in the board's time.
+"""Forces on a perturbed handle as means for the balance of forces, and the clock of the samples.
 
-Means over intervals of the velocity give v' exactly, as a mean under the triangle of two intervals;
-the probe's torque is held, and the smoothed staircase of commands has a double integral in closed
-form. phi is the mean of what friction does: the sign of the velocity, and where forces do not
-overcome Fc, as much as they are (within an interval the velocity runs straight, so the moment of a
-reversal is known).
+Means over intervals of the velocity give v' exactly, as a mean weighted by the triangle of two
+intervals. The probe's torque is held, and the smoothed staircase of commands has a double integral
+in closed form. phi is the mean normalised friction: the sign of the velocity, and, where forces do
+not exceed Fc, their value (velocity is linear within an interval, so the moment of a reversal is
+known).
 
-The encoder is latched at times that the board tells. The intervals of the probe end at multiples of
-250 us of the same clock, to within a constant (`Clock`). The encoder's way and the integral of the
-velocity agree for the right constant alone, to some 0.1 us. The same equation gives the gain
-between both, the corner of a high-pass in the velocity channel, and by how much the encoder goes
-further at high frequencies (a transmission that yields).
+The board reports the times of the encoder latch. The intervals of the probe end at multiples of 250
+us of the same clock plus a constant (`Clock`). The encoder's displacement and the integral of the
+velocity agree only for the right constant, to about 0.1 us. The same equation gives the ratio
+between both, the corner of a high-pass in the velocity channel, and how much further the encoder
+moves at high frequencies (a compliant transmission).
 
-Limitations: a velocity so noisy that phi is chance (more than some 2 % of the motion), or a handle
-that hardly moves within CLOCK_HZ, so that nothing tells the constant.
+Limitations: a velocity so noisy that phi is random (more than about 2 % of the motion), or a handle
+that hardly moves within CLOCK_HZ, so that the constant cannot be determined.
 """
 
 from dataclasses import dataclass
@@ -37,42 +36,42 @@ CLOCK_ROUNDS = 5
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """How the probe's samples stand in the board's time."""
+    """Relation of the probe's samples to the board's time."""
 
     phase_us: float  # board's time at which the interval of index 0 began
-    gain: float  # encoder's way by the integral of the velocity
+    gain: float  # displacement of the encoder over the integral of the velocity
     high_pass_rad_s: float  # corner of the velocity channel
-    yield_s2: float  # by which the encoder goes further, by the square of the frequency [rad/s]
+    yield_s2: float  # extra displacement of the encoder, over the square of the frequency [rad/s]
 
 
 @dataclass(frozen=True, slots=True)
 class Handle:
-    """What moves, and the way of a command to it."""
+    """The moving masses, and the path of a command to them."""
 
     mass_kg: float
     viscous_ns_per_m: float
     coulomb_n: float
     gain: float  # of the motor: force by command, both in N
     lag_us: float  # D + s
-    spread_us2: float  # s^2; below 0 where noise says so
-    skew_us: float  # by which the velocity comes later than the torque
+    spread_us2: float  # s^2; below 0 if noise dominates
+    skew_us: float  # delay of the velocity behind the torque
     high_pass_rad_s: float = 0.0  # corner of the torque channel
-    slider_kg: float = 0.0  # what hangs on a spring, beside mass_kg; 0: everything is rigid
-    slider_rad_s: float = 0.0  # its own frequency while the rest is held
+    slider_kg: float = 0.0  # mass on a spring, in addition to mass_kg; 0: all is rigid
+    slider_rad_s: float = 0.0  # its natural frequency while the rest is held
     slider_ratio: float = 0.0  # of its critical damping
-    droop: float = 0.0  # of the velocity channel, over that of one that interpolates for its skew
+    droop: float = 0.0  # of the velocity channel, relative to one that interpolates for its skew
 
     @property
     def whole_kg(self) -> float:
-        """All that moves."""
+        """Total moving mass."""
         return self.mass_kg + self.slider_kg
 
 
 class Terms(NamedTuple):
-    """Means (n,) under the triangles of two intervals, of one run."""
+    """Means (n,) of one run, weighted by the triangles of two intervals."""
 
     acceleration: Floats
-    slider: Floats  # acceleration of what hangs on the spring
+    slider: Floats  # acceleration of the mass on the spring
     velocity: Floats
     friction: Floats  # phi
     command: Floats  # F
@@ -81,8 +80,8 @@ class Terms(NamedTuple):
 
 
 def commanded(run: PerturbationRun, clock: Clock, lag_us: float, spread_us2: float) -> Floats:
-    """F (N - 1,): the staircase of commands behind its delay and smoothing."""
-    if spread_us2 < 0.0:  # continued evenly, so that noise about 0 has no edge to lean on
+    """Return F (N - 1,): the staircase of commands after its delay and smoothing."""
+    if spread_us2 < 0.0:  # odd continuation, so that the fit has no edge at 0
         return 2.0 * commanded(run, clock, lag_us, 0.0) - commanded(run, clock, lag_us, -spread_us2)
     smooth_us = float(np.sqrt(spread_us2))
     edge_us = run.board_us + (lag_us - smooth_us)
@@ -92,7 +91,9 @@ def commanded(run: PerturbationRun, clock: Clock, lag_us: float, spread_us2: flo
 
 
 def _integral(edge_s: Floats, value: Floats, smooth_s: float, at_s: Floats) -> Floats:
-    """Double integral at `at_s` of the smoothed staircase of `value` (n,) from `edge_s` (n,) on."""
+    """Return the double integral at `at_s` of the smoothed staircase of `value` (n,) from `edge_s`
+    (n,).
+    """
     length = np.diff(edge_s, append=2.0 * edge_s[-1] - edge_s[-2])
     tail = np.exp(-length / smooth_s) if smooth_s > 0.0 else np.zeros(length.size)
     away = _away(value, tail)
@@ -112,7 +113,7 @@ def _integral(edge_s: Floats, value: Floats, smooth_s: float, at_s: Floats) -> F
 
 
 def _away(value: Floats, tail: Floats) -> Floats:
-    """How far (n,) the smoothed force is from each value when that begins."""
+    """Return the difference (n,) of the smoothed force from each value when that begins."""
     force = float(value[0])
     found = []
     for share, target in zip(tail.tolist(), value.tolist(), strict=True):
@@ -122,14 +123,14 @@ def _away(value: Floats, tail: Floats) -> Floats:
 
 
 def shifted(values: Floats, later_us: float, slopes: int = 0) -> Floats:
-    """`values` (n,) as they were `later_us` later, or their derivative per us."""
+    """Return `values` (n,) as they were `later_us` later, or their derivative per us."""
     jw = 2j * np.pi * np.fft.rfftfreq(values.size, H_S) / US_PER_S
     turned = np.fft.rfft(values) * np.exp(jw * later_us) * jw**slopes
     return np.asarray(np.fft.irfft(turned, values.size))
 
 
 def drooped(values: Floats, handle: Handle) -> Floats:
-    """`values` (n,) as weak at high frequencies as a channel that is late by interpolation."""
+    """Return `values` (n,) with the droop of a channel delayed by interpolation."""
     late = min(max(handle.skew_us / SAMPLE_US, 0.0), 1.0)
     f = np.fft.rfftfreq(values.size)
     lost = handle.droop * late * (1.0 - late) * (1.0 - np.cos(2.0 * np.pi * f))
@@ -137,8 +138,8 @@ def drooped(values: Floats, handle: Handle) -> Floats:
 
 
 def friction(push_n: Floats, velocity: Floats, handle: Handle) -> Floats:
-    """phi (n,): the mean sign of friction in each interval, in which `push_n` acts and the mean
-    velocity is `velocity`.
+    """Return phi (n,): the mean sign of friction in each interval, with the force `push_n` and the
+    mean velocity `velocity`.
     """
     mass = handle.mass_kg
     level = max(handle.coulomb_n, 1e-9)
@@ -159,7 +160,7 @@ def friction(push_n: Floats, velocity: Floats, handle: Handle) -> Floats:
 
 
 def terms(run: PerturbationRun, clock: Clock, handle: Handle) -> Terms:
-    """The terms of the balance, as far as `handle` is needed for them."""
+    """Return the terms of the balance that depend on `handle`."""
     drift = (run.position_m[-1] - run.position_m[0]) / (run.board_us[-1] - run.board_us[0])
     velocity = undo_high_pass(run.velocity_m_per_s, clock.high_pass_rad_s)
     velocity = velocity - velocity.mean() + drift * US_PER_S / clock.gain
@@ -181,13 +182,13 @@ def terms(run: PerturbationRun, clock: Clock, handle: Handle) -> Terms:
 
 
 def _widened(means: Floats) -> Floats:
-    """Interval means (n + 1,) by those under triangles (n,)."""
+    """Return interval means (n + 1,) from those under triangles (n,)."""
     return np.concatenate((means[:1], 0.5 * (means[1:] + means[:-1]), means[-1:]))
 
 
 def base_excited_response(acceleration: Floats, rate_rad_s: float, ratio: float) -> Floats:
-    """Acceleration (n,) of a mass on a spring and a damper whose base moves with `acceleration`
-    (n,); zeros for a rate of 0.
+    """Return the acceleration (n,) of a mass on a spring and a damper whose base moves with
+    `acceleration` (n,); zeros for a rate of 0.
     """
     if rate_rad_s <= 0.0:
         return np.zeros(acceleration.size)
@@ -199,9 +200,9 @@ def base_excited_response(acceleration: Floats, rate_rad_s: float, ratio: float)
 
 # --- clock ----------------------------------------------------------------------------------------
 def clocked(run: PerturbationRun) -> Clock:
-    """Where the probe's intervals lie in the board's time."""
+    """Return the position of the probe's intervals in the board's time."""
     late_us = run.board_us - SAMPLE_US * (run.last_index + 1.0)
-    # an interval that had come was over, the next one was not
+    # an interval that had arrived was over, the next one was not
     phase_us = 0.5 * (float(late_us.max()) - SAMPLE_US + float(late_us.min()))
     found = Clock(phase_us, 1.0, 0.0, 0.0)
     for _ in range(CLOCK_ROUNDS):
@@ -210,13 +211,13 @@ def clocked(run: PerturbationRun) -> Clock:
 
 
 def undo_high_pass(values: Floats, corner_rad_s: float) -> Floats:
-    """`values` (n,) without their mean, as they were before a high-pass of that corner."""
+    """Return `values` (n,) without their mean, before a high-pass of that corner."""
     own = values - values.mean()
     return np.asarray(own + corner_rad_s * (np.cumsum(own) - 0.5 * own) * H_S)
 
 
 def _phase(run: PerturbationRun, phase_us: float, corner_rad_s: float) -> Clock:
-    """The clock again, from a guess of its phase and of the channel's high-pass."""
+    """Refine the clock from a guess of its phase and of the channel's high-pass."""
     v = undo_high_pass(run.velocity_m_per_s, corner_rad_s)
     at = (run.board_us - phase_us) / SAMPLE_US - run.first_index
     inside = (at >= 1.0) & (at < v.size - 2.0)
@@ -235,8 +236,8 @@ def _phase(run: PerturbationRun, phase_us: float, corner_rad_s: float) -> Clock:
 
 
 def _way_m(v: Floats, at: Floats) -> Floats:
-    """The integral (k,) of the interval means `v` (n,) at the times `at` (k,) in intervals, by the
-    parabola that each interval has with its neighbours.
+    """Return the integral (k,) of the interval means `v` (n,) at the times `at` (k,) in intervals,
+    by the parabola through each interval and its neighbours.
     """
     way_m = np.concatenate(([0.0], np.cumsum(v))) * H_S
     whole = np.floor(at).astype(np.int64)

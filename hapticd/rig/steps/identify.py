@@ -1,18 +1,18 @@
-"""What moves, what resists, and how late force comes: the device's own [model], measured.
+"""Identify the device's own [model]: moving mass, friction, and delay of the force.
 
-The handle is let go. A weak spring and damper keep it in the middle while the probe shakes it with
-noise, softly and then hard (`force_balance` tells Coulomb from viscous friction by that). Then a
-stiffer spring is rendered, as stiff as friction keeps passive by far (Colgate and Schenkel's
-theorem with the lag found so far), and shaken hard again: its force shows delay and smoothing.
+The operator lets go of the handle. A weak spring and damper keep it in the middle while the probe
+shakes it with noise, softly and then hard (`force_balance` separates Coulomb from viscous friction
+by the two amplitudes). Then a stiffer spring is rendered, which friction keeps passive with a wide
+margin (Colgate and Schenkel's theorem with the lag found so far), and shaken hard again: its force
+shows delay and smoothing.
 
-What that says, with intervals, is in `mechanics`; each assumption that the residuals contradict is
-told in words where it matters as well as being certain: a long record makes small terms certain, so
-a term counts only where it is significant and greater than what MATTERS has for it. The written
-model is what `zwidth predict`, the guard and `search` calculate with. Friction is the rotor's, for
-it was felt there; the mass is in two parts where the transmission was seen to yield; a smoothing
-stands for itself where it was told from delay.
+`mechanics` computes the results with intervals. A long record makes small terms certain, so a
+contradicted assumption is reported only if it is significant and larger than its value in MATTERS.
+`zwidth predict`, the guard and `search` calculate with the written model. Friction is assigned to
+the rotor, where it was measured. The mass has two parts if the transmission was found compliant,
+and a smoothing is written separately if it could be separated from delay.
 
-Limitations: a hand on the handle (its mass and damper are then the device's).
+Limitations: a hand on the handle (its mass and damping then count as the device's).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -53,11 +53,11 @@ QUIET_SHARE = 0.45  # of the loud part
 STIFFNESSES = (1600.0, 800.0, 400.0, 200.0, 100.0, 50.0)  # N/m
 DAMPINGS = (0.4, 0.2, 0.1, 0.0)  # N s/m
 SPARE = 1.5
-CERTAIN = 20.0  # deviations of a resonance that is told
-SHOWS = 0.015  # of the mass, that it grows by up to HIGH_HZ: a late channel feigns 1.3 % at most
+CERTAIN = 20.0  # deviations at which a resonance counts as found
+SHOWS = 0.015  # growth of the mass up to HIGH_HZ that counts: a late channel imitates 1.3 % at most
 WORST_RESIDUAL = 0.2  # of the torque
-ALIKE = 0.03  # share by which one mass and two may differ
-MATTERS = {  # from which size on a contradicted assumption matters
+ALIKE = 0.03  # share by which the total of two masses may differ from that of one
+MATTERS = {  # size from which on a contradicted assumption matters
     "rigid": 0.03,  # of the mass, at HIGH_HZ
     "linear": 0.1,  # of the friction
     "direction": 0.1,  # of the friction
@@ -67,8 +67,8 @@ MATTERS = {  # from which size on a contradicted assumption matters
 
 
 def measure(bench: Client, ask: Ask) -> StepResult:
-    """Perturb the handle and write its model. CommandError unless disabled; AnalysisError while
-    signs are not verified, where the handle leaves its travel, or where records are lost.
+    """Perturb the handle and identify its model. CommandError unless disabled; AnalysisError if the
+    signs are not verified, the handle leaves its travel, or records are lost.
     """
     servo = begin_step(bench, "the model is measured")
     facts = facts_of(servo)
@@ -81,7 +81,7 @@ def measure(bench: Client, ask: Ask) -> StepResult:
 
 
 def facts_of(servo: Mapping[str, Any]) -> Facts:
-    """What the hello's `servo` says of the device."""
+    """Return the known facts of the device, from the hello's `servo`."""
     device = servo["device"]
     tables = {"motor": "force", "probe": "probe_torque", "encoder": "position"}
     scales = {name: relative_half(device[table], nan) for name, table in tables.items()}
@@ -90,15 +90,15 @@ def facts_of(servo: Mapping[str, Any]) -> Facts:
 
 
 def filters_of(servo: Mapping[str, Any]) -> tuple[FilterParams, FilterParams]:
-    """Those of velocity and acceleration in the law of the hello's `servo`."""
+    """Return the filters of velocity and acceleration in the law of the hello's `servo`."""
     law = servo["environment"]
     return FilterParams(**law["velocity_filter"]), FilterParams(**law["acceleration_filter"])
 
 
 def stiffest(found: Balance, facts: Facts, most_n: float) -> Environment:
-    """The stiffest spring of STIFFNESSES, with the most damping, of which viscous friction and half
-    of what Coulomb friction is worth keep SPARE times as much passive, and whose force for 1 mm is
-    at most half of `most_n`; CENTRE where there is none.
+    """Return the stiffest spring of STIFFNESSES, with the most damping, that stays passive. Viscous
+    friction and half of the equivalent Coulomb friction must keep SPARE times as much passive, and
+    its force for 1 mm must be at most half of `most_n`. Return CENTRE if there is none.
     """
     handle = found.handle
     delay = max(0.0, handle.lag_us) / facts.period_us
@@ -113,7 +113,7 @@ def stiffest(found: Balance, facts: Facts, most_n: float) -> Environment:
 
 
 def analyse(runs: Sequence[PerturbationRun], facts: Facts) -> StepResult:
-    """What the `runs` say, the last of which has the stiffest spring."""
+    """Evaluate the `runs`, the last of which has the stiffest spring."""
     found = _solved(runs)
     arrays = arrays_of(runs)
     findings = [_moved(found)]
@@ -129,8 +129,8 @@ def analyse(runs: Sequence[PerturbationRun], facts: Facts) -> StepResult:
 
 
 def _solved(runs: Sequence[PerturbationRun]) -> Balance:
-    """The balance of one rigid mass, or of two where that is contradicted, and two are told that
-    together are as heavy.
+    """Return the balance of one rigid mass, or of two if that is contradicted, two can be
+    identified, and their total mass is the same.
     """
     rigid = fit_rigid_mass(runs)
     test = next(one for one in rigid.tests if one.name == "rigid")
@@ -163,7 +163,7 @@ def _moved(found: Balance) -> Finding:
 
 
 def scales_agree(found: Balance, facts: Facts) -> Iterator[Finding]:
-    """Whether the scales of the device file agree with each other."""
+    """Check that the scales of the device file agree with each other."""
     if unknown := [name for name, half in facts.scales.items() if isnan(half)]:
         yield Finding(
             f"no interval of {', '.join(unknown)}: {100 * UNKNOWN_SHARE:g} % is taken",
@@ -179,7 +179,7 @@ def scales_agree(found: Balance, facts: Facts) -> Iterator[Finding]:
 
 
 def parting(path: CommandPath, found: Balance) -> Finding:
-    """How the lag is parted into delay and smoothing."""
+    """State how the lag is divided into delay and smoothing."""
     variances = found.covariance("lag_us", "lag_us") * found.covariance("spread_us2", "spread_us2")
     together = found.covariance("lag_us", "spread_us2") / sqrt(variances)
     parted = "no smoothing is told from delay, the lag is written as delay"
@@ -193,7 +193,9 @@ def parting(path: CommandPath, found: Balance) -> Finding:
 
 
 def assumptions(found: Balance, facts: Facts) -> Iterator[Finding]:
-    """Each assumption, and whether the residuals contradict it where it matters."""
+    """Yield a finding for each assumption: whether the residuals contradict it to a relevant
+    degree.
+    """
     per_n = 1.0 / max(friction_n(found), 1e-9)
     speed = found.speed_m_per_s
     per_unit = {
@@ -245,7 +247,7 @@ def _assumed(test: Test, share: float) -> Finding:
 def changes_of(
     found: Balance, mechanics: Mechanics, path: CommandPath, facts: Facts
 ) -> Iterator[Change]:
-    """What is written, table by table."""
+    """Yield the changes of the device file, table by table."""
     tables: dict[str, Mapping[str, float | str]] = {
         **_masses(found, mechanics.mass),
         "motor": facts.motor,
@@ -264,7 +266,7 @@ def changes_of(
 
 
 def _masses(found: Balance, mass: Value) -> dict[str, Mapping[str, float | str]]:
-    """Tables of what moves, with the transmission where it yields."""
+    """Return the tables of the masses, and of the transmission if it is compliant."""
     handle = found.handle
     if not handle.slider_kg:
         return {"masses": {"rotor_kg": mass.rounded, "slider_kg": 0.0}}
@@ -284,9 +286,9 @@ def _digits(value: float) -> float:
 
 
 def motor_table(device: Mapping[str, Any]) -> dict[str, float | str]:
-    """[model.motor] for the hello's `device`: torque per ampere [N m/A] and its lever [m]. Where
-    they were not measured, numbers that say so: the table has to stand, and nothing of it is
-    predicted with.
+    """Return [model.motor] for the hello's `device`: torque per ampere [N m/A] and its lever [m].
+    Without a measurement it has placeholder numbers with a note: the table is required, but no
+    prediction depends on it.
     """
     lever_m = float(device["motor_lever_m"])
     found: dict[str, float | str] = {

@@ -1,31 +1,32 @@
-"""Is the link good enough to feel through? Ten seconds of frames while the device is disabled.
+"""Test the link: ten seconds of frames while the device is disabled, then the board's watchdog.
 
-What the ticks of a servo without force tell:
+The ticks of a servo without force give:
 
     d          from a sample to the force that was in effect when the next one was latched, by the
                board's clock; its spread, of 99 % of the ticks, is jitter of the loop
     age        of a frame when it is read: frames that wait in a queue are old
     frames     missing, damaged (CRC, short), of zero length, out of sequence, queued: counters
     drift      of the board's clock against the host's: slope of board time over host time. The host
-               reads its clock when it wakes, so the residuals are its jitter, which is no white
+               reads its clock when it wakes, so the residuals are its jitter, which is not white
                noise: ten slopes, each without one block, give the interval (Student's t)
 
-Medians of d and age are of ticks that differ by jitter alone; their interval is between the order
-statistics that a binomial with p = 1/2 leaves out with 5 %, and half a microsecond more, for they
-come in whole ones.
+Medians of d and age are of ticks that differ by jitter alone. Their interval lies between the order
+statistics that a binomial with p = 1/2 excludes with 5 %, plus half a microsecond, for they are
+whole microseconds.
 
-Then the board's watchdog is tried. The servo, disabled, withholds frames for a time and asks for
-authority over no force; a board that has tripped says so in its answer, and how much damping it
-holds. The first silence is well beyond the time that the hello states. If the board tripped, halves
-of what is left are tried until a silence of a period more trips it and one less does not: the time
-lies between the two, by the board's own clock. A board that did not trip is not asked again.
+Then the board's watchdog is tried. The disabled servo withholds frames for a time and requests
+authority over zero force. A board that has tripped reports this in its answer, with the damping
+that it holds. The first silence is well beyond the time stated in the hello. If the board trips,
+the interval is halved until a silence of one period more trips it and one less does not: the time
+lies between the two, by the board's own clock. A board that did not trip is not tried again.
 
-Damping of COUNTS converter counts is on meanwhile, which nobody feels, so that there is something
-to hold. That it tripped, and what it holds, is the board's own word, and the torque was 0 all the
-time: that a force ends is not seen here. The finding and the certificate say so.
+Damping of COUNTS converter counts, which is imperceptible, is on during the trial, so that there is
+a level to hold. Whether it tripped, and the level held, are only reported by the board, and the
+torque was 0 throughout: the end of a force is not observed. The finding and the certificate state
+this.
 
-The device must not be used meanwhile (it is asked to be disabled). A host that is late by periods
-after a silence only costs more of them: what counts is the board's clock.
+The device must not be used during the step (it has to be disabled). A host that is late by periods
+after a silence only needs more silences: the times are those of the board's clock.
 """
 
 from collections.abc import Iterator, Mapping
@@ -50,13 +51,13 @@ __all__ = ["measure"]
 
 SECONDS = 10.0
 BLOCKS = 10
-LEAST_TICKS = 100  # for any of it
-MOST_DELAY = 1.0  # periods: above it stability suffers more than a faster rate would bring
+LEAST_TICKS = 100  # for any of the values
+MOST_DELAY = 1.0  # periods: above it stability suffers more than a faster rate would improve it
 MOST_SPREAD = 0.05  # of a period
 MOST_DRIFT_PPM = 200.0  # beyond any crystal
 ROUNDED = 0.5  # to whole microseconds
-RARE = 1e-3  # share of ticks that may go wrong before it is felt
-# what a board lacks, and what is lost by it
+RARE = 1e-3  # share of bad ticks that remains imperceptible
+# features that a board lacks, and the consequence
 WITHOUT = {
     Capability.PROBE: "perturbation and impedance need a DAQ of your own",
     Capability.INTERVAL_MEAN: "pairs are instants: their skew is corrected, but not for free",
@@ -81,12 +82,12 @@ REMEDIES = {
     "lost_slots": "the host misses ticks: `hapticd doctor`",
 }
 RECORDED = ("tick", "time_ns", "board_us", "delay_us", "frame_age_us", "arrival", "flags")
-COUNTS = 16  # of active damping: some thousandths of a N s/m
+COUNTS = 16  # of active damping: a few thousandths of a N s/m
 BEYOND = 1.5  # times the stated time, and
-MARGIN_S = 0.01  # more: the first silence
+MARGIN_S = 0.01  # added to it: the first silence
 AFTER_S = 0.1
 MOST_SILENCES = 16
-SLOW_MS = 300.0  # so long a force that nobody commands acts
+SLOW_MS = 300.0  # duration for which an uncommanded force would act
 REMEDY = (
     "do not enable this board: its watchdog has to run from a timer that needs neither USB nor the"
     " main loop"
@@ -94,7 +95,7 @@ REMEDY = (
 
 
 def measure(bench: Client, seconds: float = SECONDS) -> StepResult:
-    """Listen for `seconds`, then try the watchdog; no force is made. CommandError unless
+    """Record frames for `seconds`, then try the watchdog, without force. CommandError unless
     disabled.
     """
     servo = begin_step(bench)
@@ -133,9 +134,9 @@ def _values(records: Records, status: Status) -> Iterator[Value]:
 
 
 def median_of(name: str, found: Floats, unit: str) -> Value:
-    """The median of whole numbers `found` (n,), between order statistics (95 %)."""
+    """Return the median of whole numbers `found` (n,), between order statistics (95 %)."""
     ordered = np.sort(found)
-    half = 0.5 * NORMAL * np.sqrt(len(ordered))  # deviation of a binomial with p = 1/2
+    half = 0.5 * NORMAL * np.sqrt(len(ordered))  # standard deviation of a binomial with p = 1/2
     low = max(0, int(np.floor(0.5 * len(ordered) - half)))
     high = min(len(ordered) - 1, int(np.ceil(0.5 * len(ordered) + half)))
     ends = (float(ordered[low]) - ROUNDED, float(ordered[high]) + ROUNDED)
@@ -143,7 +144,7 @@ def median_of(name: str, found: Floats, unit: str) -> Value:
 
 
 def drift_of(time_ns: Any, board_us: Any) -> Value:
-    """Drift [ppm] of the board's clock: `board_us` (n,) over `time_ns` (n,)."""
+    """Return the drift [ppm] of the board's clock: `board_us` (n,) over `time_ns` (n,)."""
     host_us = (np.asarray(time_ns, np.int64) - int(time_ns[0])) / NS_PER_US
     ahead_us = np.asarray(board_us, np.int64) - int(board_us[0]) - host_us
     columns = np.column_stack([host_us, np.ones_like(host_us)])
@@ -188,7 +189,7 @@ def _frames(counted: Mapping[str, int], ticks: int) -> Iterator[Finding]:
 
 
 def _features(report: Mapping[str, Any]) -> Iterator[Finding]:
-    """What the servo's `report` says of the board, and what this board cannot do."""
+    """Yield differences in the servo's `report` of the board, and features the board lacks."""
     for difference in report.get("differences", ()):
         yield Finding(difference, "refused", "correct the device file or plug in its board")
     if reason := report.get("uncompensated"):
@@ -206,14 +207,14 @@ def _features(report: Mapping[str, Any]) -> Iterator[Finding]:
 
 
 class Silence(NamedTuple):
-    """What the board told after one."""
+    """Answer of the board after a silence."""
 
     seconds: float  # between two OUT frames, by its own clock
     tripped: bool
-    authority: bool  # it granted torque in that very frame
+    authority: bool  # it granted torque in the first frame after
     held_ns_per_m: float  # active damping in effect then
-    asked_ns_per_m: float  # and before
-    left: bool  # it took the next frames as ever
+    asked_ns_per_m: float  # requested before
+    left: bool  # it accepted the next frames normally
 
 
 def try_watchdog(bench: Client, board: Mapping[str, Any]) -> StepResult:
@@ -236,7 +237,7 @@ def try_watchdog(bench: Client, board: Mapping[str, Any]) -> StepResult:
 
 
 def narrowed(bench: Client, tripped_s: float) -> Iterator[Silence]:
-    """Silences that halve the time between one that does not trip and one that does."""
+    """Yield silences that halve the interval between one that does not trip and one that does."""
     period_s = 1.0 / servo_rate_hz(bench)
     calm_s = period_s
     for _ in range(MOST_SILENCES):
@@ -252,7 +253,7 @@ def narrowed(bench: Client, tripped_s: float) -> Iterator[Silence]:
 
 @contextmanager
 def some_damping(bench: Client) -> Iterator[None]:
-    """Active damping on; what is switched on for this is switched off, at its old level."""
+    """Switch active damping on; on exit, restore the previous state and level."""
     least = COUNTS * bench.hello().servo.device.active_damping.per_count
     asked = collect(bench, AFTER_S).records["active_damping_asked_ns_per_m"][-1]
     if asked >= least:
@@ -270,7 +271,7 @@ def some_damping(bench: Client) -> Iterator[None]:
 
 
 def silence(bench: Client, seconds: float) -> Silence:
-    """What the board tells after a silence of about `seconds`. AnalysisError if nothing."""
+    """Return the board's answer after a silence of about `seconds`. AnalysisError without one."""
     wanted_s = max(seconds, 1.0 / servo_rate_hz(bench))
     found = collect(bench, wanted_s + AFTER_S, lambda: bench.withhold(wanted_s)).records
     quiet = np.flatnonzero(found["flags"] & Flag.WITHHELD)
@@ -293,7 +294,7 @@ def silence(bench: Client, seconds: float) -> Silence:
 
 
 def _analyse_silences(silences: list[Silence], stated_s: float, period_s: float) -> StepResult:
-    """What `silences`, the longest first, say of a watchdog of `stated_s`."""
+    """Evaluate `silences`, the longest first, for a watchdog of `stated_s`."""
     arrays = {"silences": np.array([(one.seconds, one.tripped) for one in silences])}
     first = silences[0]
     if not first.tripped:
@@ -323,7 +324,7 @@ def _time(value: Value, stated_ms: float, period_ms: float) -> Finding:
 
 
 def _trip(silences: list[Silence]) -> Iterator[Finding]:
-    """What the board did in the silences that tripped it."""
+    """Yield findings on the board's behaviour in the silences that tripped it."""
     tripped = [one for one in silences if one.tripped]
     if any(one.authority for one in tripped):
         yield Finding("tripped, it still grants torque", "refused", REMEDY)

@@ -1,15 +1,15 @@
-"""What the balance of forces says of the device, with intervals that count what it cannot know.
+"""Mechanical parameters from the balance of forces, with intervals that include its own limits.
 
-Newtons are the mean of two scales, the probe's and the motor's, each weighed by its interval;
-motion is the encoder's. To the intervals of the blocks (`estimate.jackknife`) come those of the
-scales, and what the balance itself may be wrong by.
+Newtons are the mean of two scales, the probe's and the motor's, each weighted by its interval;
+motion is that of the encoder. The intervals from the blocks (`estimate.jackknife`) are combined
+with those of the scales, and with the possible errors of the balance itself.
 
-The lag of a command is delay and smoothing together and is known at once. How it is parted is told
-by the curvature of the command's path, by the board's clock (the delay is at least what that says),
-and by neither to the last: both say their intervals. A smoothing that cannot be told from delay
-counts as delay, since their sum is what decides stability.
+The lag of a command, delay plus smoothing, is known directly. Its division follows from the
+curvature of the command's path and from the board's clock (the lower bound of the delay). Neither
+determines it exactly, so both have intervals. A smoothing that cannot be separated from delay
+counts as delay, since their sum decides stability.
 
-Limitations: two scales that are wrong alike (nothing here contradicts them).
+Limitations: two scales with the same error (nothing here contradicts them).
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,21 +25,21 @@ from hapticd.rig.experiment import PerturbationRun
 from hapticd.rig.result import Value
 from hapticd.rig.steps.force_balance import NAMES, Balance
 
-MASS_SHARE = 1e-3  # what the balance itself may be wrong by
+MASS_SHARE = 1e-3  # possible error of the balance itself
 FRICTION_SHARE = 5e-3
-SPLIT_SHARE = 0.06  # rotor against slider: what friction does within a sample is not seen
+SPLIT_SHARE = 0.06  # rotor against slider: friction within a sample is not resolved
 LAG_US = 2.0
-SKEW_SHARE = 0.05  # a channel that is late may smooth instead
-YIELDING_SKEW_US = 10.0  # friction of the slider looks like some of it
-TOLD_US = 1.0  # by the board's clock: its resolution
-UNKNOWN_SHARE = 0.02  # half of the interval of a scale that says none
-LEAST_SMOOTHING = 0.05  # of a period: less is written as delay
+SKEW_SHARE = 0.05  # a late channel may smooth instead
+YIELDING_SKEW_US = 10.0  # friction of the slider resembles a part of it
+TOLD_US = 1.0  # resolution of the board's clock
+UNKNOWN_SHARE = 0.02  # half of the interval of a scale that states none
+LEAST_SMOOTHING = 0.05  # of a period: a shorter one is written as delay
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What is known of the device before. `scales`: relative halves of the 95 % intervals of motor,
-    probe and encoder by the device file; nan where it says none.
+    """Prior knowledge of the device. `scales` are relative halves of the 95 % intervals of motor,
+    probe and encoder from the device file; nan if it states none.
     """
 
     period_us: float
@@ -48,12 +48,12 @@ class Facts:
     motor: Mapping[str, float | str]  # [model.motor] of the device file
 
     def half(self, scale: str) -> float:
-        """That of a scale, as far as it is known."""
+        """Return the relative half width of a scale, or a default if it is unknown."""
         return UNKNOWN_SHARE if isnan(self.scales[scale]) else self.scales[scale]
 
 
 class Mechanics(NamedTuple):
-    """What moves and what resists, each with its 95 % interval."""
+    """Moving mass and friction, each with its 95 % interval."""
 
     mass: Value  # kg
     viscous: Value  # N s/m
@@ -61,21 +61,21 @@ class Mechanics(NamedTuple):
 
 
 class CommandPath(NamedTuple):
-    """The way of a command: each in us, with its 95 % interval."""
+    """Timing of a command: each in us, with its 95 % interval."""
 
     lag: Value
     delay: Value
-    smoothing: Value  # 0: none is told from delay
+    smoothing: Value  # 0: it cannot be separated from delay
 
 
 def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
-    """Mass and friction, in newtons of both scales and metres of the encoder."""
+    """Return mass and friction, in newtons of both scales and metres of the encoder."""
     handle = found.handle
     scale, scale_half = _newton(found, facts)
     motion = float(np.mean([clock.gain for clock in found.clocks]))  # encoder by velocity channel
     motion_half = facts.half("encoder")
 
-    # what one of the two frictions has too much the other one lacks
+    # the two frictions have opposite errors
     shared_n = FRICTION_SHARE * friction_n(found)
     shared = shared_n / found.speed_m_per_s
 
@@ -96,13 +96,13 @@ def mechanics_of(found: Balance, facts: Facts) -> Mechanics:
 
 
 def _together(found: Balance, slopes: Mapping[str, float]) -> float:
-    """Half of the 95 % interval of what changes by `slopes` with quantities of the balance."""
+    """Return half of the 95 % interval of a result, from its derivatives `slopes`."""
     names = NAMES[: len(found.fit.values)]
     return found.fit.half(np.array([slopes.get(name, 0.0) for name in names]))
 
 
 def resonance_of(found: Balance, mass: Value) -> list[Value]:
-    """What slides on the transmission, and the resonance of the two; nothing where all is rigid."""
+    """Return the slider's mass and the resonance; an empty list if all is rigid."""
     handle = found.handle
     if not handle.slider_kg:
         return []
@@ -123,14 +123,14 @@ def resonance_of(found: Balance, mass: Value) -> list[Value]:
 
 
 def friction_n(found: Balance) -> float:
-    """Typical friction, at the rms speed."""
+    """Return the typical friction, at the rms speed."""
     handle = found.handle
     return handle.coulomb_n + abs(handle.viscous_ns_per_m) * found.speed_m_per_s
 
 
 def _newton(found: Balance, facts: Facts) -> tuple[float, float]:
-    """What a newton of the probe's scale is taken to be, and the half of its interval: two scales,
-    each weighed by its interval.
+    """Return the newton in units of the probe's scale, and half of its interval: the mean of two
+    scales, each weighted by its interval.
     """
     probe = facts.half("probe")
     motor = facts.half("motor")
@@ -141,10 +141,10 @@ def _newton(found: Balance, facts: Facts) -> tuple[float, float]:
 
 
 def path_of(found: Balance, runs: Sequence[PerturbationRun], facts: Facts) -> CommandPath:
-    """Delay and smoothing, as far as the lag can be parted."""
+    """Return delay and smoothing, as far as the lag can be divided."""
     handle = found.handle
     doubt = 2.0 * MASS_SHARE * handle.whole_kg / _stiffness(runs[-1]) * US_PER_S**2
-    # how much the lag changes with a spread that is wrong [1/us]
+    # change of the lag per error of the spread [1/us]
     lag_by_spread = found.covariance("lag_us", "spread_us2") / found.covariance(
         "spread_us2", "spread_us2"
     )
@@ -169,7 +169,9 @@ def path_of(found: Balance, runs: Sequence[PerturbationRun], facts: Facts) -> Co
 
 
 def _stiffness(run: PerturbationRun) -> float:
-    """What was rendered, by the slope of the command over the position [N/m], at least 1."""
+    """Return the rendered stiffness from the slope of the command over the position [N/m], at least
+    1.
+    """
     x = run.position_m - run.position_m.mean()
     return max(1.0, -float(x @ run.force_n) / float(x @ x))
 

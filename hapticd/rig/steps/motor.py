@@ -1,10 +1,10 @@
-"""Which way the motor pushes, and how hard: the sign by pushes, offset and gain by masses.
+"""Motor calibration: the sign by pushes, offset and gain by masses.
 
-Sign (`measure_sign`). Position has its sign already (`rig encoder`, by hand). Pushes of PUSH_S,
+Sign (`measure_sign`). Position already has its sign (`rig encoder`, by hand). Pushes of PUSH_S,
 each half as strong again as the last, go to positive x until the handle moves, then to negative x.
-Both move it with the force, or both against it: the file's sign is right, or the other one is. What
-moves it the same way both times is gravity or a hand, and is refused. Nothing else than these
-pushes makes force, and the servo ends one that goes wrong.
+If both move it with the force, the file's sign is right; if both move it against the force, the
+other one is. A motion in the same direction both times is gravity or a hand, and is refused. Only
+these pushes make force, and the servo ends one that goes wrong.
 
 Gain (`measure_gain`). A spring holds the handle while masses hang from it. A far wall draws it a
 little to either side and lets it creep back, so that it comes to rest once from above and once from
@@ -12,13 +12,13 @@ below, and Coulomb friction cancels in the mean. At rest
 
     s F + o + a w = 0,     w = m g r / R
 
-with the commanded F, what a commanded newton really is (s), the offset o, the side a = +-1 to which
-the masses pull, and the radii r at which they hang and R of the endpoint. The line F(w) gives s and
-o. Its residuals show whether the motor is linear, and give the intervals (Student's t), together
-with a friction that differs from reading to reading by a share REPEATS: few masses may lie on a
-line by chance.
+with the commanded F, newtons per commanded newton s, the offset o, the side a = +-1 to which the
+masses pull, and the radii r at which they hang and R of the endpoint. The line F(w) gives s and o.
+Its residuals show whether the motor is linear, and give the intervals (Student's t), together with
+a friction that differs from reading to reading by a share REPEATS: a few masses may lie on a line
+by chance.
 
-Limitations: a friction that differs from one reading to the next (it shows as residuals).
+Limitations: a friction that differs from one reading to the next (it appears in the residuals).
 """
 
 from collections.abc import Iterator, Mapping
@@ -54,27 +54,27 @@ from hapticd.usb.codec import I16_HIGHEST
 __all__ = ["Masses", "measure_gain", "measure_sign"]
 
 PUSH_S = 0.02
-FIRST_SHARE = 0.05  # of the force that is allowed
+FIRST_SHARE = 0.05  # of the permitted force
 STRONGER = 1.5
 MOVED_M = 1e-4
 STILL_M = 2e-5
 STILL_S = 0.2
 STILL_LOOKS = 25  # 5 s
 GRAVITY_M_PER_S2 = 9.80665
-SAG_M = 8e-3  # of the spring under the heaviest mass: a stiff one rings where nothing damps it
+SAG_M = 8e-3  # of the spring under the heaviest mass: an undamped stiff one rings
 STIFFEST_N_PER_M = 500.0
 DRAWN_SHARE = 0.1  # of the force limit
 DRAW_S = 1.0
 SETTLE_S = 0.5
 READ_S = 1.0
-MOST_SHARE = 0.8  # of the force limit that masses may take
-REPEATS = 0.1  # share by which friction is taken to differ from reading to reading
+MOST_SHARE = 0.8  # of the force limit that masses may use
+REPEATS = 0.1  # assumed relative variation of friction between readings
 MOST_RESIDUAL = 0.02  # of the span
 
 
 @dataclass(frozen=True)
 class Masses:
-    """What is hung, and how it pulls at the endpoint."""
+    """Hanging masses, and their force at the endpoint."""
 
     kilograms: tuple[float, ...]  # 0 is one of them
     pulls_to: int = -1  # side of x to which they pull
@@ -88,7 +88,7 @@ class Masses:
 
 
 def measure_sign(bench: Client, ask: Ask) -> StepResult:
-    """Push to both sides and see which way the handle goes. CommandError unless disabled."""
+    """Push to both sides and compare the directions of motion. CommandError unless disabled."""
     servo = begin_step(bench)
     _require_encoder(servo)
     text = "let go of the handle, somewhere in the middle of its travel; it will be pushed gently"
@@ -108,8 +108,8 @@ def measure_sign(bench: Client, ask: Ask) -> StepResult:
 
 
 def _verified(bench: Client, device: Mapping[str, Any], last: Push, right: bool) -> list[Change]:
-    """The sign of the force, which the file has `right` or the other way, and what was seen of it:
-    by which board, and in which of its lives.
+    """Return the verified sign of the force and its provenance: board and life. `right`: the file's
+    sign is correct.
     """
     sign = int(device["force"]["sign"]) * (1 if right else -1)
     serial = str(device["serial"])
@@ -128,8 +128,8 @@ def _verified(bench: Client, device: Mapping[str, Any], last: Push, right: bool)
 
 
 def _require_encoder(servo: Mapping[str, Any]) -> None:
-    """AnalysisError while nobody has measured the encoder of this board: which way a push goes is
-    seen by the sign of position.
+    """Raise AnalysisError while the encoder of this board is not measured: the sign of position
+    decides the direction of a push.
     """
     position = servo["device"]["position"]
     own = str(servo["device"]["serial"])
@@ -142,21 +142,21 @@ def _require_encoder(servo: Mapping[str, Any]) -> None:
 
 
 def allowed_n(servo: Mapping[str, Any]) -> float:
-    """The strongest push: a tenth of the device's force, as in commissioning, whether the signs are
-    verified or not, and whatever a motor makes of it that nobody has measured.
+    """Return the strongest push: a tenth of the device's force, as in commissioning, whether or not
+    the signs are verified, reduced for a motor that is not yet calibrated.
     """
     return limit_n(servo, COMMISSIONING_SHARE / MOST_CORRECTION)
 
 
 def limit_n(servo: Mapping[str, Any], share: float = 1.0) -> float:
-    """The most that may be commanded, of the device's own force no more than `share`."""
+    """Return the maximum command: at most `share` of the device's own force."""
     own_n = share * float(servo["device"]["force_limit_n"])
     return min(own_n, float(servo["safety"]["force_limit_n"]))
 
 
 def moving_push(bench: Client, most_n: float) -> Push:
-    """The first push towards `most_n` that moves the handle, or the one with `most_n`.
-    AnalysisError where the handle does not stand still.
+    """Return the first push towards `most_n` that moves the handle, or the one with `most_n`.
+    AnalysisError if the handle does not stand still.
     """
     share = FIRST_SHARE
     while True:
@@ -169,13 +169,13 @@ def moving_push(bench: Client, most_n: float) -> Push:
             raise AnalysisError(f"the push ended: {bench.status().cause}; repeat the step")
         if abs(found.moved_m) >= MOVED_M or share >= 1.0:
             if bench.status().state == "fault":
-                bench.reset()  # a push that the servo ended was seen; the next one may come
+                bench.reset()  # a push that the servo ended was seen; the next one may follow
             return found
         share = min(1.0, STRONGER * share)
 
 
 def await_rest(bench: Client) -> None:
-    """Until the handle stands still. AnalysisError after 5 s."""
+    """Wait until the handle stands still. AnalysisError after 5 s."""
     for _ in range(STILL_LOOKS):
         if float(np.ptp(collect(bench, STILL_S).records["position_m"])) <= STILL_M:
             return
@@ -211,8 +211,8 @@ def _sign(agree: set[bool]) -> Finding:
 
 
 def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
-    """Ask for each mass and fit the line. CommandError unless disabled; AnalysisError where
-    signs are not verified, masses are too few or too heavy.
+    """Request each mass and fit the line. CommandError unless disabled; AnalysisError if the signs
+    are not verified, or masses are too few or too heavy.
     """
     servo = begin_step(bench, "the gain is measured")
     _refuse(servo, masses)
@@ -230,8 +230,8 @@ def measure_gain(bench: Client, ask: Ask, masses: Masses) -> StepResult:
 
 
 def rests_n(bench: Client, drawn_n: float) -> list[float]:
-    """Mean commanded forces [N] at rest, after `drawn_n` drew the handle to either side and faded.
-    It draws from where the handle is: equally far to both sides, also under a load.
+    """Return mean commanded forces [N] at rest, after `drawn_n` drew the handle to either side and
+    was released. It draws from the present position: equally far to both sides, also under a load.
     """
     found = []
     for force_n in (drawn_n, -drawn_n):
@@ -259,8 +259,8 @@ def _refuse(servo: dict[str, Any], masses: Masses) -> None:
 def analyse(
     weights_n: Floats, readings_n: Floats, masses: Masses, device: Mapping[str, Any]
 ) -> StepResult:
-    """What commanded forces (n, 2) under `weights_n` (n,) say, with scale and limits of the
-    hello's `device`.
+    """Fit commanded forces (n, 2) under `weights_n` (n,), with scale and limits of the hello's
+    `device`.
     """
     means = readings_n.mean(axis=1)
     found = line(weights_n, means)
@@ -271,8 +271,8 @@ def analyse(
     relative = hypot(slope_half, unequal / float(np.ptp(weights_n))) / abs(slope)
     gain = full_scale(scale, device, hypot(relative, masses.tolerance))
     offset = offset_of(intercept, hypot(intercept_half, unequal), device)
-    # half the difference between rest from above and from below: no more than the friction, and
-    # less where a load came to rest beyond its place
+    # half the difference between rest from above and from below: at most the friction, and less
+    # where a load came to rest beyond its place
     halves = abs(scale) * np.abs(np.diff(readings_n, axis=1))[:, 0] / 2.0
     left = Value.around("friction left at rest", float(halves.mean()), "N", mean_half(halves))
     remedy = "is one mass typed wrong, does the lever slip, or the handle stick? Repeat the step"
@@ -286,25 +286,25 @@ def analyse(
 
 
 def straight(found: Fit, readings: Floats, of: str, remedy: str) -> Finding:
-    """Whether the `readings` (n,) lie on the line that was `found`; `of` names their span."""
+    """Check that the `readings` (n,) lie on the line `found`; `of` names their span."""
     share = float(np.abs(found.residuals).max() / np.ptp(readings))
     what = f"the worst reading lies {percent(share)} of the {of} beside the line"
     return checked(what, share <= MOST_RESIDUAL, remedy, "refused")
 
 
 def friction_of(readings_n: Floats) -> float:
-    """Half the mean difference of commanded forces (n, 2) at rest from above and from below."""
+    """Return half the mean difference of forces (n, 2) at rest from above and from below."""
     return float(np.abs(np.diff(readings_n, axis=1)).mean()) / 2.0
 
 
 def full_scale(scale: float, device: Mapping[str, Any], relative: float) -> Value:
-    """The full scale of the force, whose newtons by the hello's `device` are `scale` N."""
+    """Return the full scale of the force; one newton by the hello's `device` is `scale` N."""
     full_n = scale * I16_HIGHEST * float(device["force"]["per_count"])
     return Value.around("force.full_scale_n", full_n, "N", relative * abs(full_n))
 
 
 def offset_of(force_n: float, half_n: float, device: Mapping[str, Any]) -> Value:
-    """The count of no force, for which `force_n` is commanded by the scale of `device`."""
+    """Return the count of zero force, for the command `force_n` by the scale of `device`."""
     force = device["force"]
     per_n = int(force["sign"]) / float(force["per_count"])
     count = float(force["offset_count"]) + per_n * force_n
@@ -312,14 +312,14 @@ def offset_of(force_n: float, half_n: float, device: Mapping[str, Any]) -> Value
 
 
 def zero_change(offset: Value) -> Change:
-    """The count of no force into the device file, which states no interval for it."""
+    """Return the change for the count of zero force; the device file states no interval for it."""
     return Change("force", "offset_count", offset.rounded)
 
 
 def full_scale_changes(gain: Value, scale: float, device: Mapping[str, Any]) -> Iterator[Change]:
-    """What the full scale `gain`, of `scale` times that of the hello's `device`, writes. The board
-    clamps counts: with a motor that is weaker than its file says, the most that it makes is less,
-    too, and no stop can be sought with more than that.
+    """Yield the changes for the full scale `gain`, `scale` times that of the hello's `device`. The
+    board clamps counts: a motor weaker than its file states also has a lower maximum force, and
+    homing cannot use more than that.
     """
     yield change_of(gain)
     least = scale * gain.low / gain.value
@@ -331,7 +331,7 @@ def full_scale_changes(gain: Value, scale: float, device: Mapping[str, Any]) -> 
 
 
 def believable(scale: float) -> Finding:
-    """Whether a commanded newton may be `scale` newtons, by what the device file says."""
+    """Check `scale`, the newtons per commanded newton, against the device file."""
     return checked(
         f"a commanded newton is {scale:.4g} N",
         1.0 / MOST_CORRECTION <= scale <= MOST_CORRECTION,

@@ -1,17 +1,18 @@
-"""What the probe's two channels mean: gains and signs by encoder and a known mass, offsets, noise.
+"""Calibration of the probe's two channels by encoder and a known mass: gains, signs, offsets,
+noise.
 
-The perturbation shakes the free handle at 10 to 30 Hz (`excitation`), first as it is, then with a
+The perturbation shakes the free handle at 10 to 30 Hz (`excitation`), first alone, then with a
 known mass fixed to it.
 
-The encoder gives scale and sign of the velocity channel; what the mass adds to the torque gives
-those of the torque channel (`probe_fits`). One signal into both channels shows what is left of
-their phases (`probe_fits`).
+The encoder gives scale and sign of the velocity channel; the torque added by the mass gives those
+of the torque channel. One signal into both channels shows the difference of their phases.
+`probe_fits` has these fits.
 
-Dead and swapped channels are found before anything is fitted. What is played is known: the torque
-channel has to follow it, delayed at most, and the velocity channel the encoder's velocity.
+Dead and swapped channels are detected before the fits. The perturbation is known: the torque
+channel has to follow it, with a delay at most, and the velocity channel the encoder's velocity.
 
-Limitations: a mass that rattles (the residuals show it), or one that is fixed behind something soft
-(its mode has to be far above 30 Hz).
+Limitations: a mass that rattles (it appears in the residuals), or one fixed to something soft (its
+mode has to be far above 30 Hz).
 """
 
 from collections.abc import Iterator, Mapping
@@ -67,29 +68,29 @@ from hapticd.usb.codec import I16_HIGHEST
 
 __all__ = ["AttachedMass", "measure"]
 
-REST_S = 12.0  # high-passes of 0.1 Hz forget what was before in some seconds
+REST_S = 12.0  # high-passes of 0.1 Hz take several seconds to settle
 QUARTERS = 4
 MOVED_M = 20e-6  # rms
 LEAST_COUNTS = 5.0  # rms of a channel that is not dead
 HEAVIEST = 2.0  # weight of the fixed mass, times the force limit
-LEAST_COHERENT = 0.9  # of a channel's lines, with what it should follow
-MOST_LEFT = 0.05  # of the torque's lines, that the fit leaves
-WORST_HALF = 0.1  # of the force gain, beyond which the mass made no difference
-SHEPPARD = 1.0 / 12.0  # variance of rounding (Sheppard 1898), from half a count of noise on
+LEAST_COHERENT = 0.9  # share of a channel's lines that follows its reference
+MOST_LEFT = 0.05  # of the torque's lines, left by the fit
+WORST_HALF = 0.1  # of the force gain, beyond which the mass had no effect
+SHEPPARD = 1.0 / 12.0  # variance of rounding (Sheppard 1898), valid from half a count of noise
 SHIFTS = np.linspace(-1.0, 1.0, 1001)  # of the longest delay, at which lines are compared
 LATEST_S = 2e-3  # between encoder and probe
 
 
 @dataclass(frozen=True)
 class AttachedMass:
-    """The mass that is fixed to the handle."""
+    """The mass fixed to the handle."""
 
     kilograms: float
     tolerance: float = 1e-3  # relative, half of its 95 % interval
 
 
 class Recordings(NamedTuple):
-    """What was recorded; None: not asked for."""
+    """Recordings of the step; None: not requested."""
 
     rest: Recording
     bare: Recording
@@ -98,18 +99,18 @@ class Recordings(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """What a count means, with its sign, and half of its 95 % interval."""
+    """Value of a count, with its sign, and half of its 95 % interval."""
 
     per_count: float
     relative_half: float
 
     @property
     def sign(self) -> int:
-        """Of the channel, as the device file has it."""
+        """Sign of the channel, as in the device file."""
         return 1 if self.per_count > 0.0 else -1
 
     def value(self, name: str, unit: str) -> Value:
-        """At the full count."""
+        """Return the value of the full count."""
         full = I16_HIGHEST * abs(self.per_count)
         return Value.around(name, full, unit, full * self.relative_half)
 
@@ -121,12 +122,11 @@ def measure(
     judged: ReferenceSpring | None = None,
     with_one_signal: bool = True,
 ) -> StepResult:
-    """Record what is at rest, shaken without and with the mass, and under one signal; conclude.
-
-    CommandError unless disabled; AnalysisError where signs are not verified, force ends or the
-    handle wanders off.
+    """Record the channels at rest, shaken without and with the mass, and under one signal, and
+    evaluate. CommandError unless disabled; AnalysisError if the signs are not verified, force ends
+    or the handle drifts off.
     """
-    # without the weak spring the smallest slope takes the handle along while it is shaken
+    # without the weak spring the smallest slope moves the handle while it is shaken
     device = begin_step(bench, "the probe is measured")["device"]
     if not attached.kilograms > 0.0:
         raise AnalysisError(f"mass {attached.kilograms:g} kg: name the one that is fixed, in kg")
@@ -152,7 +152,7 @@ def measure(
 def analyse(
     found: Recordings, attached: AttachedMass, device: Mapping[str, Any], judged: ReferenceSpring
 ) -> StepResult:
-    """What was recorded says, with the scales of the hello's `device`."""
+    """Evaluate the recordings, with the scales of the hello's `device`."""
     bare = lines(found.bare)
     result = StepResult("probe", findings=channels(bare), arrays=_arrays(found))
     if not result.settled:
@@ -167,7 +167,7 @@ def analyse(
 
 
 def _compared(one: Recording | None, judged: ReferenceSpring) -> tuple[Floats, StepResult]:
-    """Phase (l,) of the velocity channel against the torque channel, and what is found of both."""
+    """Return the phase (l,) of the velocity channel against the torque channel, and findings."""
     if one is None:
         found: Phase | Finding = Finding(
             "skew and high-pass mismatch",
@@ -188,7 +188,7 @@ def _scales(
     attached: AttachedMass,
     device: Mapping[str, Any],
 ) -> StepResult:
-    """Scales, offsets and noise of both channels."""
+    """Return scales, offsets and noise of both channels."""
     half = relative_half(device["position"], POSITION_HALF)
     torque = force_gain(fit, attached, half)
     velocity = Gain(1.0 / of_velocity.counts, hypot(of_velocity.relative_half, half))
@@ -212,13 +212,13 @@ def _scales(
     changes = [*(Change(name, "sign", one.sign) for name, one in gains.items())]
     changes += map(change_of, scales)
     if full.low < device["probe_limit_n"]:
-        # the converter gives no more than its full scale, whatever the file's limit is
+        # the converter does not exceed its full scale, whatever the limit in the file
         changes.append(Change("limits", "probe_n", floor(full.low * 1e3) / 1e3))
     return StepResult("probe", [*scales, *noises], findings, changes)
 
 
 def channels(bare: Lines) -> list[Finding]:
-    """Which channels live, and whether each is where it belongs, from lines without a mass."""
+    """Detect dead and swapped channels, from lines without a mass."""
     torque = rms(bare.torque)
     velocity = rms(bare.velocity)
     moved_m = rms(bare.position_m)
@@ -265,8 +265,8 @@ def _in_place(bare: Lines) -> Finding:
 
 
 def alike(found: Complexes, known: Complexes, latest_s: float) -> float:
-    """Share of the power of `found` (l,) that is `known` (l,) of either sign, delayed by up to
-    `latest_s` either way.
+    """Return the share of the power of `found` (l,) that is `known` (l,) of either sign, delayed by
+    up to `latest_s` either way.
     """
     turns = np.exp(-2j * pi * np.outer(latest_s * SHIFTS, LINES_HZ))
     common = (turns @ (known * found.conj())).real ** 2
@@ -275,13 +275,13 @@ def alike(found: Complexes, known: Complexes, latest_s: float) -> float:
 
 
 def force_gain(found: Added, attached: AttachedMass, position_half: float) -> Gain:
-    """N of a count."""
+    """Return N per count."""
     relative = hypot(found.half / found.counts, attached.tolerance, position_half)
     return Gain(attached.kilograms / found.counts, relative)
 
 
 def _weighed(found: Added) -> Iterator[Finding]:
-    """What is to be thought of the fit of both recordings."""
+    """Yield findings on the fit of both recordings."""
     yield checked(
         f"masses, damping and friction leave {percent(found.left)} of the torque unexplained",
         found.left <= MOST_LEFT,
@@ -297,19 +297,19 @@ def _weighed(found: Added) -> Iterator[Finding]:
 
 
 def offset(name: str, counts: Floats) -> Value:
-    """The last quarter of `counts` (n,) at rest; the one before says how far it still drifts."""
+    """Return the mean of the last quarter of `counts` (n,) at rest, with its drift."""
     quarter = len(counts) // QUARTERS
     last = counts[-quarter:]
     mean = float(last.mean())
     spread = float(last.std())
     drift = mean - float(counts[-2 * quarter : -quarter].mean())
-    # what does not move by half a count does not tell where in its count it is
+    # a channel that moves by less than half a count hides its place within the count
     half = hypot(NORMAL * spread / sqrt(quarter), drift, 0.5 if spread < 0.5 else 0.0)
     return Value.around(name, mean, "counts", half)
 
 
 def noise(name: str, counts: Floats, gain: Gain, unit: str) -> Value:
-    """Of the last quarter of `counts` (n,) at rest, without that of rounding."""
+    """Return the noise of the last quarter of `counts` (n,) at rest, without that of rounding."""
     last = counts[-(len(counts) // QUARTERS) :]
     spread = float(last.std())
     per_count = abs(gain.per_count)

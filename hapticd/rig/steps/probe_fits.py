@@ -1,49 +1,48 @@
-"""The fits of `probe`: what a known mass adds to the torque, and one signal in both channels.
+"""Fits of `probe`: the torque added by a known mass, and one signal in both channels.
 
-Mass. The balance of forces on a shaken handle, without and with a known mass, says what a count of
-the probe's torque is, with neither the device's mass nor its motor known.
+Mass. The balance of forces on a shaken handle, without and with a known mass, gives newtons per
+count of the probe's torque, without knowledge of the device's mass or motor.
 
-The encoder slides at one end of a transmission that gives a little, the probe turns at the other;
-at 30 Hz a handle of 25 g moves some percent further than the probe. Forces inside the device cancel
-in the sum over both, so at every line, with g newtons in a count,
+The encoder is at one end of a slightly compliant transmission, the probe at the other; at 30 Hz a
+handle of 25 g moves a few percent further than the probe. Forces inside the device cancel in the
+sum over both, so at every line, with g newtons in a count,
 
     g T = (m + M) A + r (A' - A) + b V + c S + k X
 
 A, V and X are acceleration, velocity and position of the encoder's end, A' the acceleration of the
-probe's end (its own velocity channel), r what moves with it, S the lines of sign(V'): Coulomb
-friction is no noise but a known signal. M is 0 and the mass. Both recordings are solved together,
-for m, m + M and r, and b, c and k of each; the difference is the mass over g, and its sign g's.
+probe's end (its own velocity channel), r the mass that moves with it, S the lines of sign(V'):
+Coulomb friction is a known signal, not noise. M is 0 and the mass. Both recordings are solved
+together, for m, m + M and r, and b, c and k of each; the difference is the mass over g, and its
+sign that of g.
 
-As a transmission that gives next to nothing tells nothing of r, r is taken to be some part of m.
+A nearly rigid transmission gives no information on r, so r is assumed to be a part of m.
 
-The channels turn the phase. V' against the encoder's velocity shows a delay and a high-pass of the
-velocity channel; one signal into both the difference of the torque channel. Both
-are taken out, of V' before its sign is taken too: 0.1 Hz at 10 Hz shift the reversals by as much as
-a slow reversal takes. The scale of V' falls with the square of the frequency as the transmission
-gives; what it is at 0 Hz is its gain.
+The channels shift the phase. V' against the encoder's velocity shows a delay and a high-pass of the
+velocity channel; one signal into both shows the difference of the torque channel. Both are removed,
+also from V' before its sign is taken: 0.1 Hz at 10 Hz shifts the reversals by as much as a slow
+reversal takes. The scale of V' falls with the square of the frequency because of the compliance;
+its value at 0 Hz is the gain.
 
-Limitations: sticking for a good part of the time (the residuals show it), and a mass behind
-something soft of its own.
+Limitations: sticking for a large part of the time (it appears in the residuals), and a mass behind
+a soft part of its own.
 
-Signal. What the probe's two channels do to one and the same signal: skew and high-pass mismatch. A
-signal that goes into both inputs comes out of them with the ratio of the channels' own responses,
-H_v / H_t, whatever the signal is. Its phase is
+Signal. Skew and high-pass mismatch of the probe's two channels. A signal into both inputs appears
+at the outputs with the ratio of the channels' responses, H_v / H_t, for any signal. Its phase is
 
     phi(f) = 2 pi f d + a / f,     d the skew, a = (f_v - f_t) of first-order corners at f >> both
 
-and next orders, f^3 of interpolation and anti-aliasing, 1/f^3 of corners that are not far below,
-are fitted besides. d > 0: the velocity is that of d later than the force of the same sample
-(`zwidth trial live` takes it out). A mismatch turns a spring into a damper: Z = K/jw is turned by
--phi, so that at f_min, the lowest frequency that is judged, it seems to have the damping
+and the next orders, f^3 of interpolation and anti-aliasing, 1/f^3 of corners that are not far
+below, are also fitted. d > 0: the velocity is that of d later than the force of the same sample
+(`zwidth trial live` corrects it). A mismatch turns a spring into a damper: Z = K/jw is rotated by
+-phi. So at f_min, the lowest frequency judged, it appears to have the damping
 
     -K sin(phi - 2 pi f d) / (2 pi f_min)
 
 The phases are fitted by least squares with the signal's power as weight (noise of the channels is
-white) between BAND_HZ. A Hann window takes nearly half of the record away, which widens the
-interval.
+white) between BAND_HZ. A Hann window discards nearly half of the record, which widens the interval.
 
-Limitations: a signal without content near f_min (the interval of the mismatch says so), or inputs
-that are coupled otherwise than by the signal.
+Limitations: a signal without content near f_min (the interval of the mismatch shows it), or inputs
+that are coupled in another way than by the signal.
 """
 
 from dataclasses import dataclass
@@ -61,14 +60,14 @@ from hapticd.rig.result import Change, Finding, StepResult, Value, checked
 
 __all__ = ["ReferenceSpring"]
 
-UNEVEN = 2.0  # of a variance: what a fit leaves is rather of its model, and not alike at all lines
-PART_SD = 0.3  # of a share that is anything between 0 and 1
+UNEVEN = 2.0  # of a variance: residuals are mainly model errors, and differ between lines
+PART_SD = 0.3  # of an unknown share between 0 and 1
 OMEGA = 2.0 * pi * LINES_HZ
 SIGNAL_S = 30.0
 BAND_HZ = (0.8, 200.0)
-HANN_SPREAD = 35.0 / 18.0  # of the variance of what is fitted under it: mean w^4 / (mean w^2)^2
-SIGNAL_COUNTS = 20.0  # rms in the band, of a signal that says something
-SIGNAL_COHERENT = 0.5  # share of the velocity channel's power that is the torque channel's
+HANN_SPREAD = 35.0 / 18.0  # of the variance of a fit under the window: mean w^4 / (mean w^2)^2
+SIGNAL_COUNTS = 20.0  # rms in the band, of a usable signal
+SIGNAL_COHERENT = 0.5  # coherent share of the velocity channel's power
 MOST_SKEW = 0.1  # of a sample: 9 degrees at 1 kHz
 MOST_DAMPING_NS_PER_M = 0.05
 
@@ -83,26 +82,26 @@ class Channel(NamedTuple):
 
     @property
     def phase(self) -> Floats:
-        """By which it turns the lines (l,), in radians."""
+        """Phase by which it shifts the lines (l,), in radians."""
         return self.turn_per_hz * LINES_HZ + self.corner_hz / LINES_HZ
 
 
 class Added(NamedTuple):
-    """What the fit of both recordings says."""
+    """Result of the fit of both recordings."""
 
-    counts: float  # that the torque channel shows for what the mass adds, per m/s^2
+    counts: float  # torque counts of the added mass, per m/s^2
     half: float  # of its 95 % interval
-    left: float  # share of the torque's lines that is not explained
+    left: float  # unexplained share of the torque's lines
 
 
 def fit_velocity_channel(bare: Lines) -> Channel:
-    """The velocity channel, from lines of the handle without the mass."""
+    """Fit the velocity channel, from lines of the handle without the mass."""
     speed = 1j * OMEGA * bare.position_m
     ratio = bare.velocity / speed
     sign = copysign(1.0, float(ratio.real.sum()))
     columns = np.stack([LINES_HZ, 1.0 / LINES_HZ], axis=1)
     turn, corner = np.linalg.lstsq(columns, np.angle(sign * ratio), rcond=None)[0]
-    # what the transmission gives grows with w^2
+    # the compliance grows with w^2
     known = np.stack([np.abs(speed), np.abs(speed) * OMEGA**2], axis=1)
     fit = least_squares(known, np.abs(bare.velocity), inflate=UNEVEN)
     counts = float(fit.values[0])
@@ -136,8 +135,8 @@ def fit_added_mass(
 
 
 def _within_mass(known: Floats, seen: Floats, free: Fit) -> tuple[Floats, Floats]:
-    """`known` and `seen` with a row more: what moves with the probe is a part of what moves, half
-    of it give or take PART_SD. A transmission that does not give tells nothing of it.
+    """Append a row to `known` and `seen`: the mass that moves with the probe is half of the moving
+    mass, within PART_SD. A rigid transmission gives no other information on it.
     """
     deviation = sqrt(UNEVEN * float(free.residuals @ free.residuals) / free.freedom)
     row = np.zeros(known.shape[1])
@@ -149,8 +148,8 @@ def _within_mass(known: Floats, seen: Floats, free: Fit) -> tuple[Floats, Floats
 def _parts(
     found: Recording, of_velocity: Channel, turned: Floats
 ) -> tuple[Complexes, Complexes, Complexes]:
-    """Lines of one recording, on the encoder's clock: of the torque (l,) in counts, of the
-    acceleration (l,) of the probe's end beyond the encoder's [m/s^2], and of the encoder's own
+    """Return lines of one recording, on the encoder's clock: of the torque (l,) in counts, of the
+    acceleration (l,) of the probe's end relative to the encoder's [m/s^2], and of the encoder's own
     acceleration, velocity, friction and position (l, 4).
     """
     seen = lines(found)
@@ -166,7 +165,7 @@ def _parts(
 
 
 def _without_high_pass(found: Recording, of_velocity: Channel) -> Floats:
-    """The velocity (n,), in counts of the right sign, with what the high-pass took."""
+    """Return the velocity (n,), in counts of the right sign, with the high-pass undone."""
     counts = copysign(1.0, of_velocity.counts) * (found.velocity - found.velocity.mean())
     way = np.cumsum(counts) / PROBE_RATE_HZ
     number = np.arange(len(way))
@@ -176,7 +175,7 @@ def _without_high_pass(found: Recording, of_velocity: Channel) -> Floats:
 
 @dataclass(frozen=True)
 class ReferenceSpring:
-    """What the mismatch is to be thought of: a spring at the lowest frequency that is judged."""
+    """A spring, at the lowest frequency judged, for the assessment of the mismatch."""
 
     lowest_hz: float = 2.0
     stiffness_n_per_m: float = 600.0
@@ -194,14 +193,14 @@ class Phase:
 
     @property
     def skew(self) -> Value:
-        """By how much later the velocity is sampled [us]."""
-        # the zero crossing of a line is where it is: what its interpolation adds is in f^3
+        """Delay of the velocity's sampling [us]."""
+        # the zero crossing of a line is exact: the effect of its interpolation is in f^3
         to_us = US_PER_S / (2.0 * pi)
         skew = to_us * float(self.fit.values[0])
         return Value.around("probe skew", skew, "us", to_us * float(self.fit.halves[0]))
 
     def mismatch(self, judged: ReferenceSpring) -> Value:
-        """Damping that unequal high-passes feign on the spring of `judged`."""
+        """Return the damping that unequal high-passes imitate on the spring of `judged`."""
         low = judged.lowest_hz
         of = np.array([0.0, 0.0, 1.0 / low, low**-3.0])
         angle = float(of @ self.fit.values)
@@ -210,7 +209,7 @@ class Phase:
         return Value.around("high-pass mismatch", -per_radian * sin(angle), "N s/m", half)
 
     def result(self, judged: ReferenceSpring) -> StepResult:
-        """Both, and what is to be thought of them; the skew goes into the device file."""
+        """Return skew and mismatch with their findings; the skew is written to the device file."""
         skew = self.skew
         mismatch = self.mismatch(judged)
         share = skew.value / SAMPLE_US
@@ -239,13 +238,15 @@ def _columns(f: Floats) -> Floats:
 
 
 def phase(torque: Floats, velocity: Floats) -> Phase | Finding:
-    """The phase between the counts (n,) of both channels under one signal; why there is none."""
+    """Return the phase between the counts (n,) of both channels under one signal, or why there is
+    none.
+    """
     window = np.hanning(len(torque))
     f = np.arange(len(window) // 2 + 1) * PROBE_RATE_HZ / len(window)
     inside = (f >= BAND_HZ[0]) & (f <= BAND_HZ[1])
     t, v = (np.fft.rfft((one - one.mean()) * window)[inside] for one in (torque, velocity))
     powers = np.array([(np.abs(one) ** 2).sum() for one in (t, v)])
-    # rms of what a window of mean square 3/8 lets through
+    # rms that a window of mean square 3/8 passes
     counts = np.sqrt(powers * 2.0 / 0.375) / len(torque)
     cross = v * t.conj()
     shared = abs(cross.sum()) ** 2 / (powers.prod() + 1e-300)

@@ -1,14 +1,14 @@
-"""Does this installation compute what it should? Numbers that are known without it, compared here.
+"""Compare results of this installation with independently known numbers.
 
     theory    damping that a sampled spring, damper, mass needs (Colgate and Schenkel 1997), against
               closed forms: K T/2, |B|, 2 M/T, 9/8 |M|/T, and K (T/2 + d T) for whole delays
     spa       spectra of a record with known random numbers, against the sums of the definition
-              (Blackman and Tukey; MATLAB's `spa`), written out once more without any transform
+              (Blackman and Tukey; MATLAB's `spa`), computed without any transform
     wire      every frame of firmware_iface/vectors.jsonl: the good ones decoded and encoded again,
               the bad ones refused for the stated reason
 
-What is compared are the modules in use, with the libraries of this machine (numba or not, whatever
-numpy it has). Limitations: a mistake that both sides share; the tests look for those.
+The tested modules are those in use, with the libraries of this machine (with or without numba, any
+numpy). Limitations: a mistake common to both sides; the tests look for those.
 """
 
 import json
@@ -34,7 +34,7 @@ CLOSED_FORMS = (  # K [N/m], B [N s/m], M [kg], delay [periods], damping that is
     ((0.0, 0.0, -0.01), 0.0, 1.125 * 0.01 / T_S),
     ((100.0, 0.0, 0.0), 2.0, 100.0 * T_S * 2.5),
 )
-SAME_DAMPING = 1e-5  # relative: the angles that are looked at are not those of the worst
+SAME_DAMPING = 1e-5  # relative: the sampled angles do not include the worst one exactly
 SAME_SPECTRUM = 1e-11
 SPA_SAMPLES = 3000
 SPA_LAG = 50
@@ -54,7 +54,7 @@ REINSTALL = "install hapticd and its libraries again; then `make test`"
 
 
 def compared() -> list[Finding]:
-    """A finding for each of the three."""
+    """Return a finding for each of the three."""
     return [_theory(), _spa(), _wire()]
 
 
@@ -69,7 +69,7 @@ def _theory() -> Finding:
 
 
 def _off(point: tuple[float, float, float], delay_periods: float, expected: float) -> float:
-    """Relative error of the damping that `point` needs."""
+    """Return the relative error of the damping that `point` needs."""
     needed, _ = required_damping([point], RATE_HZ, delay_periods, (None, None))
     return abs(float(needed[0]) / expected - 1.0)
 
@@ -94,8 +94,8 @@ def _spa() -> Finding:
 
 
 def spectrum_of(late: Floats, early: Floats, frequency_hz: Floats) -> Complexes:
-    """Cross-spectrum (F,) of two records (n,), by the sums of its definition: biased covariances to
-    a lag of SPA_LAG, Hann's window, the transform term by term.
+    """Return the cross-spectrum (F,) of two records (n,), by the sums of its definition: biased
+    covariances to a lag of SPA_LAG, Hann's window, the transform term by term.
     """
     n = late.size
     lags = np.arange(-SPA_LAG, SPA_LAG + 1)
@@ -122,7 +122,7 @@ def _wire() -> Finding:
 
 
 def _wrong(vectors: list[dict[str, Any]]) -> Iterator[str]:
-    """Names of those that the codec in use treats otherwise."""
+    """Yield the names of vectors that the codec in use does not treat as stated."""
     for vector in vectors:
         data = bytes.fromhex(vector["hex"])
         decode = DECODE[vector["kind"]]

@@ -5,14 +5,14 @@ of force going up and the same going down again. At rest
 
     s F + o = k (x - x0) +- f
 
-with the commanded F, what a commanded newton really is (s), the motor's offset o, the place x0
-where the spring is slack, and the friction f, which has one sign on the way up and the other on the
-way down: it cancels in the mean of the two. The line x(F) has the slope s / k. o cannot be told
-from x0; it is measured without a spring (`measure_offset`). Forces of both signs are on the line,
-so its residuals show a motor that is not linear, a spring that is not, or a lever that slips.
+with the commanded F, newtons per commanded newton s, the motor's offset o, the place x0 where the
+spring is slack, and the friction f, which has one sign on the way up and the other on the way down:
+it cancels in the mean of the two. The line x(F) has the slope s / k. o cannot be separated from x0;
+it is measured without a spring (`measure_offset`). Forces of both signs are on the line, so its
+residuals show a nonlinear motor, a nonlinear spring, or a lever that slips.
 
-Limitations: a spring that buckles or is stretched to its end (residuals), and a scale of position
-that is wrong (`rig encoder` comes first).
+Limitations: a spring that buckles or is stretched to its end (residuals), and a wrong scale of
+position (`rig encoder` comes first).
 """
 
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ from hapticd.rig.steps.motor import (
 __all__ = ["Spring", "measure", "measure_offset"]
 
 LEVELS = 3
-OVERSHOOT = 1.3  # beyond the last level, so that the way down begins beyond it
+OVERSHOOT = 1.3  # beyond the last level, so that the way down begins above it
 MOST_M = 4e-3  # of stretch
 SHARE = 0.4  # of the force limit, at most
 RAMP_S = 0.5
@@ -58,15 +58,15 @@ Rest = tuple[float, float]  # means at rest: commanded force [N] and position [m
 
 @dataclass(frozen=True)
 class Spring:
-    """Between handle and frame."""
+    """A spring between handle and frame."""
 
     n_per_m: float
     tolerance: float = 0.01  # relative, half of the 95 % interval
 
 
 def measure(bench: Client, ask: Ask, spring: Spring) -> StepResult:
-    """Ask for the spring, pull at it and fit the line. CommandError unless disabled; AnalysisError
-    where signs are not verified.
+    """Request the spring, pull at it and fit the line. CommandError unless disabled; AnalysisError
+    if the signs are not verified.
     """
     servo = begin_step(bench, "the gain is measured")
     most_n = min(SHARE * limit_n(servo), MOST_M * spring.n_per_m) / OVERSHOOT
@@ -80,7 +80,7 @@ def measure(bench: Client, ask: Ask, spring: Spring) -> StepResult:
 
 
 def _loop(bench: Client, most_n: float, start_m: float) -> list[list[Rest]]:
-    """Rests at each level, once on the way up and once on the way down: (LEVELS, 2)."""
+    """Return rests at each level, once on the way up and once on the way down: (LEVELS, 2)."""
     levels = [most_n * step / LEVELS for step in range(1, LEVELS + 1)]
     up = [_rest(bench, level, start_m) for level in levels]
     _rest(bench, most_n * OVERSHOOT, start_m)
@@ -96,8 +96,8 @@ def _rest(bench: Client, force_n: float, start_m: float) -> Rest:
 
 
 def analyse(rests: Floats, spring: Spring, device: Mapping[str, Any]) -> StepResult:
-    """What `rests` (n, 2, 2), of levels, way up and down, [N] and [m], say with scale and limits of
-    the hello's `device`.
+    """Fit `rests` (n, 2, 2), of levels, way up and down, [N] and [m], with scale and limits of the
+    hello's `device`.
     """
     forces, places = rests.mean(axis=1).T
     found = line(forces, places)
@@ -120,8 +120,8 @@ def analyse(rests: Floats, spring: Spring, device: Mapping[str, Any]) -> StepRes
 
 
 def measure_offset(bench: Client, ask: Ask, repeats: int = OFFSET_REPEATS) -> StepResult:
-    """Which count makes no force: a rendered spring holds the free handle, which comes to rest from
-    either side. CommandError unless disabled; AnalysisError where signs are not verified.
+    """Measure the count of zero force: a rendered spring holds the free handle, which comes to rest
+    from either side. CommandError unless disabled; AnalysisError if the signs are not verified.
     """
     servo = begin_step(bench, "the offset is measured")
     ask(Request("let go", "let go of the handle, with nothing hanging from it"))

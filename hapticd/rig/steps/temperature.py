@@ -1,8 +1,8 @@
-"""Does the sensor of the winding's temperature say what a thermometer says?
+"""Compare the sensor of the winding's temperature with a thermometer.
 
-A winding that was off for half an hour is as warm as the room, whose temperature
-somebody states. Its sensor has to say about that, without drift, and not the end of its converter;
-then the count that means 0 degC follows from it, with the scale that the file has from a data sheet
+A winding that was off for half an hour has the temperature of the room, which the operator states.
+Its sensor has to agree approximately, without drift, and not be at the end of its converter. Then
+the count at 0 degC follows from it, with the scale that the file has from a data sheet
 (SCALE_HALF). With a second, stated temperature the scale itself is measured,
 
     c = (T2 - T1) / (n2 - n1),   offset = n1 - T1 / c
@@ -12,8 +12,8 @@ its interval, as noise of a sensor is rarely white.
 
 The back-EMF is measured in the same step, while a hand shakes the handle (`winding`).
 
-Limitations: a winding that is still warm from what was done before (the drift shows it), or a
-thermometer that is not where the sensor is.
+Limitations: a winding that is still warm from earlier use (the drift shows it), or a thermometer in
+another place than the sensor.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,9 +48,9 @@ __all__ = ["KnownTemperatures", "measure"]
 REST_S = 10.0
 SHAKE_S = 6.0
 BLOCKS = 10
-SCALE_HALF = 0.02  # relative, of a scale that is from a data sheet
-MOST_OFF_C = 5.0  # between sensor and statement, that an offset may be
-FAR_OFF_C = 25.0  # beyond which it is no offset
+SCALE_HALF = 0.02  # relative, of a scale from a data sheet
+MOST_OFF_C = 5.0  # plausible offset between sensor and statement
+FAR_OFF_C = 25.0  # beyond which it is not an offset
 LEAST_APART_C = 5.0  # of two temperatures
 LEAST_COUNTS = 5.0  # between two temperatures
 MOST_DRIFT_C_PER_MIN = 1.0
@@ -58,7 +58,7 @@ MOST_DRIFT_C_PER_MIN = 1.0
 
 @dataclass(frozen=True)
 class KnownTemperatures:
-    """What a thermometer at the winding says: of the room, and once more when it is warm."""
+    """Temperatures of a thermometer at the winding: of the room, and optionally when it is warm."""
 
     celsius: tuple[float, ...]
     tolerance_c: float = 0.5  # half of the 95 % interval of each
@@ -82,7 +82,7 @@ def measure(
         ask(Request("warm", f"warm the winding to {warm_c:g} degC and hold it there", warm_c))
         readings.append(_read(bench, device))
     at_rest = analyse(np.array(readings), stated, device)
-    if not with_shake or not at_rest.settled:  # what is refused is not worth a shaken handle
+    if not with_shake or not at_rest.settled:  # a refused result needs no shaken handle
         return at_rest
     text = f"from now on, for {SHAKE_S:g} s: shake the handle to and fro by some mm"
     ask(Request("shake", text, SHAKE_S))
@@ -110,7 +110,7 @@ def _read(bench: Client, device: Mapping[str, Any]) -> Floats:
 
 
 def analyse(readings: Floats, stated: KnownTemperatures, device: Mapping[str, Any]) -> StepResult:
-    """What counts (k, n) of the sensor at k temperatures say, over REST_S each, with the scales of
+    """Evaluate counts (k, n) of the sensor at k temperatures, over REST_S each, with the scales of
     the hello's `device`.
     """
     scale = device["temperature"]
@@ -147,15 +147,15 @@ def _living(readings: Floats) -> Finding:
 
 
 def drift_of(counts: Floats, per_count: float) -> Value:
-    """Slope of `counts` (n,) over REST_S, in K/min: of the means of ten blocks."""
-    away = counts - counts[0]  # so that a sensor that does not move has no rounding of its mean
+    """Return the slope of `counts` (n,) over REST_S, in K/min: of the means of ten blocks."""
+    away = counts - counts[0]  # a constant sensor then has no rounding error in its mean
     means = away[: len(counts) // BLOCKS * BLOCKS].reshape(BLOCKS, -1).mean(axis=1)
     at_min = (np.arange(BLOCKS) + 0.5 - BLOCKS / 2) * REST_S / BLOCKS / 60.0
     return line(at_min, per_count * means).value(0, "temperature drift", "K/min")
 
 
 def scale_of(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any]) -> list[Value]:
-    """Offset, and with two temperatures the scale too, from counts (k, n)."""
+    """Return the offset, and with two temperatures also the scale, from counts (k, n)."""
     counts = readings.mean(axis=1)
     celsius = np.array(stated.celsius)
     scales: list[Value] = []
@@ -167,7 +167,7 @@ def scale_of(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, An
         per_count = float((celsius[1] - celsius[0]) / (counts[1] - counts[0]))
         half = abs(per_count) * sqrt(2.0) * stated.tolerance_c / apart_c
         scales = [Value.around("temperature.c_per_count", abs(per_count), "K", half)]
-        # 0 degC lies beyond both: their errors reach there by the lever
+        # 0 degC lies outside both: their errors are extrapolated to it
         unsure_c = stated.tolerance_c * hypot(*celsius) / apart_c
     offset = float(counts[0] - celsius[0] / per_count)
     half = unsure_c / abs(per_count)
@@ -198,7 +198,7 @@ def _plausible(
 
 
 def _sign(readings: Floats, stated: KnownTemperatures, scale: Mapping[str, Any]) -> int:
-    """That of the file, or as the counts rise between two temperatures."""
+    """Return the sign of the file, or that of the counts between two temperatures."""
     if len(stated.celsius) != 2:
         return int(scale["sign"])
     return 1 if np.diff(readings.mean(axis=1))[0] * np.diff(stated.celsius)[0] > 0.0 else -1

@@ -1,30 +1,29 @@
-"""Does the display render what it is asked for? Springs, dampers and masses that are known, seen
-from the probe.
+"""Verify the display: known springs, dampers and masses, measured by the probe.
 
-Each is rendered, or attached by a hand, beside one environment that stays the same, and Z is
-measured under short noise with it and without it. Their difference is the known part alone:
+Each is rendered, or attached by a hand, in addition to one constant environment, and Z is measured
+under short noise with it and without it. Their difference is the known part alone:
 
     rendered    H(f) (K + B D1(z) + M D2(z)) / jw     hold, delay and filters of the law; the delay
-                                                       is the one that the board told meanwhile
-    attached    j w m,  k / jw                         whatever the servo does
+                                                       is the one measured by the board
+    attached    j w m,  k / jw                         independent of the servo
 
-and friction, which is less where the handle moves faster, adds a constant (its equivalent for
-Gaussian motion, Booton 1954). What nobody told of the way of a command, a smoothing of time
-constant q, and what the encoder sees more of the handle's motion towards a resonance, 1 / (1 - p
-f^2), are the same for all that is rendered. So by lines of LOW_HZ to HIGH_HZ
+and friction, which is lower where the handle moves faster, adds a constant (its equivalent for
+Gaussian motion, Booton 1954). Two unknowns are common to all rendered parts: a smoothing of the
+command with time constant q, and the encoder's larger motion towards a resonance, 1 / (1 - p f^2).
+So at lines of LOW_HZ to HIGH_HZ
 
     dZ = s dZ_known / ((1 + jw q) (1 - p f^2)) + c
 
-is solved for the real numbers s and c of each part, and q and p of all, each line weighed by its
-uncertainty ("h_force": the force is what is known). What is attached is seen through the resonance
-twice, below ATTACHED_HZ; how much it changes that is not known, so three times what it does counts
-as doubt. s = 1 says that the parts agree. What it may differ by are the intervals that the
-calibrations state: of force, position and both probe channels for what is rendered, of the probe
-alone for what is attached; with the record's own interval, and a quarter of c for what of friction
-is no constant.
+is solved for the real numbers s and c of each part, and q and p of all, each line weighted by its
+uncertainty ("h_force": the force is the known signal). An attached part is seen through the
+resonance twice, below ATTACHED_HZ. That effect is not known exactly, so three times its size is
+added to the uncertainty. s = 1 means that the parts agree. The permitted deviation follows from the
+intervals of the calibrations: force, position and both probe channels for a rendered part, the
+probe alone for an attached one. The record's own interval is added, and a quarter of c for friction
+that is not constant.
 
-Beside it the `reference_vectors`, timing meanwhile, and the age of every calibration are
-findings. `certificate` makes the document of them. What is not verified here is said there.
+The `reference_vectors`, timing during the runs, and the age of every calibration are findings as
+well. `certificate` makes the document, which lists what is not verified here.
 
 Limitations: a hand on the handle (another mass), a first resonance below HIGH_HZ.
 """
@@ -57,25 +56,25 @@ from hapticd.signal.spectra import DEFAULT_LAG, spa
 
 __all__ = ["KnownParts", "measure"]
 
-BESIDE = CENTRE  # what is rendered beside
+BESIDE = CENTRE  # constant environment, rendered in addition
 UNIT_N_PER_M = "N/m"
 RENDERED = ("force", "position")  # tables of the device file
 PROBED = ("probe_torque", "probe_velocity")
 LOW_HZ = 8.0
 HIGH_HZ = 120.0
 ATTACHED_HZ = 25.0
-LAG = 2 * DEFAULT_LAG  # samples: what the window averages is little beside a spring's slope
-ROUNDS = 12  # of the way of commands
-STEP = 1e-4  # by which it is differentiated, in ms and 1e-5 / Hz^2
+LAG = 2 * DEFAULT_LAG  # samples: the averaging of the window is small against a spring's slope
+ROUNDS = 12  # iterations of the path of commands
+STEP = 1e-4  # step of its derivative, in ms and 1e-5 / Hz^2
 EVERY = 3  # lines of the window between independent values
-FRICTION_SHARE = 0.25  # of the change of friction that is no constant
+FRICTION_SHARE = 0.25  # of the change of friction that is not constant
 MASS_SHARE = 1e-3  # half of the interval of an attached mass, and of a spring
-FLEXIBLE = 3.0  # times what the resonance does, as a doubt of what is attached
+FLEXIBLE = 3.0  # times the effect of the resonance, as uncertainty of an attached part
 
 
 @dataclass(frozen=True)
 class KnownParts:
-    """What is rendered beside the environment BESIDE, and what is attached by hand (0: nothing)."""
+    """Parts rendered in addition to BESIDE, and parts attached by hand (0: none)."""
 
     stiffness_n_per_m: float = 60.0
     damping_ns_per_m: float = 1.0
@@ -87,23 +86,23 @@ class KnownParts:
 
 @dataclass(frozen=True)
 class Part:
-    """One known part, in `unit`, and how it comes to the handle."""
+    """One known part, in `unit`, rendered or attached."""
 
     name: str
     size: float
     unit: str
-    environment: Environment  # that is rendered meanwhile
-    request: Request | None = None  # what a person does; None: it is rendered
+    environment: Environment  # rendered during the run
+    request: Request | None = None  # request to a person; None: it is rendered
 
     @property
     def scales(self) -> tuple[str, ...]:
-        """The calibrations on which it rests."""
+        """The calibrations that it depends on."""
         return PROBED if self.request else RENDERED + PROBED
 
 
 @dataclass(frozen=True)
 class Rendering:
-    """How commands become forces."""
+    """Parameters of the path from command to force."""
 
     rate_hz: float
     delay_us: float
@@ -113,7 +112,7 @@ class Rendering:
 
 def measure(bench: Client, ask: Ask, known: KnownParts) -> StepResult:
     """Shake the handle with and without each part, and compare. CommandError unless disabled;
-    AnalysisError where the signs are not verified, or as of `perturbation_run`.
+    AnalysisError if the signs are not verified, or as for `perturbation_run`.
     """
     servo = begin_step(bench, "a display is verified")
     before = counted(bench)
@@ -133,7 +132,7 @@ def measure(bench: Client, ask: Ask, known: KnownParts) -> StepResult:
 
 
 def parts_of(known: KnownParts) -> list[Part]:
-    """The parts that are asked for, in their order."""
+    """Return the requested parts, in their order."""
     stiffness, damping, mass = BESIDE.free
     k, b, m = known.stiffness_n_per_m, known.damping_ns_per_m, known.mass_kg
     found = [
@@ -152,7 +151,7 @@ def parts_of(known: KnownParts) -> list[Part]:
 
 
 def counted(bench: Client) -> dict[str, int]:
-    """Late ticks and lost slots of the servo of `bench` so far, as far as it tells."""
+    """Return the servo's counts of late ticks and lost slots so far, if it reports them."""
     counters = bench.status().counters
     return {name: int(counters[name]) for name in ("late_events", "lost_slots") if name in counters}
 
@@ -164,8 +163,8 @@ def analyse(
     known: KnownParts,
     day: datetime.date,
 ) -> StepResult:
-    """What the runs say, by name of the part, "" for none, on the device of a hello's `servo`;
-    `counts` of late ticks and lost slots are those meanwhile.
+    """Evaluate the runs, by name of the part, "" for none, on the device of a hello's `servo`;
+    `counts` are late ticks and lost slots during the runs.
     """
     delays = np.concatenate([one.delays_us for one in runs.values()])
     rendering = Rendering(
@@ -188,7 +187,7 @@ def analyse(
 
 
 def measured(run: PerturbationRun) -> Impedance:
-    """Z of a run at independent lines of the band."""
+    """Return Z of a run at independent lines of the band."""
     spectra = spa(run.torque_n, run.velocity_m_per_s, PROBE_RATE_HZ, LAG)
     f = spectra.frequency_hz
     inside = np.flatnonzero((f >= LOW_HZ) & (f <= HIGH_HZ))
@@ -196,7 +195,7 @@ def measured(run: PerturbationRun) -> Impedance:
 
 
 def expected(part: Part, frequency_hz: Floats, rendering: Rendering) -> Complexes:
-    """The impedance (F,) that `part` adds [N s/m]."""
+    """Return the impedance (F,) that `part` adds [N s/m]."""
     s = 2j * pi * frequency_hz
     if part.request:
         return np.asarray(part.size * s if part.unit == "kg" else part.size / s)
@@ -213,26 +212,26 @@ def expected(part: Part, frequency_hz: Floats, rendering: Rendering) -> Complexe
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """What a part changes of Z at its lines."""
+    """Change of Z by a part, at its lines."""
 
     part: Part
     frequency_hz: Floats  # (F,)
-    theory: Complexes  # (F,) that it should be, N s/m
-    found: Complexes  # (F,) that it is, N s/m
-    sd: Floats  # (F,) of each of its two parts
+    theory: Complexes  # (F,) expected, N s/m
+    found: Complexes  # (F,) measured, N s/m
+    sd: Floats  # (F,) of real and imaginary part each
 
     @property
     def target(self) -> Floats:
-        """What was found (2 F,), real and imaginary parts."""
+        """The measured change (2 F,), real and imaginary parts."""
         return _real(self.found)
 
     @property
     def weight(self) -> Floats:
-        """One over the deviation of each (2 F,)."""
+        """1 / the deviation of each (2 F,)."""
         return np.tile(1.0 / self.sd, 2)
 
     def columns(self, path: Complexes) -> Floats:
-        """Those of scale and friction (2 F, 2), by `path` (F,)."""
+        """Return the columns of scale and friction (2 F, 2), by `path` (F,)."""
         return _real(np.stack((self.theory * path, np.ones_like(self.theory)), axis=1))
 
 
@@ -243,7 +242,7 @@ def _real(values: Complexes) -> Floats:
 def difference(
     part: Part, without: Impedance, with_it: Impedance, rendering: Rendering
 ) -> Difference:
-    """What `part` changes of the impedance at the probe."""
+    """Return the change of the impedance at the probe by `part`."""
     f = without.frequency_hz
     inside = f <= (ATTACHED_HZ if part.request else HIGH_HZ)
     found = (with_it.impedance_ns_per_m - without.impedance_ns_per_m)[inside]
@@ -261,8 +260,8 @@ def command_path_response(frequency_hz: Floats, params: Floats) -> Complexes:
 
 
 def seen(differences: Sequence[Difference]) -> list[Value]:
-    """How large each part is by the probe, with its 95 % interval by the records; of those that are
-    rendered at least two.
+    """Return the size of each part by the probe, with its 95 % interval from the records; at least
+    two parts must be rendered.
     """
     rendered = [one for one in differences if not one.part.request]
 
@@ -284,7 +283,7 @@ def seen(differences: Sequence[Difference]) -> list[Value]:
 
 
 def _attached(one: Difference, encoder: float) -> Value:
-    """A part that a hand attached, where the encoder sees `encoder` [1e-5 / Hz^2] more."""
+    """Return an attached part, for an additional motion `encoder` [1e-5 / Hz^2] at the encoder."""
     more = command_path_response(one.frequency_hz, np.array([0.0, encoder]))
     fit = least_squares(one.columns(more**2), one.target, one.weight, least=1.0)
     doubt = FLEXIBLE * float(np.mean(np.abs(more - 1.0)))
@@ -293,14 +292,14 @@ def _attached(one: Difference, encoder: float) -> Value:
 
 
 def _value(one: Difference, scale: float, friction: float, own: float) -> Value:
-    """The size of a part by its scale, known to `own` by the records, beside some friction."""
+    """Return the size of a part from its scale, known to `own`, and its friction."""
     of_friction = FRICTION_SHARE * abs(friction) / sqrt(float(np.mean(np.abs(one.theory) ** 2)))
     size = one.part.size
     return Value.around(one.part.name, scale * size, one.part.unit, hypot(own, of_friction) * size)
 
 
 def agreement(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
-    """Whether what was seen lies where the calibrations of `device` let it lie."""
+    """Check the measured value against the intervals of the calibrations of `device`."""
     unknown = [name for name in part.scales if device[name]["half_width_95"] is None]
     halves = [relative_half(device[name], UNKNOWN_SHARE) for name in part.scales]
     off = value.value / part.size - 1.0
@@ -321,7 +320,7 @@ def agreement(part: Part, value: Value, device: Mapping[str, Any]) -> Finding:
 
 
 def _late(counts: Mapping[str, int], ticks: int) -> Finding:
-    """Late ticks and lost slots, of so many."""
+    """Check late ticks and lost slots in `ticks`."""
     if not counts:
         return Finding("timing: late ticks and lost slots", "not done", "this daemon tells none")
     told = " and ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
@@ -330,7 +329,7 @@ def _late(counts: Mapping[str, int], ticks: int) -> Finding:
 
 
 def _delay(delays_us: Floats, rendering: Rendering) -> Finding:
-    """How long forces came after their samples, and how much that varied."""
+    """Check the delay from sample to force, and its variation."""
     if not delays_us.size:
         return Finding("timing: from sample to force", "not done", "the board tells no ages")
     low, middle, high = np.quantile(delays_us * rendering.rate_hz / US_PER_S, (0.005, 0.5, 0.995))
@@ -342,7 +341,7 @@ def _delay(delays_us: Floats, rendering: Rendering) -> Finding:
 
 
 def _calibrations(servo: Mapping[str, Any], day: datetime.date) -> list[Finding]:
-    """Calibrations that cannot be relied on."""
+    """Return a finding for each unreliable calibration."""
     if found := doubts(servo, day, probed=True):
         return [Finding(f"calibration {one}", "refused", one.remedy) for one in found]
     asked = "a simulated device needs none" if servo["simulated"] else "of this board, in date"

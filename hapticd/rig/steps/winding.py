@@ -1,24 +1,25 @@
-"""What an ampere makes, what the winding resists, and what a motion induces.
+"""Force per ampere, resistance of the winding, and back-EMF.
 
 At rest under force (the handle is held by hand, forces of LEVELS go to either side) the motor's
-voltage is R i and its force K i: two lines over the forces that were commanded, with offsets of the
-sensors in their intercepts. Moved by hand without force, a winding that carries no current shows
-K v: over windows of WINDOW_S the mean of the voltage and the way by the encoder belong together
-exactly, so no velocity is computed from noise. In SI both K are one number [N/A = V s/m]; where
-they differ, the scales of current, voltage, force and position contradict each other.
+voltage is R i and its force K i: two lines over the commanded forces, with offsets of the sensors
+in their intercepts. Moved by hand without force, a winding without current shows K v. Over windows
+of WINDOW_S the mean of the voltage and the encoder's displacement correspond exactly, so no
+velocity is computed from noise. In SI both K are one number [N/A = V s/m]; if they differ, the
+scales of current, voltage, force and position contradict each other.
 
 The same motion gives scale and sign of the channel `emf_velocity` (`analyse_back_emf`). The device
-is disabled, so no current flows and the channel says velocity alone, whatever the resistance
-compensation believes. Its counts are fitted by the encoder's velocity, by that one's change and a
-constant; the change tells by how many ticks the channel is late, and the fit is made again with a
-velocity that is as late, by blocks.
+is disabled, so no current flows and the channel shows velocity alone, for any resistance
+compensation. Its counts are fitted by the encoder's velocity, its derivative and a constant. The
+derivative gives the delay of the channel in ticks, and the fit is repeated with a velocity of the
+same delay, by blocks.
 
 Commanded newtons have the interval of `rig motor`, metres that of `rig encoder`; both are taken
-from the sources in the device file.
+from the device file.
 
-Limitations: a hand that lets the handle slip while it is held (the windows say so), or shakes it so
-slowly that an AC-coupled amplifier shows, and a winding that warms up by more than the interval
-allows (the resistance is that at the mean temperature of the rests, which is written beside it).
+Limitations: a hand that lets the handle slip while it is held (the windows show it), or shakes it
+so slowly that the AC coupling of an amplifier has an effect. A winding that warms up by more than
+the interval allows: the resistance is that at the mean temperature of the rests, which is written
+with it.
 """
 
 from collections.abc import Iterator, Mapping
@@ -61,12 +62,12 @@ SETTLE_S = 0.5
 READ_S = 0.5
 SHAKE_S = 5.0
 WINDOW_S = 0.02
-SLIPPED_M = 1e-3  # of a handle that is held
-LEAST_M_PER_S = 5e-3  # rms of a motion that says something
-DEAD_COUNTS = 20.0  # span of a channel that says nothing
+SLIPPED_M = 1e-3  # of a held handle
+LEAST_M_PER_S = 5e-3  # rms of a usable motion
+DEAD_COUNTS = 20.0  # minimum span of a live channel
 AGREE = 0.05
 RESTING = ("force_n", "current_a", "voltage_v", "winding_c")
-ROOM_C = 20.0  # of a winding whose temperature nobody measures
+ROOM_C = 20.0  # assumed for a winding without a temperature sensor
 BLOCKS = 10
 LEAST_COUNTS = 5.0  # rms of a channel that is not dead
 LEAST_COHERENT = 0.9
@@ -75,8 +76,8 @@ RECORDED = ("board_us", "position_m", "emf_velocity_m_per_s")
 
 
 def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult:
-    """Ask for a held and for a moved handle. CommandError unless disabled; AnalysisError where
-    signs are not verified or the handle slips.
+    """Request a held and a moved handle. CommandError unless disabled; AnalysisError if the signs
+    are not verified or the handle slips.
     """
     servo = begin_step(bench, "the winding is measured")
     ask(Request("hold", "hold the handle firmly where it is; it will be pushed gently", 0.0))
@@ -99,8 +100,8 @@ def measure(bench: Client, ask: Ask, lever_m: float | None = None) -> StepResult
 
 
 def _rest(bench: Client, force_n: float, start_m: float) -> list[float]:
-    """Means of commanded force [N], current [A], voltage [V] and the winding's temperature [degC],
-    nan where the board does not measure it.
+    """Return means of commanded force [N], current [A], voltage [V] and the winding's temperature
+    [degC], nan if the board does not measure it.
     """
     pull(bench, force_n, start_m, RAMP_S, SETTLE_S)
     found = collect(bench, READ_S).records
@@ -113,7 +114,9 @@ def _rest(bench: Client, force_n: float, start_m: float) -> list[float]:
 
 
 def windows(records: Records, rate_hz: float) -> Floats:
-    """Means over consecutive windows (n, 2): velocity by the encoder [m/s] and voltage [V]."""
+    """Return means over consecutive windows (n, 2): velocity from the encoder [m/s] and voltage
+    [V].
+    """
     size = max(2, round(WINDOW_S * rate_hz))
     edges = np.arange(0, len(records), size)
     speed = np.diff(records["position_m"].astype(np.float64)[edges]) * rate_hz / size
@@ -123,7 +126,7 @@ def windows(records: Records, rate_hz: float) -> Floats:
 
 
 def _means(values: Floats, size: int) -> Floats:
-    """Means by the trapezium rule from each edge of a window to the next one."""
+    """Return means by the trapezium rule from each edge of a window to the next one."""
     middles = (values[1:] + values[:-1]) / 2.0
     whole = len(middles) // size
     return np.asarray(middles[: whole * size].reshape(whole, size).mean(axis=1))
@@ -135,8 +138,8 @@ def analyse(
     device: Mapping[str, Any],
     lever_m: float | None = None,
 ) -> StepResult:
-    """What `rests` (n, 4), force, current, voltage and temperature, and `moved` (m, 2), as
-    `windows` gives it, say with the scales of `device`.
+    """Evaluate `rests` (n, 4), force, current, voltage and temperature, and `moved` (m, 2) from
+    `windows`, with the scales of `device`.
     """
     arrays = {"rests": rests, "moved": moved}
     findings = list(_alive(rests, moved, device))
@@ -169,7 +172,7 @@ def analyse(
 
 
 def _alive(rests: Floats, moved: Floats, device: Mapping[str, Any]) -> Iterator[Finding]:
-    """What of the channels says nothing, and a handle that was not moved."""
+    """Yield findings on dead channels, and on a handle that was not moved."""
     for name, values in zip(("current", "voltage"), rests.T[1:], strict=False):
         span = float(np.ptp(values)) / float(device[name]["per_count"])
         if span < DEAD_COUNTS:
@@ -201,7 +204,7 @@ def _signs(per_ampere: Value, ohm: Value, induced: Value) -> Finding:
 
 
 def analyse_back_emf(shaken: Records, device: Mapping[str, Any]) -> StepResult:
-    """What the ticks of a handle that was `shaken` say, with the scales of the hello's `device`."""
+    """Evaluate the ticks of a `shaken` handle, with the scales of the hello's `device`."""
     scale = device["emf_velocity"]
     counts = raw_counts(shaken["emf_velocity_m_per_s"].astype(np.float64), scale)
     at_s = shaken["board_us"].astype(np.float64) / US_PER_S
@@ -221,7 +224,7 @@ def analyse_back_emf(shaken: Records, device: Mapping[str, Any]) -> StepResult:
     name = "emf_velocity.full_scale_m_per_s"
     values = [
         Value.around(name, abs(full), "m/s", relative * abs(full)),
-        # rounding hides where in its count a channel without noise is
+        # rounding hides the place of a noiseless channel within its count
         Value.around("emf_velocity.offset_count", at_rest, "counts", hypot(at_rest_half, 0.5)),
     ]
     remedy = "correct full_scale_m_per_s in the device file, and repeat"
@@ -231,13 +234,15 @@ def analyse_back_emf(shaken: Records, device: Mapping[str, Any]) -> StepResult:
 
 
 def raw_counts(values: Floats, scale: Mapping[str, Any]) -> Floats:
-    """Counts (n,) of what was read as `values` (n,) by the hello's `scale`."""
+    """Return the counts (n,) of the readings `values` (n,) by the hello's `scale`."""
     known = ScaleParams(**scale)
     return np.asarray(known.sign * values / known.per_count + known.offset_count)
 
 
 def _late_fit(counts: Floats, speed: Floats, late_ticks: float) -> Fit:
-    """Counts per m/s, per m/s a tick, and at rest, from `counts` and `speed` (n,) so late."""
+    """Return counts per m/s, per m/s a tick, and at rest, from `counts` and `speed` (n,) of that
+    delay.
+    """
     tick = np.arange(len(speed), dtype=np.float64)
     columns = _columns(np.interp(tick - late_ticks, tick, speed))
     return jackknife(in_blocks(columns, BLOCKS), in_blocks(counts, BLOCKS))
