@@ -1,9 +1,9 @@
 """The gateway process: `python -m hapticd.run.gateway_main FOLDER`.
 
 It serves the servo of runtime folder FOLDER with the parameters in its gateway.json until SIGTERM
-or SIGINT, and starts the worker of its guard (`guard.main`), which ends with it. `--parent PID`
-names the supervisor that it ends with; a byte written to the descriptor of `--ready FD` says that
-it serves. Exit code 0: asked to end; 1: a hapticd error, printed in one line on stderr; 78: the
+or SIGINT, and starts the worker of its guard (`guard.main`), which ends with it. `--parent PID` is
+the supervisor with which it ends. A byte written to the descriptor of `--ready FD` signals that it
+serves. Exit code 0: ended by a signal; 1: a hapticd error, printed in one line on stderr; 78: the
 configuration is wrong and a restart would not help.
 
 It must not import numba, scipy or pyusb (import-linter and a test check).
@@ -30,7 +30,7 @@ GUARD_MODULE = "hapticd.guard.main"
 
 
 def main(arguments: list[str]) -> int:
-    """Run a gateway; the exit code."""
+    """Run a gateway and return the exit code."""
     parser = argparse.ArgumentParser(prog="gateway_main", allow_abbrev=False)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--parent", type=int)
@@ -50,7 +50,7 @@ def main(arguments: list[str]) -> int:
         return read_params(GatewaySetup, asked.folder / GATEWAY_JSON)
 
     def judge(line: socket.socket) -> "subprocess.Popen[bytes]":
-        """Start the guard's worker, which may not outlive the gateway by a verdict."""
+        """Start the guard's worker, which may outlive the gateway by at most one verdict."""
         ends = ("--fd", str(line.fileno()), "--parent", str(os.getpid()))
         return launch(GUARD_MODULE, str(asked.folder), *ends, keep=(line.fileno(),))
 

@@ -1,11 +1,11 @@
 """The whole stack on virtual time: servo, wire, pyusb and the simulated board, tick by tick.
 
-It runs faster than real time, with the same classes as in the servo process and a clock that jumps.
-Nothing sleeps, nothing depends on the machine, and two runs with the same parameters, commands and
-seeds give the same bytes. The gateway's place is taken by `command`. `scene_params` makes the
+It runs faster than real time, with the same classes as the servo process and a clock that jumps.
+There are no sleeps and no dependence on the machine: two runs with the same parameters, commands
+and seeds give the same bytes. `command` takes the gateway's place. `scene_params` makes the
 parameters of servo and simulated board for a scene.
 
-Code in the servo must read the clock that it is given, and none of its own.
+Code in the servo must read the clock passed to it, and no other.
 """
 
 import tempfile
@@ -28,7 +28,7 @@ from hapticd.usb.link import UsbLink
 
 __all__ = ["LockStep", "scene_params"]
 
-ANSWER_TICKS = 10  # within which a command is answered; a reset that asks the board takes a few
+ANSWER_TICKS = 10  # within which a command is answered; a reset that queries the board takes a few
 CHUNK = 256  # ticks between gateway heartbeats; far below the ring and the heartbeat time-out
 START_NS = 10_000_000  # of the virtual clock
 AT_ONCE_NS_PER_M_S = 1e6  # slew limit of scenes, whose damping changes in steps
@@ -77,7 +77,7 @@ class LockStep:
         self._folder.cleanup()
 
     def run(self, ticks: int) -> bytes:
-        """Run `ticks` ticks; their records (layout.TELEMETRY) as bytes.
+        """Run `ticks` ticks and return their records (layout.TELEMETRY) as bytes.
 
         They are also kept in `blocks`, unless this object was made with `keep=False`.
         """
@@ -101,7 +101,7 @@ class LockStep:
         at_tick: int = 0,
         actor: int = 1,
     ) -> int:
-        """Post a command as the gateway would; its sequence number. MailboxError if full."""
+        """Post a command as the gateway would; return its sequence number. MailboxError if full."""
         seq = self.gateway.post(kind, actor, at_tick, layout.values_of(values or {}))
         if seq is None:
             raise MailboxError(
@@ -124,7 +124,7 @@ class LockStep:
         )
 
     def load_waveform(self, counts: Sequence[int]) -> None:
-        """Put perturbation samples (probe counts) where the servo reads them."""
+        """Write perturbation samples (probe counts) to the servo's buffer."""
         for index, count in enumerate(counts):
             self.mailbox.waveform[index] = count
 
@@ -132,13 +132,13 @@ class LockStep:
 def scene_params(
     name: str | Path, instance: str = "scene", seed: int = 1
 ) -> tuple[ServoParams, BoardParams]:
-    """(servo, board) that play the scene `name` at its rate and with its delay.
+    """Return (servo, board) that play the scene `name` at its rate and with its delay.
 
-    The servo renders the scene's environment once it is enabled; damping steps and excitation are
-    commands, which the caller gives when their time has come. Converters of the wire quantise
-    whether or not the scene asks for it. ConfigError as from `load_scene` and `compose`.
+    The servo renders the scene's environment once it is enabled. Damping steps and excitation are
+    commands, which the caller issues at their time. Converters of the wire quantise in every scene.
+    ConfigError as for `load_scene` and `compose`.
     """
-    # imported here: a lock-step run by itself needs neither numpy nor pydantic
+    # imported here: a lock-step run alone needs neither numpy nor pydantic
     from hapticd.model.compose import compose
     from hapticd.model.effects import sample_timing
     from hapticd.settings.build import board_of, device_params, smoothing_hz

@@ -1,11 +1,11 @@
-"""A client of the whole product on virtual time, faster than real time.
+"""A client of the whole stack on virtual time, faster than real time.
 
-`LockStepClient` is a `hapticd.client.Client` whose calls go straight to the servo. Telemetry goes
-the whole path: frames of the board, the gateway's decoder, its messages, the client's decoder.
-Sockets and processes are left out, and so is the guard. Time goes on only while records are asked
-for. `virtual.virtual_board` makes one of a configuration, with a guard.
+`LockStepClient` is a `hapticd.client.Client` whose calls go directly to the servo. Telemetry takes
+the full path: frames of the board, the gateway's decoder, its messages, the client's decoder.
+Sockets, processes and the guard are left out. Time advances only while records are requested.
+`virtual.virtual_board` makes one from a configuration, with a guard.
 
-Limitations: it says nothing about real time; a host that stalls is not seen here.
+Limitations: it gives no information on real time; a stalled host cannot be observed.
 """
 
 from collections.abc import Generator, Sequence
@@ -36,12 +36,12 @@ READY_TICKS = 5
 BLOCK_TICKS = 500
 LISTENED_TICKS = 20  # a block, as the gateway publishes them
 RECORDED = ("servo.raw", "probe")
-ALONE = 16  # the actor that a gateway's first client is
+ALONE = 16  # actor number of a gateway's first client
 
 
 class LockStepClient(Client):
-    """`servo` and `board` on one virtual clock, ready and disabled; `newest` is the record of the
-    newest tick. Use it as a context manager.
+    """A client of `servo` and `board` on one virtual clock, ready and disabled; `newest` is the
+    record of the newest tick. Use it as a context manager.
     """
 
     def __init__(self, servo: ServoParams, board: BoardParams) -> None:
@@ -49,7 +49,7 @@ class LockStepClient(Client):
         super().__init__(name="lock-step", folder=self.stack.mailbox.folder)
         self._servo = servo
         self._samples = 0
-        self._effective = configured(servo)  # by layout.Value, as last answered
+        self._effective = configured(servo)  # by layout.Value, from the last answer
         self._seen = 0
         self._leases: dict[str, Any] = {}
         self.run(READY_TICKS)
@@ -60,8 +60,8 @@ class LockStepClient(Client):
         self.stack.close()
 
     def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
-        """A command, obeyed by the servo before this returns, or what is known of the servo.
-        CommandError if it refuses.
+        """Execute a command before returning, or return known facts of the servo. CommandError if
+        the servo refuses.
         """
         if cmd in ("hello", "get", "status"):
             known = self._known()
@@ -87,7 +87,7 @@ class LockStepClient(Client):
         return self.stack.do(kind, given, at_tick)
 
     def _leased(self, request: LeaseRequest) -> dict[str, Any]:
-        """A lease of the only client there is: what the servo is told of it, and for how long."""
+        """Grant or end a lease of the only client, and return its duration."""
         held = request.action not in ("release", "fail")
         holder = float(ALONE if held else 0)
         faults = not held and self._servo.safety.limit_cycle_faults
@@ -99,7 +99,7 @@ class LockStepClient(Client):
         return {"released": not held, "actor": ALONE, "ttl_s": request.ttl_s}
 
     def _known(self) -> dict[str, Any]:
-        """What the servo was set up with, its state, the cause of a fault, its temperature."""
+        """Return the servo's parameters, its state, the cause of a fault, and its temperature."""
         fault = BY_NUMBER.get(int(self.newest["fault"]))
         return {
             "servo": to_plain(self._servo),
@@ -115,7 +115,7 @@ class LockStepClient(Client):
         }
 
     def enable(self) -> Receipt:
-        """Force on, with a gain ramp, to its end."""
+        """Switch force on, and run to the end of the gain ramp."""
         found = super().enable()
         self.run(
             round(self._servo.safety.enable_ramp_s * self._servo.realtime.rate_hz) + READY_TICKS
@@ -123,7 +123,7 @@ class LockStepClient(Client):
         return found
 
     def perturb_load(self, samples_n: npt.ArrayLike) -> int:
-        """Force [N] at 4 kHz, (n,)."""
+        """Load a force [N] at 4 kHz, (n,)."""
         scale = self._servo.device.probe_torque
         force = np.asarray(samples_n, np.float64)[:PERTURBATION_SAMPLES]
         self.stack.load_waveform(
@@ -135,13 +135,13 @@ class LockStepClient(Client):
     def messages(
         self, topics: Sequence[str], look_s: float = 0.05
     ) -> Generator[tuple[str, bytes] | None, None, None]:
-        """Payloads of "servo.raw" and "probe", as far as asked, while time goes on; for ever."""
+        """Yield payloads of the `topics` "servo.raw" and "probe" endlessly, while time advances."""
         yield from self._published(topics, BLOCK_TICKS)
 
     def _published(
         self, topics: Sequence[str], ticks: int
     ) -> Generator[tuple[str, bytes] | None, None, None]:
-        """The same, in blocks of so many ticks."""
+        """Yield the same, in blocks of `ticks`."""
         probe = ProbeDecoder(self._servo.device)
         origin = Origin(0, 0, self._servo.simulated)
         while True:
@@ -155,8 +155,8 @@ class LockStepClient(Client):
             yield None
 
     def _payloads(self, topic: str) -> Generator[bytes, None, None]:
-        """Blocks of "servo.raw" or "probe", while time goes on. ConfigError for what only a gateway
-        publishes.
+        """Yield blocks of "servo.raw" or "probe", while time advances. ConfigError for topics that
+        only a gateway publishes.
         """
         if topic not in RECORDED:
             raise ConfigError(f"{topic}: on virtual time there are {' and '.join(RECORDED)} alone")

@@ -1,11 +1,11 @@
-"""Replays a recorded motion through `servo.step`, bit by bit as it was or with other settings.
+"""Replay a recorded motion through `servo.step`, bit by bit as recorded or with other settings.
 
-A segment is a stretch of records without a gap that begins with a checkpoint. Every tick gets what
-it got: the sample of its IN frame, how that arrived, what the host knew, and the requests that it
-obeyed. So every number that step computed comes out the same; a difference means another program or
-a damaged file. A counterfactual replay holds some settings at other values and ignores what was
-later asked of them; the motion stays the recorded one, so it shows what the law would have asked
-for, not what the handle would then have done.
+A segment is a sequence of records without a gap that begins with a checkpoint. Every tick gets its
+recorded input: the sample of its IN frame, its arrival, the host's information, and the requests
+that it obeyed. So every number that step computed is reproduced; a difference means another program
+or a damaged file. A counterfactual replay holds some settings at other values and ignores later
+requests for them. The motion remains the recorded one, so the result shows the command of the law,
+not the motion that would have followed.
 
 A step must not read a clock or the mailbox, and every request must be recorded.
 """
@@ -45,7 +45,7 @@ __all__ = ["Difference", "Records", "Segment", "difference", "replay"]
 
 Records = NDArray[np.void]
 
-# the columns of a replay: the plan of each tick, then what step computed
+# columns of a replay: the plan of each tick, then the results of step
 PLAN_DTYPE = np.dtype(list(PLAN_FIELDS))
 PLAN_NAMES = tuple(str(field[0]) for field in PLAN_FIELDS)
 COMPUTED = [("flags", "<u4"), ("torque", "<i4"), ("damping", "<u4"), *COMPUTED_FIELDS]
@@ -57,16 +57,16 @@ _EFFECT_PLACE = frames.IN_OFFSETS["torque_age_us"]
 
 
 class Segment(NamedTuple):
-    """What a replay starts from and is fed with."""
+    """Initial state and input of a replay."""
 
     tick: int  # of the first record
     state: Any  # before that tick, flat, as servo.plan.flatten writes it
     records: Records  # (n,), without a gap
-    requests: Sequence[Noted]  # that were obeyed in their time
+    requests: Sequence[Noted]  # obeyed requests
 
 
 class Difference(NamedTuple):
-    """The first number that came out otherwise."""
+    """The first number that differs."""
 
     tick: int
     field: str
@@ -77,18 +77,18 @@ class Difference(NamedTuple):
 def replay(
     params: ServoParams, segment: Segment, instead: dict[Value, float] | None = None
 ) -> NDArray[np.void]:
-    """What step computes at each tick of `segment`: array of REPLAYED (n,).
+    """Return the results of step at each tick of `segment`: array of REPLAYED (n,).
 
     Settings in `instead` are held at these values from the start.
     """
     if instead:
-        # the motion does not answer to this law, so its energy means nothing
+        # the motion does not respond to this law, so its energy has no meaning
         params = replace(params, safety=replace(params.safety, limit_cycle_faults=False))
     step = make_step(params)
     state = unflatten(segment.state)
     obeyed = _by_tick(segment.requests)
     records = segment.records
-    # time, and delay of the force in effect [periods], as the loop gave them to step
+    # time, and delay of the force in effect [periods], as passed to step by the loop
     slots: list[int] = records["slot"].tolist()
     periods_per_us = params.realtime.rate_hz / US_PER_S
     delays = [delay_us * periods_per_us for delay_us in records["delay_us"].tolist()]
@@ -140,7 +140,9 @@ def _assembled(blobs: list[bytes], rows: list[tuple[Any, ...]]) -> NDArray[np.vo
 
 
 def difference(records: Records, replayed: NDArray[np.void]) -> Difference | None:
-    """Where `replayed` differs from what was recorded, compared bit by bit; None if nowhere."""
+    """Return the first difference of `replayed` from the records, bit by bit; None if there is
+    none.
+    """
     for name in (*PLAN_NAMES, *(str(field[0]) for field in COMPUTED)):
         recorded = recorded_column(records, name)
         again = replayed[name]
@@ -154,7 +156,7 @@ def difference(records: Records, replayed: NDArray[np.void]) -> Difference | Non
 
 
 def recorded_column(records: Records, name: str) -> NDArray[Any]:
-    """The recorded column that REPLAYED calls `name`."""
+    """Return the recorded column for the name `name` in REPLAYED."""
     if name == "flags":
         return np.asarray(records["flags"] & ~np.uint32(LOOP_FLAGS))
     if name in ("torque", "damping"):
@@ -166,7 +168,7 @@ def recorded_column(records: Records, name: str) -> NDArray[Any]:
 
 
 def _bits(column: NDArray[Any]) -> NDArray[np.uint64] | NDArray[Any]:
-    """Doubles as integers, so that NaN equals NaN and -0.0 differs from 0.0."""
+    """Return doubles as integers, so that NaN equals NaN and -0.0 differs from 0.0."""
     flat = column.ravel()
     return flat.view(np.uint64) if flat.dtype == np.float64 else flat
 
@@ -185,7 +187,7 @@ def _by_tick(requests: Sequence[Noted]) -> dict[int, tuple[Request, ...]]:
 
 
 def _without(request: Request, held: set[Value]) -> Request:
-    """`request` without the settings that are held."""
+    """Return `request` without the held settings."""
     seq, kind, actor, apply_tick, values = request
     if kind not in (Command.SET, Command.DAMPING):
         return request
@@ -200,8 +202,8 @@ def _unmasked(values: tuple[float, ...], held: set[Value]) -> tuple[float, ...]:
 def _held(
     state: ServoState, instead: dict[Value, float], tick: int, params: ServoParams
 ) -> ServoState:
-    """`state` with the settings of `instead` in force since before `tick`. ConfigError: a filter
-    that cannot be.
+    """Return `state` with the settings of `instead` in force since before `tick`. ConfigError for
+    an impossible filter.
     """
     settled, law, ledger, held, signs = state
     scheduled = tuple(

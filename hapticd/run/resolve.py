@@ -2,7 +2,7 @@
 
 The processes start from these files alone: they read no TOML and load no pydantic.
 
-`to_plain` and `from_plain` must carry every parameter to the last bit.
+`to_plain` and `from_plain` must preserve every parameter to the last bit.
 """
 
 import json
@@ -35,8 +35,8 @@ WRITTEN = (files.SERVO_JSON, files.BOARD_JSON, files.GATEWAY_JSON, files.GUARD_J
 
 
 def resolve(settings: Settings, instance: str) -> dict[str, Any]:
-    """Content of each file, by its name. A real board has no board.json. ConfigError where the
-    environment at start is one that no client may ask of the device.
+    """Return the content of each file, by its name. A real board has no board.json. ConfigError if
+    the environment at start is beyond the limits for clients.
     """
     board = board_params(settings)
     unbounded = servo_params(settings, instance)
@@ -56,10 +56,10 @@ def resolve(settings: Settings, instance: str) -> dict[str, Any]:
 
 
 def _limits(settings: Settings, guard: GuardSetup) -> EnvironmentLimits:
-    """How much K, B and M clients may ask of the device, by the [model] of its file."""
+    """Return the limits of K, B and M for clients, from the [model] of the device file."""
     if settings.device.model is None:
         return environment_limits(UNKNOWN)
-    from hapticd.guard.safe_region import ranges_of  # numpy, as the guard's model has taken already
+    from hapticd.guard.safe_region import ranges_of  # numpy, already loaded for the guard's model
 
     return environment_limits(ranges_of(guard))
 
@@ -79,11 +79,12 @@ def _refuse_beyond(limits: EnvironmentLimits, settings: Settings, servo: ServoPa
 
 
 def write(folder: Path, settings: Settings, instance: str) -> dict[str, Path]:
-    """Write the files into `folder`, which is made and checked; the path of each file written.
+    """Write the files into `folder`, which is created and checked; return the path of each file
+    written.
 
-    Each file is written whole or not at all, and is never missing for a moment: under systemd both
-    units write before they start. A board.json from before is removed if the board is real now.
-    MailboxError if the folder belongs to somebody else or is full.
+    Each file is written completely or not at all, and is never missing: under systemd both units
+    write before they start. An old board.json is removed if the board is now real. MailboxError if
+    the folder belongs to another user or is full.
     """
     files.prepare_folder(folder)
     plain = resolve(settings, instance)

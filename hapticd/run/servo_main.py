@@ -1,15 +1,15 @@
 """The servo process: `python -m hapticd.run.servo_main SERVO_JSON [BOARD_JSON]`.
 
-`--parent PID` names the supervisor that it ends with.
+`--parent PID` is the supervisor with which it ends.
 
 Order of a start: parameters -> mailbox made -> board found, greeted, hash checked -> real-time
-rights -> mailbox published, systemd told -> loop. A board that is not there, or there and not
-ready, is waited for; what for stands in servo.report, in systemd's status and in the log, once for
-each reason. A stop that is pressed meanwhile is obeyed by the first tick. A simulated board
-(SERVO_JSON says so, BOARD_JSON describes it) lives in this process and thread, behind the same
-pyusb. Exit code 0: asked to end; else the `exit_code` of the error, which is printed in one line on
-stderr: 78 the configuration or, for half a minute, the board's protocol is wrong, 6 a right was
-refused in strict mode (a restart would not help), 1 others.
+rights -> mailbox published, systemd notified -> loop. The servo waits for a board that is absent or
+not ready. The reason is in servo.report, in systemd's status and in the log, once for each reason.
+The first tick obeys a stop pressed during the wait. A simulated board (selected in SERVO_JSON,
+described by BOARD_JSON) runs in this process and thread, behind the same pyusb. Exit code 0: ended
+by a signal; otherwise the `exit_code` of the error, which is printed in one line on stderr: 78 the
+configuration or, for half a minute, the board's protocol is wrong, 6 a right was refused in strict
+mode (a restart would not help), 1 others.
 
 No import at the top may load numpy, pydantic or zmq, or a simulator for a real board (import-linter
 and a test check).
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 def simulated_backend(
     params: BoardParams, clock: Clock, on_slip: Callable[[int], None] | None = None
 ) -> "SimulatedBackend":
-    """A pyusb backend with one simulated board plugged in, and the faults that `params` ask for.
+    """Return a pyusb backend with one simulated board, and the faults in `params`.
 
     `on_slip(ns)` is called with the time that a paused host cost the simulation.
     """
@@ -54,12 +54,12 @@ def simulated_backend(
 
 
 def startup_message(text: str) -> None:
-    """`text` as systemd's status of the unit and as a line of the log."""
+    """Send `text` as systemd's status of the unit and as a line of the log."""
     try:
         notify(f"STATUS={text}")
         os.write(2, f"hapticd servo: {text}\n".encode())
     except OSError:
-        pass  # nobody reads: no reason to end a servo
+        pass  # no reader is no reason to end a servo
 
 
 class Servo:
@@ -70,7 +70,7 @@ class Servo:
         self.clock = clock
         self.stopping = False
         self.loop: ServoLoop | None = None
-        self.slip_ns = 0  # time by which a simulated board is behind, because the host paused
+        self.slip_ns = 0  # delay of a simulated board after pauses of the host
         backend = None
         if board is not None:
             backend = simulated_backend(board, clock, self._slipped)
@@ -102,9 +102,10 @@ class Servo:
             self.mailbox.close()
 
     def connect(self, mailbox: ServoMailbox) -> bool:
-        """Wait until the board answers, and say what for; False: asked to end meanwhile.
+        """Wait until the board answers, and report the reason for waiting; False: `stop` was
+        called.
 
-        ProtocolMismatch: it has said nothing but a wrong hash for search.MISMATCH_NS.
+        ProtocolMismatch if it has sent only wrong hashes for search.MISMATCH_NS.
         """
 
         def tell(reason: str) -> None:
@@ -149,12 +150,12 @@ class Servo:
         finally:
             notify("STOPPING=1")
             try:
-                self.loop.finish()  # in time, as every tick: force may fade in it
+                self.loop.finish()  # in real time, like every tick: force may fade in it
             finally:
                 host.relax()
 
     def _about(self) -> dict[str, Any]:
-        """What the mailbox's report says of device and rate."""
+        """Return device and rate for the mailbox's report."""
         return {
             "instance": self.params.instance,
             "device": f"{self.params.device.name}, {self.params.device.serial}",
@@ -163,7 +164,7 @@ class Servo:
         }
 
     def _slipped(self, slip_ns: int) -> None:
-        """Count `slip_ns` more in the mailbox."""
+        """Add `slip_ns` to the counter in the mailbox."""
         self.slip_ns += slip_ns
         if self.mailbox is not None:
             place = layout.COUNTER_WORD + layout.COUNTERS.index("sim_slip_ns")
@@ -171,7 +172,7 @@ class Servo:
 
 
 def main(arguments: list[str]) -> int:
-    """Run a servo; the exit code."""
+    """Run a servo and return the exit code."""
     parent = int(arguments[arguments.index("--parent") + 1]) if "--parent" in arguments else None
     paths = [Path(item) for item in arguments if item.endswith(".json")]
     die_with_parent(parent)

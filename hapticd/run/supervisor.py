@@ -1,25 +1,25 @@
-"""Starts servo and gateway in order, keeps them running, and ends them in order.
+"""Start servo and gateway in order, keep them running, and end them in order.
 
     servo started -> its mailbox is published -> gateway started -> it serves -> ready
-    asked to end  -> servo ends (force fades to 0, files removed) -> gateway ends
-                  -> our files removed
+    stop          -> servo ends (force fades to 0, files removed) -> gateway ends
+                  -> own files removed
 
-A child is started by exec, never forked from a process that has threads or a big heap. It gets a
-process group of its own, so that Ctrl-C in a terminal reaches the supervisor alone and the end is
-in order; it dies with its parent.
+A child is started by exec, never forked from a process with threads or a large heap. It gets its
+own process group, so that Ctrl-C in a terminal reaches only the supervisor and the shutdown is in
+order. It dies with its parent.
 
-The gateway outlives a servo that dies and the other way round. A servo may come back 3 times within
-60 s, and is then disabled, whatever it was before; a process that never became ready is not tried
-again, nor a servo that says its configuration is wrong. A gateway that has served once comes back
-as often as it dies, ever more slowly: whatever ends it from outside must not take the servo away,
-which is safe without it (ADR-0021). The first signal ends in order, a second one kills. The
+The gateway survives the death of a servo, and vice versa. A servo is restarted up to 3 times within
+60 s, and is then disabled, whatever its earlier state. A process that never became ready is not
+restarted, nor a servo that reports a wrong configuration. A gateway that has served once is
+restarted without limit, with growing pauses: an external cause must not end the servo, which is
+safe without a gateway (ADR-0021). The first signal ends in order, a second one kills. The
 supervisor prints nothing: progress goes to a callback.
 
-The operators' page is a third child, started once the two serve. It is nobody's safety: however it
-ends it comes back like a gateway, and if it never served it is told and left out.
+The operators' page is a third child, started once the two serve. No safety function depends on it:
+it is restarted like a gateway, and if it never served, this is reported and it is left out.
 
-A second supervisor in the folder is refused (by its claim). Every wait must look at signals: it is
-a poll of POLL_NS.
+A second supervisor in the folder is refused (by its claim). Every wait must check signals: it is a
+poll of POLL_NS.
 """
 
 import os
@@ -40,7 +40,7 @@ from hapticd.settings.load import Settings
 
 __all__ = ["ProcessEvent", "Supervisor"]
 
-CONSOLE = ("hapticd", "console", "--instance")  # a verb, so that nothing here loads a web server
+CONSOLE = ("hapticd", "console", "--instance")  # a verb, so that no web server is loaded here
 SUPERVISOR_LOCK = "supervisor.lock"
 POLL_NS = 20 * NS_PER_MS
 # until a process that is not ready is reported, and until one that does not end is killed
@@ -52,7 +52,7 @@ LONGEST_PAUSE_NS = 8 * NS_PER_S
 
 
 class Process(Protocol):
-    """The part of subprocess.Popen that is used here."""
+    """The part of subprocess.Popen used here."""
 
     pid: int
 
@@ -61,11 +61,11 @@ class Process(Protocol):
     def kill(self) -> None: ...
 
 
-Spawn = Callable[[Sequence[str], int], Process]  # module and arguments, descriptor to hand down
+Spawn = Callable[[Sequence[str], int], Process]  # module and arguments, descriptor to inherit
 
 
 def spawn(command: Sequence[str], ready: int) -> Process:
-    """A child that inherits the descriptor `ready`."""
+    """Start a child that inherits the descriptor `ready`."""
     return launch(*command, "--parent", str(os.getpid()), "--ready", str(ready), keep=(ready,))
 
 
@@ -77,7 +77,7 @@ class Restarts:
         self._times: deque[int] = deque()
 
     def next_ns(self, now_ns: int) -> int | None:
-        """When the next start is allowed after a death at `now_ns`; None: no more."""
+        """Return the time of the next permitted start after a death at `now_ns`; None: no more."""
         while self._times and now_ns - self._times[0] > WINDOW_NS:
             self._times.popleft()
         if self.most is not None and len(self._times) >= self.most:
@@ -88,12 +88,12 @@ class Restarts:
 
     @property
     def used(self) -> int:
-        """Restarts within the window."""
+        """Number of restarts within the window."""
         return len(self._times)
 
 
 class Child:
-    """The servo, the gateway, or the console."""
+    """A child process: servo, gateway or console."""
 
     def __init__(self, name: str, command: Sequence[str], start: Spawn, restarts: Restarts) -> None:
         self.name = name
@@ -101,13 +101,13 @@ class Child:
         self._spawn = start
         self.process: Process | None = None
         self.restarts = restarts
-        self.start_at_ns: int | None = 0  # when it is to be started; None: it runs
-        self.ready = False  # since it was last started
+        self.start_at_ns: int | None = 0  # time of its start; None: it runs
+        self.ready = False  # since its last start
         self.was_ready = False  # ever
         self._pipe: int | None = None
 
     def start(self) -> None:
-        """Start it now."""
+        """Start the process now."""
         self._close_pipe()
         self._pipe, theirs = os.pipe()
         os.set_blocking(self._pipe, False)
@@ -119,30 +119,30 @@ class Child:
         self.ready = False
 
     def died(self) -> int | None:
-        """Exit code of a child that should run and does not; None if all is well."""
+        """Return the exit code of a child that died; None if it runs or a start is planned."""
         if self.process is None or self.start_at_ns is not None:
             return None
         return self.process.poll()
 
     def alive(self) -> bool:
-        """Whether its process exists."""
+        """Return whether its process exists."""
         return self.process is not None and self.process.poll() is None
 
     def note_ready(self, is_ready: Callable[[Process], bool]) -> None:
-        """Ask `is_ready` whether it serves, until it does."""
+        """Call `is_ready` until it returns True, and note the result."""
         if self.process is not None and self.start_at_ns is None and not self.ready:
             self.ready = is_ready(self.process)
             self.was_ready |= self.ready
 
     def said_ready(self) -> bool:
-        """Whether it wrote its byte to the pipe since it was started."""
+        """Return whether it wrote its byte to the pipe since its start."""
         try:
             return self._pipe is not None and bool(os.read(self._pipe, 1))
         except BlockingIOError:
             return False
 
     def forget(self) -> None:
-        """Free what is left of a child that ended."""
+        """Free the resources of a child that ended."""
         self._close_pipe()
         self.process = None
 
@@ -153,7 +153,7 @@ class Child:
 
 
 def mailbox_served(folder: Path, pid: int) -> bool:
-    """Whether the servo process `pid` has published its mailbox in `folder`."""
+    """Return whether the servo process `pid` has published its mailbox in `folder`."""
     try:
         page = files.open_map(folder / files.MAILBOX, layout.MAILBOX_BYTES, writable=False)
     except MailboxError:
@@ -163,16 +163,16 @@ def mailbox_served(folder: Path, pid: int) -> bool:
 
 
 class ProcessEvent(NamedTuple):
-    """What a callback is told."""
+    """Argument of a progress callback."""
 
     kind: str  # starting | waiting | ready | restart | page | failed | ending | killed | ended
-    process: str  # servo | gateway | console; empty for both of the first
+    process: str  # servo | gateway | console; empty for both
     text: str  # one line for a user
 
 
 class Supervisor:
-    """The processes of `instance`, in the runtime folder `folder`, as `settings` say; `console`:
-    with the operators' page.
+    """The processes of `instance`, in the runtime folder `folder`, with `settings`; `console`: with
+    the operators' page.
     """
 
     def __init__(
@@ -207,17 +207,17 @@ class Supervisor:
         self._impatient_ns: int | None = None
 
     def stop(self) -> None:
-        """End in order; asked twice, kill. May be called from a signal handler."""
+        """End in order; kill on the second call. May be called from a signal handler."""
         self._asked += 1
 
     def run(self) -> None:
         """Serve until `stop`.
 
-        MailboxError: another supervisor has the folder; ConfigError or HapticdError: a process
+        MailboxError if another supervisor has the folder; ConfigError or HapticdError if a process
         could not be kept running.
         """
         files.prepare_folder(self.folder)
-        # before a file is touched, for the files may be another supervisor's
+        # before any file is touched, since the files may belong to another supervisor
         claim = files.claim(self.folder, SUPERVISOR_LOCK)
         try:
             resolve.write(self.folder, self._settings, self._instance)
@@ -232,7 +232,7 @@ class Supervisor:
         self.tell(ProcessEvent("ended", "", "ended: no force, both processes gone"))
 
     def _look(self, now_ns: int) -> None:
-        """One poll: who died, who is due to start, who serves."""
+        """Poll once: dead children, due starts, readiness."""
         for child in (self.servo, self.gateway):
             if (code := child.died()) is not None:
                 self._bury(child, code, now_ns)
@@ -283,10 +283,10 @@ class Supervisor:
         self.ready = ready
 
     def _bury(self, child: Child, code: int, now_ns: int) -> None:
-        """Plan the restart of a child that died, or say why there is none."""
+        """Plan the restart of a child that died, or raise with the reason against it."""
         child.ready = False
         how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
-        # what a gateway or page that has served refuses (keys, a port) is outside of these files
+        # a later failure of a gateway or page (keys, a port) does not come from these files
         served = child is not self.servo and child.was_ready
         if code == ConfigError.exit_code and not served:
             raise ConfigError(
@@ -309,7 +309,7 @@ class Supervisor:
         self.tell(ProcessEvent("restart", child.name, text))
 
     def _end(self, child: Child) -> None:
-        """End a child in order; kill it if it does not end in time or `stop` was asked twice."""
+        """End a child in order; kill it if it does not end in time or `stop` was called twice."""
         process = child.process
         if process is not None and child.alive():
             self.tell(ProcessEvent("ending", child.name, f"ending the {child.name}"))

@@ -1,10 +1,10 @@
-"""What a machine needs to run hapticd as a service: units, udev rule, user, folders, limits.
+"""Files that a machine needs to run hapticd as a service: units, udev rule, user, folders, limits.
 
-The templates are shipped with the package (systemd/). Three words in them are filled in: the
-interpreter that runs this, and vendor and product of the board in the configuration. Files are
-written and nothing else: no user is made, no unit started.
+The templates are shipped with the package (systemd/). Three placeholders are filled in: the running
+interpreter, and vendor and product of the board in the configuration. Only files are written: no
+user is created, no unit started.
 
-Limitations: an interpreter in a folder that the units do not see (`hidden_interpreter`).
+Limitations: an interpreter in a folder that is hidden from the units (`hidden_interpreter`).
 """
 
 import os
@@ -38,7 +38,7 @@ NEXT_STEPS = (
 
 
 def system_files(usb: UsbParams, python: str = sys.executable) -> dict[str, str]:
-    """Content of each file by its path below the root."""
+    """Return the content of each file by its path below the root."""
     words = {
         "@PYTHON@": python,
         "@VENDOR@": f"{usb.vendor_id:04x}",
@@ -51,14 +51,14 @@ def system_files(usb: UsbParams, python: str = sys.executable) -> dict[str, str]
 
 
 def filled(template: str, words: dict[str, str]) -> str:
-    """`template` with each of `words` replaced by its value."""
+    """Return `template` with each of `words` replaced by its value."""
     for word, meaning in words.items():
         template = template.replace(word, meaning)
     return template
 
 
 def write_below(root: Path, files: dict[str, str]) -> list[Path]:
-    """Write `files` below `root`; the paths written. ConfigError when that is not allowed."""
+    """Write `files` below `root` and return their paths. ConfigError if that is not allowed."""
     written = []
     for place, content in files.items():
         path = root / place
@@ -75,8 +75,8 @@ def write_below(root: Path, files: dict[str, str]) -> list[Path]:
 
 
 def hidden_interpreter(python: str = sys.executable) -> str:
-    """A warning when the units could not start `python`; empty when they can."""
-    real = os.path.realpath(python)  # in a virtual environment it is a link to Python itself
+    """Return a warning if the units could not start `python`; otherwise an empty string."""
+    real = os.path.realpath(python)  # in a virtual environment it links to the interpreter
     if not real.startswith(HIDDEN):
         return ""
     return (

@@ -1,19 +1,18 @@
-"""A daemon on virtual time, in this process: servo, wire, board, and the gateway's command server
-and guard.
+"""A daemon on virtual time, in this process: servo, wire, board, gateway command server and guard.
 
 `VirtualBoard` answers as `hapticd run` does: the requests of a client go to the gateway's command
-server, which checks limits and leases, has the guard judge them and gives receipts. Left out are
-sockets, processes, the flight recording, and the topics `event` and `servo`. Its clock goes on only
-while it is run, streamed, recorded or waited for. `aio()` is the same board for asyncio; its leases
-are renewed by requests alone.
+server, which checks limits and leases, has the guard judge them and returns receipts. Left out are
+sockets, processes, the flight recording, and the topics `event` and `servo`. Its clock advances
+only during run, streaming, recording or a wait. `aio()` returns the same board for asyncio; only
+requests renew its leases.
 
     hapticd.virtual_board()            the simulated board of the shipped configuration
     hapticd.virtual_board(hand=True)   with a hand that holds the handle and moves it
 
-The hand is a spring and a damper (500 N/m, 3 N s/m: a light grasp) to a point that wanders by
-1 mm rms, first order below 10 Hz, seeded (`model.touch`).
+The hand is a spring and a damper (500 N/m, 3 N s/m: a light grasp) to a point that wanders by 1 mm
+rms, first order below 10 Hz, seeded (`model.touch`).
 
-A thread must not send a request, since the clock belongs to the caller that asks.
+A thread must not send a request, since the clock belongs to the caller.
 """
 
 import json
@@ -61,12 +60,12 @@ if TYPE_CHECKING:
 __all__ = ["VirtualBoard", "virtual_board"]
 
 CLIENT = b"virtual"  # identity of the only connection
-LOOK_TICKS = 20  # between two passes of the gateway while nothing is due
+LOOK_TICKS = 20  # between two passes of the gateway while no work is due
 HAND = HandParams("hold", stiffness_n_per_m=500.0, damping_ns_per_m=3.0, tremor_m=1e-3)
 
 
 class _Judging:
-    """The guard's worker in this process: it answers before it is looked for."""
+    """The guard's worker in this process: its answer is available at once."""
 
     state = "up"
     trouble = ""
@@ -78,23 +77,23 @@ class _Judging:
         self._said: list[dict[str, Any]] = []
 
     def tend(self, now_ns: int) -> None:
-        """It needs no care."""
+        """Do nothing."""
 
     def ask(self, request: dict[str, Any]) -> None:
-        """Take a question."""
+        """Accept and answer a question."""
         self._said.append(self._judge.answer(request))
 
     def answers(self) -> list[dict[str, Any]]:
-        """The answers to all questions since the last call."""
+        """Return the answers to all questions since the last call."""
         found = self._said
         self._said = []
         return found
 
     def give_up(self, trouble: str) -> None:
-        """Nothing ends: an answer is there at once."""
+        """Do nothing: answers are immediate."""
 
     def close(self) -> None:
-        """There is nothing to end."""
+        """Do nothing."""
 
 
 class VirtualBoard(LockStepClient):
@@ -106,7 +105,7 @@ class VirtualBoard(LockStepClient):
     def __init__(self, setup: GatewaySetup, guard: GuardSetup, board: BoardParams) -> None:
         self._commands: CommandServer | None = None
         self._replies: list[list[bytes]] = []
-        self._asked = 0  # requests, by which later answers are told apart
+        self._asked = 0  # number of requests, which identifies later answers
         super().__init__(setup.servo, board)
         self._journal = Journal(time.time_ns)
         self._view = ServoView(self._folder, setup.servo, time.time_ns)
@@ -125,7 +124,9 @@ class VirtualBoard(LockStepClient):
             super().close()
 
     def aio(self) -> "AsyncClient":
-        """A client for asyncio of the same board, which it closes; time passes while it waits."""
+        """Return a client for asyncio of the same board, which it closes; time advances while it
+        waits.
+        """
         from hapticd.client.aio import AsyncClient
 
         client = AsyncClient(name=self._name, folder=self._folder, strict=self._strict)
@@ -138,7 +139,7 @@ class VirtualBoard(LockStepClient):
         self.run(max(1, round(seconds * self._servo.realtime.rate_hz)))
 
     def run(self, ticks: int) -> bytes:
-        """Run as `LockStep.run` does, the gateway passing as often as it has something to do."""
+        """Run as `LockStep.run` does, with a pass of the gateway whenever it has work."""
         if self._commands is None:
             return super().run(ticks)
         data = []
@@ -152,11 +153,11 @@ class VirtualBoard(LockStepClient):
         return b"".join(data)
 
     def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
-        """Send any command; its whole reply. CommandError where gateway or servo refuses."""
+        """Send any command and return its whole reply. CommandError if gateway or servo refuses."""
         return accepted(self.exchange(cmd, self._as_asked(cmd, fields)))
 
     def exchange(self, cmd: str, fields: dict[str, Any]) -> dict[str, Any]:
-        """Send a request and run until its reply is there, accepted or not."""
+        """Send a request and run until its reply arrives, accepted or not."""
         assert self._commands is not None
         given = {name: value for name, value in fields.items() if value is not None}
         self._asked += 1
@@ -168,7 +169,7 @@ class VirtualBoard(LockStepClient):
         return reply
 
     def _inquire(self, cmd: str) -> dict[str, Any]:
-        """What the command server does not know itself: the contents of hello and status."""
+        """Return the contents of hello and status, which the command server does not have."""
         if cmd == "dump":
             raise CommandError("refused", "dump: virtual time keeps no flight recording; record it")
         if cmd == "hello":
@@ -187,14 +188,14 @@ class VirtualBoard(LockStepClient):
         return state_map(self._view, self._commands.actors, self._commands.leases, time.time_ns())
 
     def _payloads(self, topic: str) -> Generator[bytes, None, None]:
-        """The topic `state` every second, and what the bench has."""
+        """Yield the topic `state` every second, or the topics of the bench."""
         while topic == "state":
             yield encode(Encoding.MSGPACK, self._state())
             self.sleep(1.0)
         yield from super()._payloads(topic)
 
     def stop(self) -> Receipt:
-        """Latched stop."""
+        """Stop and latch."""
         return receipt_of(self.call("stop"))
 
     def lease(
@@ -206,11 +207,13 @@ class VirtualBoard(LockStepClient):
         take_over: bool = False,
         keep_alive: bool = False,
     ) -> "ClientLease":
-        """As `Client.lease`. Time passes in this thread alone, so none keeps it alive."""
+        """Acquire a lease as `Client.lease`. Time passes only in this thread, so there is no
+        keep-alive.
+        """
         return super().lease(what, ttl_s=ttl_s, at_end=at_end, take_over=take_over)
 
     def perturb_load(self, samples_n: "ArrayLike") -> int:
-        """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples it has."""
+        """Load a waveform: force [N] at 4 kHz, shape (n,). Return its number of samples."""
         return Client.perturb_load(self, samples_n)
 
     def _pause(self, seconds: float) -> None:
@@ -218,7 +221,7 @@ class VirtualBoard(LockStepClient):
 
 
 class _AsyncConnection:
-    """The line of an AsyncClient to a virtual board."""
+    """Connection of an AsyncClient to a virtual board."""
 
     def __init__(self, board: VirtualBoard) -> None:
         self._board = board
@@ -241,10 +244,10 @@ class _AsyncConnection:
 def virtual_board(
     config: Path | None = None, *, hand: bool = False, strict: bool = False, name: str = "script"
 ) -> VirtualBoard:
-    """The simulated board of the configuration `config` (None: the shipped one) with its servo and
-    guard, on virtual time; a Client, ready and disabled.
+    """Return the simulated board of `config` (None: the shipped one) with servo and guard, on
+    virtual time: a Client, ready and disabled.
 
-    `hand`: whether a hand holds the handle and moves it. `name` and `strict` as of `Client`.
+    `hand`: whether a hand holds the handle and moves it. `name` and `strict` as for `Client`.
     ConfigError for the configuration of a real board.
     """
     settings = load(config)

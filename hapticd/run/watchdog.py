@@ -1,13 +1,13 @@
 """The servo's watchdog feeder: `python -m hapticd.run.watchdog FOLDER --parent PID`.
 
-It is a small process in the servo's unit. systemd takes WATCHDOG=1 from processes of the unit
-alone, so the gateway cannot send it; the servo's only thread may not, for a datagram costs more
-than a tick. This process looks at the head of the telemetry ring four times within the time that
-the watchdog allows and feeds it if the head has advanced: what is proved is that ticks happen, not
-that a process exists (ADR-0021).
+It is a small process in the servo's unit. systemd accepts WATCHDOG=1 only from processes of the
+unit, so the gateway cannot send it. The servo's only thread must not send it, for a datagram costs
+more than a tick. This process reads the head of the telemetry ring four times within the watchdog
+time and feeds the watchdog if the head has advanced. This proves that ticks happen, not only that a
+process exists (ADR-0021).
 
 It maps the ring for reading, starts before the servo takes real-time rights (so it has none), and
-dies with the servo. Standard library alone.
+dies with the servo. It uses only the standard library.
 
 The ring must not be replaced while the servo lives (a servo makes it once), and the unit must not
 have NotifyAccess=main.
@@ -27,7 +27,7 @@ from hapticd.mailbox import files, layout
 def start_feeder(folder: Path) -> int | None:
     """Start the feeder of the servo in this process, whose ring is in `folder`.
 
-    Returns its pid; None if systemd announces no watchdog.
+    Return its pid; None if systemd announces no watchdog.
     """
     if not feeding_period_ns():
         return None
@@ -42,9 +42,9 @@ def watch(
     period_ns: int,
     looks: int | None = None,
 ) -> None:
-    """Look at `head()` every `period_ns`, and call `feed()` whenever it has advanced.
+    """Read `head()` every `period_ns`, and call `feed()` whenever it has advanced.
 
-    `looks` is the number of looks; None: for ever.
+    `looks` is the number of reads; None: endless.
     """
     last = head()
     while looks != 0:
@@ -57,7 +57,7 @@ def watch(
 
 
 def main(arguments: list[str]) -> int:
-    """Feed until the servo ends; the exit code."""
+    """Feed until the servo ends; return the exit code."""
     folder, _, parent = arguments
     die_with_parent(int(parent))
     try:
@@ -67,7 +67,7 @@ def main(arguments: list[str]) -> int:
     except MailboxError as error:
         os.write(2, f"hapticd watchdog: {error}\n".encode())
         return error.exit_code
-    # reads need no ordering here: only that the head moves matters
+    # reads need no ordering here: only the motion of the head matters
     words = memoryview(ring).cast("Q")
     watch(
         lambda: words[layout.TELEMETRY_HEAD_WORD],

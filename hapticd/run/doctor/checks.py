@@ -1,10 +1,10 @@
-"""The checks: what is looked at, and why it matters, in the order in which a person reads them.
+"""The table of checks and their reasons, in the order of the report.
 
-    probe (probes)  -> what was found: a sentence where all is well, else a Flaw
-    the row of CHECKS -> name, level, reason and remedy, unless the flaw brings its own
+    probe (probes)  -> a sentence if all is well, otherwise a Flaw
+    the row of CHECKS -> name, level, reason and remedy, unless the flaw has its own
     `examine`       -> a CheckResult for each row
 
-Nothing is measured and nothing is changed. A simulated board needs none of the USB checks.
+Nothing is measured or changed. A simulated board needs none of the USB checks.
 
 A fix must be a command that can be pasted into a shell.
 """
@@ -20,11 +20,11 @@ __all__ = ["CheckResult", "examine"]
 
 
 class CheckResult(NamedTuple):
-    """What a check says, as one line of the report."""
+    """Result of a check, as one line of the report."""
 
     name: str  # of the check
     level: str  # OK, WARN or FAIL
-    found: str  # what was found
+    found: str  # observation
     why: str = ""  # why it matters, unless it is ok
     fix: str = ""  # the exact remedy, unless it is ok
 
@@ -34,9 +34,9 @@ class Check(NamedTuple):
 
     name: str
     probe: Callable[[Machine, Requirements], str | Flaw]
-    level: str  # of a flaw that names no other
-    why: str  # it matters, if the flaw gives no other reason
-    fix: str = ""  # if the flaw brings none of its own
+    level: str  # of a flaw without its own
+    why: str  # reason, if the flaw has none
+    fix: str = ""  # remedy, if the flaw has none
 
 
 IN_LIMITS = f"{INSTALL} (limits.d"
@@ -50,7 +50,7 @@ BEHIND_HUB = (
     " 125 us each way, and shares its bus with what else is plugged in"
 )
 UDEV = "sudo udevadm control --reload && sudo udevadm trigger"
-RIGHTS = (  # what this user may ask of the scheduler and of memory
+RIGHTS = (  # rights of this user to scheduling and memory
     Check(
         "group",
         probes.group,
@@ -87,7 +87,7 @@ RIGHTS = (  # what this user may ask of the scheduler and of memory
         f"{INSTALL} (udev rule), sudo udevadm trigger; {JOIN}",
     ),
 )
-PROCESSOR = (  # cores, clocks and what slows them
+PROCESSOR = (  # cores, clocks, and causes of slow cores
     Check(
         "governor",
         probes.governor,
@@ -127,7 +127,7 @@ PROCESSOR = (  # cores, clocks and what slows them
         " line",
     ),
 )
-KERNEL = (  # how it keeps time, schedules, interrupts and swaps
+KERNEL = (  # timekeeping, scheduling, interrupts and swap
     Check(
         "timers",
         probes.timers,
@@ -184,7 +184,7 @@ KERNEL = (  # how it keeps time, schedules, interrupts and swaps
     ),
     Check("load", probes.load, WARN, NO_RIGHTS, "close other programs while the device is enabled"),
 )
-USB = (  # is the board there, may we open it, does it stay awake
+USB = (  # presence, permission and power of the board
     Check("USB board", probes.board, FAIL, "the servo waits for it and renders nothing"),
     Check("USB hub", probes.hub, WARN, BEHIND_HUB, "use a root port"),
     Check(
@@ -208,7 +208,7 @@ USB = (  # is the board there, may we open it, does it stay awake
         f"{INSTALL}, {UDEV}",
     ),
 )
-FOLDERS = (  # the daemon's report and folders: disk, and who may read and write in them
+FOLDERS = (  # the daemon's report and folders: disk, and access by other users
     Check(
         "bus",
         probes.transport,
@@ -236,12 +236,12 @@ CHECKS = (*RIGHTS, *PROCESSOR, *KERNEL, *USB, *FOLDERS, INTERPRETER)
 
 
 def examine(machine: Machine, asked: Requirements) -> list[CheckResult]:
-    """One finding per check; nothing is measured and nothing is changed."""
+    """Return one result per check, without measuring or changing anything."""
     return [examined(check, machine, asked) for check in CHECKS]
 
 
 def examined(check: Check, machine: Machine, asked: Requirements) -> CheckResult:
-    """What one check says."""
+    """Return the result of one check."""
     found = check.probe(machine, asked)
     if isinstance(found, str):
         return CheckResult(check.name, OK, found)

@@ -1,5 +1,6 @@
-"""What the ticks of a running daemon say about the machine: how much of a period one takes, and why
-some are late. Each cause has its remedy.
+"""Timing of a running daemon: the share of a period that a tick takes, and causes of late ticks.
+
+Each cause has its remedy.
 """
 
 from hapticd.mailbox.layout import LateCause
@@ -10,12 +11,12 @@ from hapticd.run.doctor.probes import OK, WARN
 __all__ = ["judge", "judge_room"]
 
 NAME = "late ticks"
-RARE = 1e-4  # share of the ticks; what a quiet computer without isolated cores keeps to
+RARE = 1e-4  # share of the ticks; typical limit of a quiet computer without isolated cores
 
 
 ABOVE = "see the lines above: rtprio limit, governor, C-state latency, isolation"
 OWN = "the servo's own work takes too long; see the interpreter above, or lower realtime.rate_hz"
-ADVICE = {  # why ticks are late, and what to do
+ADVICE = {  # causes of late ticks, and remedies
     LateCause.WAKE: ("something else had the servo's core when the tick was due", ABOVE),
     LateCause.SUBMISSION: ("the kernel took the transfers late", ABOVE),
     LateCause.BUS: (
@@ -37,7 +38,7 @@ ADVICE = {  # why ticks are late, and what to do
 
 
 def judge_room(room: Room | None) -> CheckResult:
-    """What a tick takes of its period, as a line."""
+    """Judge the share of its period that a tick takes."""
     if room is None or not room.tick_us:
         return CheckResult("tick", OK, "not measured yet")
     text = (
@@ -51,7 +52,7 @@ def judge_room(room: Room | None) -> CheckResult:
 
 
 def judge(status: Status, words: str) -> CheckResult:
-    """The late ticks of a running servo, as its `status` counts and `words` shows them."""
+    """Judge the late ticks of a running servo from its `status`; `words` are the counts as text."""
     counts = {name: one.count for name, one in status.late.items()}
     late = sum(counts.values())
     if not late:

@@ -1,7 +1,7 @@
-"""The machine as the checks see it, and what the configuration asks of it.
+"""The machine as the checks see it, and the requirements of the configuration.
 
-The machine is files below a root, and facts about this process that no file tells: rights, limits,
-groups, free space, the interpreter.
+The machine consists of files below a root, and facts about this process that are in no file:
+rights, limits, groups, free space, the interpreter.
 """
 
 import grp
@@ -32,7 +32,7 @@ CAP_SYS_NICE = 23
 
 
 class Build(NamedTuple):
-    """What `sysconfig` knows of how the interpreter was built."""
+    """Build options of the interpreter, from `sysconfig`."""
 
     version: str
     prefix: str  # of its installation
@@ -43,7 +43,7 @@ class Build(NamedTuple):
 
 @dataclass(frozen=True)
 class Machine:
-    """Files below `root`, and facts about this process. Tests build one of a few files."""
+    """Files below `root`, and facts about this process. Tests construct one from a few files."""
 
     root: Path  # below which proc, sys, dev, etc and boot are read
     uid: int  # of this process
@@ -57,43 +57,43 @@ class Machine:
     build: Build  # of the interpreter that runs this
 
     def text(self, path: str) -> str | None:
-        """Content of a file without blanks at its ends; None if it cannot be read."""
+        """Return the content of a file without surrounding blanks; None if it cannot be read."""
         try:
             return (self.root / path).read_text(errors="replace").strip()
         except OSError:
             return None
 
     def lines(self, path: str) -> list[str]:
-        """Lines of a file; none if it cannot be read."""
+        """Return the lines of a file; none if it cannot be read."""
         return (self.text(path) or "").splitlines()
 
     def number(self, path: str) -> int | None:
-        """The first word of a file as an integer; None if there is none."""
+        """Return the first word of a file as an integer; None if there is none."""
         try:
             return int((self.text(path) or "").split()[0])
         except (IndexError, ValueError):
             return None
 
     def find(self, pattern: str) -> Iterator[Path]:
-        """Paths below the root that match, in order."""
+        """Return the paths below the root that match, in order."""
         return iter(sorted(self.root.glob(pattern)))
 
     def capable(self, bit: int) -> bool:
-        """Whether this process has the capability."""
+        """Return whether this process has the capability."""
         return bool(self.capabilities >> bit & 1)
 
     def limit(self, name: str) -> float:
-        """Soft limit; infinity if there is none."""
+        """Return the soft limit; infinity if there is none."""
         return _plain(self.limits[name][0])
 
     def hard_limit(self, name: str) -> float:
-        """Hard limit; infinity if there is none."""
+        """Return the hard limit; infinity if there is none."""
         return _plain(self.limits[name][1])
 
     def kernel_option(self, name: str) -> str:
-        """Value of CONFIG_<name> in the running kernel: y, m, a number; n when it is not set.
+        """Return CONFIG_<name> of the running kernel: y, m, a number; n when it is not set.
 
-        Empty when no file tells.
+        Empty when no file contains the configuration.
         """
         config = self._kernel_config()
         for line in config.splitlines():
@@ -108,9 +108,9 @@ class Machine:
             return self.text(f"boot/config-{self.text('proc/sys/kernel/osrelease')}") or ""
 
     def boot_option(self, name: str) -> str | None:
-        """Value of `name` on the kernel command line; None if it does not stand there.
+        """Return the value of `name` on the kernel command line; None if it is absent.
 
-        Empty if it stands there without a value.
+        Empty if it has no value.
         """
         words = (self.text("proc/cmdline") or "").split()
         found = [word.partition("=")[2] for word in words if word.partition("=")[0] == name]
@@ -118,7 +118,7 @@ class Machine:
 
 
 def this_machine() -> Machine:
-    """The one we run on."""
+    """Return the machine of this process."""
     options, flags, debug = sysconfig.get_config_vars("CONFIG_ARGS", "PY_CFLAGS", "Py_DEBUG")
     return Machine(
         root=Path("/"),
@@ -157,7 +157,7 @@ def _effective_capabilities() -> int:
 
 
 def cores_in(text: str) -> frozenset[int]:
-    """The numbers in a list of the kernel: "1,3-5" -> {1, 3, 4, 5}."""
+    """Parse a list of the kernel: "1,3-5" -> {1, 3, 4, 5}."""
     found: set[int] = set()
     for part in filter(None, text.strip().split(",")):
         first, _, last = part.partition("-")
@@ -167,27 +167,27 @@ def cores_in(text: str) -> frozenset[int]:
 
 @dataclass(frozen=True)
 class Requirements:
-    """What a daemon needs of its machine."""
+    """Requirements of a daemon on its machine."""
 
     realtime: RealtimeParams  # rate, priority, core and spin of the servo
     usb: UsbParams  # which board
     simulated: bool  # the configured board is simulated
     runtime: Path  # folder of the daemon
     recordings: Path  # folder in which a recording would be written
-    keys: Path | None  # folder of CURVE keys; None where telemetry needs none
+    keys: Path | None  # folder of CURVE keys; None if telemetry needs none
 
     @property
     def board(self) -> str:
-        """Vendor and product as lsusb writes them."""
+        """Vendor and product as in lsusb."""
         return f"{self.usb.vendor_id:04x}:{self.usb.product_id:04x}"
 
 
 def requirements(
     settings: Settings, instance: str = DEFAULT_INSTANCE, recordings: Path | None = None
 ) -> Requirements:
-    """What `settings` ask for the daemon `instance`.
+    """Return the requirements of the daemon `instance` with `settings`.
 
-    Recordings go to the working folder unless `recordings` names another.
+    Recordings go to the working folder unless `recordings` is another one.
     """
     servo = servo_params(settings, instance)
     keys = gateway_params(settings).curve_keys

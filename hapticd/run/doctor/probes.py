@@ -1,9 +1,9 @@
-"""The probes: each looks at one property of the machine and says what it found.
+"""Probes: each inspects one property of the machine.
 
 A probe is a pure function of the machine (files below a root folder and a few facts about this
-process) and of the requirements. It returns a sentence where all is well, else a `Flaw`, with a
-level, a reason or a remedy of its own where those of the table in `checks` do not fit. So every
-branch is tested on a made-up tree of files.
+process) and of the requirements. It returns a sentence if all is well, otherwise a `Flaw`. A flaw
+has a level, a reason or a remedy of its own where those of the table in `checks` do not fit. So
+every branch is tested on an artificial tree of files.
 
 A probe must not raise for a missing file (containers and virtual machines lack many of them:
 `Machine.text` returns None).
@@ -28,31 +28,31 @@ from hapticd.run.doctor.machine import (
     cores_in,
 )
 
-OK = "ok"  # nothing to do
-WARN = "warn"  # it works, and can be better, or will fail one day
+OK = "ok"  # no action needed
+WARN = "warn"  # it works, but can be improved or will fail one day
 FAIL = "fail"  # the servo misses a right or a deadline
 
 
 class Flaw(NamedTuple):
-    """What is not as it should be."""
+    """A deviation from the requirement."""
 
     found: str
-    fix: str = ""  # the exact remedy, where the table has none
-    why: str = ""  # it matters, where the table has another reason
-    level: str = ""  # WARN or FAIL, where the table has another
+    fix: str = ""  # the exact remedy, if the table has none
+    why: str = ""  # reason, if it differs from the table
+    level: str = ""  # WARN or FAIL, if it differs from the table
 
 
-# --- rights: what this user may ask of the scheduler and of memory --------------------------------
+# --- rights of this user to scheduling and memory -------------------------------------------------
 
 GROUP = "hapticd"
-SERVO_LOCKS_BYTES = 128 << 20  # everything a servo maps, libraries included, with reserve
+SERVO_LOCKS_BYTES = 128 << 20  # all mappings of a servo, including libraries, with reserve
 JOIN = "sudo usermod --append --groups hapticd $USER, then log in again"
 INSTALL = "sudo hapticd install-system --root /"
 DMA_LATENCY = "dev/cpu_dma_latency"
 
 
 def group(machine: Machine, asked: Requirements) -> str | Flaw:
-    """Member of the service's group: that is what rights, board and sockets are given to."""
+    """Membership of the service's group, which has access to rights, board and sockets."""
     if machine.uid == 0:
         return "root needs no group"
     if GROUP in machine.groups:
@@ -63,7 +63,7 @@ def group(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def rtprio(machine: Machine, asked: Requirements) -> str | Flaw:
-    """Real-time priority: the one setting that decides the 99th percentile."""
+    """Real-time priority: this setting decides the 99th percentile."""
     if machine.capable(CAP_SYS_NICE):
         return "CAP_SYS_NICE: any priority"
     limit = machine.limit("rtprio")
@@ -81,7 +81,7 @@ def memlock(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def rttime(machine: Machine, asked: Requirements) -> str | Flaw:
-    """No limit to how long a FIFO process may stay awake.
+    """CPU time limit of a FIFO process between two sleeps: there should be none.
 
     RealtimeKit sets RLIMIT_RTTIME, and the kernel then kills a process that does not sleep.
     """
@@ -90,7 +90,7 @@ def rttime(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def c_states(machine: Machine, asked: Requirements) -> str | Flaw:
-    """/dev/cpu_dma_latency: held open, it keeps the core out of deep sleep."""
+    """/dev/cpu_dma_latency: held open, it keeps the core out of deep sleep states."""
     path = machine.root / DMA_LATENCY
     if path.exists() and machine.may_write(path):
         return f"/{DMA_LATENCY} may be written"
@@ -105,21 +105,21 @@ def c_states(machine: Machine, asked: Requirements) -> str | Flaw:
     )
 
 
-# --- processor: cores, clocks and what slows them -------------------------------------------------
+# --- processor: cores, clocks, and causes of slow cores -------------------------------------------
 
 CPU = "sys/devices/system/cpu"
 CLOCK = "sys/devices/system/clocksource/clocksource0"
 QUICK_CLOCKS = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page")
-BUSY_RATE_HZ = 2000.0  # from here on an isolated core shows
+BUSY_RATE_HZ = 2000.0  # above this rate an isolated core makes a difference
 
 
 def servo_core(machine: Machine, asked: Requirements) -> int:
-    """The core that the servo takes."""
+    """Return the core of the servo."""
     return asked.realtime.core if asked.realtime.core is not None else max(machine.cores)
 
 
 def governor(machine: Machine, asked: Requirements) -> str | Flaw:
-    """A core that slows down between ticks is slow when the tick comes."""
+    """Frequency scaling: a core that slows down between ticks is slow at the next tick."""
     places = machine.find(f"{CPU}/cpu[0-9]*/cpufreq/scaling_governor")
     found = [path.read_text().strip() for path in places]
     slow = [governor for governor in found if governor != "performance"]
@@ -131,13 +131,13 @@ def governor(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def smt(machine: Machine, asked: Requirements) -> str | Flaw:
-    """A sibling thread takes half of the servo's core whenever it likes."""
+    """SMT: a sibling thread takes half of the servo's core at any time."""
     shared = machine.text(f"{CPU}/smt/active") == "1"
     return Flaw("two threads share a core") if shared else "no two threads share a core"
 
 
 def cores(machine: Machine, asked: Requirements) -> str | Flaw:
-    """Servo and gateway want a core each."""
+    """Servo and gateway need one core each."""
     core = servo_core(machine, asked)
     allowed = ",".join(map(str, sorted(machine.cores)))
     if core not in machine.cores | isolated(machine):
@@ -154,12 +154,12 @@ def cores(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def isolated(machine: Machine) -> frozenset[int]:
-    """Cores that the scheduler leaves alone."""
+    """Return the cores excluded from general scheduling."""
     return cores_in(machine.text(f"{CPU}/isolated") or "")
 
 
 def isolation(machine: Machine, asked: Requirements) -> str | Flaw:
-    """An isolated core keeps its caches; at 1 kHz it does not show."""
+    """Isolation: an isolated core keeps its caches; at 1 kHz this makes no difference."""
     core = servo_core(machine, asked)
     rate_hz = asked.realtime.rate_hz
     if core in isolated(machine):
@@ -186,7 +186,7 @@ def clock_source(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def mitigations(machine: Machine, asked: Requirements) -> str | Flaw:
-    """Each system call pays for them."""
+    """Mitigations slow down each system call."""
     if machine.boot_option("mitigations") == "off":
         return "off"
     active = [
@@ -197,11 +197,11 @@ def mitigations(machine: Machine, asked: Requirements) -> str | Flaw:
     return Flaw(f"{len(active)} active ({', '.join(active)})") if active else "none is active"
 
 
-# --- kernel: how it keeps time, schedules, interrupts and swaps -----------------------------------
+# --- kernel: timekeeping, scheduling, interrupts and swap -----------------------------------------
 
 SCHED = "proc/sys/kernel/sched_rt"
 HIGH_RESOLUTION_S = 1e-6
-SERVO_SHARE = 0.5  # of a core: 0.4 of spinning at most, and the tick
+SERVO_SHARE = 0.5  # of a core: at most 0.4 of spinning, plus the tick
 SWAPPINESS_MAX = 10
 LAZY_MODELS = {
     "PREEMPT_NONE": "none",
@@ -223,7 +223,7 @@ def timers(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def tickless(machine: Machine, asked: Requirements) -> str | Flaw:
-    """The scheduler's own tick; the servo's deadlines lie half a period off it."""
+    """The scheduler's own tick; the servo's deadlines are half a period away from it."""
     core = servo_core(machine, asked)
     if core in cores_in(machine.text(f"{CPU}/nohz_full") or ""):
         return f"core {core} has no scheduler tick (nohz_full)"
@@ -233,7 +233,7 @@ def tickless(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def preemption(machine: Machine, asked: Requirements) -> str | Flaw:
-    """How long the kernel may keep a core that the servo wants."""
+    """Preemption model: it decides how long the kernel may keep a core that the servo needs."""
     model = preemption_model(machine)
     threaded = machine.boot_option("threadirqs") is not None
     if model == "PREEMPT_RT":
@@ -260,7 +260,7 @@ def preemption_model(machine: Machine) -> str:
 
 
 def irq_priority(machine: Machine, asked: Requirements) -> str | Flaw:
-    """Where interrupts are threads, the USB controller's goes before the servo that awaits it."""
+    """Threaded USB interrupts must have a higher priority than the servo that waits for them."""
     servo = asked.realtime.priority
     threads = list(_irq_threads(machine))
     low = [(pid, comm, priority) for pid, comm, priority in threads if priority <= servo]
@@ -275,7 +275,7 @@ def irq_priority(machine: Machine, asked: Requirements) -> str | Flaw:
 
 def _irq_threads(machine: Machine) -> Iterator[tuple[int, str, int]]:
     for path in machine.find("proc/[0-9]*/stat"):
-        # a process may end while we look
+        # a process may end in the meantime
         text = machine.text(str(path)) or ""
         comm = text[text.find("(") + 1 : text.rfind(")")]
         if comm.startswith("irq/") and CONTROLLER in comm:
@@ -284,7 +284,7 @@ def _irq_threads(machine: Machine) -> Iterator[tuple[int, str, int]]:
 
 
 def irq_sharing(machine: Machine, asked: Requirements) -> str | Flaw:
-    """An interrupt line that the USB controller shares runs other drivers first."""
+    """A shared interrupt line of the USB controller runs other drivers first."""
     lines = [line for line in machine.lines("proc/interrupts") if CONTROLLER in line]
     if shared := [line.split()[0].rstrip(":") for line in lines if "," in line]:
         return Flaw(f"line {', '.join(shared)} is shared")
@@ -292,7 +292,7 @@ def irq_sharing(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def throttling(machine: Machine, asked: Requirements) -> str | Flaw:
-    """The kernel's safeguard against a runaway real-time loop; the servo stays far below it."""
+    """The kernel's limit for a runaway real-time loop; the servo stays far below it."""
     runtime = machine.number(f"{SCHED}_runtime_us")
     period = machine.number(f"{SCHED}_period_us")
     if runtime is None or not period:
@@ -337,7 +337,7 @@ def swap(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def load(machine: Machine, asked: Requirements) -> str | Flaw:
-    """Without real-time rights a second without a processor is the fault gateway_lost."""
+    """Load: without real-time rights, one second without a processor is the fault gateway_lost."""
     text = (machine.text("proc/loadavg") or "").split()
     if not text:
         return "not told"
@@ -347,7 +347,7 @@ def load(machine: Machine, asked: Requirements) -> str | Flaw:
     return found if wanted <= count else Flaw(found)
 
 
-# --- usb: is the board there, may we open it, does it stay awake ----------------------------------
+# --- usb: presence, permission and power of the board ---------------------------------------------
 
 RULES = ("etc/udev/rules.d", "usr/lib/udev/rules.d", "lib/udev/rules.d", "run/udev/rules.d")
 SIMULATED = "the configured board is simulated"
@@ -355,7 +355,7 @@ ABSENT = "no board to look at"
 
 
 def board_path(machine: Machine, asked: Requirements) -> Path | None:
-    """Folder of the configured board in sysfs; None if it is not on the bus."""
+    """Return the folder of the configured board in sysfs; None if it is not on the bus."""
     for path in machine.find("sys/bus/usb/devices/*"):
         found = [machine.text(str(path / name)) for name in ("idVendor", "idProduct", "serial")]
         if found[:2] == asked.board.split(":") and asked.usb.serial in (None, found[2]):
@@ -366,7 +366,7 @@ def board_path(machine: Machine, asked: Requirements) -> Path | None:
 def _at_board(
     probe: Callable[[Machine, Path], str | Flaw],
 ) -> Callable[[Machine, Requirements], str | Flaw]:
-    """A probe of the machine that asks `probe` of the board's folder in sysfs, if there is one."""
+    """Make a probe of the machine from `probe` of the board's folder in sysfs, if there is one."""
 
     def asked_of(machine: Machine, asked: Requirements) -> str | Flaw:
         path = board_path(machine, asked)
@@ -378,7 +378,7 @@ def _at_board(
 
 
 def board(machine: Machine, asked: Requirements) -> str | Flaw:
-    """The configured board is on the bus."""
+    """Presence of the configured board on the bus."""
     path = board_path(machine, asked)
     if asked.simulated:
         return SIMULATED
@@ -394,15 +394,15 @@ def board(machine: Machine, asked: Requirements) -> str | Flaw:
 
 @_at_board
 def hub(machine: Machine, path: Path) -> str | Flaw:
-    """No hub is between computer and board: each adds to the delay of every transfer."""
+    """Hubs between computer and board: each adds to the delay of every transfer."""
     if hubs := hubs_above(path.name):
         return Flaw(f"{path.name} is behind {', '.join(hubs)}")
     return f"none: {path.name} is a root port"
 
 
 def hubs_above(name: str) -> list[str]:
-    """Names in sysfs of the hubs between computer and device, nearest to the computer first:
-    1-1.2.3 hangs at 1-1.2, and that at 1-1.
+    """Return the names in sysfs of the hubs between computer and device, nearest to the computer
+    first: 1-1.2.3 is connected to 1-1.2, and that to 1-1.
     """
     bus, _, ports = name.partition("-")
     steps = ports.split(".")[:-1]
@@ -411,7 +411,7 @@ def hubs_above(name: str) -> list[str]:
 
 @_at_board
 def permission(machine: Machine, path: Path) -> str | Flaw:
-    """This user may open it."""
+    """Permission of this user to open the board."""
     bus, device = (machine.number(str(path / part)) or 0 for part in ("busnum", "devnum"))
     node = f"dev/bus/usb/{bus:03}/{device:03}"
     opens = machine.may_write(machine.root / node)
@@ -420,7 +420,7 @@ def permission(machine: Machine, path: Path) -> str | Flaw:
 
 @_at_board
 def autosuspend(machine: Machine, path: Path) -> str | Flaw:
-    """It does not fall asleep while the servo pauses."""
+    """Autosuspend: the board must not sleep while the servo pauses."""
     control = f"{path.relative_to(machine.root)}/power/control"
     if machine.text(control) != "auto":
         return "off for the board"
@@ -430,7 +430,7 @@ def autosuspend(machine: Machine, path: Path) -> str | Flaw:
 
 
 def udev_rule(machine: Machine, asked: Requirements) -> str | Flaw:
-    """The rule that gives the board to group hapticd, for the configured ids."""
+    """The rule that assigns the board to group hapticd, for the configured ids."""
     found = [path for folder in RULES for path in machine.find(f"{folder}/*hapticd*.rules")]
     named = f"/{found[0].relative_to(machine.root)}" if found else ""
     vendor, product = asked.board.split(":")
@@ -441,13 +441,13 @@ def udev_rule(machine: Machine, asked: Requirements) -> str | Flaw:
     return Flaw(f"{named} names another board" if named else "none for hapticd")
 
 
-# --- folders: disk, and who may read and write in the daemon's folders ----------------------------
+# --- folders: disk, and access by other users to the daemon's folders -----------------------------
 
 HOUR_S = 3600.0
 ENOUGH_H = 8.0  # of recording: a working day
 TOO_LITTLE_H = 0.25
 SECRETS = "*.key_secret"
-REACHED_BY = (  # files of a daemon by which others could reach it
+REACHED_BY = (  # files of a daemon that give access to it
     files.COMMAND_SOCKET,
     files.TELEMETRY_SOCKET,
     files.STOP,
@@ -457,7 +457,7 @@ REACHED_BY = (  # files of a daemon by which others could reach it
 
 
 def transport(machine: Machine, asked: Requirements) -> str | Flaw:
-    """The bus leaves time for a tick, as the daemon that runs has measured it."""
+    """Transfer time of the bus within a tick, as measured by the running daemon."""
     try:
         found = json.loads((asked.runtime / files.REPORT).read_text()).get("transport")
     except (OSError, ValueError, AttributeError):
@@ -488,7 +488,7 @@ def disk(machine: Machine, asked: Requirements) -> str | Flaw:
 
 
 def runtime_folder(machine: Machine, asked: Requirements) -> str | Flaw:
-    """Nobody but its owner and group reaches the daemon."""
+    """Access to the daemon: only for its owner and group."""
     folder = asked.runtime
     if not folder.is_dir():
         return f"{folder}: no daemon has run yet"
@@ -518,7 +518,7 @@ def _open_to_others(folder: Path) -> Iterator[tuple[Path, int]]:
 
 
 def keys(machine: Machine, asked: Requirements) -> str | Flaw:
-    """Secret keys are for their owner alone."""
+    """Access to secret keys: only for their owner."""
     if asked.keys is None:
         return "telemetry does not leave this machine: none needed"
     readable = [path for path in sorted(asked.keys.rglob(SECRETS)) if path.stat().st_mode & 0o077]
@@ -531,22 +531,22 @@ def keys(machine: Machine, asked: Requirements) -> str | Flaw:
     )
 
 
-# --- interpreter: the tick is Python, so its time is the interpreter's ----------------------------
+# --- interpreter: the tick is Python, so its time depends on the interpreter ----------------------
 
 DISTRIBUTION = "/usr"  # the prefix of its interpreter
 
 
 def interpreter(machine: Machine, asked: Requirements) -> str | Flaw:
-    """How the one that runs this was built."""
+    """Build of the running interpreter."""
     return judged_build(machine.build)
 
 
 def judged_build(build: Build) -> str | Flaw:
-    """CPython's own Makefile optimises for a measured profile only with `--enable-optimizations`,
-    which pyenv leaves out by default.
+    """Judge a build: CPython's Makefile optimises for a measured profile only with
+    `--enable-optimizations`, which pyenv omits by default.
 
-    Distributions pass their options in other ways and show none, so of an interpreter below /usr
-    nothing is concluded.
+    Distributions pass their options in other ways and show none, so an interpreter below /usr is
+    not judged.
     """
     levels = re.findall(r"-O(?:[0-3gsz]|fast)\b", build.flags)
     level = levels[-1] if levels else "an unknown -O level"

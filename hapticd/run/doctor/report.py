@@ -1,12 +1,12 @@
-"""One file to attach to a question: what hapticd runs on, what the doctor found, what the daemon
-says.
+"""One file to attach to a question: the environment of hapticd, the doctor's results, and the
+status.
 
-Only what is listed here goes in. Of the daemon's status these are numbers, states and the words of
-its faults; names of clients, leases, addresses and the texts of events stay out. Of USB devices it
-has ids and places, of the board what the checks say. No key is read. The home folder is written as
-~ wherever it occurs.
+Only the items listed here are included. From the daemon's status these are numbers, states and the
+texts of its faults; names of clients, leases, addresses and the texts of events are excluded. USB
+devices appear with ids and places, the board with the results of the checks. No key is read. The
+home folder is written as ~ everywhere.
 
-No field of KEPT may hold what a person named.
+No field of KEPT may hold a name given by a person.
 """
 
 import json
@@ -69,7 +69,7 @@ def report_of(
     wake: Mapping[str, Any],
     status: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """Everything that the file has; `status` is that of the daemon, None where none answers."""
+    """Return the content of the file; `status` is that of the daemon, None without an answer."""
     kept = _kept(status or {})
     found = {
         "format": FORMAT,
@@ -92,7 +92,7 @@ def report_of(
 
 
 def write_report(path: Path, found: Mapping[str, Any]) -> None:
-    """Write `found` as JSON to a new file. ConfigError: it exists, or cannot be written."""
+    """Write `found` as JSON to a new file. ConfigError if it exists or cannot be written."""
     try:
         with path.open("x") as file:
             file.write(json.dumps(found, indent=2) + "\n")
@@ -101,7 +101,7 @@ def write_report(path: Path, found: Mapping[str, Any]) -> None:
 
 
 def _versions() -> dict[str, str]:
-    """hapticd, and each library of its metadata that is installed."""
+    """Return the versions of hapticd and of each installed library in its metadata."""
     found = {"hapticd": hapticd.__version__}
     for line in requirements():
         name = re.split(r"[^\w.-]", line, maxsplit=1)[0]
@@ -143,13 +143,13 @@ def _machine(machine: Machine) -> dict[str, Any]:
 
 
 def usb_devices(machine: Machine, asked: Requirements) -> list[dict[str, Any]]:
-    """All devices of the buses with the hubs above each; no serial number and no product name."""
+    """Return all USB devices with the hubs above each; no serial number and no product name."""
     board = board_path(machine, asked)
     found = []
     for path in machine.find("sys/bus/usb/devices/*"):
         names = ("idVendor", "idProduct", "bDeviceClass", "speed")
         vendor, product, kind, speed = (machine.text(str(path / name)) for name in names)
-        if vendor is not None:  # else it is an interface
+        if vendor is not None:  # otherwise it is an interface
             found.append(
                 {
                     "name": path.name,

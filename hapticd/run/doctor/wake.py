@@ -1,11 +1,11 @@
-"""How late this machine wakes a process that has the servo's rights.
+"""Measure the wake-up latency of a process that has the servo's rights.
 
     python -m hapticd.run.doctor.wake SECONDS PRIORITY [CORE]
 
-The same question as `cyclictest -m -p PRIORITY -i 1000`: locked memory, SCHED_FIFO, one core,
-absolute deadlines, and the time from deadline to waking in whole microseconds. No spin here; the
-servo's own spin hides what is below `spin_us`. It is a process of its own, so that no right sticks
-to the caller, and prints one JSON object: rights, histogram_us.
+The measurement equals `cyclictest -m -p PRIORITY -i 1000`: locked memory, SCHED_FIFO, one core,
+absolute deadlines, and the time from deadline to wake-up in whole microseconds. There is no spin;
+the servo's own spin hides latencies below `spin_us`. It runs in its own process, so that the caller
+keeps no rights of it. It prints one JSON object: rights, histogram_us.
 """
 
 import json
@@ -36,9 +36,8 @@ PATIENCE_S = 30.0
 
 
 def latencies_us(wait: Wait, now_ns: int, count: int) -> Counter[int]:
-    """How often each latency [us, rounded down] occurred in `count` wakes from `now_ns` on.
-
-    A late wake drops whole periods.
+    """Return the count of each latency [us, rounded down] in `count` wakes from `now_ns` on. A late
+    wake drops whole periods.
     """
     found: Counter[int] = Counter()
     deadline_ns = first_deadline(now_ns, PERIOD_NS)
@@ -50,11 +49,11 @@ def latencies_us(wait: Wait, now_ns: int, count: int) -> Counter[int]:
 
 
 def _nothing() -> None:
-    """There is no tick to rehearse."""
+    """Do nothing: there is no tick to rehearse."""
 
 
 def quantiles(histogram: dict[int, int]) -> dict[str, int]:
-    """p50, p99, p99.9 and maximum of a histogram {us: count}."""
+    """Return p50, p99, p99.9 and maximum of a histogram {us: count}."""
     rising = sorted(histogram)
     below = list(accumulate(histogram[us] for us in rising))
     return {
@@ -63,9 +62,9 @@ def quantiles(histogram: dict[int, int]) -> dict[str, int]:
 
 
 def measure(seconds: float, core: int | None) -> dict[str, Any]:
-    """Run the worker; {rights, histogram_us: {us: count}, quantiles}.
+    """Run the worker and return {rights, histogram_us: {us: count}, quantiles}.
 
-    OSError or ValueError when it could not run.
+    OSError or ValueError if it could not run.
     """
     command = [
         sys.executable,
@@ -85,7 +84,7 @@ def measure(seconds: float, core: int | None) -> dict[str, Any]:
 
 
 def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
-    """The measured histogram as a line."""
+    """Judge the measured histogram."""
     count = sum(found["histogram_us"].values())
     shown = "p50 {p50_us} us, p99 {p99_us} us, p99.9 {p999_us} us, max {max_us} us".format(**found)
     fifo = found["rights"]["fifo"]
@@ -107,7 +106,7 @@ def judge(found: dict[str, Any], asked: Requirements) -> CheckResult:
 
 
 def main(arguments: list[str]) -> int:
-    """The worker; the exit code."""
+    """Run the worker and return the exit code."""
     seconds, priority, *core = arguments
     rights = host.prepare(
         RealtimeParams(priority=int(priority), core=int(core[0]) if core else None)
