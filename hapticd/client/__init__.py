@@ -1,4 +1,4 @@
-"""What scripts, the command line and every other program use to talk to a running daemon.
+"""Clients of a running daemon, for scripts, the command line and every other program.
 
     from hapticd.client import Client
 
@@ -9,22 +9,22 @@
     Client         one connection: a method for every command, and the telemetry
     AsyncClient    the same for asyncio: every command is awaited
     Listener       the telemetry of a daemon on another computer, with a key
-    ClientLease    to be the only one who changes something: `with device.lease("environment"):`
-    Receipt        what became of an accepted change
-    GuardVerdict   what the guard says of it: `receipt.guard`, `error.guard`
-    GuardWarning   emitted where a change acts that is not safe
+    ClientLease    exclusive control: `with device.lease("environment"):`
+    Receipt        result of an accepted change
+    GuardVerdict   verdict of the guard on it: `receipt.guard`, `error.guard`
+    GuardWarning   emitted when an unsafe change acts
     step           one change of a sequence: `device.sequence([step("set", K=100), ...])`
-    StepReceipt    what became of it
-    Block          consecutive records of a telemetry topic, and what was lost before them
-    CommandError   the daemon refused: its `code` and text say why and what to do
-    DaemonDown     nobody answers, or the gateway has no servo
+    StepReceipt    its result
+    Block          consecutive records of a telemetry topic, and the number lost before them
+    CommandError   refusal by the daemon: its `code` and text give the reason and the remedy
+    DaemonDown     no daemon answers, or the gateway has no servo
 
-These are in `client`, `aio`, `listener`, `lease`, `sequence` and `blocks`. Beside them stand
+These are in `client`, `aio`, `listener`, `lease`, `sequence` and `blocks`. The package also has
 `design` and `staircase` (experiments), `requests`, `commands` and `telemetry` (shared by the
 clients), `verdict` (the warning) and `formatting` (text for people).
 
-`fast_stop` is the short way to a stop, for programs that may load nothing large. The names above
-are loaded when they are used, so that it stays fast.
+`fast_stop` is the short path to a stop, for programs that must not load large modules. The names
+above are loaded on first use, so that it stays fast.
 """
 
 from typing import TYPE_CHECKING

@@ -1,15 +1,15 @@
-"""The client for asyncio: the commands of `Client`, each of which is awaited.
+"""The client for asyncio: the commands of `Client`, each of them awaited.
 
     async with AsyncClient() as device:
         await device.set(K=100, B=1)
         async for block in device.stream(seconds=1.0):
             ...
 
-Several tasks may ask at once: one task reads all replies, and wakes those who wait when something
-came. So a stop waits for nobody's answer, and after 40 ms the stop word is pressed, as by the
-client that waits.
+Several tasks may send requests at the same time: one task reads all replies, and wakes the waiting
+tasks when one arrives. So a stop does not wait for other answers, and after 40 ms the stop word is
+pressed, as in the synchronous client.
 
-One event loop must use it, since a socket belongs to one. Tasks must yield within the life of a
+Only one event loop may use it, since a socket belongs to one. Tasks must yield within the life of a
 lease.
 """
 
@@ -63,7 +63,7 @@ class AsyncConnection:
         self._requests = RequestTracker()
         self._context = zmq.asyncio.Context()
         self._socket: zmq.asyncio.Socket | None = None
-        self._made: zmq.asyncio.Socket  # a message for each connection that was made
+        self._made: zmq.asyncio.Socket  # a message for each new connection
         self._reading: asyncio.Task[None] | None = None
         self._came = asyncio.Condition()
 
@@ -77,16 +77,16 @@ class AsyncConnection:
         self._context.destroy(linger=0)
 
     async def exchange(self, cmd: str, fields: Answer, timeout_s: float) -> Answer:
-        """Send a request; its reply, accepted or not.
+        """Send a request and return its reply, accepted or not.
 
-        DaemonDown: none in time; CommandError: too long.
+        DaemonDown without a reply in time; CommandError if the request is too long.
         """
         socket = self._connected()
         deadline = time.monotonic() + timeout_s
         timeout_ns = round(timeout_s * NS_PER_S)
         number, payload = self._requests.ask(cmd, fields, time.monotonic_ns(), timeout_ns)
         try:
-            # with IMMEDIATE it can be written to only when it is connected
+            # with IMMEDIATE it is writable only when connected
             if await _writable(socket, timeout_s):
                 await self._meet(socket)
                 await _until(deadline, socket.send(payload))
@@ -104,7 +104,7 @@ class AsyncConnection:
         return outcome
 
     def _connected(self) -> zmq.asyncio.Socket:
-        """The command socket; made when it is first needed."""
+        """Return the command socket, created on first use."""
         socket_file(self._folder, COMMAND_SOCKET)
         if self._socket is None:
             self._socket, self._made = command_socket(self._context, self._folder)
@@ -112,7 +112,9 @@ class AsyncConnection:
         return self._socket
 
     async def _meet(self, socket: zmq.asyncio.Socket) -> None:
-        """To a gateway each connection is another client; the gateway may be another one too."""
+        """Introduce each new connection: it is a new client to the gateway, which may also be a new
+        one.
+        """
         with suppress(zmq.Again):
             while True:
                 await self._made.recv_multipart(zmq.NOBLOCK)
@@ -125,11 +127,11 @@ class AsyncConnection:
                 self._came.notify_all()
 
     async def pause(self, seconds: float) -> None:
-        """Let time pass."""
+        """Sleep for `seconds`."""
         await asyncio.sleep(seconds)
 
     async def listen(self, topic: str, timeout_s: float) -> AsyncGenerator[bytes, None]:
-        """Payloads of exactly `topic`. DaemonDown after silence for `timeout_s`."""
+        """Yield payloads of exactly `topic`. DaemonDown after silence for `timeout_s`."""
         path = socket_file(self._folder, TELEMETRY_SOCKET)
         with self._context.socket(zmq.SUB) as socket:
             socket.setsockopt(zmq.LINGER, 0)
@@ -144,7 +146,7 @@ class AsyncConnection:
 
 
 async def _writable(socket: zmq.asyncio.Socket, timeout_s: float) -> bool:
-    """Whether something can be written before the time is over."""
+    """Return whether the socket becomes writable within the time."""
     poller = zmq.asyncio.Poller()
     poller.register(socket, zmq.POLLOUT)
     return bool(await poller.poll(max(0, round(1000 * timeout_s))))
@@ -168,7 +170,7 @@ class AsyncClient(
 ):
     """One connection to the daemon `instance`, used as an asynchronous context manager.
 
-    Arguments and errors as those of `Client`. In the examples `device` is
+    Arguments and errors are those of `Client`. In the examples `device` is
     `hapticd.virtual_board().aio()`, disabled, with its active damping on.
     """
 
@@ -182,16 +184,16 @@ class AsyncClient(
         await self.close()
 
     async def close(self) -> None:
-        """Give up the connection; may be called twice.
+        """Close the connection; may be called twice.
 
         >>> await device.close()
         """
         await self._connection.close()
 
     async def call(self, cmd: str, **fields: Any) -> Answer:
-        """Send any command; its whole reply {ok, id, rev, state, result or receipt}.
+        """Send any command and return its whole reply {ok, id, rev, state, result or receipt}.
 
-        CommandError where the daemon refuses, DaemonDown where none answers in time.
+        CommandError if the daemon refuses, DaemonDown without an answer in time.
 
         >>> (await device.call("set", K=50))["receipt"]["effective"]["K"]
         50.0
@@ -208,7 +210,7 @@ class AsyncClient(
             return end.value  # type: ignore[no-any-return]  # what the generator returns
 
     async def _tried(self, due: Ask | Pause) -> Any:
-        """The reply to a request, or the error that it ended with; None after a pause."""
+        """Return the reply to a request, or its error; None after a pause."""
         try:
             if isinstance(due, Pause):
                 return await self._connection.pause(due.seconds)
@@ -217,7 +219,8 @@ class AsyncClient(
             return error
 
     async def stop(self) -> Receipt:
-        """Latched stop; without a reply within 40 ms the stop word is pressed.
+        """Stop and latch; without a reply within 40 ms, press the stop word. DaemonDown if there is
+        no servo either.
 
         DaemonDown if there is no servo either.
 
@@ -237,7 +240,7 @@ class AsyncClient(
         at_end: AtEnd | None = None,
         take_over: bool = False,
     ) -> "AsyncLease":
-        """Be the only one who changes `what`, as an asynchronous context: see AsyncLease.
+        """Take exclusive control of `what`, as an asynchronous context: see AsyncLease.
 
         >>> async with device.lease("environment", at_end="disable"):
         ...     receipt = await device.set(K=100)
@@ -245,9 +248,10 @@ class AsyncClient(
         return AsyncLease(self, what, ttl_s=ttl_s, at_end=at_end, take_over=take_over or None)
 
     async def perturb_load(self, samples_n: ArrayLike) -> int:
-        """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has.
+        """Load a waveform: force [N] at 4 kHz, shape (n,). Return the number of samples in the
+        daemon.
 
-        CommandError as of `Client.perturb_load`.
+        CommandError as for `Client.perturb_load`.
 
         >>> await device.perturb_load(0.1 * np.ones(4000))
         4000
@@ -260,9 +264,10 @@ class AsyncClient(
         at_refusal: AtRefusal = "disable",
         lead_s: float | None = None,
     ) -> tuple[StepReceipt, ...]:
-        """Do `steps` in their order and at their ticks, as `Client.sequence`; a receipt for each.
+        """Perform `steps` in order and at their ticks, as `Client.sequence`; return a receipt for
+        each.
 
-        CommandError: nothing was sent; SequenceError: it ended before the last step.
+        CommandError if a step is impossible (nothing is sent); SequenceError if it ended early.
 
         >>> steps = [step("enable"), step("set", K=100, after_s=0.5), step("disable", after_s=1)]
         >>> [one.result for one in await device.sequence(steps)]
@@ -271,8 +276,8 @@ class AsyncClient(
         return await self._carried_out(self._sequence(steps, at_refusal, lead_s))
 
     async def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> Event | None:
-        """The event that tells the hand which would shake what `verdict` is about; None if
-        `timeout_s` passes first.
+        """Return the event that describes the hand for which the change of `verdict` is unstable;
+        None if `timeout_s` passes first.
 
         >>> receipt = await device.set(K=-100)
         >>> (await device.hand(receipt.guard)).text
@@ -291,7 +296,7 @@ class AsyncClient(
     async def stream(
         self, topic: str = "servo.raw", seconds: float | None = None, count: int | None = None
     ) -> AsyncGenerator[Block, None]:
-        """Blocks of `servo.raw` or `probe` as they come, as those of `Client.stream`, with its
+        """Yield blocks of `servo.raw` or `probe` as they arrive, as `Client.stream`, with its
         errors.
 
         >>> [len(block.records) async for block in device.stream(count=50)]
@@ -306,9 +311,10 @@ class AsyncClient(
                 return
 
     async def record(self, seconds: float, topic: str = "servo.raw") -> tuple[Records, int]:
-        """All records of the next `seconds` in one structured array (n,), and how many it lacks.
+        """Return all records of the next `seconds` in one structured array (n,), and the number
+        lost.
 
-        Fields carry their units in their names. ConfigError and DaemonDown as of `stream`.
+        Field names contain the units. ConfigError and DaemonDown as for `stream`.
 
         >>> records, lost = await device.record(seconds=0.5)
         >>> records["position_m"].shape, lost
@@ -317,9 +323,10 @@ class AsyncClient(
         return concatenated([block async for block in self.stream(topic, seconds=seconds)])
 
     async def listen(self, topic: str) -> AsyncGenerator[Any, None]:
-        """Decoded messages of `state`, `event` (each an `Event`) or `servo` as they come.
+        """Yield decoded messages of `state`, `event` (each an `Event`) or `servo` as they arrive.
 
-        ConfigError: no such topic. DaemonDown when the daemon is silent for the client's time-out.
+        ConfigError for an unknown topic. DaemonDown if the daemon is silent for the client's
+        time-out.
 
         >>> async for message in device.listen("state"):
         ...     print(message["state"])
@@ -332,11 +339,11 @@ class AsyncClient(
 
 
 class AsyncLease:
-    """A lease of `what`, taken when the context begins and released when it ends. An exception that
-    ends it does what `at_end` says.
+    """A lease of `what`, taken at the begin of the context and released at its end. An exception in
+    the context triggers the action `at_end`.
 
-    A task of its own renews it meanwhile, so it is lost when the event loop hangs, not while the
-    body waits. CommandError at the end of the context if it was lost.
+    A separate task renews it, so it is lost when the event loop hangs, not while the body waits.
+    CommandError at the end of the context if it was lost.
     """
 
     def __init__(self, client: AsyncClient, what: str, **asked: Any) -> None:
@@ -360,12 +367,12 @@ class AsyncLease:
         except Exception:
             if kind is None:
                 raise
-            return  # what happened inside matters more
+            return  # the exception in the context has precedence
         if not reply["result"]["released"] and kind is None:
             raise lost_error(str(reply["result"]["text"]))
 
     async def _renew(self, ttl_s: float) -> None:
-        """Until it is lost; the end of the context tells that."""
+        """Renew the lease until it is lost; the end of the context reports that."""
         while True:
             await asyncio.sleep(ttl_s / RENEWALS)
             try:

@@ -1,4 +1,4 @@
-"""Telemetry messages as numpy arrays, with what was lost between them; waveforms as requests."""
+"""Telemetry messages as numpy arrays, with the number of lost records; waveforms as requests."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -25,12 +25,12 @@ STREAMED = ("servo.raw", "probe")  # topics whose messages are blocks of records
 class Block:
     """Consecutive records of topic `servo.raw` or `probe`.
 
-    The dtype of `records` is that which the message announces; its field names carry units.
+    The dtype of `records` is announced in the message; its field names contain the units.
     """
 
     records: Records  #: structured array (n,), read-only
-    gap: int  #: records that were lost before it, on the way or in the gateway; 0 if restarted
-    restarted: bool  #: the numbering began anew: another servo life, or another run of the board
+    gap: int  #: records lost before it, in transit or in the gateway; 0 if restarted
+    restarted: bool  #: the numbering restarted: another servo life, or another run of the board
     #: everything else in the message, such as `simulated`, `mono_unix_offset_ns` (add it to
     #: `time_ns` for Unix time) or, for the probe, `scale`
     header: dict[str, Any]
@@ -42,14 +42,14 @@ def _dtype(descr: tuple[Any, ...]) -> np.dtype[Any]:
 
 
 class BlockDecoder:
-    """Decodes the messages of one subscription and counts what is missing."""
+    """Decodes the messages of one subscription and counts missing records."""
 
     def __init__(self) -> None:
         self._next: int | None = None
         self._origin: tuple[Any, Any] | None = None
 
     def decode(self, payload: bytes) -> Block:
-        """The block in `payload`. ValueError or KeyError if it is none."""
+        """Return the block in `payload`. ValueError or KeyError if it is not one."""
         header = msgpack.unpackb(payload, use_list=False)
         records = np.frombuffer(header.pop("d"), _dtype(header.pop("descr")))
         origin = header["epoch"], header.get("run")
@@ -63,7 +63,7 @@ class BlockDecoder:
 
 class Excerpt:
     """The first `seconds` of recorded time or `count` records of a topic, its last block cut to
-    fit; without either all that comes. ConfigError: a topic without blocks, or nothing asked for.
+    fit; without either, all records. ConfigError for a topic without blocks, or an empty request.
     """
 
     def __init__(self, topic: str, seconds: float | None, count: int | None) -> None:
@@ -87,7 +87,7 @@ class Excerpt:
         self.complete = False
 
     def next(self, payload: bytes) -> Block:
-        """What belongs to it of the message `payload`; maybe no record."""
+        """Return the part of the message `payload` that belongs to it; it may have no records."""
         block = self._decoder.decode(payload)
         records = block.records
         if self._seconds is not None and len(records):
@@ -102,12 +102,14 @@ class Excerpt:
 
 
 def concatenated(blocks: Sequence[Block]) -> tuple[Records, int]:
-    """All records of `blocks` in one structured array (n,), and how many it lacks."""
+    """Return all records of `blocks` in one structured array (n,), and the number of
+    missing ones.
+    """
     return np.concatenate([block.records for block in blocks]), sum(block.gap for block in blocks)
 
 
 def chunks(samples_n: ArrayLike) -> Iterator[dict[str, Any]]:
-    """Fields of the requests that load a waveform: force [N] at 4 kHz, shape (n,)."""
+    """Yield the fields of the requests that load a waveform: force [N] at 4 kHz, shape (n,)."""
     samples = np.asarray(samples_n, "<f4").ravel()
     for start in range(0, max(len(samples), 1), CHUNK_SAMPLES):
         chunk = samples[start : start + CHUNK_SAMPLES].tobytes()

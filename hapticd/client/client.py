@@ -1,19 +1,18 @@
-"""The client: one connection to a running daemon; synchronous, never waiting for ever.
+"""The synchronous client: one connection to a running daemon, with a time-out for every call.
 
-`GatewayConnection` holds the sockets: a DEALER for requests (`requests`), a PAIR that tells of new
-connections, a SUB per subscription. Requests are given only to a gateway that is connected
-(IMMEDIATE), so one that starts later finds no old commands in its queue; nothing lingers when it is
-closed. `Client` carries out the exchanges of `commands`, as the client for asyncio does (`aio`);
-telemetry is read by `telemetry`.
+`GatewayConnection` holds the sockets: a DEALER for requests (`requests`), a PAIR that reports new
+connections, a SUB per subscription. Requests are sent only to a connected gateway (IMMEDIATE), so
+one that starts later finds no old commands in its queue; no message lingers after closing. `Client`
+carries out the exchanges of `commands`, like the client for asyncio (`aio`); `telemetry` reads the
+telemetry.
 
 Every call ends within its time-out, with a reply, a CommandError (the daemon refused: `code` and
-`detail` say why) or DaemonDown (nobody answers, or the gateway has no servo).
+`detail` give the reason) or DaemonDown (no answer, or the gateway has no servo).
 
-numpy is loaded by what needs it, streams and waveforms: a verb at the shell does not wait for it.
+numpy is loaded only by streams and waveforms: a verb at the shell does not wait for it.
 
-Requests of several threads take turns (a lease that is kept alive has one of its own); streams
-belong to one thread. A wait for a reply must have a deadline: a gateway may die between request and
-reply.
+Requests of several threads take turns (a lease with keep-alive has its own thread); streams belong
+to one thread. A wait for a reply must have a deadline: a gateway may die between request and reply.
 """
 
 import threading
@@ -54,28 +53,28 @@ if TYPE_CHECKING:
 
 __all__ = ["Client"]
 
-SLICE_MS = 20  # between looks at whether another thread closes the connection
+SLICE_MS = 20  # between checks whether another thread closes the connection
 
 
 class GatewayConnection(Subscription):
-    """Sockets to the gateway of a runtime folder; made when they are first needed."""
+    """Sockets to the gateway of a runtime folder, created on first use."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._folder = folder
         self._name = name
         self._requests = RequestTracker()
-        self._introduction: list[bytes] = []  # goes out before the next request
+        self._introduction: list[bytes] = []  # sent before the next request
         super().__init__()
-        # a lease that is kept alive is renewed by a thread of its own, over this connection
+        # a lease with keep-alive is renewed by its own thread, over this connection
         self._turn = threading.Lock()
-        self._closed = False  # a request that waits gives up
+        self._closed = False  # a waiting request gives up
         self._socket: zmq.Socket[bytes] | None = None
-        self._made: zmq.Socket[bytes]  # a message for each connection that was made
+        self._made: zmq.Socket[bytes]  # a message for each new connection
 
     def exchange(self, cmd: str, fields: dict[str, Any], timeout_s: float) -> dict[str, Any]:
-        """Send a request; its reply, accepted or not.
+        """Send a request and return its reply, accepted or not.
 
-        DaemonDown: none in time; CommandError: too long.
+        DaemonDown without a reply in time; CommandError if the request is too long.
         """
         if not self._turn.acquire(timeout=timeout_s):
             raise silence(TimedOut(cmd, timeout_s), self._folder)
@@ -85,8 +84,8 @@ class GatewayConnection(Subscription):
             self._turn.release()
 
     def close(self) -> None:
-        """Close all sockets, for good; may be called twice, and by another thread than that of a
-        request that waits. Telemetry is closed by the thread that reads it.
+        """Close all sockets permanently. It may be called twice, and by another thread than that of
+        a waiting request. The thread that reads telemetry closes its sockets.
         """
         self._closed = True
         with self._turn:
@@ -102,14 +101,14 @@ class GatewayConnection(Subscription):
         deadline = time.monotonic() + timeout_s
         while (outcome := self._requests.outcome(number, time.monotonic_ns())) is None:
             self._require_open(cmd)
-            # a negative wait would be one for ever
+            # a negative wait would be endless
             wait_ms = max(0, min(SLICE_MS, round(1000 * (deadline - time.monotonic()))))
             if unsent:
-                # with IMMEDIATE it can be written to only when it is connected
+                # with IMMEDIATE it is writable only when connected
                 if socket.poll(wait_ms, zmq.POLLOUT):
                     self._meet()
                     due = self._introduction or unsent
-                    with suppress(zmq.Again):  # the connection was lost meanwhile
+                    with suppress(zmq.Again):  # the connection was lost
                         socket.send(due[-1], zmq.NOBLOCK)
                         due.pop()
             elif socket.poll(wait_ms):
@@ -123,14 +122,16 @@ class GatewayConnection(Subscription):
             raise DaemonDown(f"{cmd}: this client is closed")
 
     def _connected(self) -> "zmq.Socket[bytes]":
-        """The command socket; made when it is first needed."""
+        """Return the command socket, created on first use."""
         socket_file(self._folder, COMMAND_SOCKET)
         if self._socket is None:
             self._socket, self._made = command_socket(self._context, self._folder)
         return self._socket
 
     def _meet(self) -> None:
-        """To a gateway each connection is another client; the gateway may be another one too."""
+        """Introduce each new connection: it is a new client to the gateway, which may also be a new
+        one.
+        """
         while self._made.poll(0):
             self._made.recv_multipart()
             self._introduction = [self._requests.introduction(self._name)]
@@ -145,14 +146,14 @@ class GatewayConnection(Subscription):
 class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus, dict[str, Any]]):
     """One connection to the daemon `instance`, best used as a context manager.
 
-    `timeout_s` bounds every call; `name` is shown beside what this client changes; `folder` is the
-    runtime folder where it is not that of the instance. A change that acts and is not safe emits a
-    `GuardWarning`, once for each environment. With `strict` none acts: whatever the policy of the
-    guard, what this client asks is judged as under `refuse`.
+    `timeout_s` bounds every call; `name` identifies this client in logs and status; `folder` is the
+    runtime folder if it is not that of the instance. An unsafe change that acts emits a
+    `GuardWarning`, once for each environment. With `strict` no unsafe change acts: the requests of
+    this client are judged as under `refuse`, for any policy of the guard.
 
-    Errors of every method: CommandError where the daemon refuses, DaemonDown where none answers in
-    time. In the examples `device` is a `hapticd.virtual_board()`, disabled, whose active damping
-    was switched on; `np` is numpy, `step` is `hapticd.client.step`.
+    Errors of every method: CommandError if the daemon refuses, DaemonDown without an answer in
+    time. In the examples `device` is a `hapticd.virtual_board()`, disabled, with its active damping
+    switched on; `np` is numpy, `step` is `hapticd.client.step`.
     """
 
     _connection: GatewayConnection
@@ -163,9 +164,9 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
     # --- asking -----------------------------------------------------------------------------------
 
     def call(self, cmd: str, **fields: Any) -> dict[str, Any]:
-        """Send any command; its whole reply {ok, id, rev, state, result or receipt}.
+        """Send any command and return its whole reply {ok, id, rev, state, result or receipt}.
 
-        CommandError where the daemon refuses, DaemonDown where none answers in time.
+        CommandError if the daemon refuses, DaemonDown without an answer in time.
 
         >>> device.call("set", K=50)["receipt"]["effective"]["K"]
         50.0
@@ -182,7 +183,7 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
             return end.value  # type: ignore[no-any-return]  # what the generator returns
 
     def _tried(self, due: Ask | Pause) -> Any:
-        """The reply to a request, or the error that it ended with; None after a pause."""
+        """Return the reply to a request, or its error; None after a pause."""
         try:
             if isinstance(due, Pause):
                 return self._pause(due.seconds)
@@ -193,7 +194,7 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
     # --- changing ---------------------------------------------------------------------------------
 
     def hand(self, verdict: GuardVerdict, timeout_s: float = 1.0) -> Event | None:
-        """The event that tells the hand which would shake what `verdict` is about.
+        """Return the event that describes the hand for which the change of `verdict` is unstable.
 
         None if `timeout_s` passes first.
 
@@ -204,13 +205,13 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         return self._carried_out(hand_event(verdict, timeout_s))
 
     def _pause(self, seconds: float) -> None:
-        """Let time pass; on virtual time no clock of this computer does."""
+        """Sleep for `seconds`; on virtual time no real time passes."""
         time.sleep(seconds)
 
     def stop(self) -> Receipt:
-        """Latched stop.
+        """Stop and latch.
 
-        Without a reply within 40 ms the stop word is pressed, which the servo reads.
+        Without a reply within 40 ms the stop word is pressed, which the servo reads directly.
 
         DaemonDown if there is no servo either.
 
@@ -231,11 +232,12 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         take_over: bool = False,
         keep_alive: bool = False,
     ) -> ClientLease:
-        """Be the only one who changes `what`, as a context: see ClientLease. With `keep_alive`, of
+        """Take exclusive control of `what`, as a context: see ClientLease. With `keep_alive`, for
         the environment or the damping, a thread renews it: for a body that waits for a person.
 
-        It ends when this client asks nothing for `ttl_s`, and at once when it dies; the environment
-        then goes as `at_end` says, damping stays. `take_over`: end another's.
+        It ends when this client sends no request for `ttl_s`, and at once when it dies. The
+        environment then changes according to `at_end`; damping stays. `take_over`: end the lease of
+        another client.
 
         >>> with device.lease("environment", ttl_s=5, at_end="disable") as lease:
         ...     receipt = device.set(K=100)
@@ -245,9 +247,10 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         return ClientLease(self.call, what, keep_alive, self._pause, **asked)
 
     def perturb_load(self, samples_n: "ArrayLike") -> int:
-        """Load a waveform: force [N] at 4 kHz, shape (n,). The number of samples the daemon has.
+        """Load a waveform: force [N] at 4 kHz, shape (n,). Return the number of samples in the
+        daemon.
 
-        CommandError: a sample beyond the limits of the probe, or a waveform is playing.
+        CommandError for a sample beyond the limits of the probe, or while a waveform is playing.
 
         >>> one_second = 0.1 * np.sin(2 * np.pi * 5 * np.arange(4000) / 4000)
         >>> device.perturb_load(one_second)
@@ -261,14 +264,14 @@ class Client(TelemetryReader, Commands[Receipt, Hello, Get, Status, GuardStatus,
         at_refusal: "AtRefusal" = "disable",
         lead_s: float | None = None,
     ) -> "tuple[StepReceipt, ...]":
-        """Do `steps`, made by `step`, in their order and at their ticks; a receipt for each: see
-        `hapticd.client.sequence`.
+        """Perform `steps`, made by `step`, in order and at their ticks; return a receipt for each:
+        see `hapticd.client.sequence`.
 
-        CommandError: a step cannot be done, and nothing was sent. SequenceError: it ended before
-        the last step, by a refusal or a lost daemon; force was then switched off, or stopped, or,
-        with "hold", left as it was. A lost daemon is stopped by the stop word, but with "hold".
-        `lead_s`: how long before its tick a step is sent; left out: half a second. It
-        emits each `GuardWarning` at its end.
+        CommandError if a step is impossible; nothing is sent then. SequenceError if the sequence
+        ended before the last step, by a refusal or a lost daemon. Force is then switched off, or
+        stopped, or left as it was with "hold". A lost daemon is stopped by the stop word, except
+        with "hold". `lead_s` is the time before its tick at which a step is sent (default: half a
+        second). Each `GuardWarning` is emitted at the end.
 
         >>> steps = [step("enable"), step("set", K=100, after_s=0.5), step("disable", after_s=1)]
         >>> [one.result for one in device.sequence(steps)]

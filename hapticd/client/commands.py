@@ -1,8 +1,8 @@
-"""The commands of the client that waits and of that for asyncio, each written once.
+"""The commands of the synchronous client and of that for asyncio, each written once.
 
-A command is an `Exchange`: a generator that gives what is due (`Ask` a request, `Pause`) and takes
-the reply, or the error that the request ended with. The clients carry it out, and what a command
-gives, a value or something to await, is the client's: `Commands[Receipt, Hello, ...]` or
+A command is an `Exchange`: a generator that yields due actions (`Ask` for a request, `Pause`) and
+receives the reply, or the error of the request. The clients carry it out. The result type of a
+command, a value or an awaitable, depends on the client: `Commands[Receipt, Hello, ...]` or
 `Commands[Awaitable[Receipt], Awaitable[Hello], ...]`.
 
 An exchange must not itself read a socket or sleep.
@@ -38,46 +38,46 @@ if TYPE_CHECKING:
 __all__ = ["Ask", "Exchange", "Pause"]
 
 
-# what is given, now or later
-R = TypeVar("R")  # by a change: a Receipt
+# result types, immediate or awaitable
+R = TypeVar("R")  # of a change: a Receipt
 H = TypeVar("H")  # a Hello
 P = TypeVar("P")  # a Get
 S = TypeVar("S")  # a Status
 G = TypeVar("G")  # a GuardStatus
-D = TypeVar("D")  # by other questions: a map
+D = TypeVar("D")  # of other questions: a map
 
-POLL_S = 0.02  # between two looks at the state
+POLL_S = 0.02  # between two polls of the state
 JUDGED = frozenset({"set", "damping", "enable", "guard"})  # commands that the guard may refuse
 T = TypeVar("T")
 Answer = dict[str, Any]
 
 
 class Ask(NamedTuple):
-    """A request to carry out; the exchange takes its reply, or the error that it ended with."""
+    """A request to carry out; the exchange receives its reply, or its error."""
 
     cmd: str
     fields: Mapping[str, Any] = {}
 
 
 class Pause(NamedTuple):
-    """Time to let pass."""
+    """Time to wait."""
 
     seconds: float
 
 
-Exchange = Generator[Ask | Pause, Any, T]  # what is due, answers, what it gives
+Exchange = Generator[Ask | Pause, Any, T]  # due actions, answers, result
 
 
 def reply_or_raise(answer: Any) -> Any:
-    """The reply in `answer`. Raises the error that a request ended with."""
+    """Return the reply in `answer`, or raise the error of its request."""
     if isinstance(answer, HapticdError):
         raise answer
     return answer
 
 
 class Commands(Generic[R, H, P, S, G, D]):
-    """Questions and changes. CommandError where the daemon refuses, DaemonDown where none answers
-    in time.
+    """Questions and changes. CommandError if the daemon refuses, DaemonDown without an answer in
+    time.
     """
 
     def __init__(
@@ -96,19 +96,21 @@ class Commands(Generic[R, H, P, S, G, D]):
         self._connect()
 
     def _connect(self) -> None:
-        """Make the connection to the daemon."""
+        """Connect to the daemon."""
         raise NotImplementedError
 
     def _as_asked(self, cmd: str, fields: dict[str, Any]) -> dict[str, Any]:
-        """The fields of a request, with that of a strict client."""
+        """Return the fields of a request, with that of a strict client."""
         return {**fields, "strict": True} if self._strict and cmd in JUDGED else fields
 
     def _carried_out(self, exchange: Exchange[Any]) -> Any:
-        """What `exchange` gives once all of it is done."""
+        """Carry out `exchange` and return its result."""
         raise NotImplementedError
 
     def _question(self, kind: type[Any], cmd: str, fields: Answer) -> Exchange[Any]:
-        """The answer to a question, as a dataclass `kind` of `protocol.answers` or as a map."""
+        """Return the answer to a question, as a dataclass `kind` of `protocol.answers`
+        or as a map.
+        """
         reply = reply_or_raise((yield Ask(cmd, fields)))
         if "receipt" in reply:  # a mode of the guard changes the damping
             self._warnings.tell(receipt_of(reply))
@@ -133,7 +135,7 @@ class Commands(Generic[R, H, P, S, G, D]):
     def _sequence(
         self, steps: "Sequence[Step]", at_refusal: "AtRefusal", lead_s: float | None
     ) -> "Exchange[tuple[StepReceipt, ...]]":
-        """A sequence; each `GuardWarning` is emitted at its end."""
+        """Run a sequence, and emit each `GuardWarning` at its end."""
         from hapticd.client.sequence import exchange
 
         try:
@@ -147,7 +149,7 @@ class Commands(Generic[R, H, P, S, G, D]):
     # --- asking -----------------------------------------------------------------------------------
 
     def hello(self) -> H:
-        """Versions, limits, endpoints and topics of the daemon; each limit has its unit.
+        """Return versions, limits, endpoints and topics of the daemon; each limit has its unit.
 
         >>> device.hello().limits["active_damping"]
         Limit(low=0.0, high=10.0, unit='N s/m')
@@ -156,7 +158,8 @@ class Commands(Generic[R, H, P, S, G, D]):
         return hello
 
     def get(self) -> P:
-        """What was asked for, ramps at their ends, and what acts at this tick.
+        """Return the requested values, with ramps at their ends, and the values in force at this
+        tick.
 
         >>> device.get().in_force.stiffness_n_per_m
         0.0
@@ -165,7 +168,8 @@ class Commands(Generic[R, H, P, S, G, D]):
         return found
 
     def status(self) -> S:
-        """State, fault, counters, stage times, what the servo was granted, the last events.
+        """Return state, fault, counters, stage times, granted rights and the last events of the
+        servo.
 
         >>> status = device.status()
         >>> status.state, status.rate_hz, status.fault
@@ -175,7 +179,7 @@ class Commands(Generic[R, H, P, S, G, D]):
         return status
 
     def schema(self) -> D:
-        """The protocol as JSON schema, with units and the limits of this device.
+        """Return the protocol as JSON schema, with units and the limits of this device.
 
         >>> sorted(device.schema())[:2]
         ['$defs', 'discriminator']
@@ -200,15 +204,15 @@ class Commands(Generic[R, H, P, S, G, D]):
         limit_cycle_faults: bool | None = None,
         **further: float,
     ) -> R:
-        """Change what is rendered; what is not given stays.
+        """Change the rendered environment; omitted values keep their value.
 
         `K` virtual stiffness [N/m], `B` virtual damping [N s/m], `M` virtual mass [kg],
-        `active_damping` [N s/m]; `filters` and `wall` by the names of `hapticd set`. `ramp_s` is
-        the length of the ramp [s], `at_tick` the servo tick from which it acts. From `until_tick`
-        on the same fields are as they were before. With `if_rev` it acts only if the revision is
-        still that one. `limit_cycle_faults`: whether force_at_limit and energy end a limit cycle;
-        on again as soon as force is off. `further`: parameters that were added to the environment
-        (`hapticd.core.environment`), by their keys.
+        `active_damping` [N s/m]; `filters` and `wall` have the keys of `hapticd set`. `ramp_s` is
+        the length of the ramp [s], `at_tick` the first servo tick of the change. From `until_tick`
+        on the same fields have their earlier values again. With `if_rev` the change is refused
+        unless the revision is still that one. `limit_cycle_faults`: whether force_at_limit and
+        energy end a limit cycle; they are re-enabled when force is switched off. `further`:
+        parameters added to the environment (`hapticd.core.environment`), by their keys.
 
         >>> receipt = device.set(K=100, B=1, ramp_s=0.2)
         >>> receipt.effective["K"], receipt.ramp_end_tick - receipt.first_tick
@@ -233,8 +237,8 @@ class Commands(Generic[R, H, P, S, G, D]):
         )
 
     def damping(self, value: Literal["on", "off", "auto"] | float) -> R:
-        """Switch the active damping, set its level [N s/m] and switch it on, or have the guard
-        choose the least level that will do.
+        """Switch the active damping, set its level [N s/m] and switch it on, or let the guard
+        choose the minimum sufficient level.
 
         >>> device.damping(0.5).effective["active_damping"]
         0.500...
@@ -249,7 +253,9 @@ class Commands(Generic[R, H, P, S, G, D]):
         margin_ns_per_m: float | None = None,
         mode: "DampingMode | None" = None,
     ) -> G:
-        """Change what is done with environments that are not known to be passive, or only ask.
+        """Change the guard's response to environments that are not known to be passive, or only
+        query it. `margin_ns_per_m` is the required margin of damping [N s/m], `mode` the mode of
+        the active damping.
 
         `margin_ns_per_m` is the damping that has to be left [N s/m], `mode` that of the active
         damping.
@@ -262,7 +268,7 @@ class Commands(Generic[R, H, P, S, G, D]):
         return guard
 
     def enable(self) -> R:
-        """Force on, with a gain ramp (`enable_ramp_s` of the configuration).
+        """Switch force on, with a gain ramp (`enable_ramp_s` of the configuration).
 
         CommandError `stopped` after a stop or a fault, until `reset`.
 
@@ -272,7 +278,7 @@ class Commands(Generic[R, H, P, S, G, D]):
         return self._change("enable")
 
     def disable(self) -> R:
-        """Switch the force off. The active damping stays as it is.
+        """Switch force off. The active damping keeps its setting.
 
         >>> device.disable().state
         'disabled'
@@ -280,7 +286,7 @@ class Commands(Generic[R, H, P, S, G, D]):
         return self._change("disable")
 
     def reset(self) -> R:
-        """From `stopped` or `fault` to `disabled`. CommandError while a cause persists.
+        """Go from `stopped` or `fault` to `disabled`. CommandError while a cause persists.
 
         >>> receipt = device.stop()
         >>> device.reset().state
@@ -289,7 +295,7 @@ class Commands(Generic[R, H, P, S, G, D]):
         return self._change("reset")
 
     def zero(self) -> R:
-        """Here is x = 0; only in `disabled`.
+        """Set the present position as x = 0; only in `disabled`.
 
         >>> receipt = device.zero()
         >>> device.record(0.01)[0]["position_m"][-1]
@@ -298,9 +304,9 @@ class Commands(Generic[R, H, P, S, G, D]):
         return self._change("zero")
 
     def home(self) -> R:
-        """Begin to look for the origin; only in `disabled`, to which it returns afterwards.
+        """Start to search for the origin; only in `disabled`, to which it returns afterwards.
 
-        CommandError: the device file names no way to home.
+        CommandError if the device file has no homing method.
 
         >>> device.home()
         Traceback (most recent call last):
@@ -309,8 +315,8 @@ class Commands(Generic[R, H, P, S, G, D]):
         return self._change("home")
 
     def withhold(self, seconds: float) -> R:
-        """Send the board no frames for `seconds`, at most 1 s: its watchdog trips; only in
-        `disabled`.
+        """Send no frames to the board for `seconds`, at most 1 s, so that its watchdog trips; only
+        in `disabled`.
 
         >>> device.withhold(0.1).result
         'applied'
@@ -320,7 +326,7 @@ class Commands(Generic[R, H, P, S, G, D]):
     def perturb_start(self, loop: bool = False) -> R:
         """Play the loaded waveform, once or until stopped.
 
-        CommandError: none is loaded, or the servo is not enabled.
+        CommandError without a loaded waveform, or if the servo is not enabled.
 
         >>> device.perturb_load([0.1, -0.1] * 200)
         400
@@ -330,7 +336,7 @@ class Commands(Generic[R, H, P, S, G, D]):
         return self._change("perturb", action="start", loop=loop)
 
     def perturb_stop(self) -> R:
-        """Stop playing.
+        """Stop the waveform.
 
         >>> device.perturb_stop().result
         'applied'
@@ -338,9 +344,9 @@ class Commands(Generic[R, H, P, S, G, D]):
         return self._change("perturb", action="stop")
 
     def dump(self) -> D:
-        """Write the flight recording; {path, records, reason}.
+        """Write the flight recording and return {path, records, reason}.
 
-        The file appears soon after this returns, and is whole when it does.
+        The file appears, complete, soon after this returns.
 
         >>> device.dump()["reason"]
         'asked'
@@ -348,8 +354,8 @@ class Commands(Generic[R, H, P, S, G, D]):
         return self._result("dump")
 
     def mark(self, text: str) -> D:
-        """Note `text`, at most 96 characters, with the newest tick: an event `mark`, which
-        recordings keep; {tick}.
+        """Record `text`, at most 96 characters, with the newest tick: an event `mark`, which
+        recordings keep. Return {tick}.
 
         >>> device.mark("participant 7 ready")
         {'tick': ...}
@@ -358,8 +364,8 @@ class Commands(Generic[R, H, P, S, G, D]):
 
 
 def hand_event(verdict: GuardVerdict, timeout_s: float) -> Exchange[Event | None]:
-    """The event `guard` that names the hand which would shake what `verdict` is about; None if
-    `timeout_s` passes first.
+    """Return the event `guard` that describes the hand for which the change of `verdict` is
+    unstable; None if `timeout_s` passes first.
     """
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
@@ -372,7 +378,7 @@ def hand_event(verdict: GuardVerdict, timeout_s: float) -> Exchange[Event | None
 
 
 def loaded(samples_n: "ArrayLike") -> Exchange[int]:
-    """Load a waveform; the number of samples that the daemon has."""
+    """Load a waveform and return the number of samples in the daemon."""
     from hapticd.client.blocks import chunks
 
     count: int = 0
@@ -382,12 +388,14 @@ def loaded(samples_n: "ArrayLike") -> Exchange[int]:
 
 
 def reached(state: str, timeout_s: float) -> Exchange[None]:
-    """Until the servo is in `state`. CommandError `timeout` or DaemonDown after `timeout_s`."""
+    """Wait until the servo is in `state`. CommandError `timeout` or DaemonDown after
+    `timeout_s`.
+    """
     deadline = time.monotonic() + timeout_s
     while True:
         answer = yield Ask("get")
         late = time.monotonic() >= deadline
-        # a daemon that is being started does not answer yet
+        # a daemon that is starting does not answer yet
         down = isinstance(answer, DaemonDown) and not late
         found = "down" if down else reply_or_raise(answer)["state"]
         if found == state:

@@ -1,4 +1,4 @@
-"""Conditions of an experiment: in which order they come, and a table that joins them to telemetry.
+"""Conditions of an experiment: their order, and a table that joins them to telemetry.
 
     conditions = sweep(K=(100, 200, 400), B=(1, 2))
     with Table(Path("session.csv"), answers=("response",)) as table, Client() as device:
@@ -7,18 +7,18 @@
                 table.begin(device.set(**condition.settings, ramp_s=0.2), condition)
                 table.answer(response=input("stiffer? "))
 
-Order (`blocks`, `pairs`) is random but balanced, and the same for the same seed: each block holds
-each condition once; of pairs, half begin with A. What a person learns or tires then falls on all
+The order (`blocks`, `pairs`) is random but balanced, and the same for the same seed: each block
+contains each condition once; half of the pairs begin with A. Learning and fatigue then affect all
 conditions alike (Fisher 1935, The Design of Experiments).
 
-A row of the table holds the revision and the ticks of the receipt, and what the guard said of the
-condition: `guard_safe` (True, False; empty: unknown, or nobody judged it) and `guard_margin`, the
-damping to spare [N s/m] in free space or in the wall, whichever is less. Both are of what was asked
-for; what a policy made less of is in force as K, B, M and damping say. Every record of `servo.raw`
-holds its revision, so `joined` gives each condition exactly the ticks in which it was in force,
-ramps left out, whatever the clocks of both programs say.
+A row of the table contains the revision and the ticks of the receipt, and the guard's verdict:
+`guard_safe` (True, False; empty: unknown or not judged) and `guard_margin`, the margin of damping
+[N s/m] in free space or in the wall, whichever is smaller. Both refer to the request. If a policy
+reduced it, K, B, M and damping show the values in force. Every record of `servo.raw` contains its
+revision, so `joined` returns for each condition exactly the ticks in which it was in force, without
+ramps, independent of the clocks of both programs.
 
-Take the lease of the environment: a change by another client is a revision of its own, whose ticks
+Take the lease of the environment: a change by another client is another revision, whose ticks
 belong to no row.
 """
 
@@ -43,14 +43,16 @@ GUARD = ("guard_safe", "guard_margin")
 
 
 class Condition(NamedTuple):
-    """What is set for one presentation."""
+    """Settings of one presentation."""
 
     name: str
     settings: Mapping[str, Any]  # arguments of `set`
 
 
 def sweep(**values: Sequence[float]) -> list[Condition]:
-    """Every combination of the values of each argument of `set`, the last one changing fastest."""
+    """Return every combination of the values of each argument of `set`, the last one changing
+    fastest.
+    """
     found = []
     for combination in itertools.product(*values.values()):
         settings = dict(zip(values, combination, strict=True))
@@ -60,15 +62,15 @@ def sweep(**values: Sequence[float]) -> list[Condition]:
 
 
 def blocks(conditions: Sequence[Condition], count: int, seed: int) -> list[tuple[Condition, ...]]:
-    """`count` blocks, each with every one of `conditions` once, in an order of its own."""
+    """Return `count` blocks, each with all `conditions` once, in random order."""
     random = np.random.default_rng(seed)
     orders = [random.permutation(len(conditions)) for _ in range(count)]
     return [tuple(conditions[place] for place in order) for order in orders]
 
 
 def pairs(a: Condition, b: Condition, count: int, seed: int) -> list[tuple[Condition, Condition]]:
-    """`count` pairs of A and B in random order, half of them A first. ConfigError for an odd
-    `count`, of which no half exists.
+    """Return `count` pairs of A and B in random order, half of them A first. ConfigError for an odd
+    `count`.
     """
     if count % 2:
         raise ConfigError(
@@ -80,10 +82,10 @@ def pairs(a: Condition, b: Condition, count: int, seed: int) -> list[tuple[Condi
 
 
 class Table:
-    """A CSV file at `path` with one row for each condition that was presented; `answers` are the
-    columns that the experiment adds.
+    """A CSV file at `path` with one row for each presented condition; `answers` are the columns
+    added by the experiment.
 
-    A row is on the disk before the next condition begins. ConfigError where `path` exists already.
+    A row is on the disk before the next condition begins. ConfigError if `path` exists already.
     """
 
     def __init__(self, path: Path, answers: Sequence[str] = ()) -> None:
@@ -108,8 +110,8 @@ class Table:
             self._file.close()
 
     def begin(self, receipt: Receipt, condition: Condition) -> None:
-        """Present `condition` from the tick of `receipt` on. CommandError: the servo makes
-        no force, so it cannot be felt.
+        """Present `condition` from the tick of `receipt` on. CommandError if the servo makes no
+        force, so that it cannot be felt.
         """
         self._flush()
         if receipt.state != ENABLED:
@@ -122,9 +124,7 @@ class Table:
         self._row = named | ticks | in_force | _guarded(receipt)
 
     def answer(self, **answers: Any) -> None:
-        """What came of the presentation that has begun. ConfigError for a column that the table
-        was not given.
-        """
+        """Record the answers to the current presentation. ConfigError for an unknown column."""
         if unknown := set(answers) - set(self._answers):
             known = ", ".join(self._answers) or "none"
             raise ConfigError(
@@ -140,15 +140,15 @@ class Table:
 
 
 def _guarded(receipt: Receipt) -> dict[str, Any]:
-    """What the guard said of the condition, by the names of its columns."""
+    """Return the guard's verdict on the condition, by the names of its columns."""
     verdict = receipt.guard
     said = (verdict.safe, verdict.worse.margin_ns_per_m) if verdict else (None, None)
     return dict(zip(GUARD, said, strict=True))
 
 
 def joined(path: Path, records: Records) -> Iterator[tuple[dict[str, str], Records]]:
-    """Each row of the table at `path` with the records (n,) of `servo.raw` in which its condition
-    was in force, from the end of its ramps on.
+    """Yield each row of the table at `path` with the records (n,) of `servo.raw` in which its
+    condition was in force, from the end of its ramps on.
     """
     with path.open(newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):

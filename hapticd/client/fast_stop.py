@@ -1,15 +1,14 @@
-"""The short way to a stop: `hapticd stop` runs this before anything large is loaded.
+"""The short path to a stop: `hapticd stop` runs this before it loads any large module.
 
-Every live daemon of this user and the service is pressed, or with `--instance` the one of that
-name: whoever says stop need not know which of them moves. All stop words are pressed before anybody
-is waited for, so that nothing that hangs delays a stop. Then the servos are given 50 ms together to
-take their words back, which each does once no force acts (`mailbox.stop_word`). Nobody else is
-asked: no gateway, which may be flooded, and no socket, whose library takes longer to load than all
-of this. It takes less than 100 ms, the interpreter included.
+It presses every live daemon of this user and the service, or with `--instance` the named one: the
+operator need not know which of them moves. All stop words are pressed before any wait, so that a
+hanging daemon delays no stop. Then the servos have 50 ms together to clear their words, which each
+does once no force acts (`mailbox.stop_word`). No gateway takes part, for it may be flooded, and no
+socket, whose library takes longer to load than the whole stop. It takes less than 100 ms, including
+the interpreter.
 
-What a daemon that was killed has left behind counts for nothing, and a folder that is not believed
-(`mailbox.daemons`) is named and left alone. Standard library only. No import at the top may cost
-milliseconds, and no open may wait.
+Remains of a killed daemon are ignored, and an untrusted folder (`mailbox.daemons`) is reported and
+left alone. Standard library only. No import at the top may cost milliseconds, and no open may wait.
 """
 
 import sys
@@ -24,32 +23,32 @@ from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, press_stop, servo_lives, 
 
 __all__ = ["main", "stop"]
 
-TAKEN_MS = 50  # for all servos together: the stop ramp of 20 ms, way, and some waiting
+TAKEN_MS = 50  # for all servos together: the stop ramp of 20 ms, transmission, and some waiting
 LOOK_S = 0.001
-STOPPED = "stopped"  # its servo took the stop, and no force acts
+STOPPED = "stopped"  # its servo accepted the stop, and no force acts
 PRESSED = "pressed"  # not yet
 
 
 class Stopped(NamedTuple):
-    """One daemon that was pressed."""
+    """One pressed daemon."""
 
     folder: str
     instance: str
-    device: str  # as its servo reports; empty if that cannot be read
+    device: str  # as reported by its servo; empty if that cannot be read
     simulated: bool | None  # None: unknown
     state: str  # STOPPED or PRESSED
 
 
 class Outcome(NamedTuple):
-    """What came of a stop."""
+    """Result of a stop."""
 
     daemons: list[Stopped]
-    left_alone: list[str]  # why folders were not believed
-    failed: list[str]  # why living daemons could not be pressed
+    left_alone: list[str]  # reasons why folders were not trusted
+    failed: list[str]  # reasons why living daemons could not be pressed
 
 
 def main(instance: str | None, as_json: bool) -> int:
-    """Stop `instance`, None: all there are, and say so; the exit code."""
+    """Stop `instance` (None: all daemons), print the result, and return the exit code."""
     try:
         found = stop(instance)
     except HapticdError as error:
@@ -70,10 +69,10 @@ def main(instance: str | None, as_json: bool) -> int:
 
 
 def stop(instance: str | None, actor: int = ACTOR_STOP_WORD) -> Outcome:
-    """Stop the daemons of that name, None: all of this user and the service. It counts as pressed
+    """Stop the daemons of that name (None: all of this user and the service). It counts as pressed
     by client `actor` of the gateway, who may then reset it at once.
 
-    DaemonDown: there is none.
+    DaemonDown if there is none.
     """
     pressed: list[RuntimeFolder] = []
     left_alone: list[str] = []
@@ -98,7 +97,7 @@ def stop(instance: str | None, actor: int = ACTOR_STOP_WORD) -> Outcome:
 
 
 def _taken(pressed: list[RuntimeFolder]) -> list[RuntimeFolder]:
-    """Those of `pressed` whose servos take the stop in time."""
+    """Return those of `pressed` whose servos accept the stop in time."""
     deadline_ns = time.monotonic_ns() + TAKEN_MS * NS_PER_MS
     while True:
         taken = [place for place in pressed if stop_taken(place.folder)]

@@ -1,7 +1,7 @@
-"""Receipts, verdicts and events as people read them: one wording for terminal and page.
+"""Receipts, verdicts and events as text: one wording for terminal and page.
 
 Its imports must be small, because `hapticd --help` loads it. An event of an unknown kind is shown
-by its fields.
+as its fields.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -41,7 +41,7 @@ __all__ = [
 
 
 def verdict_lines(verdict: GuardVerdict | None) -> list[str]:
-    """What a verdict allows, as people read it; nothing where nothing is known."""
+    """Return the ranges that a verdict allows, as text; an empty list without a verdict."""
     if verdict is None:
         return []
     lines = []
@@ -65,15 +65,15 @@ def verdict_lines(verdict: GuardVerdict | None) -> list[str]:
 
 
 def objection_lines(verdict: GuardVerdict, more: Iterable[str] = ()) -> list[str]:
-    """Why a change is not safe, one thought a line: what is wrong, what is allowed and `more`, then
-    the rest and the remedies.
+    """Return the reasons why a change is not safe, one a line: the problem, the allowed ranges and
+    `more`, then the rest and the remedies.
     """
     why = Explanation(verdict.reasons, verdict.remedies)
     return why.lines(verdict.outcome, [*verdict_lines(verdict), *more])
 
 
 def refusal_lines(error: "CommandError", more: Iterable[str] = ()) -> list[str]:
-    """The same of a refusal by the guard, behind the command; else the message."""
+    """Return the same for a refusal by the guard, after the command; otherwise the message."""
     verdict = error.guard
     if verdict is None or not verdict.reasons:
         return [str(error), *(verdict_lines(verdict)), *more]
@@ -82,7 +82,7 @@ def refusal_lines(error: "CommandError", more: Iterable[str] = ()) -> list[str]:
 
 
 def guard_line(found: GuardStatus) -> str:
-    """Policy, basis, mode and worker in one line, as `status` shows them too."""
+    """Return policy, basis, mode and worker in one line, as `status` shows them."""
     margin = found.margin_ns_per_m
     wanted = f", at least {margin:g} N s/m to spare" if margin else ""
     policy = "off: somebody measures" if found.measuring else found.policy
@@ -93,7 +93,7 @@ def guard_line(found: GuardStatus) -> str:
 
 
 def timing_words(timing: Timing | None) -> str:
-    """What the delay costs of K by the theorem, in one line; empty where nothing is known."""
+    """Return the cost of the delay in K (theorem), in one line; empty if it is unknown."""
     if timing is None:
         return ""
     without = timing.without_active_damping
@@ -113,7 +113,7 @@ def _instead(cost: TimingCost) -> str:
 
 
 def late_words(late: Mapping[str, LateTicks]) -> str:
-    """Late ticks by cause, in one line; empty where there is none."""
+    """Return late ticks by cause, in one line; empty if there are none."""
     return ", ".join(
         f"{found.count} {name} (latest {found.latest_us:.0f} us)"
         for name, found in late.items()
@@ -122,19 +122,19 @@ def late_words(late: Mapping[str, LateTicks]) -> str:
 
 
 def margin_words(found: GuardStatus) -> str:
-    """The verdict on what is in force, in one line."""
+    """Return the verdict on the environment in force, in one line."""
     known = found.verdict.text if found.verdict else ""
     return known or found.unjudged or "not judged yet"
 
 
 def board_words(report: dict[str, Any]) -> str:
-    """That the servo waits for its board, and what for; empty when the board answers."""
+    """Return the reason why the servo waits for its board; empty when the board answers."""
     reason = report.get("waiting_for", "")
     return f"the servo waits for the board: {reason}" if reason else ""
 
 
 def receipt_text(receipt: Receipt) -> str:
-    """What became of it, and what will then be in force."""
+    """Return the result of a change, and the values that will then be in force."""
     if receipt.result == "pressed":
         return "stop pressed; nobody confirmed it, see `hapticd status`"
     stages = receipt.guard.stages if receipt.guard else 0
@@ -149,7 +149,7 @@ def receipt_text(receipt: Receipt) -> str:
 
 
 def _shown(table: dict[str, Any]) -> str:
-    """K, B, M and active damping of parameters in the shape of a `set`."""
+    """Return K, B, M and active damping of parameters in the shape of a `set`."""
     values = dict(parameters(table))
     names = {one.key: one.symbol for one in FIELDS if one.symbol}
     names["active_damping"] = "active damping"
@@ -157,7 +157,7 @@ def _shown(table: dict[str, Any]) -> str:
 
 
 def _margin(verdict: GuardVerdict | None) -> str:
-    """What is to spare, of a display that is known to be safe."""
+    """Return the margin of an environment that is known to be safe."""
     if not verdict or not verdict.safe:
         return ""
     how = "clamped to what is safe, " if verdict.clamped else ""
@@ -167,11 +167,11 @@ def _margin(verdict: GuardVerdict | None) -> str:
 
 
 def parameters(table: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """(dotted name, value with unit) of parameters in the shape of a `set`."""
+    """Yield (dotted name, value with unit) of parameters in the shape of a `set`."""
     for name, value in flat(table):
         place = PLACES.get(name.replace("active_damping_level", "active_damping"))
         unit = VALUE_LIMITS[place].unit if place is not None else ""
-        # a level is rounded to a count of the board's converter: 1.73999 was 1.74 when it was asked
+        # a level is rounded to a count of the board's converter: 1.73999 was requested as 1.74
         shown = f"{value:.4g}" if place == Value.ACTIVE_DAMPING else f"{value:.6g}"
         yield name, shown if unit in ("", "1", "side") else f"{shown} {unit}"
 
@@ -181,7 +181,7 @@ _HIDDEN = {"timestamp", "kind", "actor", "id", "number", "epoch"}
 
 
 def event_words(event: Event) -> str:
-    """What happened, to whom and by whom, without its time."""
+    """Return an event as text: action, object and author, without its time."""
     return _WORDS.get(event.kind, _plain)(event)
 
 

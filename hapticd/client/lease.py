@@ -1,21 +1,21 @@
-"""A lease as its holder sees it: to be the only one who changes a part of the display.
+"""A lease from the view of its holder: exclusive control of a part of the display.
 
     with client.lease("environment", ttl_s=5) as lease:
         client.set(K=100)
         lease.sleep(60)
         client.set(K=200)
 
-Every request renews it; `renew` and `sleep` are for the time in which the client asks nothing. A
-client that hangs loses its lease after `ttl_s`, one that dies at once.
+Every request renews it; `renew` and `sleep` cover periods without requests. A client that hangs
+loses its lease after `ttl_s`, one that dies at once.
 
-With `keep_alive=True` a thread renews it as well, over the same connection, so that the body may
-wait for a person. Such a lease ends with its process or its connection alone: a deadlocked main
-thread keeps it. It is for the environment and the damping, never for what moves the handle by
-itself.
+With `keep_alive=True` a thread also renews it, over the same connection, so that the body may wait
+for a person. Such a lease ends only with its process or its connection: a deadlocked main thread
+keeps it. It is intended for the environment and the damping, never for a program that moves the
+handle by itself.
 
 Limitations: without `keep_alive`, `time.sleep` for longer than `ttl_s` loses the lease.
 
-An exception that ends the context, Ctrl-C among them, does at once what `at_end` says.
+An exception that ends the context, such as Ctrl-C, triggers the action `at_end` at once.
 """
 
 import threading
@@ -28,28 +28,27 @@ from hapticd.protocol.answers import LeaseHeld, LeaseReleased, answer_of
 
 __all__ = ["ClientLease"]
 
-RENEWALS = 3  # in the time after which it would end
+RENEWALS = 3  # within the time after which it would end
 KEPT_ALIVE = ("environment", "active_damping")
 
 
 def lost_error(text: str) -> CommandError:
-    """The error for a lease that was lost as `text` says."""
+    """Return the error for a lost lease; `text` gives the cause."""
     return CommandError("leased", f"{text}; what was done since then was not excluded")
 
 
 def renews_again(error: HapticdError) -> bool:
-    """Whether another renewal may succeed: there was no answer in time, or no room."""
+    """Return whether another renewal may succeed: no answer in time, or no room."""
     code = error.code if isinstance(error, CommandError) else ""
     return isinstance(error, DaemonDown) or code in ("timeout", "busy")
 
 
 class ClientLease:
-    """A lease of `what`, taken when the context begins and released when it ends.
+    """A lease of `what`, taken at the begin of the context and released at its end.
 
-    `call` is Client.call; `pause` lets seconds pass; `asked` are the fields of the command beside
-    `what`. Losing it is told by a
-    CommandError: of the next change of what it covered, of `renew` and `sleep`, and at the end of
-    the context.
+    `call` is Client.call; `pause` waits for seconds; `asked` are the other fields of the command. A
+    lost lease raises a CommandError: at the next change of the leased part, in `renew` and `sleep`,
+    and at the end of the context.
     """
 
     def __init__(
@@ -83,7 +82,7 @@ class ClientLease:
         return self
 
     def _keep(self) -> None:
-        """Renew until the context ends. A lease that is lost shows in the holder's next change."""
+        """Renew until the context ends. The holder's next change reports a lost lease."""
         while not self._left.wait(self._ttl_s / RENEWALS):
             try:
                 self.renew()
@@ -102,23 +101,23 @@ class ClientLease:
         except Exception:
             if kind is None:
                 raise
-            return  # what happened inside matters more
+            return  # the exception in the context has precedence
         if lost and kind is None:
             raise lost_error(lost)
 
     def take(self) -> LeaseHeld:
-        """Take it. CommandError: another holds it."""
+        """Take the lease. CommandError if another client holds it."""
         held = answer_of(LeaseHeld, self._call("lease", what=self._what, **self._asked)["result"])
         self._ttl_s = held.ttl_s
         self._released = False
         return held
 
     def renew(self) -> None:
-        """Keep it for another `ttl_s`. CommandError: it is lost."""
+        """Keep the lease for another `ttl_s`. CommandError if it is lost."""
         self._call("lease", what=self._what, action="renew")
 
     def sleep(self, seconds: float) -> None:
-        """Wait at least `seconds`, and keep it meanwhile. CommandError as soon as it is lost."""
+        """Wait at least `seconds`, and keep the lease. CommandError as soon as it is lost."""
         self.renew()
         while seconds > 0.0:
             slice_s = min(seconds, self._ttl_s / RENEWALS)
@@ -127,8 +126,8 @@ class ClientLease:
             self.renew()
 
     def release(self, failed: bool = False) -> str:
-        """Give it up; how it was lost before, "" if it was not. `failed`: and do what `at_end`
-        says. CommandError: there is no such lease.
+        """Release the lease; return the cause if it was lost before, otherwise "". `failed`: also
+        perform `at_end`. CommandError if there is no such lease.
         """
         reply = self._call("lease", what=self._what, action="fail" if failed else "release")
         ended = answer_of(LeaseReleased, reply["result"])

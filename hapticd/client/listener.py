@@ -1,13 +1,13 @@
-"""The telemetry of a daemon on another computer: read, and nothing else.
+"""Read-only telemetry of a daemon on another computer.
 
     with Listener("tcp://rig:9872", keys="rig-keys") as rig:
         records, lost = rig.record(5.0)
 
-The folder of keys holds server.key, the gateway's, and this listener's own NAME.key_secret
-(`hapticd keys`). A connection that is refused looks like silence to a ZeroMQ socket, so its monitor
-is read: when nothing comes for the time-out, the error says why.
+The folder of keys contains server.key, the gateway's, and this listener's own NAME.key_secret
+(`hapticd keys`). A refused connection looks like silence to a ZeroMQ socket, so its monitor is
+read: when no message arrives within the time-out, the error gives the reason.
 
-A folder with the secrets of several listeners is refused by name.
+A folder with the secrets of several listeners is refused, and the error lists them.
 """
 
 from pathlib import Path
@@ -31,7 +31,8 @@ EVENTS = (
 class RemoteSubscription(Subscription):
     """Subscriptions at a TCP endpoint, with the keys of a folder.
 
-    ConfigError: the endpoint is none, the folder is incomplete, or its secret readable by others.
+    ConfigError if the endpoint is invalid, the folder is incomplete, or its secret readable by
+    others.
     """
 
     def __init__(self, endpoint: str, keys: Path | None) -> None:
@@ -73,7 +74,7 @@ class RemoteSubscription(Subscription):
 
 
 def own_secret(keys: Path) -> Path:
-    """The one file of a secret in `keys`. ConfigError: none, or several."""
+    """Return the only secret file in `keys`. ConfigError for none, or several."""
     found = sorted(keys.glob("*.key_secret"))
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"
@@ -85,8 +86,8 @@ def own_secret(keys: Path) -> Path:
 
 
 def why_quiet(seen: set[int], place: str, name: str, timeout_s: float) -> HapticdError:
-    """The error for `timeout_s` without a message, by the events of the socket's monitor; `name`:
-    of the key, empty without one.
+    """Return the error for `timeout_s` without a message, from the events of the socket's monitor;
+    `name` is that of the key, empty without one.
     """
     if zmq.EVENT_HANDSHAKE_SUCCEEDED in seen:
         return DaemonDown(f"{place}: connected, and nothing came for {timeout_s} s")
@@ -108,8 +109,8 @@ def why_quiet(seen: set[int], place: str, name: str, timeout_s: float) -> Haptic
 class Listener(TelemetryReader):
     """The telemetry at `endpoint`, best used as a context manager.
 
-    `keys` is the folder of this listener's keys, None for a gateway without. After silence for
-    `timeout_s` calls end: CommandError `refused` or DaemonDown say why.
+    `keys` is the folder of this listener's keys, None for a gateway without keys. Calls end after
+    silence for `timeout_s`: CommandError `refused` or DaemonDown give the reason.
     """
 
     def __init__(

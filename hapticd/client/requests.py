@@ -1,8 +1,8 @@
-"""Requests and replies: both are bytes, time is passed in, a time-out is a value.
+"""Requests and replies as bytes; the caller passes the time, and a time-out is a value.
 
-Each request has a number that comes back in its reply, so a reply that arrives after its time-out
-is recognised and dropped, and never taken for the answer to a later request. The client that waits
-(`client`) and the one of asyncio (`aio`) are two ways of carrying these bytes.
+Each request has a number that its reply repeats. So a reply that arrives after its time-out is
+recognised and dropped, and never taken for the answer to a later request. The synchronous client
+(`client`) and that of asyncio (`aio`) transport these bytes in two ways.
 
 Each socket must have one tracker, since every tracker counts from 1.
 """
@@ -24,11 +24,11 @@ from hapticd.protocol.codec import MAX_MESSAGE_BYTES
 __all__ = ["accepted", "receipt_of"]
 
 PROTOCOL_VERSION = 1
-STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off may not wait for a gateway
+STOP_TIMEOUT_S = 0.04  # then the stop word is pressed: force off must not wait for a gateway
 
 
 class TimedOut(NamedTuple):
-    """No reply came within the time allowed. Whether the command acts is open."""
+    """No reply arrived in time. It is unknown whether the command acts."""
 
     cmd: str  # name of the command
     waited_s: float
@@ -39,9 +39,9 @@ Outcome = dict[str, Any] | TimedOut | None  # a reply, no reply in time, or not 
 
 
 class _Asked(NamedTuple):
-    """A request whose reply is still to come.
+    """A request without a reply so far.
 
-    Times are those of the clock that the caller reads.
+    Times are those of the caller's clock.
     """
 
     cmd: str
@@ -60,9 +60,9 @@ class RequestTracker:
     def ask(
         self, cmd: str, fields: dict[str, Any], now_ns: int, timeout_ns: int
     ) -> tuple[int, bytes]:
-        """The number and the bytes of a new request; fields that are None are left out.
+        """Return the number and the bytes of a new request; fields that are None are left out.
 
-        CommandError: more bytes than a request may have.
+        CommandError for more bytes than a request may have.
         """
         given = {name: value for name, value in fields.items() if value is not None}
         request = {"cmd": cmd, "v": PROTOCOL_VERSION, "id": self._last + 1, **given}
@@ -75,13 +75,13 @@ class RequestTracker:
         return self._last, payload
 
     def introduction(self, name: str) -> bytes:
-        """The bytes of a hello; nobody waits for its reply, so `receive` drops it."""
+        """Return the bytes of a hello; its reply is not awaited, so `receive` drops it."""
         number, payload = self.ask("hello", {"name": name}, 0, 0)
         self.forget(number)
         return payload
 
     def receive(self, payload: bytes) -> None:
-        """Take a reply; what nobody waits for, and what is no reply, is dropped."""
+        """Accept a reply; drop it if it is unexpected or malformed."""
         try:
             content = msgpack.unpackb(payload)
         except (ValueError, msgpack.UnpackException):
@@ -90,7 +90,7 @@ class RequestTracker:
             self._replies[content["id"]] = content
 
     def outcome(self, number: int, now_ns: int) -> Outcome:
-        """The reply to request `number`, a TimedOut, or None while there is still time."""
+        """Return the reply to request `number`, a TimedOut, or None while there is still time."""
         asked = self._asked[number]
         reply = self._replies.pop(number, None)
         if reply is None and now_ns < asked.deadline_ns:
@@ -103,16 +103,16 @@ class RequestTracker:
         )
 
     def forget(self, number: int) -> None:
-        """Nobody waits for the reply to `number` any more."""
+        """Stop waiting for the reply to `number`."""
         self._asked.pop(number, None)
         self._replies.pop(number, None)
 
 
 def _python_number(value: Any) -> Any:
-    """A numpy number as a Python number, so that values may come out of arrays.
+    """Return a numpy number as a Python number, so that values may come from arrays.
 
-    msgpack calls this for what it cannot pack: CommandError for an int beyond 64 bits, TypeError
-    for what is no number at all.
+    msgpack calls this for values that it cannot pack. CommandError for an int beyond 64 bits,
+    TypeError if it is not a number.
     """
     if isinstance(value, int):
         bits = value.bit_length()
@@ -124,9 +124,9 @@ def _python_number(value: Any) -> Any:
 
 
 def accepted(reply: dict[str, Any]) -> dict[str, Any]:
-    """`reply` if it says ok.
+    """Return `reply` if it is ok.
 
-    DaemonDown: the gateway has no servo; CommandError: any other refusal.
+    DaemonDown if the gateway has no servo; CommandError for any other refusal.
     """
     if reply.get("ok"):
         return reply
@@ -139,44 +139,44 @@ def accepted(reply: dict[str, Any]) -> dict[str, Any]:
 
 
 def receipt_of(reply: dict[str, Any]) -> Receipt:
-    """The receipt in an accepted reply."""
+    """Return the receipt in an accepted reply."""
     content = {"state": reply["state"], "guard": reply.get("guard") or None}
     return answer_of(Receipt, {**reply["receipt"], **content})
 
 
 def silence(outcome: TimedOut, folder: Path) -> DaemonDown:
-    """The error for a request to the daemon in `folder` that nobody answered."""
+    """Return the error for a request to the daemon in `folder` without an answer."""
     waited = f"no reply from {folder} within {outcome.waited_s:.2g} s"
     return DaemonDown(f"{outcome.cmd}: {waited}; is `hapticd run` running there?")
 
 
 def quiet(topic: str, folder: Path, timeout_s: float) -> DaemonDown:
-    """The error for `topic` of the daemon in `folder`, which was silent for `timeout_s`."""
+    """Return the error for `topic` of the daemon in `folder`, silent for `timeout_s`."""
     return DaemonDown(f"{topic}: nothing from {folder} for {timeout_s} s; see `hapticd status`")
 
 
 def not_reached(wanted: str, found: str, timeout_s: float) -> CommandError:
-    """The error for a servo that is `found`, and not `wanted`, after `timeout_s`."""
+    """Return the error for a servo in state `found` instead of `wanted` after `timeout_s`."""
     reason = f"state is {found!r}, not {wanted!r}, after {timeout_s} s"
     return CommandError("timeout", f"{reason}; see `hapticd status`")
 
 
 def check_topic(topic: str) -> None:
-    """ConfigError: no daemon publishes `topic`."""
-    from hapticd.protocol.telemetry import NAMES  # numpy, which a verb at the shell does without
+    """Raise ConfigError if no daemon publishes `topic`."""
+    from hapticd.protocol.telemetry import NAMES  # numpy, which a verb at the shell does not load
 
     if topic not in NAMES:
         raise ConfigError(f"topic {topic!r} is unknown; topics are {', '.join(sorted(NAMES))}")
 
 
 def message_of(topic: str, payload: bytes) -> Any:
-    """A message of `topic`: an `Event`, or a map."""
+    """Return a message of `topic`: an `Event`, or a map."""
     plain = msgpack.unpackb(payload)
     return answer_of(Event, plain) if topic == "event" else plain
 
 
 def heard_with(topic: str) -> set[str]:
-    """The topics to subscribe to for `topic`: events may be rare, and the state, which comes every
+    """Return the topics to subscribe to for `topic`. Events may be rare; the state, sent every
     second, shows that the gateway lives.
     """
     return {topic, "state"} if topic == "event" else {topic}
@@ -192,11 +192,11 @@ def pressed(folder: Path) -> Receipt:
 
 
 def command_socket(context: Context, folder: Path) -> tuple[Any, Any]:
-    """The command socket of the daemon in `folder`, and one with a message for each connection that
-    it makes. DaemonDown if there is none.
+    """Return the command socket of the daemon in `folder`, and one with a message for each new
+    connection. DaemonDown if there is none.
 
-    Requests are given only to a gateway that is connected (IMMEDIATE): one that starts later finds
-    no old commands.
+    Requests are sent only to a connected gateway (IMMEDIATE): one that starts later finds no old
+    commands.
     """
     path = socket_file(folder, COMMAND_SOCKET)
     socket = context.socket(zmq.DEALER)
@@ -208,7 +208,7 @@ def command_socket(context: Context, folder: Path) -> tuple[Any, Any]:
 
 
 def socket_file(folder: Path, name: str) -> Path:
-    """The socket `name` of the daemon in `folder`. DaemonDown if there is none."""
+    """Return the socket `name` of the daemon in `folder`. DaemonDown if there is none."""
     path = folder / name
     if not path.exists():
         raise down(f"{path}: ", instance_of(folder))

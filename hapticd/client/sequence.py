@@ -1,4 +1,4 @@
-"""Several changes as one call: looked through as a whole, done in order, a receipt for each.
+"""Several changes in one call: checked as a whole, performed in order, with a receipt for each.
 
     with Client() as device:
         done = device.sequence([
@@ -10,23 +10,23 @@
         ])
         print([(one.tick, one.revision) for one in done])
 
-A step acts at its tick, or so long after the tick at which the step before it acted, or, without
-either, as soon as that one has acted. `set` and `damping` are scheduled with the servo (`at_tick`
-of the protocol), so they act exactly then, whatever this program and its computer do meanwhile;
-each is sent when `lead_s` is left, so a script that dies leaves little behind, and refused, not
-done late, if the guard takes longer than that to judge it. The protocol times nothing else:
-`enable`, `perturb` and the others are sent once their tick has come, some 10 ms late.
-Time is what the servo goes by, its slots: where it lost some, a step comes on time and its tick is
-as much lower, which its receipt says.
+A step acts at its tick, or `after_s` after the tick at which the previous step acted, or, without
+either, as soon as that one has acted. `set` and `damping` are scheduled in the servo (`at_tick` of
+the protocol), so they act exactly then, independent of this program and its computer. Each is sent
+`lead_s` before its tick, so a script that dies leaves little behind. If the guard needs longer than
+that, the step is refused, not performed late. The protocol times no other commands: `enable`,
+`perturb` and the others are sent once their tick has come, about 10 ms late. Time is counted in the
+servo's slots: after lost slots a step comes on time and its tick is correspondingly lower, as its
+receipt shows.
 
-Nothing is sent before every step was looked through: fields, limits of this device, ticks that have
-passed, and states of the servo that bar a step. What the servo refuses or cancels nevertheless, a
-state that somebody else changed, or a daemon that falls silent ends the sequence: SequenceError
-says which steps acted, which did not and why, and in which state the display was left.
+All steps are checked before any is sent: fields, limits of this device, ticks in the past, and
+states of the servo that forbid a step. A later refusal or cancellation by the servo, a state
+changed by another client, or a silent daemon ends the sequence. SequenceError reports which steps
+acted, which did not and why, and in which state the display was left.
 
 Its requests are an `Exchange` of `commands`, which both clients carry out.
 
-Sequences by clients of one name must not run at the same time: scheduled changes are told apart by
+Sequences by clients of one name must not run at the same time: scheduled changes are identified by
 name and number of their request. Take the lease of the environment.
 """
 
@@ -43,15 +43,15 @@ from hapticd.protocol.answers import GuardVerdict, Hello, Receipt, Status, answe
 AtRefusal = Literal["disable", "stop", "hold"]
 
 STEPS = ("set", "damping", "enable", "disable", "stop", "reset", "zero", "perturb")
-TIMED = ("set", "damping")  # what the protocol schedules by itself
-LEAD_S = 0.5  # before its tick a step is sent; the guard judges it meanwhile
+TIMED = ("set", "damping")  # commands that the protocol schedules
+LEAD_S = 0.5  # a step is sent this long before its tick, and judged by the guard
 LONGEST_LEAD_S = 10.0
-LOOK_S = 0.1  # between two looks at the servo while nothing is due
-OPEN = ("scheduled", "staged")  # results of a step that is not at its end
-MOST_AHEAD = 8  # scheduled at once: half of what a servo holds
-OVERDUE_S = 10.0  # after its tick, until what became of a step is called unknown
+LOOK_S = 0.1  # between two polls of the servo while nothing is due
+OPEN = ("scheduled", "staged")  # results of a step that is not complete
+MOST_AHEAD = 8  # scheduled at once: half of a servo's capacity
+OVERDUE_S = 10.0  # after its tick, until the result of a step counts as unknown
 UNTOLD = "sent, and what became of it is not known; see `hapticd status`"
-WHY = {  # a scheduled step did not act
+WHY = {  # reasons why a scheduled step did not act
     "cancelled": "a stop, a fault or somebody else's lease came first",
     "superseded": "a later change for the same tick took its place",
 }
@@ -59,8 +59,8 @@ WHY = {  # a scheduled step did not act
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A command of the protocol with its fields, at a servo tick or so long after the step
-    before.
+    """A command of the protocol with its fields, at a servo tick or a time after the
+    previous step.
     """
 
     cmd: str
@@ -75,30 +75,30 @@ class Step:
 def step(
     cmd: str, *, at_tick: int | None = None, after_s: float | None = None, **fields: Any
 ) -> Step:
-    """A step of a sequence: `cmd` is one of STEPS, `fields` are those of the protocol, as `K`,
-    `ramp_s`, `value` (damping) or `action` (perturb).
+    """Return a step of a sequence: `cmd` is one of STEPS, `fields` are those of the protocol, like
+    `K`, `ramp_s`, `value` (damping) or `action` (perturb).
 
-    It acts at `at_tick` of the servo, or `after_s` [s] after the step before acted.
+    It acts at `at_tick` of the servo, or `after_s` [s] after the previous step acted.
     """
     return Step(cmd, fields, at_tick, after_s)
 
 
 @dataclass(frozen=True, slots=True)
 class StepReceipt:
-    """What became of a step."""
+    """Result of a step."""
 
     step: Step
     #: "applied"; "pressed": a stop without a receipt; "refused", "cancelled", "superseded";
-    #: "scheduled" or "staged" while that is open; "unknown": nobody answered; "not sent"
+    #: "scheduled" or "staged" until complete; "unknown": no answer; "not sent"
     result: str = "not sent"
-    tick: int = 0  #: of the servo, from which it acts; 0 if it did not
-    revision: int = 0  #: that it made, by which telemetry is joined
-    text: str = ""  #: why it did not act
-    guard: GuardVerdict | None = None  #: on it
+    tick: int = 0  #: first servo tick of the change; 0 if it did not act
+    revision: int = 0  #: resulting revision, by which telemetry is joined
+    text: str = ""  #: reason why it did not act
+    guard: GuardVerdict | None = None  #: verdict on it
 
     @property
     def acted(self) -> bool:
-        """Whether the servo did it."""
+        """Whether the servo performed it."""
         return self.result in ("applied", "pressed")
 
 
@@ -106,7 +106,7 @@ Part = Exchange[Any]
 
 
 class _EndedError(Exception):
-    """The sequence cannot go on: `cause` says why, `number` is the step at which."""
+    """The sequence ends: `cause` is the reason, `number` the step."""
 
     def __init__(self, cause: HapticdError, number: int) -> None:
         super().__init__(str(cause))
@@ -117,10 +117,10 @@ class _EndedError(Exception):
 def exchange(
     steps: Sequence[Step], at_refusal: AtRefusal, name: str, lead_s: float | None = None
 ) -> Exchange[tuple[StepReceipt, ...]]:
-    """The requests and pauses of a sequence, for the client called `name`; at last a receipt for
-    each step.
+    """Yield the requests and pauses of a sequence, for the client `name`; return a receipt for each
+    step.
 
-    CommandError: a step cannot be done, and nothing was sent; SequenceError: it ended early.
+    CommandError if a step is impossible (nothing is sent); SequenceError if it ended early.
     """
     if lead_s is None:
         lead_s = LEAD_S
@@ -136,7 +136,7 @@ def exchange(
 
 
 class _Run:
-    """A sequence under way."""
+    """A running sequence."""
 
     def __init__(
         self,
@@ -152,15 +152,15 @@ class _Run:
         self._lead_s = lead_s
         self._status = status
         self._rate_hz = status.rate_hz
-        self._state = status.state  # in which the steps so far have left the servo
+        self._state = status.state  # state of the servo after the steps so far
         self._receipts = [StepReceipt(one) for one in steps]
         self._open: dict[
             int | str | None, int
         ] = {}  # steps that were scheduled, by number of their request
-        self._left = ""  # what was done to the display at the end, in words
+        self._left = ""  # final action on the display, in words
 
     def whole(self) -> Exchange[tuple[StepReceipt, ...]]:
-        """All steps; SequenceError as soon as one cannot be done."""
+        """Perform all steps; SequenceError as soon as one fails."""
         try:
             last_slot = self._status.slot
             for number, one in enumerate(self._steps):
@@ -172,7 +172,7 @@ class _Run:
         return tuple(self._receipts)
 
     def _step(self, number: int, one: Step, last_slot: int) -> Part:
-        """Do one step; the slot from which it acts or will act."""
+        """Perform one step; return the slot from which it acts or will act."""
         due = one.at_tick + self._lost if one.at_tick else 0
         if one.after_s:
             due = last_slot + _ticks(one, self._rate_hz)
@@ -192,7 +192,7 @@ class _Run:
         return (self._receipts[number].tick or self._status.tick) + self._lost
 
     def _take(self, number: int, answer: Any) -> None:
-        """The reply to step `number`, or how asking for it ended."""
+        """Record the reply to step `number`, or its error."""
         if isinstance(answer, HapticdError):
             known = isinstance(answer, CommandError) and answer.code != "timeout"
             guard = answer.guard if isinstance(answer, CommandError) else None
@@ -207,7 +207,7 @@ class _Run:
             self._state = receipt.state
 
     def _note(self, number: int, result: str, **more: Any) -> None:
-        """What became of step `number`."""
+        """Record the result of step `number`."""
         self._receipts[number] = StepReceipt(self._steps[number], result, **more)
 
     def _note_done(self, number: int, receipt: Receipt) -> None:
@@ -220,7 +220,7 @@ class _Run:
         return self._status.slot - self._status.tick
 
     def _until(self, slot: int, number: int) -> Part:
-        """Until the servo is at `slot` and takes another scheduled change."""
+        """Wait until the servo is at `slot` and accepts another scheduled change."""
         while True:
             yield from self._look(number)
             full = len(self._open) >= MOST_AHEAD
@@ -231,7 +231,7 @@ class _Run:
             yield Pause(min(LOOK_S, max(POLL_S, left / self._rate_hz)))
 
     def _settled(self, number: int) -> Part:
-        """Until what became of every step so far is known."""
+        """Wait until the result of every step so far is known."""
         began = self._status.tick
         while self._open:
             yield from self._look(number)
@@ -243,7 +243,7 @@ class _Run:
                 yield Pause(min(LOOK_S, max(POLL_S, left_s)))
 
     def _look(self, number: int) -> Part:
-        """What the servo does by now, and what became of scheduled steps."""
+        """Update the state of the servo and the results of scheduled steps."""
         answer = yield Ask("status")
         if isinstance(answer, HapticdError):
             raise _EndedError(answer, number)
@@ -264,14 +264,14 @@ class _Run:
                 raise _EndedError(CommandError("refused", one.text), at)
 
     def _hear(self) -> None:
-        """Later answers to steps that are open, from the events that the gateway keeps."""
+        """Read later answers to open steps from the events kept by the gateway."""
         for event in self._status.events:
             mine = event.kind == "answer" and event.name == self._name
             number = self._open.get(event.id) if mine else None
             if number is None or event.cmd != self._steps[number].cmd:
                 continue
             result = event.result
-            if result not in OPEN:  # else it waited for the guard, and is now scheduled
+            if result not in OPEN:  # otherwise it waited for the guard, and is now scheduled
                 del self._open[event.id]
             if result in (*OPEN, "applied"):
                 self._note_done(number, event)
@@ -279,7 +279,7 @@ class _Run:
                 self._note(number, result, text=event.text or WHY.get(result, result))
 
     def _leave(self, ended: _EndedError) -> Part:
-        """Leave the display as was asked for, and learn what became of scheduled steps."""
+        """Leave the display as requested, and update the results of scheduled steps."""
         way = "stop" if isinstance(ended.cause, DaemonDown) else self._at_refusal
         self._left = "nothing was done to the display"
         if self._at_refusal != "hold":
@@ -320,7 +320,9 @@ class _Run:
 
 
 def _check(steps: Sequence[Step], hello: Hello, status: Status) -> None:
-    """CommandError `invalid` with a line for each step that cannot be done; nothing was sent."""
+    """Raise CommandError `invalid` with a line for each impossible step, before
+    anything is sent.
+    """
     from hapticd.protocol.limits import CommandLimits
 
     limits = CommandLimits.announced(hello.servo)
@@ -339,12 +341,12 @@ def _check(steps: Sequence[Step], hello: Hello, status: Status) -> None:
 
 
 def _ticks(one: Step, rate_hz: float) -> int:
-    """How long after the step before it acts."""
+    """Return the delay after the previous step, in ticks."""
     return round((one.after_s or 0.0) * rate_hz)
 
 
 def _unlike(one: Step, limits: Any) -> str:
-    """What is wrong with its command and fields."""
+    """Return the error in its command and fields."""
     from hapticd.protocol.schemas import parse
 
     if one.cmd not in STEPS:
@@ -359,7 +361,7 @@ def _unlike(one: Step, limits: Any) -> str:
 
 
 def _mistimed(one: Step, tick: int) -> str:
-    """What is wrong with its time, the steps before it being done by `tick`."""
+    """Return the error in its time, with the previous steps complete by `tick`."""
     if one.at_tick is not None and one.after_s is not None:
         return "at_tick and after_s: a step has one time; leave one of them out"
     if one.at_tick is not None and one.at_tick <= tick:
@@ -372,7 +374,7 @@ def _mistimed(one: Step, tick: int) -> str:
 
 
 def _barred(one: Step, state: str) -> str:
-    """Why a servo in that state would refuse it."""
+    """Return the reason why a servo in that state would refuse it."""
     from hapticd.protocol.commands import ALLOWED
 
     allowed = [each.name.lower() for each in ALLOWED.get(one.cmd, ())]
@@ -382,7 +384,7 @@ def _barred(one: Step, state: str) -> str:
 
 
 def _after(one: Step, state: str) -> str:
-    """The state that a servo in `state` has after it."""
+    """Return the state that follows it in a servo in `state`."""
     latched = state in ("stopped", "fault")
     after = {"enable": "enabled", "reset": "disabled"}
     if one.cmd == "stop":

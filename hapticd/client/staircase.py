@@ -1,4 +1,4 @@
-"""An adaptive staircase: the level at which a person is right in a known share of the trials.
+"""An adaptive staircase: the level at which a person answers correctly in a known share of trials.
 
     staircase = Staircase(0.5)
     while not staircase.finished:
@@ -6,10 +6,10 @@
     print(staircase.threshold)
 
 Transformed up-down method (Levitt 1971, J. Acoust. Soc. Am. 49:467): `down` right answers in a row
-lower the level, each wrong answer raises it. It goes to the level at which both are as likely,
-where the share of right answers p has p^down = 1/2: 0.707 for two, 0.794 for three. Steps are
-factors, so the threshold is the geometric mean of the levels at which the direction turned; the
-first turns depend on where it began and are left out.
+lower the level, each wrong answer raises it. It converges to the level at which both are equally
+likely, where the share of right answers p has p^down = 1/2: 0.707 for two, 0.794 for three. Steps
+are factors, so the threshold is the geometric mean of the levels at which the direction reversed;
+the first reversals depend on the initial level and are left out.
 
 Levels must be positive, since a step multiplies them.
 """
@@ -20,14 +20,14 @@ from hapticd.core.errors import ConfigError
 
 __all__ = ["Staircase"]
 
-DISCARDED = 2  # turns that depend on the first level
+DISCARDED = 2  # reversals that depend on the first level
 
 
 class Staircase:
-    """A staircase that begins at `level`, in any unit, and ends after `reversals` turns.
+    """A staircase that begins at `level`, in any unit, and ends after `reversals` reversals.
 
     `down` right answers in a row divide the level by `factor`, a wrong one multiplies it, within
-    `lowest` to `highest`. ConfigError for numbers that give no staircase.
+    `lowest` to `highest`. ConfigError for invalid numbers.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Staircase:
             needed = f"factor > 1, down >= 1, reversals > {DISCARDED}"
             raise ConfigError(f"{asked}: a staircase needs {needed}")
         self.level = level
-        self.turns: list[float] = []  # levels at which the direction turned
+        self.turns: list[float] = []  # levels at which the direction reversed
         self._down = down
         self._factor = factor
         self._reversals = reversals
@@ -58,14 +58,14 @@ class Staircase:
 
     @property
     def finished(self) -> bool:
-        """Whether it has turned often enough."""
+        """Whether it has reversed often enough."""
         return len(self.turns) >= self._reversals
 
     @property
     def threshold(self) -> float:
-        """The geometric mean of the turns, in the unit of the level.
+        """The geometric mean of the reversals, in the unit of the level.
 
-        ConfigError as long as it is not finished.
+        ConfigError until it is finished.
         """
         if not self.finished:
             progress = f"{len(self.turns)} of {self._reversals} turns"
@@ -74,7 +74,7 @@ class Staircase:
         return exp(sum(map(log, counted)) / len(counted))
 
     def answer(self, right: bool) -> None:
-        """Take the answer to the presentation at `level`, and move the level."""
+        """Record the answer to the presentation at `level`, and move the level."""
         self._right = self._right + 1 if right else 0
         if self._right not in (0, self._down):
             return

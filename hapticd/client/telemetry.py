@@ -1,10 +1,10 @@
-"""Telemetry as a client reads it: raw messages of a SUB socket (`Subscription`), and the blocks and
-events in them (`TelemetryReader`).
+"""Telemetry for clients: raw messages of a SUB socket (`Subscription`), and the blocks and events
+in them (`TelemetryReader`).
 
-The socket connects to the socket file of a daemon of this computer (`client`), or to the port of
-one on another (`listener`). What is read is the same.
+The socket connects to the socket file of a daemon on this computer (`client`), or to the port of
+one on another (`listener`). The messages are the same.
 
-One thread must use it, since a ZeroMQ socket belongs to one.
+Only one thread may use it, since a ZeroMQ socket belongs to one.
 """
 
 import time
@@ -25,7 +25,7 @@ IDLE_MS = 100
 
 
 class Subscription:
-    """Topics of one endpoint; a subclass says which endpoint, and what silence means."""
+    """Topics of one endpoint; a subclass defines the endpoint and the meaning of silence."""
 
     def __init__(self) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -35,21 +35,24 @@ class Subscription:
         self._context.destroy(linger=0)
 
     def listen(self, topic: str, timeout_s: float) -> Generator[bytes, None, None]:
-        """Payloads of exactly `topic`. After silence for `timeout_s` the error that explains it."""
+        """Yield payloads of exactly `topic`. After silence for `timeout_s` raise the error that
+        explains it.
+        """
         with self._subscribed(heard_with(topic)) as socket:
             while socket.poll(round(1000 * timeout_s)):
                 name, payload = socket.recv_multipart()
-                if name == topic.encode():  # ZeroMQ matches prefixes: `servo` brings `servo.raw`
+                if name == topic.encode():  # ZeroMQ matches prefixes: `servo` includes `servo.raw`
                     yield payload
             raise self._quiet(topic, timeout_s)
 
     def listen_all(
         self, topics: Sequence[str], look_s: float
     ) -> Generator[tuple[str, bytes] | None, None, None]:
-        """(topic, payload) of several topics as they come, None after each look; it never ends.
+        """Yield (topic, payload) of several topics as they arrive, None after each look; it never
+        ends.
 
-        It looks every `look_s` and sleeps in between: being woken by every message costs more than
-        taking them. With 0 it is woken, and a look ends when nothing comes for IDLE_MS.
+        It looks every `look_s` and sleeps in between: waking for every message costs more than
+        reading them. With 0 it wakes for each message, and a look ends after a silence of IDLE_MS.
         """
         wanted = {topic.encode(): topic for topic in topics}
         with self._subscribed(set(topics)) as socket:
@@ -60,7 +63,7 @@ class Subscription:
                 with suppress(zmq.Again):
                     while True:
                         name = socket.recv(zmq.NOBLOCK if look_s else 0)
-                        payload = socket.recv()  # a message is there as a whole
+                        payload = socket.recv()  # a message arrives as a whole
                         if name in wanted:
                             yield wanted[name], payload
                 yield None
@@ -82,17 +85,17 @@ class Subscription:
             socket.close()
 
     def _endpoint(self) -> str:
-        """Where to connect. DaemonDown: nobody is there."""
+        """Return the endpoint. DaemonDown if there is no daemon."""
         raise NotImplementedError
 
     def _prepare(self, socket: "zmq.Socket[bytes]") -> None:
-        """What a socket needs before it connects: nothing, on this computer."""
+        """Prepare a socket before it connects: nothing to do on this computer."""
 
     def _release(self, socket: "zmq.Socket[bytes]") -> None:
-        """Close what `_prepare` has opened."""
+        """Close resources opened by `_prepare`."""
 
     def _quiet(self, topic: str, timeout_s: float) -> HapticdError:
-        """The error for a topic of which nothing came."""
+        """Return the error for a silent topic."""
         raise NotImplementedError
 
 
@@ -109,7 +112,7 @@ class TelemetryReader:
         self.close()
 
     def close(self) -> None:
-        """Give up the connection; may be called twice.
+        """Close the connection; may be called twice.
 
         >>> device.close()
         """
@@ -118,11 +121,12 @@ class TelemetryReader:
     def stream(
         self, topic: str = "servo.raw", seconds: float | None = None, count: int | None = None
     ) -> "Generator[Block, None, None]":
-        """Blocks of `servo.raw` (one record a tick) or `probe` (4 kHz) as they come: see Block.
+        """Yield blocks of `servo.raw` (one record a tick) or `probe` (4 kHz) as they arrive: see
+        Block.
 
         `seconds` of recorded time or `count` records, the last block cut to fit; without either,
-        until you stop. DaemonDown when nothing comes for the client's time-out; ConfigError for a
-        topic without blocks (see `listen`).
+        until you stop. DaemonDown after silence for the client's time-out; ConfigError for a topic
+        without blocks (see `listen`).
 
         >>> [len(block.records) for block in device.stream(count=50)]
         [20, 20, 10]
@@ -138,11 +142,11 @@ class TelemetryReader:
                 return
 
     def record(self, seconds: float, topic: str = "servo.raw") -> "tuple[Records, int]":
-        """All records of the next `seconds` in one structured array (n,), and how many were lost
-        on the way. Fields carry their units in their names. Of a slot that the servo lost (its
-        counter `lost_slots`) there is no record.
+        """Return all records of the next `seconds` in one structured array (n,), and the number
+        lost in transit. Field names contain the units. A slot lost by the servo (its counter
+        `lost_slots`) has no record.
 
-        ConfigError and DaemonDown as of `stream`.
+        ConfigError and DaemonDown as for `stream`.
 
         >>> records, lost = device.record(seconds=0.5)
         >>> records["position_m"].shape, lost
@@ -153,9 +157,10 @@ class TelemetryReader:
         return concatenated(list(self.stream(topic, seconds=seconds)))
 
     def listen(self, topic: str) -> Generator[Any, None, None]:
-        """Decoded messages of `state`, `event` (each an `Event`) or `servo` as they come.
+        """Yield decoded messages of `state`, `event` (each an `Event`) or `servo` as they arrive.
 
-        ConfigError: no such topic. DaemonDown when the daemon is silent for the client's time-out.
+        ConfigError for an unknown topic. DaemonDown if the daemon is silent for the client's
+        time-out.
 
         >>> next(device.listen("state"))["state"]
         'disabled'
@@ -165,16 +170,18 @@ class TelemetryReader:
             yield message_of(topic, payload)
 
     def _payloads(self, topic: str) -> Generator[bytes, None, None]:
-        """What is published under `topic`, as it comes; after silence the error that says why."""
+        """Return the messages of `topic` as they arrive; after silence raise the error with the
+        reason.
+        """
         return self._connection.listen(topic, self._timeout_s)
 
     def messages(
         self, topics: Sequence[str], look_s: float = 0.05
     ) -> Generator[tuple[str, bytes] | None, None, None]:
-        """Raw (topic, payload) of several topics, endlessly; None after each look.
+        """Yield raw (topic, payload) of several topics, endlessly; None after each look.
 
-        A look every `look_s` takes all that came meanwhile; with 0 each comes at once, and None
-        after a silence.
+        A look every `look_s` returns all messages received since the last one; with 0 each comes at
+        once, and None after a silence.
 
         >>> topic, payload = next(device.messages(["servo.raw"]))
         >>> topic

@@ -1,9 +1,9 @@
-"""The warning about a display that is not safe.
+"""The warning about an unsafe environment.
 
-`GuardWarnings` emits one `GuardWarning` for each environment that came into force, or will, though
-its verdict says that it is not safe.
+`GuardWarnings` emits one `GuardWarning` for each environment that is or will be in force although
+its verdict is not safe.
 
-Limitations: a filter that makes warnings errors; the change has then acted before the error is
+Limitations: with a filter that turns warnings into errors, the change has acted before the error is
 raised. With `Client(strict=True)` no unsafe change acts.
 """
 
@@ -22,12 +22,12 @@ from hapticd.protocol.explanation import Explanation
 if TYPE_CHECKING:
     from hapticd.client.sequence import StepReceipt
 
-DONE = ("applied", "scheduled", "staged")  # results of what acts, or will
-FALLBACK = "ask for less of K, B and M"  # where the verdict names no number that would do
+DONE = ("applied", "scheduled", "staged")  # results of a change that acts, or will
+FALLBACK = "ask for less of K, B and M"  # if the verdict has no sufficient value
 
 
 class GuardWarnings:
-    """Warns of what acts without being safe, once for each environment."""
+    """Warns of unsafe changes that act, once for each environment."""
 
     def __init__(self) -> None:
         self._warned: set[str] = set()
@@ -44,7 +44,7 @@ class GuardWarnings:
                 warnings.warn(_warning(verdict, receipt), stacklevel=_levels_to_caller())
 
     def tell_beside(self, receipts: "Iterable[StepReceipt]") -> None:
-        """The same where another error is raised, whose place no warning may take."""
+        """Warn while another error is raised, without replacing it."""
         for receipt in receipts:
             with suppress(GuardWarning):
                 self.tell(receipt)
@@ -61,7 +61,7 @@ def _warning(verdict: GuardVerdict, receipt: "Receipt | StepReceipt") -> GuardWa
 
 
 def _levels_to_caller() -> int:
-    """`stacklevel` for the function that calls this, so that a warning names the line of the
+    """Return the `stacklevel` for the calling function, so that a warning refers to the line of the
     script.
     """
     level = 1
