@@ -2,16 +2,16 @@
 browsers on this computer.
 
     server   the web server: pages, the socket of each browser, the STOP request
-    browser  one open page: what waits for it is bounded, the oldest is dropped
-    asker    the commands of one browser: a client of its own, so that leases are the browser's
-    visitors who may talk to it
-    watch    telemetry -> frames for browsers, in a thread of its own
+    browser  one open page: its queue is bounded, the oldest message is dropped
+    asker    the commands of one browser, sent by its own client, which holds its leases
+    visitors access control: who may use the page
+    watch    telemetry -> frames for browsers, in its own thread
     probing  live impedance from the probe stream: a running estimate
-    plane    the K-B plane of the guard, computed by a process of its own
-    recorder `hapticd record` as a process of its own, which ends with this one
-    static/  the page itself; beside our own files one that is not ours, uPlot
+    plane    the K-B plane of the guard, computed in a separate process
+    recorder `hapticd record` as a separate process, which ends with this one
+    static/  the page itself; one file is third-party: uPlot
 
-Nothing here renders, judges or promises force: what the page shows is what the daemon says, and
-what it asks goes the way of every client's request, the stop that of `hapticd stop`. Whatever
-becomes of this process or of a browser, the servo goes on as it is.
+No module here renders or judges. The page shows the daemon's actual state, and its requests are
+ordinary client requests; its stop is that of `hapticd stop`. The servo continues unchanged if this
+process or a browser dies.
 """

@@ -1,13 +1,13 @@
-"""The commands of one browser, asked by a client and a thread of its own.
+"""The commands of one browser, sent by a separate client and thread.
 
-A client of its own makes leases the browser's: they end when its socket does. Of the daemon's
-commands a page may ask those of ALLOWED; `stop` is not among them, for it has a way of its own that
-waits for nothing (`server`). A reply is what the daemon said, with the receipt, or the refusal, in
-the words that the command line uses.
+A separate client binds leases to the browser: they end with its socket. A page may send the
+commands of ALLOWED. `stop` is not among them: it has a path of its own that waits for nothing
+(`server`). A reply is that of the daemon, with the receipt, or the refusal, in the wording of the
+command line.
 
-What was asked before a stop and is still waiting behind it is not done any more: `reset` and
-`enable` that an operator pressed just before STOP must not follow it. Nor is what a page that has
-left had asked: its connection ends at once, and the gateway drops what waits of it.
+Requests that were sent before a stop and still wait are dropped: a `reset` and `enable` pressed
+just before STOP must not follow it. Requests of a closed page are dropped as well: its connection
+ends at once, and the gateway discards them.
 
 The `close` of a client must not wait for its last answer.
 """
@@ -32,16 +32,18 @@ from hapticd.model.excitation import Stream, band_noise, generator
 from hapticd.model.scene import Excitation
 from hapticd.protocol.answers import GuardStatus, GuardVerdict, answer_of
 
-EXCITE = "excite"  # ours: noise as in a trial, repeated, until it is asked to end
+EXCITE = "excite"  # own command: noise as in a trial, repeated until stopped
 CHANGES = frozenset(("set", "damping", "enable", "disable", "reset", "zero", "home", EXCITE))
 ALLOWED = CHANGES | {"hello", "get", "guard", "lease", "status", "dump"}
 NOISE_SAMPLES = 1 << 14  # 4 s
-MOST_OPEN = 8  # questions of one browser without an answer
+MOST_OPEN = 8  # requests of one browser without an answer
 Reply = Callable[[str], None]  # takes the text for the browser; called in the asker's thread
 
 
 class Asker:
-    """Asks the daemon `instance` for one browser; `stops` counts the stops asked of this page."""
+    """Sends requests to the daemon `instance` for one browser; `stops` counts the stops of this
+    page.
+    """
 
     def __init__(self, instance: str, name: str, stops: Callable[[], int]) -> None:
         self._client = Client(instance, name=name)
@@ -50,12 +52,14 @@ class Asker:
         self._places = threading.Semaphore(MOST_OPEN)
 
     def close(self) -> None:
-        """Ask nothing more, and end the connection at once: what waits of it is not done."""
+        """Send no more requests, and end the connection at once: waiting requests are dropped."""
         self._thread.shutdown(wait=False, cancel_futures=True)
         threading.Thread(target=self._client.close).start()
 
     def ask(self, request: dict[str, Any], reply: Reply) -> None:
-        """Ask `request` ({cmd, ask, ..}, `ask` comes back) and give `reply` the answer as JSON."""
+        """Send `request` ({cmd, ask, ..}, `ask` is repeated) and pass the answer as JSON to
+        `reply`.
+        """
         number = request.pop("ask", None)
         cmd = str(request.pop("cmd", ""))
         if cmd not in ALLOWED:
@@ -112,7 +116,7 @@ def _accepted(number: Any, cmd: str, found: dict[str, Any]) -> str:
 
 
 def _warning(verdict: GuardVerdict | None) -> str:
-    """The guard's objection to what was done all the same; empty without one."""
+    """Return the guard's objection to a change that acts nevertheless; empty without one."""
     if not verdict or verdict.policy == "off" or verdict.safe:
         return ""
     return "\n".join(objection_lines(verdict))

@@ -1,16 +1,14 @@
-"""One open page: what waits for it, and what it sends.
+"""One open page: its queue of outgoing messages, and its requests.
 
 Three kinds of messages wait, and are sent in this order. Replies and events go first; they are few,
-and only a browser that reads nothing at all loses the oldest of WORDS. Of what describes a state
-only the newest of each kind waits. Telemetry frames wait in a queue of FRAMES places from which
-the oldest falls.
+and only a browser that reads nothing loses the oldest of WORDS. Of state messages only the newest
+of each kind waits. Telemetry frames wait in a queue of FRAMES places, which drops the oldest.
 
-Bytes that were handed to the operating system can no longer be dropped, and its buffers hold many
-seconds of telemetry. So at most WINDOW frames are on their way that the browser has not
-acknowledged: one that is slow, or stands still, finds after its pause at most that many old frames
-and then the newest.
+Bytes passed to the operating system can no longer be dropped, and its buffers hold many seconds of
+telemetry. So at most WINDOW unacknowledged frames are in transit: after a pause, a slow or stalled
+browser receives at most that many old frames and then the newest.
 
-Messages must not each have a kind of their own: nothing would then be bounded.
+Messages must not each have their own kind: the queue would then be unbounded.
 """
 
 import asyncio
@@ -24,12 +22,12 @@ from hapticd.console.asker import Asker
 
 WORDS = 256  # replies and events
 FRAMES = 25  # half a second at 50 frames/s
-WINDOW = 25  # frames on their way that were not acknowledged
-UNSUPPORTED = 1003  # the code of a close: data of a kind that is not taken
+WINDOW = 25  # unacknowledged frames in transit
+UNSUPPORTED = 1003  # the code of a close: data of an unsupported kind
 
 
 class Outbox:
-    """Messages for one browser, text or binary; `pop` gives what is to be sent next."""
+    """Messages for one browser, text or binary; `pop` returns the next one to send."""
 
     def __init__(self) -> None:
         self._words: deque[str] = deque(maxlen=WORDS)
@@ -39,7 +37,7 @@ class Outbox:
         self._news = asyncio.Event()
 
     def put(self, kind: str, message: bytes | str) -> None:
-        """Have `message` sent: bytes are a frame, a text is a reply, an event or a state."""
+        """Queue `message`: bytes are a frame, a text is a reply, an event or a state."""
         if isinstance(message, bytes):
             self._frames.append(message)
         elif kind in ("reply", "event"):
@@ -49,12 +47,12 @@ class Outbox:
         self._news.set()
 
     def acknowledge(self, count: int) -> None:
-        """The browser has taken `count` more frames."""
+        """Note that the browser has received `count` more frames."""
         self._under_way = max(0, self._under_way - count)
         self._news.set()
 
     def pop(self) -> str | bytes | None:
-        """The next message, or None while nothing may be sent."""
+        """Return the next message, or None while nothing may be sent."""
         if self._words:
             return self._words.popleft()
         if self._latest:
@@ -65,7 +63,7 @@ class Outbox:
         return None
 
     async def send_to(self, socket: WebSocket) -> None:
-        """Send what waits, for ever. WebSocketDisconnect: the browser has left."""
+        """Send waiting messages endlessly. WebSocketDisconnect if the browser has left."""
         while True:
             message = self.pop()
             if message is None:
@@ -91,10 +89,10 @@ class Browser:
         self.outbox.put("reply", json.dumps(reply))
 
     async def request(self) -> dict[str, Any]:
-        """The next message. WebSocketDisconnect: the browser has left, or sent what no page of
-        ours does.
+        """Return the next message. WebSocketDisconnect if the browser has left, or sent a message
+        that this page never sends.
 
-        Not `receive_text`, which fails otherwise where a send has failed before.
+        Not `receive_text`, which fails in another way after a failed send.
         """
         message = await self.socket.receive()
         if message["type"] == "websocket.disconnect":

@@ -1,12 +1,12 @@
-"""The K-B plane for the page, computed by a process of its own and shown as long as it holds.
+"""The K-B plane for the page, computed in a separate process and shown while it is valid.
 
-It is the guard's own judgement (`guard.judge`) on the model in the daemon's guard.json, asked
+It is the guard's own judgement (`guard.judge`) on the model in the daemon's guard.json, computed
 again when basis, margin, delay, mass, filters or the level of active damping change. It takes up to
-seconds, so it must not run where telemetry and STOP go. A process of its own reads the question and
-writes the answer, at low priority, and ends with its parent:
-`python -m hapticd.console.plane GUARD_JSON PARENT`. The live point is the page's.
+seconds, so it must not run in the process of telemetry and STOP. A separate process reads the
+question and writes the answer, at low priority, and ends with its parent: `python -m
+hapticd.console.plane GUARD_JSON PARENT`. The page draws the live point.
 
-The worker dies with the console. The configuration is read for each plane, so that it is the
+The worker dies with the console. The configuration is read for each plane, so that it matches the
 daemon's.
 """
 
@@ -25,12 +25,12 @@ from hapticd.mailbox.files import GUARD_JSON
 
 MODULE = f"{__package__}.plane"
 NICENESS = 10  # of the worker
-KEPT = ("M", "filters")  # of what is in force, beside the guard's terms and the level
-DELAY_STEP = 0.0625  # periods: less does not ask for another plane
+KEPT = ("M", "filters")  # of the values in force, in addition to the guard's terms and the level
+DELAY_STEP = 0.0625  # periods: a smaller change does not request another plane
 
 
 class Planes:
-    """Follows the guard's messages; gives `publish` a plane, as text, when there is a new one."""
+    """Follows the guard's messages; passes each new plane as text to `publish`."""
 
     def __init__(self, folder: Callable[[], Path], publish: Callable[[str], None]) -> None:
         self._folder = folder
@@ -47,7 +47,7 @@ class Planes:
             self._thread.join()
 
     def follow(self, guard: dict[str, Any], level_on: float) -> None:
-        """Ask for a plane if `guard` (topic) and the level of `damping on` call for another."""
+        """Request a plane if `guard` (topic) or the level of `damping on` requires another."""
         given = (guard.get("verdict") or {}).get("given")
         if given is None or (self._thread is not None and self._thread.is_alive()):
             return
@@ -87,7 +87,7 @@ class Planes:
 
 
 def _reach(given: dict[str, Any]) -> tuple[int, int]:
-    """Which powers of two K and B are below: a plane has to hold the point."""
+    """Return the powers of two that K and B are below: a plane has to contain the point."""
     return int(abs(given["K"])).bit_length(), int(4 * abs(given["B"])).bit_length()
 
 

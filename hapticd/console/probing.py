@@ -1,13 +1,12 @@
-"""Live impedance from the probe stream: a running estimate while something excites the device.
+"""Live impedance from the probe stream: a running estimate while the device is excited.
 
 Force and velocity of the last WINDOW_S seconds go through the same estimator as those of a trial
-(`signal.spectra`, `signal.impedance`), with a wider window, twice a second, in a thread of its
-own with a client of its own. While nothing excites the device nobody asks for the probe. It says
-what is seen now; it is no verdict: the time is short, parameters may change within it, and nobody
-has judged the record.
+(`signal.spectra`, `signal.impedance`), with a wider window, twice a second, in a separate thread
+with its own client. Without an excitation it does not subscribe to the probe. The estimate is not a
+verdict: the record is short and not judged, and parameters may change within it.
 
-Samples that were lost are told, not mended: each gap spoils at most LAG of the products that are
-averaged. Limitations: a device that is excited by something that the probe does not see.
+Lost samples are reported, not repaired: each gap corrupts at most LAG of the averaged products.
+Limitations: an excitation that the probe does not measure.
 """
 
 import json
@@ -31,20 +30,20 @@ LEAST_S = 1.0
 EVERY_S = 0.5
 LAG = 512  # samples: a resolution of about 12 Hz
 FREQUENCIES_HZ = np.geomspace(8.0, 500.0, 60)
-COHERENT = 0.3  # lines of less coherence are not shown
+COHERENT = 0.3  # lines of lower coherence are not shown
 NOTHING = "nothing excites it; try Noise"
 
 
 class Probing:
-    """Follows the topic `probe` of the daemon `instance` while something excites the device; gives
-    `publish` an estimate as text, twice a second.
+    """Follows the topic `probe` of the daemon `instance` while the device is excited; passes an
+    estimate as text to `publish`, twice a second.
     """
 
     def __init__(self, instance: str, publish: Callable[[str], None]) -> None:
         self._instance = instance
         self._publish = publish
         self._latest: dict[str, Any] = {}
-        self.excited = False  # whether a perturbation is played: set by who knows
+        self.excited = False  # whether a perturbation is played: set by another thread
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="probing", daemon=True)
         self._thread.start()
@@ -63,7 +62,7 @@ class Probing:
                 self._tell({"note": NOTHING})
 
     def _follow(self) -> None:
-        """While something excites the device. DaemonDown: there is no daemon."""
+        """Estimate while the device is excited. DaemonDown if there is no daemon."""
         decoder = BlockDecoder()
         blocks: list[Block] = []
         with (
@@ -99,8 +98,8 @@ def _content(blocks: list[Block]) -> dict[str, Any]:
 
 
 def estimate(blocks: list[Block]) -> dict[str, Any]:
-    """Z of the record in `blocks`: {frequency_hz, real, sd, size, seconds, lost, coherence}; lines
-    that are not coherent hold None.
+    """Return Z of the record in `blocks`: {frequency_hz, real, sd, size, seconds, lost, coherence};
+    incoherent lines contain None.
     """
     records = np.concatenate([block.records for block in blocks])
     scale = blocks[-1].header["scale"]

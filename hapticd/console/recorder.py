@@ -1,11 +1,11 @@
-"""Recording from the page: `hapticd record` as a process of its own, one at a time.
+"""Recording from the page: `hapticd record` as a separate process, one at a time.
 
 It is that verb, so the file is the same, and a page or a console that dies ends it in order: the
-recorder dies with the console by SIGTERM, which finishes the file. Files go to the folder in which
-the console was started; nothing that a page sends becomes part of a path.
+recorder receives SIGTERM when the console dies, which finishes the file. Files go to the folder in
+which the console was started; no text from a page becomes part of a path.
 
-`--parent` has the kernel send SIGTERM when this process is gone, however it went. A thread that
-lasts must start it, for the kernel means that thread.
+`--parent` makes the kernel send SIGTERM when this process dies in any way. A long-lived thread must
+start it, for the kernel watches that thread.
 """
 
 import asyncio
@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any
 
 LONGEST_NOTE = 500
-LIVE = ".part.h5"  # ending of a recording that grows
-LOOK_S = 0.05  # until the file is there
+LIVE = ".part.h5"  # suffix of a recording in progress
+LOOK_S = 0.05  # until the file exists
 
 
 class Recorder:
-    """The recorder of instance `instance`; gives `publish` what it does, as text."""
+    """The recorder of instance `instance`; passes its state as text to `publish`."""
 
     def __init__(self, instance: str, folder: Path, publish: Callable[[str], None]) -> None:
         self._instance = instance
@@ -34,7 +34,7 @@ class Recorder:
         self._task: asyncio.Task[None] | None = None
 
     async def start(self, note: str) -> str:
-        """Begin with the operator's note; why it did not, or an empty text."""
+        """Start with the operator's note; return the reason against it, or an empty text."""
         if self._process is not None:
             return "a recording is under way already: stop it first"
         file = self._folder / f"{datetime.now():%Y%m%d-%H%M%S}-{self._instance}.h5"
@@ -56,14 +56,16 @@ class Recorder:
         return ""
 
     def stop(self) -> str:
-        """Have it finish; the file is told when it is packed. Why not, or an empty text."""
+        """Stop the recording; its file is announced when it is packed. Return the reason against
+        it, or an empty text.
+        """
         if self._process is None:
             return "nothing is being recorded"
         self._process.send_signal(signal.SIGINT)
         return ""
 
     async def close(self) -> None:
-        """Finish what is being recorded."""
+        """Finish the current recording."""
         if self._process is not None and self._task is not None:
             self._process.send_signal(signal.SIGINT)
             await self._task
@@ -78,7 +80,7 @@ class Recorder:
 
 
 def _ending(out: bytes, err: bytes) -> str:
-    """What `hapticd record --json` said at its end, in one line."""
+    """Return the final output of `hapticd record --json` in one line."""
     try:
         found = json.loads(out.decode().splitlines()[-1])
     except (ValueError, IndexError):

@@ -1,24 +1,24 @@
 """The web server of the operators' page.
 
-    GET  /       the page; that the board is SIMULATED stands in it, without any script
-    GET  /static what it loads; nothing comes from anywhere else
-    POST /stop   STOP: the way of `hapticd stop`, in threads of its own. It waits for no socket, no
+    GET  /       the page; it shows that the board is SIMULATED without any script
+    GET  /static its files; nothing is loaded from elsewhere
+    POST /stop   STOP: the path of `hapticd stop`, in its own threads. It waits for no socket, no
                  command and no telemetry, and presses the stop word, so that it needs no gateway
-    WS   /live   telemetry to the browser; commands and acknowledgements from it. `stop` among them
-                 goes the way of /stop, behind nothing that was asked before it
+    WS   /live   telemetry to the browser; commands and acknowledgements from it. Its `stop` takes
+                 the path of /stop, ahead of all earlier requests
 
-One asyncio loop serves all browsers; telemetry is followed by a thread (`watch`), each browser's
-commands are asked by another (`asker`). What a browser has not taken yet waits (`browser`).
-A browser may leave in the middle of anything, or send what no page of ours does: its connection
-ends, and nothing is printed. The web server would log some of it with a traceback: text that is not
-UTF-8, bytes before its own answer.
+One asyncio loop serves all browsers. A thread follows telemetry (`watch`), another one sends each
+browser's commands (`asker`). Messages for a slow browser wait (`browser`). If a browser leaves at
+any moment, or sends a message that this page never sends, its connection ends, and nothing is
+printed. The web server would log some cases with a traceback: text that is not UTF-8, bytes before
+its own answer.
 
-Where the page is stands in a file of the daemon's folder (`mailbox.daemons` reads it). That of a
-console that was killed stays, so that the next one of this daemon listens at the same port and open
-pages find it again. A folder that is not ours to write (the service's) gets none.
+A file in the daemon's folder contains the address of the page (`mailbox.daemons` reads it). That of
+a killed console remains, so that the next one of this daemon listens on the same port and open
+pages find it again. A folder that this user may not write (the service's) gets none.
 
-The loop must wait in `await` alone, and listen at no address of the network. The web server must
-log as LOGGER, and name the protocol where one failed.
+The loop must wait only in `await`, and listen on no address of the network. The web server must log
+as LOGGER, and name the protocol of a failed connection.
 """
 
 import asyncio
@@ -65,11 +65,11 @@ from hapticd.mailbox.stop_word import ACTOR_STOP_WORD, servo_lives
 __all__ = ["serve"]
 
 ADDRESS = "127.0.0.1"
-DEFAULT_PORT = 9873  # beside telemetry's; an ephemeral one when taken
+DEFAULT_PORT = 9873  # next to telemetry's; an ephemeral one if taken
 STATIC = Path(__file__).with_name("static")
 BOARDS = {True: "SIMULATED", False: "REAL BOARD", None: "NO BOARD YET"}
 NO_SERVO = "no servo runs; start it with `hapticd run`"
-LOOK_S = 0.5  # between looks for the board
+LOOK_S = 0.5  # between checks for the board
 MOST_BYTES = 1 << 16  # of a message from a browser
 MOST_DIGITS = 10  # of an actor
 LOGGER = "uvicorn.error"
@@ -77,21 +77,21 @@ BY_THE_OTHER_END = (UnicodeDecodeError, OSError, WebSocketDisconnect)
 
 
 class Console:
-    """The page of daemon `instance`: its routes, and who looks at it."""
+    """The page of daemon `instance`: its routes, and its open browsers."""
 
     def __init__(self, instance: str) -> None:
         self.instance = instance
         self._browsers: set[Browser] = set()
-        self._latest: dict[str, str] = {}  # newest state and guard, for a page that has just come
+        self._latest: dict[str, str] = {}  # newest state and guard, for a new page
         self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")
         self._under_way: set[asyncio.Task[None]] = set()  # answers to pages
         self._pages = 0
         self.recorder = Recorder(instance, Path.cwd(), lambda text: self.publish("recorder", text))
-        self.stops = 0  # asked of this page
-        self.missing: str | None = None  # why there is no board; None: nobody has looked yet
+        self.stops = 0  # stops of this page
+        self.missing: str | None = None  # why there is no board; None: not checked yet
 
     def app(self) -> Starlette:
-        """The application that a web server runs."""
+        """Return the application for the web server."""
         routes = [
             Route("/", self.page),
             Route(STOP_PATH, self.stop, methods=["POST"]),
@@ -101,18 +101,18 @@ class Console:
         return Starlette(routes=routes, middleware=[Middleware(Visitors)])
 
     def folder(self) -> Path:
-        """The runtime folder of the daemon."""
+        """Return the runtime folder of the daemon."""
         return untrusted_daemon_folder(self.instance)
 
     def publish(self, kind: str, message: bytes | str) -> None:
-        """Give `message` to all browsers; called in the loop."""
+        """Send `message` to all browsers; called in the loop."""
         if isinstance(message, str) and kind != "event":
             self._latest[kind] = message
         for browser in self._browsers:
             browser.outbox.put(kind, message)
 
     async def page(self, request: Request) -> Response:
-        """The page, with what is known of the board in its text."""
+        """Return the page, with the known facts of the board in its text."""
         report = read_report(self.folder())
         words = {
             "@BOARD@": BOARDS[report.get("simulated")],
@@ -125,13 +125,13 @@ class Console:
         return HTMLResponse(text)
 
     async def stop(self, request: Request) -> Response:
-        """The request of a page to stop."""
+        """Handle the stop request of a page."""
         outcome = await self._press(request.query_params.get("actor", ""))
         return JSONResponse(outcome, 200 if outcome["ok"] else 503)
 
     async def _press(self, actor: str) -> dict[str, Any]:
-        """Press the stop word, as `hapticd stop` does, in the name of the page that asks: a stop is
-        its presser's to reset.
+        """Press the stop word, as `hapticd stop` does, on behalf of the page: only its presser may
+        reset a stop.
         """
         self.stops += 1
         loop = asyncio.get_running_loop()
@@ -144,7 +144,7 @@ class Console:
         return {"ok": not found.failed, "states": states, "text": "; ".join(found.failed)}
 
     async def live(self, socket: WebSocket) -> None:
-        """One browser, from its coming to its going."""
+        """Serve one browser from connection to disconnection."""
         await socket.accept()
         self._pages += 1
         browser = Browser(socket, Asker(self.instance, f"page {self._pages}", lambda: self.stops))
@@ -180,7 +180,7 @@ class Console:
                 browser.asker.ask(request, reply)
 
     async def _stop_by_socket(self, browser: Browser, request: dict[str, Any]) -> None:
-        """The same over the page's connection."""
+        """Stop over the page's connection."""
         browser.answer(request, **await self._press(str(request.get("actor", ""))))
 
     async def _record(self, browser: Browser, request: dict[str, Any]) -> None:
@@ -193,18 +193,18 @@ class Console:
 
 
 def _number(text: str) -> int:
-    """The actor in the request of a page; of one that does not know its own, the stop word's."""
+    """Return the actor in the request of a page; the stop word's if the page has none."""
     return int(text) if text.isdecimal() and len(text) <= MOST_DIGITS else ACTOR_STOP_WORD
 
 
 def port_before(place: Path) -> int | None:
-    """Port of the console before, by the file `place`; None: there was none."""
+    """Return the port of the previous console, from the file `place`; None if there was none."""
     port = read_json(place).get("port")
     return port if isinstance(port, int) and 0 < port < 1 << 16 else None
 
 
 def note(place: Path, url: str, port: int) -> None:
-    """Say in the file `place` where this process serves."""
+    """Write the address of this process to the file `place`."""
     content = json.dumps({"url": url, "port": port, "pid": os.getpid()})
     with suppress(MailboxError):
         write_whole(place, content)
@@ -212,17 +212,17 @@ def note(place: Path, url: str, port: int) -> None:
 
 class _Server(uvicorn.Server):
     def capture_signals(self) -> AbstractContextManager[None]:  # type: ignore[override]
-        return nullcontext()  # ours end it (core.process.on_stop)
+        return nullcontext()  # its own handlers end it (core.process.on_stop)
 
 
 def bound(port: int | None, before: int | None) -> socket.socket:
-    """A socket that listens at `port`; at the one of `before`, DEFAULT_PORT or any where that is
-    None. ConfigError: `port` is taken, or not for this user.
+    """Return a socket that listens on `port`; if that is None, on `before`, DEFAULT_PORT or any
+    port. ConfigError if `port` is taken, or not permitted for this user.
     """
     reason = ""
     wishes = [port] if port is not None else [before or DEFAULT_PORT, DEFAULT_PORT, 0]
     for wish in wishes:
-        # said to be TCP, or asyncio leaves Nagle's algorithm on, which holds answers back for 40 ms
+        # explicit TCP; otherwise asyncio leaves Nagle's algorithm on, which delays answers by 40 ms
         line = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         line.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -240,8 +240,8 @@ def serve(
     on_stop: Callable[[Callable[[], None]], None],
     tell: Callable[[str], None],
 ) -> None:
-    """Serve the page of `instance` until the handler given to `on_stop` is called; `tell` is given
-    its URL. ConfigError: the port is taken.
+    """Serve the page of `instance` until the handler passed to `on_stop` is called; `tell` receives
+    its URL. ConfigError if the port is taken.
     """
     folder = untrusted_daemon_folder(instance)
     require_trusted(folder)
@@ -254,7 +254,7 @@ def serve(
         log_config=None,
         access_log=False,
         lifespan="off",
-        proxy_headers=False,  # whose connection it is the kernel says, and no header
+        proxy_headers=False,  # the kernel identifies the owner of a connection, not a header
         ws_max_size=MOST_BYTES,
         ws_per_message_deflate=False,
         timeout_graceful_shutdown=1,
@@ -274,7 +274,7 @@ def serve(
 
 
 async def _tell_board(console: Console) -> None:
-    """Say why there is no board, or no servo, as `hapticd status` does; for ever."""
+    """Publish why there is no board, or no servo, as `hapticd status` does; endlessly."""
     while True:
         try:
             folder = console.folder()
@@ -288,13 +288,13 @@ async def _tell_board(console: Console) -> None:
 
 
 def _be_quiet(loop: asyncio.AbstractEventLoop) -> None:
-    """Print nothing of connections that the other end has broken."""
+    """Print nothing about connections broken by the other end."""
     loop.set_exception_handler(_unless_of_a_connection)
     logging.getLogger(LOGGER).addFilter(_worth_printing)
 
 
 def _unless_of_a_connection(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """The loop ends a connection by itself whose protocol has failed."""
+    """Ignore a failed protocol: the loop ends its connection by itself."""
     if "protocol" not in context:
         loop.default_exception_handler(context)
 

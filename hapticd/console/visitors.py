@@ -1,20 +1,20 @@
-"""Who may talk to the page: browsers of this computer that have it from here.
+"""Access control of the page: only browsers of this computer that loaded it from here.
 
-The server listens at 127.0.0.1 alone, but a browser takes any web page's word to it. Two headers,
-which no script can forge, tell such a page: `Host`, the name under which the browser looked for us
-(one that is not this computer's was pointed here by somebody's name server), and `Origin`, whose
-page asks. Every request needs a host of HOSTS; an origin has to be that host, and what opens the
-socket has to have one. The port is left open, so that a tunnel by ssh may end at another one.
+The server listens only on 127.0.0.1, but any web page can make a browser send requests to it. Two
+headers, which no script can forge, reveal such a page: `Host`, the name used by the browser (a
+foreign name was resolved to this computer by someone's name server), and `Origin`, the page that
+sends. Every request needs a host of HOSTS. An origin has to be that host, and a request for the
+socket has to have one. The port is not checked, so that an ssh tunnel may end at another one.
 
-No header tells whose program asks: 127.0.0.1 has no owner, and every account of the computer may
-connect to it. The kernel knows (/proc/net/tcp, and tcp6 of a program that writes the address as
-::ffff:127.0.0.1), and answers are for the account that the console runs as, who called it by sudo,
-and root. Its tables are read by a thread, for they may be long. STOP is taken from anyone
-(`Console` has it at STOP_PATH).
+No header identifies the sending program: 127.0.0.1 has no owner, and every account of the computer
+may connect to it. The kernel has this information (/proc/net/tcp, and tcp6 for a program that
+writes the address as ::ffff:127.0.0.1). Answers are for the account that runs the console, the
+account that called it by sudo, and root. A thread reads the kernel's tables, for they may be long.
+STOP is accepted from any account (`Console` has it at STOP_PATH).
 
-MOST_VISITS are attended to at once, whoever asks; STOP does not count among them, which is why it
-is not uvicorn's own limit. Connections on which nobody asks are bounded by the process's
-descriptors alone (SECURITY.md).
+MOST_VISITS are served at once, for all accounts; STOP does not count among them, which is why it is
+not uvicorn's own limit. Idle connections are bounded only by the process's descriptors
+(SECURITY.md).
 
 HOSTS must not contain a host name of the outside, and no reply may have CORS headers.
 """
@@ -38,14 +38,14 @@ STOP_PATH = "/stop"
 CONNECTIONS = Path("/proc/net/tcp")
 CONNECTIONS_6 = Path("/proc/net/tcp6")
 IPV4_MAPPED = "0000000000000000FFFF0000"  # before an IPv4 address in tcp6
-MOST_VISITS = 64  # requests and sockets that are attended to at once
+MOST_VISITS = 64  # requests and sockets that are served at once
 ESTABLISHED = "01"  # of its states
 NO_INODE = "0"
 POLICY = "default-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 
 
 def objection(headers: Headers, socket: bool) -> str:
-    """Why this request is not answered; empty if it is."""
+    """Return the reason why this request is not answered; empty if it is."""
     host = headers.get("host", "")
     origin = headers.get("origin")
     if host.partition(":")[0] not in HOSTS:
@@ -61,9 +61,9 @@ Address = tuple[str, int]  # host, port
 
 
 def owner_of(client: Address, server: Address, table: Iterable[str]) -> int | None:
-    """The account (uid) whose program opened the connection from `client` to `server`, by the lines
-    of /proc/net/tcp and tcp6; None if it is not among them, or is closed: then 0 stands there,
-    which is not root but nobody.
+    """Return the account (uid) that opened the connection from `client` to `server`, from the lines
+    of /proc/net/tcp and tcp6. None if it is not listed, or closed: its uid 0 does not mean root
+    then.
     """
     ends = [_as_the_kernel_writes(client), _as_the_kernel_writes(server)]
     mapped = [IPV4_MAPPED + end for end in ends]
@@ -76,19 +76,21 @@ def owner_of(client: Address, server: Address, table: Iterable[str]) -> int | No
 
 
 def _as_the_kernel_writes(address: Address) -> str:
-    """An IPv4 address as /proc/net/tcp has it: the four bytes as a number of this machine."""
+    """Return an IPv4 address as in /proc/net/tcp: the four bytes as a number of this machine."""
     host, port = address
     number = int.from_bytes(sockets.inet_aton(host), byteorder)
     return f"{number:08X}:{port:04X}"
 
 
 def accounts() -> frozenset[int]:
-    """Whom the page is for."""
+    """Return the accounts that may use the page."""
     return frozenset({0, os.getuid(), int(os.environ.get("SUDO_UID", os.getuid()))})
 
 
 def stranger(scope: Scope, ours: frozenset[int]) -> str:
-    """Why the account behind this request is not answered; empty if it is, or cannot be known."""
+    """Return why the account of this request is not answered; empty if it is, or if it
+    is unknown.
+    """
     client = scope.get("client")
     server = scope.get("server")
     if client is None or server is None:
@@ -96,7 +98,7 @@ def stranger(scope: Scope, ours: frozenset[int]) -> str:
     try:
         lines = CONNECTIONS.read_text().splitlines()
     except OSError:
-        return ""  # a machine that does not tell
+        return ""  # a machine without these tables
     with suppress(OSError):  # a machine without IPv6
         lines += CONNECTIONS_6.read_text().splitlines()
     if owner_of(tuple(client), tuple(server), lines) in ours:
@@ -106,8 +108,8 @@ def stranger(scope: Scope, ours: frozenset[int]) -> str:
 
 
 class Visitors:
-    """ASGI middleware that turns others away with 403, and forbids pages to load anything that is
-    not ours.
+    """ASGI middleware that rejects other visitors with 403, and forbids pages to load foreign
+    content.
     """
 
     def __init__(self, app: ASGIApp) -> None:

@@ -1,15 +1,15 @@
-"""Telemetry for browsers: what the gateway publishes becomes frames, in a thread of its own.
+"""Telemetry for browsers: a thread converts the gateway's messages to frames.
 
 A frame is one binary message: the length of its header (u32, little-endian), the header as JSON,
 spaces up to a multiple of 8 bytes, then one column of float64 after another, one value a tick. A
-browser reads the columns as they lie. COLUMNS names them with their units; `now` in the header is
-the newest record's own values, as lamps and numbers show them. Everything else is JSON text:
+browser reads the columns in place. COLUMNS names them with their units; `now` in the header
+contains the newest record's own values, for lamps and numbers. All other messages are JSON text:
 `state`, `event` (with its `words`) and `guard` as published.
 
-Each block of the gateway becomes a frame when it comes: 50 a second.
+Each block of the gateway becomes a frame on arrival: 50 a second.
 
-Nothing in `publish` may take longer than a few milliseconds, because it runs in this thread; the
-gateway drops what is not taken within 100 messages.
+No function in `publish` may take longer than a few milliseconds, because it runs in this thread;
+the gateway drops messages that are not read within 100 messages.
 """
 
 import json
@@ -35,7 +35,7 @@ from hapticd.mailbox.layout import State
 from hapticd.protocol.answers import Event, answer_of
 from hapticd.usb.frames import IN_EFFECT, IN_OFFSETS
 
-RETRY_S = 0.25  # between looks for a daemon that is not there
+RETRY_S = 0.25  # between checks for a missing daemon
 TICKS = "servo.raw"
 TOPICS = (TICKS, "state", "event", "guard")
 COLUMNS = {  # the fields of the record that are summed
@@ -69,7 +69,7 @@ Publish = Callable[[str, bytes | str], None]  # kind, and the message for browse
 
 
 def frame(block: Block) -> bytes:
-    """The frame of a block with at least one record."""
+    """Return the frame of a block with at least one record."""
     records = block.records
     header = {
         "n": len(records),
@@ -85,7 +85,7 @@ def frame(block: Block) -> bytes:
 
 
 def _columns(block: Block) -> NDArray[np.float64]:
-    """Rows are the columns of NAMES, one value a record."""
+    """Return the columns of NAMES as rows, one value a record."""
     records = block.records
     rows = np.empty((len(NAMES), len(records)), "<f8")
     rows[0] = records["time_ns"]
@@ -111,8 +111,8 @@ def _now(record: np.void) -> dict[str, Any]:
 
 
 class Watch:
-    """Follows the daemon `instance` until `close`, whether or not it is there. Messages go to
-    `publish`, whether something excites the device to `probing`, what the guard tells to `planes`.
+    """Follows the daemon `instance` until `close`, whether or not it exists. Messages go to
+    `publish`, the state of excitation to `probing`, those of the guard to `planes`.
     """
 
     def __init__(self, instance: str, publish: Publish, probing: Probing, planes: Planes) -> None:
@@ -137,7 +137,7 @@ class Watch:
             self._ending.wait(RETRY_S)
 
     def _follow(self) -> None:
-        """Until the end. DaemonDown or MailboxError: there is no daemon to follow yet."""
+        """Follow the daemon until the end. DaemonDown or MailboxError if there is none yet."""
         ticks = BlockDecoder()
         with Client(self._instance, name="page") as client:
             self._level_on = float(client.get().parameters["active_damping_level"])
