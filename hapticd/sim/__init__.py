@@ -1,15 +1,15 @@
 """The simulated board, behind the same pyusb interface as a real one.
 
 board      BoardModel: the firmware, bytes in and bytes out on integer nanoseconds; `hello` and
-           `control_replies`, what it says of itself
+           `control_replies`, its self-description
 axis       one axis of it: outputs, plant, fail-safe, perturbation FIFO and 4 kHz probe
 backend    make_backend: the board as a pyusb backend, with the errors of libusb 1.0, behind a bus
            whose transfers may take time
 events     EventPins: the event pins of the firmware
 injection  with_injections: seeded faults between the two
-bus        how long transfers take: a fixed time, or a model of full speed behind xHCI
-flight     Flight: transfers of the board that are under way while the host does something else
+bus        duration of transfers: a fixed time, or a model of full speed behind xHCI
+flight     Flight: asynchronous transfers of the board
 errors     the errors of libusb as pyusb raises them
 descriptors, usb_device, usbip
-           UsbDevice and UsbipServer: the same board at the true USB bus of any Linux
+           UsbDevice and UsbipServer: the same board on the real USB bus of any Linux
 """

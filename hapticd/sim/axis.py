@@ -1,26 +1,26 @@
-"""One axis of the fake firmware: what it outputs, the plant that it moves, the fail-safe that
-needs no host, and the board's 4 kHz half.
+"""One axis of the simulated firmware: its outputs, its plant, the fail-safe that needs no host, and
+the board's 4 kHz half.
 
-Time here is a count of sub-steps of T/16. Force and active damping are held between OUT frames,
-the perturbation between the ends of the 250 us intervals of `Probe`; `run_to` plays the plant piece
-by piece between those.
+Time here is a count of sub-steps of T/16. Force and active damping are held between OUT frames, the
+perturbation between the ends of the 250 us intervals of `Probe`; `run_to` plays the plant piece by
+piece between those.
 
 Fail-safe: no OUT for the watchdog time -> torque 0, FIFO empty, damping held for 2 s, then released
 over 0.5 s in the steps of the 4 kHz clock. It stays tripped until an OUT without ENABLE. A board
-fault takes the torque away until `clear_faults` finds its cause gone; damping still obeys the host.
+fault removes the torque until `clear_faults` finds its cause absent; damping still obeys the host.
 
 A torque may take effect whole periods after its receipt (`lag_periods`, a device with a longer
-transport delay); whatever takes torque away acts at once. A plant that runs away (beyond 1 km/s) is
-left where it was, at rest: amplifier fault.
+transport delay); any removal of torque acts at once. A plant that runs away (beyond 1 km/s) is
+stopped at its last position, with an amplifier fault.
 
-Probe: every 250 us of board time one interval ends. It yields a pair: the mean perturbation torque
-that was output in it and the mean velocity, which is the distance travelled over 250 us, so that
-the sum of torque x velocity x 250 us is the exact work. The next interval then plays the next
-sample of the FIFO, or 0 when it is dry (an under-run). Pairs wait, 64 at most, until the host has
-read them; beyond, the oldest is lost and the gap shows in the index.
+Probe: one interval ends every 250 us of board time. It yields a pair: the mean perturbation torque
+of the interval and the mean velocity, which is the distance travelled over 250 us, so that the sum
+of torque x velocity x 250 us is the exact work. The next interval then plays the next sample of the
+FIFO, or 0 when it is empty (an under-run). Pairs wait, 64 at most, until the host has read them;
+beyond that, the oldest is lost and the gap appears in the index.
 
-Limitations: an OUT that arrives before the sub-step that the plant has reached, or an interval grid
-that is not the plant's sub-step grid. Where 250 us are no whole number of sub-steps (rates that are
+Limitations: an OUT that arrives before the current sub-step of the plant, or an interval grid that
+is not the plant's sub-step grid. Where 250 us are not a whole number of sub-steps (rates that are
 not multiples of 250 Hz) an interval ends at the nearest sub-step: 4 kHz on average.
 """
 
@@ -43,7 +43,7 @@ PAIRS_LOST = StatusBit.PROBE_OVERFLOW.value
 
 
 def i16_count(value: float) -> int:
-    """Nearest count, halves upwards, held at the ends of 16 bits as a converter does."""
+    """Return the nearest count, halves upwards, clamped to 16 bits like a converter."""
     count = floor(value + 0.5)
     if I16_LOWEST <= count <= I16_HIGHEST:
         return count
@@ -51,8 +51,8 @@ def i16_count(value: float) -> int:
 
 
 class Probe:
-    """Perturbation and measurement of one axis. `end` is the sub-step at which the running
-    interval ends.
+    """Perturbation and measurement of one axis. `end` is the sub-step at which the current interval
+    ends.
     """
 
     __slots__ = (
@@ -92,12 +92,12 @@ class Probe:
         self.power_up(0.0)
 
     def power_up(self, position_m: float) -> None:
-        """Forget everything; interval 0 starts at sub-step 0."""
+        """Reset all state; interval 0 starts at sub-step 0."""
         self.fifo: deque[int] = deque()
         self.pairs: list[int] = []  # torque, velocity, torque, velocity: oldest first
         self.index = 0  # intervals ended since power-up
         self.first_index = 0  # index of the oldest pair
-        self.events = 0  # Status bits since they were last taken
+        self.events = 0  # Status bits since the last read
         self.playing = False
         self.live = False
         self.torque_n = 0.0
@@ -109,7 +109,7 @@ class Probe:
         self.end = floor(self._length + 0.5)
 
     def queue(self, samples: Sequence[int]) -> None:
-        """Append perturbation samples; those that do not fit are dropped and flagged."""
+        """Append perturbation samples; those beyond the depth are dropped and flagged."""
         room = FIFO_DEPTH - len(self.fifo)
         if len(samples) > room:
             self.events |= OVERFLOW
@@ -117,8 +117,8 @@ class Probe:
         self.fifo.extend(samples)
 
     def silence(self, substep: int) -> None:
-        """No torque from `substep` on, in the middle of an interval: its mean keeps what was
-        output before.
+        """Stop the torque from `substep` on, within an interval: its mean keeps the
+        earlier output.
         """
         if self._sample:
             # one division, so that a half is exactly a half
@@ -128,8 +128,8 @@ class Probe:
             self.torque_n = 0.0
 
     def end_interval(self, travel_m: float, impulse_ns: float | None = None) -> None:
-        """The interval that ends at `end` is over: integral of the recorded velocity, and what
-        filters keep of the torque's.
+        """End the interval at `end`, from the integral of the recorded velocity, and optionally the
+        filtered impulse of the torque.
         """
         end = self.end
         pairs = self.pairs
@@ -170,7 +170,7 @@ class Probe:
         return sample if self.live else 0
 
     def forget(self, index: int) -> None:
-        """The host has the pairs before `index`."""
+        """Drop the pairs before `index`, which the host has read."""
         known = index - self.first_index
         if known > 0:
             del self.pairs[: 2 * known]
@@ -194,8 +194,8 @@ CLAMPED = StatusBit.FORCE_CLAMPED.value
 
 
 class Axis:
-    """Outputs, plant and fail-safe. `now` is the sub-step that the plant has reached, `state`
-    its state there.
+    """Outputs, plant and fail-safe. `now` is the current sub-step of the plant, `state` its state
+    there.
     """
 
     __slots__ = (
@@ -240,7 +240,7 @@ class Axis:
         self._params = params
         self.plant = make_plant(params)
         self._lag = params.lag_periods * SUBSTEPS_PER_TICK
-        # torques still on their way: sub-step, force, sequence number of their OUT
+        # torques in transit: sub-step, force, sequence number of their OUT
         self._coming: deque[tuple[int, float, int]] = deque()
         self._torque_max = min(I16_HIGHEST, int(params.force_limit_n / params.force_n_per_count))
         self._watchdog = ceil(params.watchdog_ms * substep_rate_hz / 1000.0)
@@ -252,14 +252,14 @@ class Axis:
         self._trim_ohm_per_count = params.trim_full_scale_ohm / I16_HIGHEST
         self.probe = Probe(params)
         self.amplifier: Amplifier | None = None
-        self.active_damping_gain = 1.0  # of the circuit: damping over what is commanded
-        self.levels = READY  # Status bits of the hard-wired emergency stop, which has no memory
+        self.active_damping_gain = 1.0  # of the circuit: damping over its command
+        self.levels = READY  # Status bits of the hard-wired emergency stop, which are not latched
         self.state = self.plant.rest(0.0)
         self.power_up()
 
     def power_up(self) -> None:
-        """Supply was connected: no output, the plant at rest where it is, and the encoder
-        counts from there.
+        """Power up: no output, the plant at rest at its position, which becomes the
+        encoder's zero.
         """
         self.zero_m = self.plant.encoder(self.state, 0.0, 0.0)
         self.state = self.plant.rest(self.zero_m)
@@ -281,20 +281,18 @@ class Axis:
         self._compensate(0)
 
     def move_on(self, state: State) -> None:
-        """Supply was connected to a device that is not at rest but in `state`."""
+        """Power up with a device that is not at rest but in `state`."""
         self.state = state
         self.probe.power_up(self.plant.travel(state, 0.0, 0.0))
 
     def stop_watchdog(self) -> None:
-        """No fail-safe until the next OUT that is obeyed; one that is under way goes on."""
+        """Disable the fail-safe until the next obeyed OUT; a running one continues."""
         if not self._tripped:
             self._alarm_at = NEVER
 
     @property
     def status(self) -> int:
-        """Status bits that last; `clamped` and `probe.events` are taken and cleared by whoever
-        reports them.
-        """
+        """Persistent status bits; the reporter reads and clears `clamped` and `probe.events`."""
         return self.faults | (ENABLED if self.live else 0) | (WATCHDOG if self._tripped else 0)
 
     def obey(
@@ -306,7 +304,7 @@ class Axis:
         seq: int = 0,
         resistance: int = 0,
     ) -> None:
-        """Take the commands of the valid OUT `seq`, in counts, from now on."""
+        """Apply the commands of the valid OUT `seq`, in counts, from now on."""
         if self._tripped:
             if flags & ENABLE:
                 return
@@ -334,31 +332,31 @@ class Axis:
             probe.queue(samples)
 
     def press_stop(self, pressed: bool) -> None:
-        """The hard-wired emergency stop takes the torque at once, and lets the next OUT have it
-        again once it is released.
+        """Press or release the hard-wired emergency stop. It removes the torque at once; after the
+        release the next OUT may restore it.
         """
         self.levels = EMERGENCY_STOP if pressed else READY
         if pressed:
             self._cut_torque()
 
     def trip(self, faults: int) -> None:
-        """The cause of these faults (Status bits) is present: latched, the torque is gone at
-        once.
+        """Latch these faults (Status bits), whose cause is present, and remove the
+        torque at once.
         """
         self._present |= faults
         self.faults |= faults
         self._cut_torque()
 
     def heal(self, faults: int) -> None:
-        """That cause is gone; the fault stays latched."""
+        """Remove that cause; the fault stays latched."""
         self._present &= ~faults
 
     def clear_faults(self) -> None:
-        """Unlatch the faults whose cause is gone."""
+        """Clear the faults whose cause is absent."""
         self.faults &= self._present
 
     def run_to(self, substep: int) -> None:
-        """Play the plant up to `substep`, and the fail-safe where it is due."""
+        """Play the plant up to `substep`, and the fail-safe when it is due."""
         while self._alarm_at <= substep:
             self._move(self._alarm_at)
             if self._tripped:
@@ -433,8 +431,8 @@ class Axis:
         )
 
     def _compensate(self, count: int) -> None:
-        """The circuit believes in the resistance of this count from now on; with the DAC not
-        connected in that of count 0.
+        """Set the resistance of this count in the circuit; without a connected DAC that
+        of count 0.
         """
         trim_ohm = count * self._trim_ohm_per_count
         self.resistance_count = count

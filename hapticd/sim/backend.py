@@ -1,22 +1,20 @@
-"""The simulated board's side of the USB interface: a pyusb backend, so that the true `usb.core`
-runs above a simulated board.
+"""The simulated board as a pyusb backend, so that the real `usb.core` runs on top of it.
 
-It answers as libusb 1.0 on Linux does (same exceptions, numbers and words): a plugged device is
-configured by the kernel, a claimed interface refuses others and any change of configuration, a
-halted endpoint stays so until clear_halt, a handle of an unplugged device is dead for ever, a
-device that is plugged again has a new address, and for one more enumeration after an unplug the
-dead device is still listed. A read waits until the IN is latched, in wall time and in virtual time
-alike, and always comes to an end.
+It answers like libusb 1.0 on Linux (same exceptions, numbers and texts). A plugged device is
+configured by the kernel. A claimed interface refuses other users and any change of configuration. A
+halted endpoint stays halted until clear_halt. A handle of an unplugged device is permanently dead.
+A device that is plugged again has a new address, and the dead one is still listed for one more
+enumeration. A read waits until the IN is latched, in wall time and in virtual time, and always
+ends.
 
-A `DistantBackend` is at the end of a bus (`sim.bus`) that takes its time. One transfer goes after
-the other, as libusb's synchronous calls do it: a write is submitted, reaches the board, and returns
-when its caller has been woken. A read takes the packet that waits, or the next one as soon as it is
-latched and the controller asks for it; meanwhile what the board latches waits in the board, queued
-or replaced. Transfers in flight take the same bus (`sim.flight`).
+A `DistantBackend` is at the end of a bus (`sim.bus`) with transfer times. Transfers are sequential,
+like libusb's synchronous calls: a write is submitted, reaches the board, and returns when its
+caller wakes. A read takes the waiting packet, or the next one when it is latched and the controller
+polls it. Meanwhile the board queues or replaces latched packets. Asynchronous transfers use the
+same bus (`sim.flight`).
 
-One thread must use it (there is no lock in the tick's way). Limitations: a time-out shorter than
-the transport (the packet is delivered all the same, late, as libusb does when its timer fires
-late).
+Only one thread may use it (there is no lock within a tick). Limitations: a time-out shorter than
+the transport (the packet is still delivered, late, as by libusb when its timer fires late).
 """
 
 import errno
@@ -47,11 +45,11 @@ from hapticd.usb.base import VENDOR_OUT
 __all__ = ["SimulatedBackend", "make_backend"]
 
 SPIN_NS = 60 * NS_PER_US  # a sleep of the machine is coarser than this
-ENDLESS_MS = 60_000  # libusb's time-out 0 means for ever; the simulated board gives up
+ENDLESS_MS = 60_000  # libusb's time-out 0 is endless; the simulated board gives up
 
 
 class PluggedDevice:
-    """One stay of the board at the bus."""
+    """One connection of the board to the bus, from plug to unplug."""
 
     def __init__(self, address: int, boot_loader: bool = False) -> None:
         self.address = address
@@ -70,11 +68,11 @@ class Handle:
 
 
 class Unready(NamedTuple):
-    """How long after a plug the board is not ready, and what its boot loader says to HELLO."""
+    """Time after a plug until the board is ready, and the boot loader's reply to HELLO."""
 
-    rights_s: float = 0.0  # until it may be opened, as while udev works
+    rights_s: float = 0.0  # until it may be opened, as while udev runs
     hello_s: float = 0.0  # until it answers requests
-    boot_loader_s: float = 0.0  # until the boot loader leaves the bus and the board comes
+    boot_loader_s: float = 0.0  # until the boot loader leaves the bus and the board appears
     boot_hello: bytes | None = None  # None: it stalls
 
 
@@ -84,7 +82,7 @@ NO_BUS = FixedBus()
 
 class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
     """pyusb backend over `port`. `access_denied` and `kernel_driver` may be set to simulate a
-    badly set up machine, `unready` for boards that are there before they are ready.
+    misconfigured machine, `unready` boards that are present before they are ready.
     """
 
     def __init__(
@@ -99,7 +97,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         self._clock = clock
         self._bus = bus
         self._flight: Flight | None = None
-        self.deliver = port.on_out  # an OUT packet reaches the board, on either way of transfers
+        self.deliver = port.on_out  # an OUT packet reaches the board, with either kind of transfer
         self._transfer = transfer
         self._spin_ns = SPIN_NS if isinstance(clock, MonotonicClock) else 0
         self._addresses = 0
@@ -114,7 +112,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
 
     # --- the cable --------------------------------------------------------------------------------
     def plug(self) -> None:
-        """Plug the board in: it powers up and gets a new address. Nothing happens if it is
+        """Plug the board in: it powers up and gets a new address. Do nothing if it is
         plugged in.
         """
         if self.device is None:
@@ -125,7 +123,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             self._plugged_ns = self._clock.now_ns()
 
     def unplug(self, away_s: float | None = None) -> None:
-        """Pull the plug; it comes back by itself after `away_s`, if given."""
+        """Unplug the board; it returns by itself after `away_s`, if given."""
         if self.device is not None:
             self.device.gone = True
             self._stale = self.device
@@ -145,7 +143,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         return iter([device for device in (stale, self.device) if device is not None])
 
     def _leave_boot_loader(self, device: PluggedDevice) -> None:
-        """Once its time is over it leaves the bus, and the board comes with a new address."""
+        """Leave the bus after the boot loader's time; the board then appears with a new address."""
         if self._since_plug(self.unready.boot_loader_s):
             device.gone = True
             self._stale = device
@@ -153,7 +151,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
             self.device = PluggedDevice(self._addresses)
 
     def _since_plug(self, time_s: float) -> bool:
-        """Whether `time_s` has passed since the board was plugged in."""
+        """Return whether `time_s` has passed since the board was plugged in."""
         return self._clock.now_ns() - self._plugged_ns >= round(time_s * NS_PER_S)
 
     def get_parent(self, device: PluggedDevice) -> None:
@@ -192,7 +190,7 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         if device.owner is not None:
             raise usb_error(errno.EBUSY)
         device.configuration = value
-        # a set configuration begins with every endpoint as new
+        # a new configuration resets every endpoint
         device.halted.clear()
 
     def claim_interface(self, handle: Handle, interface: int) -> None:
@@ -284,12 +282,12 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
         memoryview(buffer)[: len(packet)] = packet
         return len(packet)
 
-    # pyusb calls one or the other by the type of the endpoint; the board knows no difference
+    # pyusb chooses one by the type of the endpoint; the board makes no difference
     intr_write = bulk_write
     intr_read = bulk_read
 
     def _wait(self, timeout_ms: int) -> bytes:
-        """The next IN packet, when it comes within the time allowed."""
+        """Return the next IN packet, if it arrives within the time allowed."""
         port = self._port
         clock = self._clock
         deadline_ns = clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS
@@ -318,23 +316,23 @@ class SimulatedBackend(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has
     def _fail(
         self, fault: TransferFault, device: PluggedDevice, endpoint: int, timeout_ms: int
     ) -> NoReturn:
-        # nobody took the packet: the host tries until its time is over
+        # the packet was not accepted: the host tries until its time is over
         if fault.number == errno.ETIMEDOUT:
             self.wait_until(self._clock.now_ns() + (timeout_ms or ENDLESS_MS) * NS_PER_MS)
         raise self.failure(fault, device, endpoint) from None
 
     def failure(self, fault: TransferFault, device: PluggedDevice, endpoint: int) -> Exception:
-        """What a transfer ends with that met `fault`; endpoint and cable are as it leaves them."""
+        """Return the error of a transfer with `fault`, and set the state of endpoint and cable."""
         if fault.number == errno.EPIPE:
             device.halted.add(endpoint)
-        # the transfer under way fails with its own number; only the next one finds no device
+        # the current transfer fails with its own number; only the next one finds no device
         if fault.away_s is not None:
             self.unplug(fault.away_s)
         return usb_error(fault.number)
 
     # --- transfers in flight ----------------------------------------------------------------------
     def transfers(self, out_endpoint: int, in_endpoint: int) -> Flight:
-        """One OUT and one IN of the claimed board, submitted and reaped (`usb.flight`)."""
+        """Return one OUT and one IN of the claimed board, submitted and reaped (`usb.flight`)."""
         assert self.device is not None
         ends = out_endpoint, in_endpoint
         self._flight = Flight(self, self._port, self.device, *ends, self._bus, self._clock)
@@ -396,8 +394,7 @@ class DistantBackend(SimulatedBackend):
 def make_backend(
     params: BoardParams, clock: Clock, on_slip: Callable[[int], None] | None = None
 ) -> SimulatedBackend:
-    """The backend at which the board of `params` is plugged in. ConfigError if they describe none.
-
+    """Return the backend with the board of `params` plugged in. ConfigError for invalid ones.
     `on_slip(ns)` is called with the time that a paused host cost the simulation.
     """
     port = with_injections(make_board(params, on_slip), params)

@@ -1,20 +1,19 @@
-"""The fake firmware: bytes in, bytes out. Time reaches it only through `t_ns`, a host's integer
+"""The simulated firmware: bytes in, bytes out. Its only time is `t_ns`, a host's integer
 nanoseconds.
 
 Every call first plays the plant up to its `t_ns` (to the nearest T/16). An OUT takes effect on
 receipt; its IN is latched `sample_phase` of a tick later, so that the OUT of the next tick acts d =
-(1 - sample_phase) T after the encoder was read. One accepted OUT latches one IN. An unread IN is
-replaced by the next: counted, and its event bits and pairs travel with the next. A refused OUT
-changes nothing, latches nothing and feeds no watchdog. The first OUT starts board time. What is
-read from endpoint 0, the hello reply and the string descriptors, is one table of bytes
-(`control_replies`).
+(1 - sample_phase) T after the encoder was read. One accepted OUT latches one IN. The next IN
+replaces an unread one: it is counted, and its event bits and pairs move to the next. A refused OUT
+changes nothing, latches nothing and feeds no watchdog. The first OUT starts board time. Replies of
+endpoint 0, the hello and the string descriptors, are one table of bytes (`control_replies`).
 
-A host that pauses must not harm a simulation: one call plays 20 ms at most. The rest never happens
-on the board (board time, watchdog and probe stand still); it is counted in `sim_slip_ns` and
-reported to `on_slip`.
+A paused host must not harm a simulation: one call plays at most 20 ms. The rest is skipped on the
+board (board time, watchdog and probe stand still), counted in `sim_slip_ns` and reported to
+`on_slip`.
 
-The second state of a plant must be a velocity (the plant would otherwise not be seen running away),
-and t_ns must not be far in the past.
+The second state of a plant must be a velocity (otherwise a runaway is not detected), and t_ns must
+not be far in the past.
 """
 
 import struct
@@ -50,7 +49,7 @@ ADVANCE_MAX_NS = 20 * NS_PER_MS
 RATES_HZ = (250.0, 32_000.0)
 LATCHES_MAX = 16
 SERIAL_MAX = 16  # of the hello reply
-# endings of the names of numbers that divide or limit
+# suffixes of the names of numbers that divide or limit
 POSITIVE = ("_per_count", "_per_a", "force_limit_n", "winding_ohm")
 
 UNKNOWN_FLAGS = 0xFF & ~(ENABLE | FIFO_CLEAR | PERTURB)
@@ -70,7 +69,7 @@ IN_LAYOUTS = tuple(  # by the number of pairs; zeros behind them, and up to the 
 
 
 class BoardModel:
-    """One simulated board with its plant. Raises ConfigError if `params` describe none."""
+    """One simulated board with its plant. ConfigError if `params` are invalid."""
 
     __slots__ = (
         "_axis",
@@ -131,9 +130,7 @@ class BoardModel:
         self.power_up()
 
     def power_up(self) -> None:
-        """Supply was connected (or plugged in again): every register is zero, the encoder
-        counts from here.
-        """
+        """Power up (or replug): every register is zero, and the encoder counts from here."""
         self._axis.power_up()
         self._pins.power_up()
         self._life = self._life + 1 & 0xFF
@@ -152,7 +149,7 @@ class BoardModel:
         self._time_us = self._params.board_time_us
 
     def restart(self, t_ns: int, board_time_us: int) -> None:
-        """The firmware starts anew at that board time, and the device moves on as it did."""
+        """Restart the firmware at that board time; the device keeps its motion."""
         self._advance(t_ns)
         state = self._axis.state
         self.power_up()
@@ -160,8 +157,8 @@ class BoardModel:
         self._time_us = board_time_us
 
     def on_out(self, data: memoryview, t_ns: int) -> None:
-        """An OUT packet arrives at `t_ns`. What breaks the protocol is refused: nothing changes
-        but BAD_FRAME.
+        """Receive an OUT packet at `t_ns`. A protocol violation is refused: it only
+        sets BAD_FRAME.
         """
         if self._origin_ns is None:
             self._origin_ns = t_ns
@@ -184,7 +181,7 @@ class BoardModel:
             self._events |= SEQ_GAP
         self._echo = seq
         self._next_seq = (seq + 1) & 0xFFFF
-        # in the order of their OUTs, also behind one that was postponed
+        # in the order of their OUTs, also after a postponed one
         behind = self._latches[-1] if self._latches else 0
         self._latches.append(max(self._axis.now + self._phase, behind))
         self._latch_at = self._latches[0]
@@ -195,7 +192,7 @@ class BoardModel:
         return None
 
     def poll_in(self, t_ns: int) -> bytes | None:
-        """The IN frame, once, if one was latched by `t_ns`; else None."""
+        """Return the IN frame, once, if one was latched by `t_ns`; otherwise None."""
         while self._latches and t_ns >= self._to_ns(self._latch_at):
             self._run_to(self._latch_at)
         if self._ready_ns is None:
@@ -208,19 +205,17 @@ class BoardModel:
         return bytes(self._frame)
 
     def next_in_ns(self) -> int | None:
-        """When the next IN will be, or the waiting one was, latched; None when no OUT is to be
-        answered.
-        """
+        """Return the latch time of the next or the waiting IN; None if no OUT is unanswered."""
         if self._ready_ns is not None:
             return self._ready_ns
         return self._to_ns(self._latch_at) if self._latches else None
 
     def advance(self, t_ns: int) -> None:
-        """Play the plant up to `t_ns` although the host sends nothing: its watchdog runs."""
+        """Play the plant up to `t_ns` without a packet from the host: its watchdog runs."""
         self._advance(t_ns)
 
     def control(self, request_type: int, request: int, value: int, length: int) -> bytes | None:
-        """A control transfer: the bytes of an IN, b"" after an OUT, None for a stall."""
+        """Perform a control transfer: the bytes of an IN, b"" after an OUT, None for a stall."""
         if (request_type, request, value) == (VENDOR_OUT, Request.CLEAR_FAULT.value, 0):
             self._axis.clear_faults()
             return b""
@@ -230,7 +225,7 @@ class BoardModel:
         return None if reply is None else reply[:length]
 
     def _set_phase(self, phase_us: int) -> bytes | None:
-        """Latch each IN `phase_us` after its OUT from now on; refused beyond the period."""
+        """Latch each IN `phase_us` after its OUT from now on; refuse more than the period."""
         substeps = phase_us * NS_PER_US / self._substep_ns
         if substeps > SUBSTEPS_PER_TICK:
             return None
@@ -238,28 +233,28 @@ class BoardModel:
         return b""
 
     def trip(self, faults: int) -> None:
-        """The cause of AMPLIFIER_FAULT, ENCODER_FAULT or OVER_TEMPERATURE (Status bits)
-        appears; the torque is gone.
+        """Raise the cause of AMPLIFIER_FAULT, ENCODER_FAULT or OVER_TEMPERATURE (Status bits); the
+        torque is removed.
         """
         self._axis.trip(faults)
 
     def heal(self, faults: int) -> None:
-        """That cause is gone; the fault stays latched until CLEAR_FAULT."""
+        """Remove that cause; the fault stays latched until CLEAR_FAULT."""
         self._axis.heal(faults)
 
     def press_stop(self, t_ns: int, pressed: bool) -> None:
-        """The hard-wired emergency stop opens or closes its contact at `t_ns`."""
+        """Open or close the contact of the hard-wired emergency stop at `t_ns`."""
         self._advance(t_ns)
         self._axis.press_stop(pressed)
 
     def set_event_code(self, t_ns: int, code: int) -> None:
-        """`code` (0 to 65535) is at the event pins from `t_ns` on."""
+        """Set the event pins to `code` (0 to 65535) from `t_ns` on."""
         self._advance(t_ns)
         self._pins.change(code, self._axis.now)
 
     @property
     def amplifier(self) -> Amplifier | None:
-        """What becomes of a commanded force [N]; None: nothing."""
+        """Function applied to a commanded force [N]; None: none."""
         return self._axis.amplifier
 
     @amplifier.setter
@@ -268,7 +263,7 @@ class BoardModel:
 
     @property
     def active_damping_gain(self) -> float:
-        """Of the damping circuit, from the next OUT on: damping over what is commanded."""
+        """Gain of the damping circuit from the next OUT on: damping over its command."""
         return self._axis.active_damping_gain
 
     @active_damping_gain.setter
@@ -276,11 +271,11 @@ class BoardModel:
         self._axis.active_damping_gain = gain
 
     def stop_watchdog(self) -> None:
-        """The watchdog does not work until the next OUT is obeyed."""
+        """Disable the watchdog until the next OUT is obeyed."""
         self._axis.stop_watchdog()
 
     def postpone_in(self, delay_ns: int) -> None:
-        """The newest IN will be latched `delay_ns` later than it should."""
+        """Latch the newest IN `delay_ns` later than normal."""
         if self._latches:
             self._latches[-1] += floor(delay_ns / self._substep_ns + 0.5)
             self._latch_at = self._latches[0]
@@ -334,7 +329,7 @@ class BoardModel:
         seen = (axis.state, axis.force_n, axis.damping_n)
         velocity_m_per_s = plant.estimate(*seen)
         current_a = plant.motor_force(*seen) / params.torque_constant_n_per_a
-        # the estimate is (V - R_hat i) / K, of which this is the other way round: true at any heat
+        # inverse of the estimate (V - R_hat i) / K: valid at any temperature
         voltage_v = (
             axis.believed_ohm * current_a + params.torque_constant_n_per_a * velocity_m_per_s
         )
@@ -343,7 +338,7 @@ class BoardModel:
             self._temperature = i16_count(
                 self._celsius(axis.state) / params.temperature_c_per_count
             )
-        # without event pins the fields are 0, the age too
+        # without event pins the fields are 0, including the age
         event = self._pins.shown() if self._has_pins else PinEvent(0, 0, latched_at)
         pairs = probe.pairs[: self._most_numbers]
         count = len(pairs) // 2
@@ -434,7 +429,9 @@ Replies = dict[tuple[int, int, int], bytes]  # by bmRequestType, bRequest, wValu
 
 
 def hello(params: BoardParams) -> HelloFrame:
-    """The board's own description: nominal full scales are value per count times full count."""
+    """Return the board's self-description: nominal full scales are value per count times full
+    count.
+    """
     capabilities = CAPABILITIES
     if compensates(params):
         capabilities |= Capability.RESISTANCE
@@ -459,19 +456,19 @@ def hello(params: BoardParams) -> HelloFrame:
 
 
 def compensates(params: BoardParams) -> bool:
-    """Whether the resistance DAC is connected, to the circuit of a winding that heats up."""
+    """Return whether the resistance DAC is connected, to the circuit of a winding that heats up."""
     winding = params.plant is not None and params.plant.heating is not None
     return winding and params.trim_full_scale_ohm != 0.0 and "resistance" not in params.lacks
 
 
 def string_descriptor(text: str) -> bytes:
-    """USB string descriptor: length, type, UTF-16-LE."""
+    """Return a USB string descriptor: length, type, UTF-16-LE."""
     body = text.encode("utf-16-le")
     return bytes((2 + len(body), STRING)) + body
 
 
 def control_replies(params: BoardParams) -> Replies:
-    """Everything that may be read from endpoint 0; what is not in it stalls."""
+    """Return all readable contents of endpoint 0; other requests stall."""
     strings = {MANUFACTURER: "hapticd", PRODUCT: "analog board (simulated)", SERIAL: params.serial}
     replies = {
         (STANDARD_IN, GET_DESCRIPTOR, STRING << 8 | i): string_descriptor(text)
@@ -485,8 +482,8 @@ def control_replies(params: BoardParams) -> Replies:
 
 
 class QueueingBoard(BoardModel):
-    """A board whose endpoint holds `in_queue_depth` IN packets; only what comes on top of them
-    waits in the firmware and is replaced by the next.
+    """A board whose endpoint holds `in_queue_depth` IN packets; only further ones wait in the
+    firmware, where the next one replaces them.
     """
 
     __slots__ = ("_depth", "_queue")
@@ -514,7 +511,7 @@ class QueueingBoard(BoardModel):
         self._fill(t_ns)
 
     def _fill(self, t_ns: int) -> None:
-        """Hand packets to the endpoint, each when it is latched, as long as there is room."""
+        """Pass packets to the endpoint, each when it is latched, as long as there is room."""
         while True:
             if len(self._queue) == self._depth:
                 return self._advance(t_ns)
@@ -526,5 +523,5 @@ class QueueingBoard(BoardModel):
 
 
 def make_board(params: BoardParams, on_slip: Callable[[int], None] | None = None) -> BoardModel:
-    """The board that `params` describe. ConfigError if they describe none."""
+    """Return the board of `params`. ConfigError if they are invalid."""
     return (QueueingBoard if params.in_queue_depth else BoardModel)(params, on_slip)

@@ -1,27 +1,28 @@
 """A model of full-speed USB behind an xHCI controller, on the clock of the simulation.
 
-A frame of 1 ms begins with its SOF, on a clock of its own, and then carries the periodic transfers
-of other devices; bulk goes as soon as there is room, and no transaction crosses the end of a frame.
+A frame of 1 ms begins with its SOF, on a separate clock, and then carries the periodic transfers of
+other devices. Bulk transfers follow as soon as there is room, and no transaction crosses the end of
+a frame.
 
     one packet    13 bytes of overhead and the data at 12 Mbit/s: 51.3 us for 64 bytes, 59.3 us
                   with the worst bit stuffing (USB 2.0, table 5-9 and section 5.11.3)
-    bulk IN       NAK until the board has a frame; the controller asks again at a spacing of its
-                  own (16 us is the reset value of NAK_POLL in the RP2040's host controller; a
-                  controller that goes by microframes takes 125 us)
+    bulk IN       NAK until the board has a frame; the controller polls again at its own interval
+                  (16 us is the reset value of NAK_POLL in the RP2040's host controller; a
+                  controller based on microframes takes 125 us)
     interrupt     once a frame, at a place in it that the controller chooses
-    hub           behind a high-speed hub each way begins with a microframe: at its boundary, and
-                  one later where the hub needs two (USB 2.0, section 11.14)
+    hub           behind a high-speed hub each direction begins with a microframe: at its boundary,
+                  and one later where the hub needs two (USB 2.0, section 11.14)
     completion    at most one interrupt in `moderation_us` (xhci-pci.c of Linux: 40 us)
     host          submission, completion and wake-up each take four fifths of their mean and an
-                  exponential rest: 99th percentile over median 1.8, between the 1.2 and 2.4 that
-                  cyclictest shows on a quiet and on a loaded machine. The means are assumed, but
-                  for the wake-up's 13 us (cyclictest) and its system calls.
+                  exponential rest: 99th percentile over median 1.8, between the 1.2 and 2.4 of
+                  cyclictest on a quiet and on a loaded machine. The means are assumed, except for
+                  the wake-up's 13 us (cyclictest) and its system calls.
 
-What it is checked against: 19 packets of 64 bytes fit into a frame (USB 2.0, table 5-9); 1,024
-bytes of bulk take 1.68 ms out and 1.35 ms in at an STM32 of one buffer (zephyr #97729), which says
-NAK to each OUT once and is ready again some 30 us after each packet; one interrupt transfer at a
-time takes 0.5 to 1 ms (rusb #21). Whatever is computed on it is called "model" and stated as a band
-over `BAND`, since no bus has been measured for it.
+Checks of the model: 19 packets of 64 bytes fit into a frame (USB 2.0, table 5-9). 1,024 bytes of
+bulk take 1.68 ms out and 1.35 ms in on an STM32 with one buffer (zephyr #97729), which answers each
+OUT with NAK once and is ready again about 30 us after each packet. One interrupt transfer at a time
+takes 0.5 to 1 ms (rusb #21). All results of this model are labelled "model" and stated as a band
+over `BAND`, since no bus was measured for it.
 
 Limitations: transfers of more than one packet, two of one direction at once, a controller that
 serves bulk by microframes only.
@@ -39,11 +40,11 @@ MICROFRAMES = 8  # in a frame
 BIT_NS = 1000.0 / 12.0
 OVERHEAD_BYTES = 13  # of a bulk or interrupt transaction
 SOF_NS = round(35 * BIT_NS)  # its packet, with SYNC and EOP
-END_NS = round(32 * BIT_NS)  # before the end of a frame nothing may be on the wire (EOF1)
+END_NS = round(32 * BIT_NS)  # the wire must be idle this long before the end of a frame (EOF1)
 SETUP_BYTES = 8
 FIXED = 0.8  # share of a host's cost that never varies
 
-BAND = {  # what is not known of a bus, one thing at a time
+BAND = {  # uncertainties of a bus, one at a time
     "root port": BusParams(),
     "interrupt": BusParams(transfer="interrupt"),
     "worst bit stuffing": BusParams(bit_stuffing=1.0),
@@ -61,15 +62,15 @@ BAND = {  # what is not known of a bus, one thing at a time
 
 
 class TransferTime(NamedTuple):
-    """A transfer: when the board got or gave its packet, and when the host's kernel had done."""
+    """Times of a transfer: of the packet at the board, and of completion in the host's kernel."""
 
     board_ns: int
     host_ns: int
 
 
 class FixedBus:
-    """A bus that takes the same time for every transfer of a direction. Each method but `polled_ns`
-    is called once a transfer, in the order of time.
+    """A bus with the same time for every transfer of a direction. Each method but `polled_ns` is
+    called once a transfer, in the order of time.
     """
 
     def __init__(self, out_ns: int = 0, in_ns: int = 0) -> None:
@@ -77,34 +78,34 @@ class FixedBus:
         self._in_ns = in_ns
 
     def submitted_ns(self, t_ns: int) -> int:
-        """When a submission that begins at `t_ns` returns."""
+        """Return when a submission that begins at `t_ns` returns."""
         return t_ns
 
     def out(self, t_ns: int, size: int) -> TransferTime:
-        """An OUT of `size` bytes that was submitted by `t_ns`."""
+        """Transfer an OUT of `size` bytes, submitted by `t_ns`."""
         return TransferTime(t_ns + self._out_ns, t_ns + self._out_ns)
 
     def polled_ns(self, asked_ns: int, ready_ns: int) -> int:
-        """When the controller takes an IN that was submitted by `asked_ns` and lies in the board
-        from `ready_ns` on.
+        """Return when the controller takes an IN that was submitted by `asked_ns` and is in the
+        board from `ready_ns` on.
         """
         return ready_ns if ready_ns > asked_ns else asked_ns
 
     def received_ns(self, polled_ns: int) -> int:
-        """When the host's kernel has the IN that was taken then."""
+        """Return when the host's kernel has the IN taken at `polled_ns`."""
         return polled_ns + self._in_ns
 
     def woken_ns(self, t_ns: int) -> int:
-        """When a thread runs that waited for what was completed at `t_ns`."""
+        """Return when a thread runs that waited for a completion at `t_ns`."""
         return t_ns
 
     def control_ns(self, t_ns: int) -> int:
-        """When a control transfer returns that begins at `t_ns`."""
+        """Return when a control transfer that begins at `t_ns` returns."""
         return t_ns + self._out_ns + self._in_ns
 
 
 class FullSpeedBus:
-    """The bus of `params`, in one of the many histories that they allow, by `seed`; its methods are
+    """The bus of `params`, in one of its possible histories, chosen by `seed`; its methods are
     those of a FixedBus.
     """
 
@@ -113,7 +114,7 @@ class FullSpeedBus:
         self._random = Random(seed)
         self._frame_ns = NS_PER_MS * (1.0 + 1e-6 * params.frame_ppm)
         self._origin_ns = self._random.randrange(NS_PER_MS)  # of a SOF
-        # of the frame, where interrupt endpoints are served: out, in
+        # position in the frame of interrupt endpoints: out, in
         self._places = (self._random.random(), self._random.random())
         self._nak_ns = max(1, round(params.nak_us * NS_PER_US))
         if params.hub_microframes:
@@ -147,13 +148,13 @@ class FullSpeedBus:
         return self.woken_ns(self._completed_ns(t_ns))
 
     def wire_ns(self, size: int) -> int:
-        """How long a transaction with `size` bytes of data takes on the wire."""
+        """Return the time of a transaction with `size` bytes of data on the wire."""
         least_ns = 8 * BIT_NS * (OVERHEAD_BYTES + size)
         most_ns = 9107.0 + 83.54 * int(3.167 + 7.0 / 6.0 * 8.0 * size)  # section 5.11.3
         return round(least_ns + self._params.bit_stuffing * (most_ns - least_ns))
 
     def transacted_ns(self, t_ns: int, wire_ns: int) -> int:
-        """When a transaction ends that may begin at `t_ns` and takes `wire_ns`."""
+        """Return the end of a transaction that may begin at `t_ns` and takes `wire_ns`."""
         params = self._params
         if params.busy and self._random.random() < params.busy:
             t_ns += round(self._random.random() * self.wire_ns(PACKET_BYTES))
@@ -169,14 +170,14 @@ class FullSpeedBus:
         return self._origin_ns + round(frame * self._frame_ns)
 
     def _served_ns(self, t_ns: int, direction: int) -> int:
-        """When the controller begins with an endpoint that has something to do at `t_ns`."""
+        """Return when the controller begins with an endpoint that is ready at `t_ns`."""
         if self._params.transfer == "bulk":
             return self._split_ns(t_ns)
         place_ns = self._origin_ns + self._places[direction] * self._frame_ns
         return round(place_ns + ceil((t_ns - place_ns) / self._frame_ns) * self._frame_ns)
 
     def _split_ns(self, t_ns: int) -> int:
-        """The next way through a high-speed hub from `t_ns` on."""
+        """Return the next slot through a high-speed hub from `t_ns` on."""
         microframes = self._params.hub_microframes
         if not microframes:
             return t_ns

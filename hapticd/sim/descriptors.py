@@ -1,8 +1,8 @@
-"""What the simulated board says of itself when it is enumerated: a full-speed device with one
-configuration, one vendor interface, one OUT and one IN endpoint of one packet.
+"""USB descriptors of the simulated board: a full-speed device with one configuration, one vendor
+interface, one OUT and one IN endpoint of one packet.
 
-As pyusb wants them these are objects with the fields of the USB 2.0 specification (chapter 9.6);
-on a bus they are bytes, which `packed` makes of the same objects. IndexError past the only one of a
+For pyusb these are objects with the fields of the USB 2.0 specification (chapter 9.6). On a bus
+they are bytes, which `_packed` makes from the same objects. IndexError beyond the only one of a
 kind: pyusb's iteration relies on it.
 
 Limitations: a second interface, or endpoints of several packets.
@@ -26,7 +26,7 @@ _ATTRIBUTES: dict[Transfer, tuple[int, int]] = {"bulk": (2, 0), "interrupt": (3,
 
 
 def device_descriptor(address: int) -> SimpleNamespace:
-    """The 18 standard fields and where the device is plugged in."""
+    """Return the 18 standard fields, and the position of the device on the bus."""
     return SimpleNamespace(
         bLength=18,
         bDescriptorType=1,
@@ -51,7 +51,7 @@ def device_descriptor(address: int) -> SimpleNamespace:
 
 
 def configuration_descriptor(index: int) -> SimpleNamespace:
-    """Of the device's whole; IndexError past the only one."""
+    """Return the configuration descriptor; IndexError beyond the only one."""
     _only("configuration", index)
     return SimpleNamespace(
         bLength=9,
@@ -67,7 +67,7 @@ def configuration_descriptor(index: int) -> SimpleNamespace:
 
 
 def interface_descriptor(index: int, alternate: int) -> SimpleNamespace:
-    """IndexError past the only one."""
+    """Return the interface descriptor; IndexError beyond the only one."""
     _only("interface", index)
     _only("alternate setting", alternate)
     return SimpleNamespace(
@@ -85,7 +85,7 @@ def interface_descriptor(index: int, alternate: int) -> SimpleNamespace:
 
 
 def endpoint_descriptor(index: int, transfer: Transfer) -> SimpleNamespace:
-    """OUT is 0, IN is 1; IndexError past them."""
+    """Return the endpoint descriptor: OUT is 0, IN is 1; IndexError beyond them."""
     if index > 1:
         raise IndexError(f"Invalid endpoint index {index}")
     attributes, interval = _ATTRIBUTES[transfer]
@@ -109,12 +109,12 @@ ENDPOINT_LAYOUT = struct.Struct("<4BHB")
 
 
 def device_bytes() -> bytes:
-    """The device descriptor as it is read from endpoint 0."""
+    """Return the device descriptor as read from endpoint 0."""
     return _packed(DEVICE_LAYOUT, device_descriptor(0))
 
 
 def configuration_bytes(transfer: Transfer) -> bytes:
-    """The configuration with its interface and endpoints, as it is read from endpoint 0."""
+    """Return the configuration with its interface and endpoints, as read from endpoint 0."""
     endpoints = [_packed(ENDPOINT_LAYOUT, endpoint_descriptor(i, transfer)) for i in range(2)]
     interface = _packed(INTERFACE_LAYOUT, interface_descriptor(0, 0))
     head = _packed(CONFIGURATION_LAYOUT, configuration_descriptor(0))
@@ -122,7 +122,7 @@ def configuration_bytes(transfer: Transfer) -> bytes:
 
 
 def _packed(layout: struct.Struct, descriptor: SimpleNamespace) -> bytes:
-    """The standard fields, which stand first and in the order of the bus."""
+    """Pack the standard fields, which come first and in the order of the bus."""
     fields = list(vars(descriptor).values())
     count = len(layout.unpack(bytes(layout.size)))
     return layout.pack(*fields[:count])

@@ -1,4 +1,4 @@
-"""What pyusb raises above libusb 1.0 on Linux: numbers, codes and words of its errors."""
+"""Errors of pyusb on libusb 1.0 on Linux: their numbers, codes and texts."""
 
 import errno
 
@@ -21,8 +21,8 @@ LIBUSB_ERRORS = {  # errno: (libusb code, libusb_strerror)
 
 
 def usb_error(number: int) -> Exception:
-    """The exception that pyusb's libusb1 backend raises for `number`; ENOSYS is no USBError
-    there.
+    """Return the exception of pyusb's libusb1 backend for `number`; ENOSYS is not a
+    USBError there.
     """
     code, text = LIBUSB_ERRORS[number]
     if number == errno.ENOSYS:

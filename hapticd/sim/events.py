@@ -1,11 +1,12 @@
-"""The event pins of the fake firmware: a code of 16 bits, whose changes are events.
+"""The event pins of the simulated firmware: a code of 16 bits, whose changes are events.
 
-Every change is an event, also the one back to 0; a code that is held is none. Events are numbered
+Every change is an event, also the one back to 0; a constant code is none. Events are numbered
 modulo 256 and shown to the host one at a time, oldest first. The next one follows when the host has
-taken EVENT_FRAMES frames with the one before, so a frame that is lost loses no event. Of more than
-EVENT_DEPTH the oldest are lost; the step of the number tells how many. The last one stays.
+taken EVENT_FRAMES frames with the one before, so a lost frame loses no event. Of more than
+EVENT_DEPTH events the oldest are lost; the step of the number gives their count. The last one
+stays.
 
-A frame that is counted as taken must show the event that it carried.
+A frame that is counted as taken must show its event.
 """
 
 from collections import deque
@@ -13,7 +14,7 @@ from typing import NamedTuple
 
 from hapticd.usb.frames import EVENT_DEPTH, EVENT_FRAMES
 
-LONG_AGO = -(1 << 62)  # substep of the code that was there at power-up
+LONG_AGO = -(1 << 62)  # substep of the code present at power-up
 NUMBERS = 256
 
 
@@ -26,7 +27,7 @@ class PinEvent(NamedTuple):
 
 
 class EventPins:
-    """What is at the pins, and the events that the host has not been shown yet."""
+    """State of the pins, and the events not yet shown to the host."""
 
     __slots__ = ("_code", "_taken", "_waiting")
 
@@ -35,32 +36,32 @@ class EventPins:
         self.power_up()
 
     def power_up(self) -> None:
-        """Number anew, from the code that is there."""
+        """Restart the numbering, from the present code."""
         self._waiting = deque([PinEvent(0, self._code, LONG_AGO)], maxlen=EVENT_DEPTH)
         self._taken = 0
 
     def change(self, code: int, substep: int) -> None:
-        """`code` is at the pins from `substep` on."""
+        """Set the pins to `code` from `substep` on."""
         if code == self._code:
             return
         self._code = code
         if len(self._waiting) == EVENT_DEPTH:
-            self._taken = 0  # the one that was shown is lost
+            self._taken = 0  # the shown event is lost
         self._waiting.append(PinEvent((self._waiting[-1].number + 1) % NUMBERS, code, substep))
 
     def forget(self) -> None:
-        """Of all but the newest: no host was there to see them."""
+        """Drop all events but the newest: no host saw them."""
         while len(self._waiting) > 1:
             self._advance()
 
     def shown(self) -> PinEvent:
-        """What a frame says that is latched now."""
+        """Return the event for a frame latched now."""
         if self._taken >= EVENT_FRAMES and len(self._waiting) > 1:
             self._advance()
         return self._waiting[0]
 
     def taken(self, number: int) -> None:
-        """The host took a frame that showed event `number`."""
+        """Note that the host took a frame with event `number`."""
         if number == self._waiting[0].number:
             self._taken += 1
 

@@ -1,16 +1,17 @@
-"""Transfers of the simulated board that are under way while the host does something else.
+"""Asynchronous transfers of the simulated board.
 
-What `usb.flight` asks of a backend: one OUT and one IN are submitted, and reaped when they are
-done. The bus (`sim.bus`) says when each packet is on the wire. Nothing runs by itself: whenever the
-host looks, `play` makes happen what lies behind, in the order of its time: an IN that waits takes
-the first frame that the board has for it, an OUT reaches the board when it has passed the bus.
+It implements the interface of `usb.flight` to a backend: one OUT and one IN are submitted, and
+reaped when they are complete. The bus (`sim.bus`) determines when each packet is on the wire. There
+is no background activity: whenever the host polls, `play` performs the past events in the order of
+time. A waiting IN takes the first frame of the board, an OUT reaches the board when it has passed
+the bus.
 
-As usbfs does it, an OUT is copied when it is submitted and an IN when it is reaped. An OUT that
-meets NAK stays on its way, and is tried again whenever the host looks. A transfer that fails ends
-with its error; one whose device is gone ends with ENODEV.
+As in usbfs, an OUT is copied when it is submitted and an IN when it is reaped. An OUT that meets
+NAK stays pending, and is retried whenever the host polls. A failed transfer ends with its error;
+one of a removed device ends with ENODEV.
 
-Limitations: a look at the board between two looks of the host (it is then as it was). A board must
-have one owner.
+Limitations: the board's state between two polls of the host is not updated. A board must have one
+owner.
 """
 
 import errno
@@ -30,7 +31,7 @@ EVER_NS = 1 << 62
 
 
 class Flight:
-    """One OUT and one IN at most of `device`, the board behind `port`."""
+    """At most one OUT and one IN of `device`, the board behind `port`."""
 
     def __init__(
         self,
@@ -49,12 +50,12 @@ class Flight:
         self._in_endpoint = in_endpoint
         self._bus = bus
         self._clock = clock
-        self._out: bytes | None = None  # on its way, not in the board yet
+        self._out: bytes | None = None  # in transit, not in the board yet
         self._refused = False  # it has met NAK
         self._arrives_ns = 0
         self._out_done_ns = 0
         self._out_failure: Exception | None = None
-        self._asked_ns = EVER_NS  # no IN is asked for
+        self._asked_ns = EVER_NS  # no IN is requested
         self._packet: bytes | None = None  # taken from the board
         self._in_done_ns = EVER_NS
         self._in_failure: Exception | None = None
@@ -72,7 +73,7 @@ class Flight:
             self._deliver(self._out, now_ns)
 
     def submit_in(self) -> None:
-        """Ask for a packet. ENODEV."""
+        """Request a packet. ENODEV."""
         now_ns = self._submitted_ns()
         self._asked_ns = now_ns
         self._in_done_ns = EVER_NS
@@ -81,9 +82,9 @@ class Flight:
             self._in_done_ns = now_ns
 
     def out_done(self, wait_ns: int) -> bool:
-        """Whether the OUT has arrived, after waiting for it for `wait_ns` at most.
+        """Return whether the OUT has arrived, after waiting for at most `wait_ns`.
 
-        USBError: how it failed.
+        USBError if it failed.
         """
         now_ns = self._clock.now_ns()
         deadline_ns = now_ns + wait_ns
@@ -98,7 +99,9 @@ class Flight:
         return True
 
     def in_done(self, buffer: "array[int]", wait_ns: int) -> int:
-        """Bytes of the IN, now in `buffer`, or PENDING after `wait_ns`. USBError: how it failed."""
+        """Return the bytes of the IN, now in `buffer`, or PENDING after `wait_ns`. USBError if it
+        failed.
+        """
         deadline_ns = self._clock.now_ns() + wait_ns
         while (now_ns := self._look()) < self._in_done_ns:
             if now_ns >= deadline_ns:
@@ -123,17 +126,17 @@ class Flight:
         self._backend.clear_halt(self._device.owner, endpoint)
 
     def cancel(self) -> None:
-        """Take both back; what has reached the board by now stays there."""
+        """Cancel both; a packet already in the board stays there."""
         self.play()
         self._out = None
         self._asked_ns = EVER_NS
 
     def play(self) -> None:
-        """Make happen what has happened by now."""
+        """Perform the events up to now."""
         self._play(self._clock.now_ns())
 
     def _look(self) -> int:
-        """`play`; now [ns]. ENODEV."""
+        """Perform `play` and return the time [ns]. ENODEV."""
         now_ns = self._clock.now_ns()
         self._play(now_ns)
         if self._device.gone and self._out_failure is None:
@@ -151,7 +154,7 @@ class Flight:
         return self._out is None and self._out_done_ns <= now_ns
 
     def _next_ns(self, now_ns: int) -> int:
-        """When something happens next, as far as it is known."""
+        """Return the time of the next event, as far as it is known."""
         coming = [self._in_done_ns]
         if self._out is None:
             coming.append(self._out_done_ns)
@@ -164,7 +167,7 @@ class Flight:
         return min((one for one in coming if one > now_ns), default=EVER_NS)
 
     def _waits(self) -> bool:
-        """Whether an IN is asked for and nothing has come yet."""
+        """Return whether an IN is requested and has not arrived."""
         return self._asked_ns < self._in_done_ns == EVER_NS
 
     def _play(self, now_ns: int) -> None:
@@ -190,7 +193,7 @@ class Flight:
         self._out_done_ns = max(self._out_done_ns, t_ns)
 
     def _serve(self, now_ns: int) -> None:
-        """Give the board's frame to an IN that waits, if the controller has come for it."""
+        """Pass the board's frame to a waiting IN, if the controller has polled it."""
         while self._waits() and not self._device.gone:
             due_ns = self._port.next_in_ns()
             if due_ns is None:

@@ -1,13 +1,13 @@
-"""Seeded faults between the board and the cable: one table of what can go wrong.
+"""Seeded faults between the board and the cable, in one table.
 
-An Injector has the board's own methods and stands between it and the backend. Ticks count the OUT
-transfers that the host tries, from 0 (while unplugged there are none); a fault of an IN strikes the
-reply to that OUT. An InjectionParams strikes at its `tick`, or at any tick with its `probability`
-(1: always), and then for `count` ticks on end. The same seed and the same transfers give the same
-faults. What is a property of a board, and no event, is a field of BoardParams instead.
+An Injector has the board's own methods and sits between it and the backend. Ticks count the OUT
+transfers that the host tries, from 0 (none while unplugged). A fault of an IN affects the reply to
+that OUT. An InjectionParams acts at its `tick`, or at any tick with its `probability` (1: always),
+and then for `count` consecutive ticks. The same seed and the same transfers give the same faults.
+Permanent properties of a board are fields of BoardParams instead.
 
-A fault must not need what the board computes (it would belong to the board). A packet must not be
-handed out past those that wait before it.
+A fault must not need results of the board (it would belong to the board). A packet must not
+overtake earlier waiting ones.
 """
 
 import errno
@@ -27,9 +27,7 @@ __all__ = ["KINDS", "with_injections"]
 
 
 class TransferFault(Exception):
-    """A transfer fails with errno `number`; the device is away for `away_s` afterwards, if
-    given.
-    """
+    """A transfer fails with errno `number`; the device is then away for `away_s`, if given."""
 
     def __init__(self, number: int, away_s: float | None = None) -> None:
         super().__init__(number)
@@ -37,7 +35,7 @@ class TransferFault(Exception):
         self.away_s = away_s
 
 
-BOUNCE_NS = (50 * NS_PER_US, 500 * NS_PER_US)  # between two edges of a contact that bounces
+BOUNCE_NS = (50 * NS_PER_US, 500 * NS_PER_US)  # between two edges of a bouncing contact
 
 
 class Contact(NamedTuple):
@@ -48,7 +46,7 @@ class Contact(NamedTuple):
 
 
 class Injector:
-    """The board of `params` with its injections. Raises ConfigError on an unknown kind."""
+    """The board of `params` with its injections. ConfigError for an unknown kind."""
 
     def __init__(self, board: BoardModel, params: BoardParams) -> None:
         for item in params.injections:
@@ -56,18 +54,18 @@ class Injector:
         self.board = board
         self.random = Random(params.seed)
         self.tick = 0  # of the next OUT
-        self.postpone_ns = 0  # of the IN that the OUT in hand will latch
+        self.postpone_ns = 0  # of the IN that the current OUT will latch
         self.healing: list[tuple[int, int]] = []  # (when, status bits)
         self._injections = params.injections
         self._until = [0] * len(params.injections)
         self._in_faults: list[tuple[InFault, float]] = []
         self.waiting: deque[tuple[int, bytes]] = deque()  # (due, IN packet), oldest first
-        self.piling_until_ns = 0  # IN packets until then wait, and come all together
-        self.hung_until_ns = 0  # the firmware answers nothing; what it puts out stays as it is
-        self._stuck_tick = -1  # the newest one at which the encoder was stuck
+        self.piling_until_ns = 0  # IN packets until then wait, and arrive together
+        self.hung_until_ns = 0  # the firmware answers nothing; its outputs stay constant
+        self._stuck_tick = -1  # newest tick at which the encoder was stuck
         self._stuck_encoder = 0
         self._bounce_ns = round(params.emergency_stop_bounce_ms * NS_PER_MS)
-        self._contacts: list[Contact] = []  # what the emergency stop is about to do, in order
+        self._contacts: list[Contact] = []  # coming edges of the emergency stop, in order
 
     def power_up(self) -> None:
         self.forget()
@@ -76,7 +74,7 @@ class Injector:
         self.board.power_up()
 
     def forget(self) -> None:
-        """What was on its way is lost."""
+        """Drop packets in transit."""
         self.waiting.clear()
         self.piling_until_ns = 0
         self.hung_until_ns = 0
@@ -130,12 +128,12 @@ class Injector:
         return self.board.control(request_type, request, value, length)
 
     def press(self, t_ns: int, until_ns: int) -> None:
-        """The emergency stop is pressed at `t_ns` and released at `until_ns`."""
+        """Press the emergency stop at `t_ns` and release it at `until_ns`."""
         edges = (*self._bouncing(t_ns, True), *self._bouncing(until_ns, False))
         self._contacts = sorted((*self._contacts, *edges))
 
     def _bouncing(self, t_ns: int, pressed: bool) -> list[Contact]:
-        """A contact that ends as `pressed`, after it was both in turn for a while."""
+        """Return the edges of a contact that ends as `pressed` after bouncing."""
         until_ns = t_ns + self._bounce_ns
         edges: list[Contact] = []
         while t_ns < until_ns:
@@ -148,7 +146,7 @@ class Injector:
             self.board.press_stop(*self._contacts.pop(0))
 
     def stuck_at(self, encoder: int) -> int:
-        """What an encoder reads that has stuck: its count at the first tick of the fault."""
+        """Return the reading of a stuck encoder: its count at the first tick of the fault."""
         if self._stuck_tick != self.tick - 1:
             self._stuck_encoder = encoder
         self._stuck_tick = self.tick
@@ -188,24 +186,26 @@ class Injector:
         self.healing = [item for item in self.healing if t_ns < item[0]]
 
 
-# what is at the other end of the cable
+# the other end of the cable
 Port = BoardModel | Injector
 
 
 def check_kind(kind: str, where: str) -> None:
-    """Return if the board knows injections of this `kind`, else ConfigError that says `where`."""
+    """Return if the board knows injections of this `kind`; otherwise raise ConfigError with
+    `where`.
+    """
     if kind not in KINDS:
         known = ", ".join(KINDS)
         raise ConfigError(f"{where}: injection kind {kind!r} is unknown; use one of {known}")
 
 
 def with_injections(board: BoardModel, params: BoardParams) -> Port:
-    """`board` itself when there is nothing to inject."""
+    """Return `board` itself if there is nothing to inject."""
     return Injector(board, params) if params.injections else board
 
 
 OutFault = Callable[[Injector, memoryview, float, int], memoryview | None]  # OUT packet, value, now
-# IN packet, value, when it was latched
+# IN packet, value, latch time
 InFault = Callable[[Injector, bytes, float, int], bytes | None]
 
 
@@ -213,11 +213,11 @@ Act = TypeVar("Act", OutFault, InFault)
 
 
 class Kind(NamedTuple, Generic[Act]):
-    """A fault that strikes an OUT, or the board at that moment, or the IN that answers an OUT."""
+    """A fault of an OUT, of the board at that moment, or of the IN that answers an OUT."""
 
     act: Act
-    what: str  # happens
-    value: str = ""  # what the value means, and its unit
+    what: str  # effect
+    value: str = ""  # meaning and unit of the value
 
 
 def _flipped(data: bytes | memoryview, random: Random) -> bytes:
@@ -282,7 +282,7 @@ def _event(injector: Injector, packet: memoryview, value: float, t_ns: int) -> m
 
 
 def _amplifier(act: Callable[[float, float], float]) -> OutFault:
-    """`act(force_n, value)`: what the amplifier makes of a commanded force."""
+    """Return a fault with `act(force_n, value)`: the amplifier's output for a commanded force."""
 
     def strike(injector: Injector, packet: memoryview, value: float, t_ns: int) -> memoryview:
         injector.board.amplifier = lambda force_n: act(force_n, value)
@@ -329,7 +329,7 @@ def _shortened(injector: Injector, packet: bytes, value: float, t_ns: int) -> by
 
 
 def _encoder(act: Callable[[Injector, int, float], int]) -> InFault:
-    """`act(injector, encoder, value)`: the count that is read in place of `encoder`."""
+    """Return a fault with `act(injector, encoder, value)`: the reading in place of `encoder`."""
 
     def strike(injector: Injector, packet: bytes, value: float, t_ns: int) -> bytes:
         frame = codec.decode_in(packet)
@@ -445,7 +445,7 @@ IN_FAULTS: dict[str, Kind[InFault]] = {
     ),
 }
 KINDS = tuple(sorted((*OUT_FAULTS, *IN_FAULTS)))
-# what the board reads wrongly comes before what happens to its packet on the way
+# wrong readings of the board come before faults of its packet in transit
 SENSED = tuple(
     IN_FAULTS[kind].act
     for kind in ("encoder_jump", "encoder_burst", "encoder_stuck", "sensor_extreme")

@@ -1,12 +1,12 @@
-"""The simulated board as the controller of a true host sees it: transfers that end with data, end
-with an error, or do not end yet.
+"""The simulated board as seen by a real host controller: transfers end with data, end with an
+error, or stay pending.
 
-The pyusb backend answers in the place of libusb; here the host's own USB stack is above, so this is
-one layer deeper: the standard requests of endpoint 0 (USB 2.0, chapter 9.4), halts, and packets.
-Board and faults are the same: `Port` is a BoardModel or an Injector around it, and what it raises
-becomes what a controller reports. EIO is a broken transaction (EPROTO), a packet longer than the
-endpoint's is babble (EOVERFLOW), a firmware that hangs is an endpoint that says NAK: the transfer
-waits until the host takes it back.
+The pyusb backend replaces libusb; here the host's own USB stack is above, so this is one layer
+deeper: the standard requests of endpoint 0 (USB 2.0, chapter 9.4), halts, and packets. Board and
+faults are the same: `Port` is a BoardModel or an Injector around it, and its errors become those of
+a controller. EIO is a broken transaction (EPROTO), a packet longer than the endpoint's is babble
+(EOVERFLOW), a hanging firmware is an endpoint that answers NAK: the transfer waits until the host
+cancels it.
 
 Limitations: a read of more than one packet, which the first packet ends here.
 """
@@ -38,7 +38,7 @@ SET_INTERFACE = 0x0B
 GET_STATUS = 0x00
 GET_CONFIGURATION = 0x08
 GET_INTERFACE = 0x0A
-# of one machine's bus and not of the board: a true bus has its own
+# properties of one machine's bus, not of the board: a real bus has its own
 BUS_TRAITS = ("out_transport_us", "in_transport_us", "bus", "rights_s", "boot_loader_s")
 
 
@@ -57,8 +57,8 @@ class Setup(NamedTuple):
 
 
 class UsbDevice:
-    """The board behind `port` at a true bus. `hello_s` after a plug it begins to answer vendor
-    requests.
+    """The board behind `port` on a real bus. It answers vendor requests from `hello_s` after a
+    plug.
     """
 
     def __init__(self, port: Port, transfer: Transfer = "bulk", hello_s: float = 0.0) -> None:
@@ -73,7 +73,7 @@ class UsbDevice:
         }
 
     def plug(self, t_ns: int) -> None:
-        """Supply and bus are connected: power up, not configured."""
+        """Connect supply and bus: power up, not configured."""
         self._port.power_up()
         self._plugged_ns = t_ns
         self._halted.clear()
@@ -84,11 +84,11 @@ class UsbDevice:
         self._port.advance(t_ns)
 
     def next_in_ns(self) -> int | None:
-        """When a read that waits may have its packet; None: not before the next write."""
+        """Return when a waiting read may have its packet; None: not before the next write."""
         return self._port.next_in_ns()
 
     def control(self, setup: Setup, t_ns: int) -> bytes | None:
-        """The reply, b"" after an OUT; None: not yet. TransferFault EPIPE: refused."""
+        """Return the reply, b"" after an OUT; None: not yet. TransferFault EPIPE: refused."""
         if setup.request_type & VENDOR_OUT and t_ns - self._plugged_ns < self._hello_ns:
             return None
         reply = self._standard(setup)
@@ -100,7 +100,7 @@ class UsbDevice:
         return reply[: setup.length]
 
     def _standard(self, setup: Setup) -> bytes | None:
-        """What every device answers; None: it is the board's own."""
+        """Return the reply to a standard request; None for a request of the board itself."""
         kind = setup.request_type & TYPE_AND_RECIPIENT
         if kind > TO_ENDPOINT:
             return None
@@ -127,7 +127,7 @@ class UsbDevice:
         }.get(setup.request)
 
     def write(self, endpoint: int, data: memoryview, t_ns: int) -> bool:
-        """An OUT transfer of any length arrives; False: nobody takes it (NAK). TransferFault."""
+        """Receive an OUT transfer of any length; False: not accepted (NAK). TransferFault."""
         self._check(endpoint)
         try:
             for start in range(0, len(data) or 1, PACKET_BYTES):
@@ -138,10 +138,7 @@ class UsbDevice:
         return True
 
     def read(self, endpoint: int, room: int, t_ns: int) -> bytes | None:
-        """The IN packet that is there for a host that waits; None: none yet (NAK).
-
-        TransferFault.
-        """
+        """Return the IN packet for a waiting host; None: none yet (NAK). TransferFault."""
         self._check(endpoint)
         try:
             packet = self._port.poll_in(t_ns)
@@ -157,7 +154,7 @@ class UsbDevice:
             raise TransferFault(errno.EPIPE)
 
     def _fail(self, fault: TransferFault, endpoint: int) -> None:
-        """Return if the endpoint only says NAK."""
+        """Return if the endpoint only answers NAK."""
         if fault.number == errno.ETIMEDOUT:
             return
         if fault.number == errno.EPIPE:
@@ -167,7 +164,7 @@ class UsbDevice:
 
 
 def check_traits(params: BoardParams) -> None:
-    """ConfigError where `params` ask for what a true bus has of its own."""
+    """Raise ConfigError if `params` contain properties that a real bus has itself."""
     for name in BUS_TRAITS:
         if getattr(params, name):
             raise ConfigError(

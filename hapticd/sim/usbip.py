@@ -1,23 +1,23 @@
-"""The simulated board at the USB bus of any Linux: a USB/IP server.
+"""The simulated board on the USB bus of any Linux: a USB/IP server.
 
-The kernel of the machine that attaches it (module vhci_hcd) enumerates the board as if it were
-plugged in there, so that the true usbcore, usbfs, libusb, udev and their permissions are between it
-and the daemon. Protocol: Documentation/usb/usbip_protocol.rst of the Linux kernel, version 1.1.1.
-All numbers are big-endian, except for the setup bytes, which are USB's own.
+The kernel of the attaching machine (module vhci_hcd) enumerates the board as if it were plugged in
+there, so that the real usbcore, usbfs, libusb, udev and their permissions are between it and the
+daemon. Protocol: Documentation/usb/usbip_protocol.rst of the Linux kernel, version 1.1.1. All
+numbers are big-endian, except for the setup bytes, which are USB's own.
 
-A client asks for the list of devices, or imports one: after that its connection carries transfers,
-each with a number of its own. CMD_SUBMIT asks for one; RET_SUBMIT answers when it ends, which for
-an IN is when the board has latched a frame. CMD_UNLINK takes back one that waits (libusb's
-time-out); its answer says whether that came in time. The end of a connection is the cable pulled
-out, and an import is the plug put in: the board powers up. A server cannot plug a board in again,
-so one that an injected fault has pulled out refuses imports while it is away.
+A client requests the list of devices, or imports one; after an import its connection carries
+numbered transfers. CMD_SUBMIT requests one; RET_SUBMIT answers when it ends, for an IN when the
+board has latched a frame. CMD_UNLINK cancels a pending one (libusb's time-out); its answer reports
+whether the cancellation was in time. The end of a connection is an unplugged cable, and an import
+is a plug: the board powers up. A server cannot plug in a board again, so a board that an injected
+fault has unplugged refuses imports while it is away.
 
 One thread waits for sockets and for the board at once. Between transfers the board is played every
-HEARTBEAT_NS, or its watchdog would stand still with the host.
+HEARTBEAT_NS, because its watchdog would otherwise stand still with the host.
 
 Limitations: a client that reads nothing (it is dropped after PATIENCE_S), isochronous transfers,
-two boards in one server. There is no authentication in USB/IP: whoever reaches the port has the
-board.
+two boards in one server. USB/IP has no authentication: any process that reaches the port controls
+the board.
 """
 
 import errno
@@ -69,24 +69,24 @@ LONGEST_BYTES = 16 * 1024  # of one transfer; the board's are one packet
 RECEIVE_BYTES = 64 * 1024
 HEARTBEAT_NS = 2 * NS_PER_MS
 IDLE_NS = 200 * NS_PER_MS
-POLL_STEP_S = 1e-3  # what poll() resolves
-SLEEP_S = 1e-4  # at a time below that: so long may input wait
+POLL_STEP_S = 1e-3  # resolution of poll()
+SLEEP_S = 1e-4  # sleep for shorter waits: the maximum delay of input
 PATIENCE_S = 2.0
 MOST_WAITING = 256  # transfers; a kernel has a few for each endpoint
-MOST_PEERS = 8  # beyond that the oldest that has not imported the board goes
+MOST_PEERS = 8  # beyond that the oldest peer without an import is dropped
 Tell = Callable[[str], None]
 
 
 class PendingSubmit(NamedTuple):
-    """A transfer that has no answer yet."""
+    """A transfer without an answer so far."""
 
     number: int
-    endpoint: int  # with its direction; 0: a request, which nobody answers any more
+    endpoint: int  # with its direction; 0: a request, which is never answered
     room: int
 
 
 class PeerClosed(Exception):
-    """The connection has ended, by whatever."""
+    """The connection has ended, for any reason."""
 
 
 class Peer:
@@ -101,7 +101,7 @@ class Peer:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def receive(self) -> None:
-        """Take what is there. Gone."""
+        """Receive the available bytes. PeerClosed."""
         try:
             more = self.connection.recv(RECEIVE_BYTES)
         except OSError as error:
@@ -111,7 +111,7 @@ class Peer:
         self.received += more
 
     def take(self, size: int) -> bytes | None:
-        """The next `size` bytes, once they are there."""
+        """Return the next `size` bytes, once they have arrived."""
         if len(self.received) < size:
             return None
         taken = self.received[:size]
@@ -119,20 +119,20 @@ class Peer:
         return taken
 
     def send(self, *parts: bytes) -> None:
-        """Gone."""
+        """Send `parts`. PeerClosed."""
         try:
             self.connection.sendall(b"".join(parts))
         except OSError as error:
             raise PeerClosed from error
 
     def answer(self, number: int, status: int, length: int, data: bytes = b"") -> None:
-        """RET_SUBMIT: the transfer has ended, with `status` 0 or a negative errno."""
+        """Send RET_SUBMIT: the transfer has ended, with `status` 0 or a negative errno."""
         self.send(RETURN.pack(RET_SUBMIT, number, 0, 0, 0, status, length, 0, 0, 0), data)
 
 
 class UsbipServer:
-    """Offers `device` at `host`:`port` (0: any free one, see `address`). ConfigError if that is
-    taken. `tell(text)` is called when the board is attached and when it is not any more.
+    """Offers `device` on `host`:`port` (0: any free one, see `address`). ConfigError if that is
+    taken. `tell(text)` is called when the board is attached and when it is detached.
     """
 
     def __init__(self, device: UsbDevice, clock: Clock, host: str, port: int, tell: Tell) -> None:
@@ -159,7 +159,7 @@ class UsbipServer:
         self._stopping = True
 
     def serve(self) -> None:
-        """Answer until `stop`."""
+        """Serve until `stop`."""
         try:
             while not self._stopping:
                 ready = self._readable()
@@ -175,8 +175,8 @@ class UsbipServer:
                 peer.connection.close()
 
     def _readable(self) -> set[int]:
-        """Wait for input until the next transfer is due; the descriptors that have some."""
-        # a new object each time: connections come and go; `select` takes no descriptor above 1023
+        """Wait for input until the next transfer is due; return the ready descriptors."""
+        # a new object each time: connections change; `select` accepts no descriptor above 1023
         poller = poll()
         for one in (self._listener, *(peer.connection for peer in self._peers)):
             poller.register(one, POLLIN)
@@ -187,7 +187,7 @@ class UsbipServer:
         return {descriptor for descriptor, _ in poller.poll(int(pause_s / POLL_STEP_S))}
 
     def _pause_s(self) -> float:
-        """How long nothing has to be done unless input arrives."""
+        """Return the time without work unless input arrives."""
         if self._importer is None:
             return IDLE_NS / NS_PER_S
         due_ns = self._device.next_in_ns() if self._importer.waiting else None
@@ -205,7 +205,7 @@ class UsbipServer:
             self._drop(next(peer for peer in self._peers if peer is not self._importer))
 
     def _guarded(self, peer: Peer, act: Callable[[Peer], None]) -> None:
-        """`act`, and the end of this connection where it has one."""
+        """Call `act`, and close this connection when it ends."""
         try:
             act(peer)
         except TransferFault as pulled:
@@ -228,7 +228,7 @@ class UsbipServer:
 
     # --- questions --------------------------------------------------------------------------------
     def _serve_question(self, peer: Peer) -> bool:
-        """One question, if it is there whole; whether there may be another."""
+        """Serve one question, if it is complete; return whether there may be another."""
         if len(peer.received) < OPERATION.size:
             return False
         _version, code, _status = OPERATION.unpack_from(peer.received)
@@ -259,7 +259,7 @@ class UsbipServer:
         peer.send(reply, self._about())
 
     def _about(self) -> bytes:
-        """The board as the protocol describes a device."""
+        """Return the board's description in the protocol."""
         one = descriptors.device_descriptor(1)
         return DEVICE.pack(
             f"/sys/devices/simulated/{BUS_ID}".encode(),
@@ -280,7 +280,9 @@ class UsbipServer:
 
     # --- transfers --------------------------------------------------------------------------------
     def _serve_transfer(self, peer: Peer) -> bool:
-        """One transfer or its unlink, if it is there whole; whether there may be another."""
+        """Serve one transfer or its unlink, if it is complete; return whether there may
+        be another.
+        """
         if len(peer.received) < URB.size:
             return False
         command, number, _device, inwards, endpoint, rest = URB.unpack_from(peer.received)
@@ -316,14 +318,14 @@ class UsbipServer:
         return None
 
     def _unlink(self, peer: Peer, number: int, victim: int) -> None:
-        """The host takes `victim` back; status 0 says that it had ended before."""
+        """Cancel `victim`; status 0 means that it had ended before."""
         left = [urb for urb in peer.waiting if urb.number != victim]
         status = DONE if len(left) == len(peer.waiting) else -errno.ECONNRESET
         peer.waiting = left
         peer.send(RETURN.pack(RET_UNLINK, number, 0, 0, 0, status, 0, 0, 0, 0))
 
     def _complete(self, peer: Peer) -> None:
-        """Play the board, and give to those that wait what it has for them, in their order."""
+        """Play the board, and complete waiting transfers in order."""
         now_ns = self._clock.now_ns()
         self._device.advance(now_ns)
         for urb in [one for one in peer.waiting if one.endpoint & IN_BIT]:
@@ -337,7 +339,7 @@ class UsbipServer:
 
 @contextmanager
 def _reported(peer: Peer, number: int) -> Iterator[None]:
-    """A transfer that fails in here ends with its errno; a pulled plug is told further."""
+    """End a failing transfer with its errno; re-raise an unplug."""
     try:
         yield
     except TransferFault as fault:
