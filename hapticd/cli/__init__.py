@@ -1,9 +1,9 @@
-"""The command line: each verb parses its words, calls one procedure, prints, and exits.
+"""The command line: each verb parses its arguments, calls one procedure, prints, and exits.
 
     app         all verbs under one name, `help`; errors become exit codes
-    terminal    options that verbs share, what is printed where, the progress bar, figures on disk
-    change      a connection to the daemon, NAME=VALUE words, receipts
-    numbers     numbers as people type them
+    terminal    shared options, output to stdout and stderr, the progress bar, figures on disk
+    change      a connection to the daemon, NAME=VALUE arguments, receipts
+    numbers     numbers typed by people
     deferred    imports that happen at the first use of a module
     daemon      run, status, get, set, damping, enable, disable, stop, reset, zero, home, dump,
                 mark, perturb
@@ -18,14 +18,14 @@
                 sim-board
     zwidth/     zwidth predict, trial, limits, map, search, walls, import, report, compare
 
-stdout is data and stderr is talk. `--json` gives one object (or one per line for a stream), also
-when a command fails. Colour only on a terminal and without NO_COLOR. Every HapticdError becomes one
-line and its exit code:
+stdout is for data, stderr for messages. `--json` gives one object (or one per line for a stream),
+also when a command fails. Colour only on a terminal and without NO_COLOR. Every HapticdError
+becomes one line and its exit code:
 
     0 done   1 failed   2 usage   3 no daemon   4 refused   5 stopped or faulted
     6 requirement not met   78 configuration   130 interrupted
 
-What is large is imported within `deferred.deferred_imports()` and loaded when a verb uses it, so
-that `--help` and the small verbs stay quick: nothing here may import numpy, pydantic, zmq or rich
-at its top in another way.
+Large modules are imported within `deferred.deferred_imports()` and loaded on first use, so that
+`--help` and the small verbs stay quick: no module here may import numpy, pydantic, zmq or rich at
+its top in another way.
 """

@@ -1,7 +1,7 @@
-"""All verbs under one name, and what becomes of errors.
+"""All verbs under one name, and the handling of errors.
 
-A verb is imported when it is asked for: `hapticd set` loads neither numpy nor what measures. Only
-help and mistakes load all of them.
+A verb is imported on demand: `hapticd set` loads neither numpy nor measurement modules. Only help
+and mistakes load all of them.
 """
 
 import warnings
@@ -17,7 +17,7 @@ from hapticd.core.errors import GuardWarning, HapticdError
 
 __all__ = ["main"]
 
-SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, and verb or group
+SECTIONS: dict[str, dict[str, str]] = {  # section of the help; module here, and verb or group
     "Daily use": {
         "run": "daemon.run",
         "status": "daemon.status",
@@ -62,14 +62,14 @@ SECTIONS: dict[str, dict[str, str]] = {  # of the help; module of this package, 
     },
     "Measure": {"zwidth": "zwidth.app", "perturb": "daemon.perturb_app"},
 }
-CLASSES = {"damping": "numbers.SignedLevel"}  # of verbs that read their words in another way
+CLASSES = {"damping": "numbers.SignedLevel"}  # of verbs with a parser of their own
 HELP_NAMES = {"help_option_names": ["-h", "--help"]}
-USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]  # what Typer calls a mistake
+USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]  # Typer's class for a user's mistake
 INSTANCE_OPTION = "--instance"
 
 
 def command_line(asked: str = "") -> typer.Typer:
-    """The whole command line, or only its part `asked` if that is a verb or a group."""
+    """Return the whole command line, or only its part `asked` if that is a verb or a group."""
     app = typer.Typer(
         name="hapticd",
         no_args_is_help=True,
@@ -119,7 +119,7 @@ def hapticd(
 
 
 def _asks(command: Any) -> bool:
-    """Whether `command`, or a verb of that group, takes the name of a daemon."""
+    """Return whether `command`, or a verb of that group, takes the name of a daemon."""
     own = any(parameter.name == "instance" for parameter in command.params)
     return own or any(map(_asks, getattr(command, "commands", {}).values()))
 
@@ -136,11 +136,11 @@ def explain(
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run one command line; the exit code."""
+    """Run one command line and return the exit code."""
     as_json = "--json" in arguments
     try:
         with warnings.catch_warnings():
-            # the verbs have words of their own for what the guard says
+            # the verbs print the guard's warnings themselves
             warnings.simplefilter("ignore", GuardWarning)
             app = command_line(_verb(arguments))
             code = app(args=list(arguments), prog_name="hapticd", standalone_mode=False)
@@ -158,7 +158,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _verb(arguments: Sequence[str]) -> str:
-    """The first word that is no option; empty without one."""
+    """Return the first argument that is not an option; empty without one."""
     words = iter(arguments)
     for word in words:
         if word == INSTANCE_OPTION:

@@ -1,8 +1,8 @@
-"""Bridges to the tools that a laboratory has: `hapticd bridge lsl`.
+"""Bridges to laboratory tools: `hapticd bridge lsl`.
 
-Lab Streaming Layer (Kothe et al. 2025) joins EEG, eye trackers and other devices by one clock per
-host. On Linux that is CLOCK_MONOTONIC, by which the servo stamps its ticks, so they go out as they
-are. Ticks that were lost on the way are left out; the stamps of the others tell it.
+Lab Streaming Layer (Kothe et al. 2025) synchronises EEG, eye trackers and other devices by one
+clock per host. On Linux that is CLOCK_MONOTONIC, which also stamps the servo's ticks, so they are
+sent unchanged. Lost ticks are left out, as the stamps of the others show.
 
 LSL must have been built with the same clock (checked at the start).
 """
@@ -28,7 +28,7 @@ CHANNELS = {  # fields of a tick, and their units
     "mass_kg": "kg",
     "state": "",
     "revision": "",
-    "event_code": "",  # of the board's event pins, in the tick that brought its change; else -1
+    "event_code": "",  # of the board's event pins, in the tick of its change; otherwise -1
 }
 CLOCKS_AGREE_S = 0.01
 app = typer.Typer(help="Hand telemetry to other tools.", no_args_is_help=True)

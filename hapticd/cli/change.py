@@ -1,6 +1,7 @@
 """Parsing shared by verbs that change something.
 
-A word that is no number or names no parameter is a usage error (exit 2) before anybody is asked.
+An argument that is not a number or names no parameter is a usage error (exit 2), before any
+request.
 """
 
 import dataclasses
@@ -25,7 +26,7 @@ NAMES = tuple(name for name in PLACES if name != "ramp_s")
 
 
 def changes(words: Sequence[str]) -> dict[str, Any]:
-    """K=100 wall.side=1 -> {"K": 100, "wall": {"side": 1}}, the arguments of Client.set."""
+    """Parse K=100 wall.side=1 -> {"K": 100, "wall": {"side": 1}}, the arguments of Client.set."""
     found: dict[str, Any] = {}
     for word in words:
         name, equals, text = word.partition("=")
@@ -45,14 +46,15 @@ ACTOR = "command line"
 
 
 def connect(instance: str, timeout_s: float = 2.0) -> "clients.Client":
-    """A client of the daemon `instance` that is shown as the command line."""
+    """Return a client of the daemon `instance`, identified as the command line."""
     return clients.Client(instance, timeout_s=timeout_s, name=ACTOR)
 
 
 def change(instance: str, as_json: bool, ask: "Callable[[clients.Client], Receipt]") -> None:
-    """Connect to `instance`, `ask` it, and print the receipt; warnings of the guard go to stderr.
+    """Connect to `instance`, send the request `ask`, and print the receipt; warnings of the guard
+    go to stderr.
 
-    CommandError: refused; by the guard with its verdict in words.
+    CommandError if refused; a refusal by the guard includes its verdict as text.
     """
     with connect(instance) as client:
         try:
@@ -72,13 +74,13 @@ def change(instance: str, as_json: bool, ask: "Callable[[clients.Client], Receip
             terminal.talk(terminal.wrapped(f"hapticd: {line}"))
 
 
-STAGED_S = 60.0  # far beyond what the stages of a change may take
+STAGED_S = 60.0  # far above the duration of a staged change
 POLL_S = 0.05
 
 
 def _settled(client: "clients.Client", receipt: Receipt) -> Receipt:
-    """The receipt of the last stage of a change in stages: an enable that waits for its turn ends
-    with the connection that asked for it. CommandError: it was cancelled.
+    """Return the receipt of the last stage of a staged change: a waiting enable would end with the
+    connection that requested it. CommandError if it was cancelled.
     """
     if receipt.result != "staged":
         return receipt
@@ -110,7 +112,9 @@ def _ended(event: Event, begun: Receipt, state: str) -> Receipt:
 def _found_out(
     client: "clients.Client", verdict: GuardVerdict | None
 ) -> tuple[GuardVerdict | None, list[str]]:
-    """`verdict` with the hand that would shake an unsafe request, and that hand in words."""
+    """Return `verdict` with the hand for which an unsafe request is unstable, and that hand as
+    text.
+    """
     if verdict is None or verdict.safe is not False:
         return verdict, []
     event = client.hand(verdict)

@@ -1,6 +1,6 @@
-"""The operators' page, served by hand; `hapticd run` starts it by itself.
+"""The operators' page, started manually; `hapticd run` starts it by itself.
 
-`--parent PID` names the supervisor that it ends with. With `--ready FD`, a byte is written to that
+`--parent PID` is the supervisor with which it ends. With `--ready FD`, a byte is written to that
 descriptor once the page is served.
 """
 

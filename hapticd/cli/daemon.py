@@ -1,7 +1,7 @@
-"""The verbs of a daemon: start it, ask it, change what it renders, stop it, dump its recording.
+"""The verbs of a daemon: start, query, change, stop, dump the flight recording.
 
-`hapticd stop` is taken by hapticd.__main__ and client.fast_stop without loading this; the verb here
-serves its help and mistakes.
+`hapticd stop` is handled by hapticd.__main__ and client.fast_stop without loading this; the verb
+here serves its help and mistakes.
 """
 
 import dataclasses
@@ -74,14 +74,14 @@ def run(
             elif event.kind == "ready":
                 terminal.data(_ready_text(settings, instance))
                 if not followers:
-                    # in a process of its own: this one has no threads and no sockets
+                    # in a separate process: this one has no threads and no sockets
                     words = ("--instance", instance, "--parent", str(os.getpid()))
                     followers.append(process.launch("hapticd", "events", *words))
             elif event.kind == "page":
                 terminal.data(terminal.coloured(event.text, terminal.BOLD))
             else:
                 terminal.talk(f"hapticd: {event.text}")
-        except BrokenPipeError:  # whoever read us has left: end as if asked
+        except BrokenPipeError:  # the reader has left: end as if requested
             terminal.hush()
             supervisor.stop()
 
@@ -149,13 +149,13 @@ Ctrl-C here ends it.
 
 
 def _activation() -> str:
-    """What makes the command known where this one came from an environment of its own."""
+    """Return the command that makes `hapticd` available, if it runs in its own environment."""
     known = shutil.which("hapticd") or sys.prefix == sys.base_prefix
     return "" if known else f", after `source {sys.prefix}/bin/activate`"
 
 
 NOT_READY = ("down", "starting")
-MUST_HAVE = ("state", "simulated", "rate_hz", "revision", "fault")  # also when nobody answers
+MUST_HAVE = ("state", "simulated", "rate_hz", "revision", "fault")  # also without an answer
 STATE_COLOURS = {"disabled": terminal.BOLD, "enabled": terminal.GREEN, "homing": terminal.YELLOW}
 
 
@@ -181,7 +181,9 @@ def status(instance: terminal.Instance = terminal.INSTANCE, as_json: terminal.Js
 
 
 def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
-    """What `status` prints, and `monitor` ten times a second; `more` is what no Status has."""
+    """Return the lines of `status`, also used by `monitor` ten times a second; `more` are fields
+    outside Status.
+    """
     state = terminal.coloured(found.state, STATE_COLOURS.get(found.state, terminal.RED))
     waits = board_words(found.servo)
     if found.state in NOT_READY:
@@ -224,13 +226,13 @@ def status_lines(found: Status, more: dict[str, Any]) -> list[str]:
 
 
 def _under(name: str, lines: list[str]) -> list[str]:
-    """`lines` of `status` that belong together, `name` before the first."""
+    """Return a group of lines of `status`, with `name` before the first."""
     heads = [name, *[""] * (len(lines) - 1)]
     return [f"  {head:9} {line}" for head, line in zip(heads, lines, strict=False)]
 
 
 def compensation_lines(known: Compensation | None) -> list[str]:
-    """What is compensated of the winding's resistance, as people read it."""
+    """Return the state of the winding's compensation as text."""
     if known is None:
         return []
     compensated = f"{known.compensated_ohm:.4g} ohm compensated"
@@ -248,7 +250,7 @@ def compensation_lines(known: Compensation | None) -> list[str]:
 
 
 def _board_lines(report: dict[str, Any]) -> list[str]:
-    """What was found out about the board when it was connected."""
+    """Return the results of the checks of the board at connection."""
     lines = [
         f"  board     {terminal.coloured(one, terminal.RED)}"
         for one in report.get("differences", ())
@@ -277,7 +279,7 @@ def _timing(found: Status) -> str:
 
 
 def delay_words(found: Status) -> str:
-    """The measured delay from a sample to its force, as people read it."""
+    """Return the measured delay from a sample to its force as text."""
     delay_us = found.delay_us
     if delay_us < 0:
         return "sample to force unknown: no frame has come"
@@ -288,7 +290,7 @@ def delay_words(found: Status) -> str:
 
 
 def delivered_words(found: Delivered | None) -> str:
-    """How much active damping the board delivers, as people read it."""
+    """Return the active damping delivered by the board as text."""
     known = found or Delivered()
     commanded = f"of {known.commanded:.4g} N s/m commanded"
     if known.estimate_ns_per_m is None:

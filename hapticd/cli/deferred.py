@@ -4,12 +4,12 @@
         import numpy as np
         from hapticd.zwidth import limits
 
-Each name that is bound there stands for a module, which is imported at the first access to one of
-its names. So only whole modules can wait, not names of them, and a module that is missing is an
-error at its first use. Nothing waits in `sys.modules`: libraries that look through all modules, as
-`inspect` does, would load unneeded modules, in the middle of other imports.
+Each name bound there represents a module, which is imported at the first access to one of its
+names. So only whole modules can be deferred, not names of them, and a missing module is an error at
+its first use. No placeholder is in `sys.modules`: libraries that search all modules, like
+`inspect`, would load unneeded modules, in the middle of other imports.
 
-A package must not give the name of one of its modules to anything else.
+A package must not reuse the name of one of its modules.
 """
 
 import builtins
@@ -22,7 +22,7 @@ from typing import Any
 
 
 class _Waiting(ModuleType):
-    """A module that is imported when it is used."""
+    """A module that is imported on first use."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(import_module(self.__name__), name)
@@ -31,8 +31,8 @@ class _Waiting(ModuleType):
 def _waiting(
     name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0
 ) -> ModuleType:
-    """What `import name`, or `from name import fromlist`, binds. ImportError for `import a.b`,
-    which binds a.
+    """Return the value bound by `import name`, or `from name import fromlist`. ImportError for
+    `import a.b`, which binds a.
     """
     if "." in name and not fromlist:
         raise ImportError(f"import {name}: name it with `from`, so that it can wait")
@@ -44,7 +44,7 @@ def _waiting(
 
 @contextmanager
 def deferred_imports() -> Iterator[None]:
-    """Modules that are imported within this context wait until they are used."""
+    """Defer the imports within this context until first use."""
     usual = builtins.__import__
     here = get_ident()
 

@@ -1,4 +1,4 @@
-"""The verb of the guard: show and change what is done with environments that are not passive."""
+"""The verb of the guard: show and change its response to environments that are not passive."""
 
 import time
 from typing import Annotated
@@ -24,7 +24,7 @@ Policy = Annotated[
 ]
 
 
-PATIENCE_S = 2.0  # with a worker that judges
+PATIENCE_S = 2.0  # for the worker's verdict
 LOOK_S = 0.1
 COMING = ("up", "starting")
 
@@ -63,7 +63,7 @@ def guard(
 
 
 def _judged(client: "clients.Client", found: GuardStatus) -> GuardStatus:
-    """`found` with the verdict on what is in force, if a worker gives it in time."""
+    """Return `found` with the verdict on the environment in force, if a worker gives it in time."""
     deadline = time.monotonic() + PATIENCE_S
     while not found.verdict and found.worker in COMING and time.monotonic() < deadline:
         time.sleep(LOOK_S)
@@ -72,12 +72,12 @@ def _judged(client: "clients.Client", found: GuardStatus) -> GuardStatus:
 
 
 def guard_lines(found: GuardStatus) -> list[str]:
-    """What the guard goes by and what it says of what is in force, as `status` shows it too."""
+    """Return the guard's settings and its verdict on the environment in force, as in `status`."""
     return [guard_line(found), *delay_lines(found), margin_words(found)]
 
 
 def delay_lines(found: GuardStatus) -> list[str]:
-    """The delays that there are by their names, and which of them the guard counts on."""
+    """Return the known delays, and the one used by the guard."""
     delays = found.delays
     if not delays or delays.counted_periods is None:
         return []

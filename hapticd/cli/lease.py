@@ -1,4 +1,4 @@
-"""Who may change what: show leases, hold one, end another's."""
+"""Exclusive control: show leases, hold one, end another's."""
 
 from dataclasses import asdict
 from typing import Annotated
@@ -87,7 +87,7 @@ def release(
 
 
 def lease_lines(leases: dict[str, LeaseHeld]) -> list[str]:
-    """One line for each lease, as people read it."""
+    """Return one line for each lease."""
     return [_line(what, held) for what, held in leases.items()]
 
 

@@ -3,13 +3,12 @@
 This is for a terminal without a browser: the lines of `hapticd status`, ten times a second, from
 telemetry alone. Charts and controls are on the operators' page.
 
-Two rules. The lamp shows the servo's state, never anybody's wish. When data stay away, every value
-gives way to NO DATA: an old value never looks like a fresh one. Each line is cut at the right edge,
-and what stops the device stands left in the first.
+Two rules. The lamp shows the servo's actual state, never a request. Without new data, NO DATA
+replaces every value: an old value never looks like a new one. Each line is cut at the right edge,
+and the stop key is on the left of the first.
 
-Keys come from the terminal without waiting and without Enter, and none come when stdin is no
-terminal. A wait for data must have a time-out: a silent daemon would otherwise leave an old screen
-standing.
+Keys are read without waiting and without Enter, and not at all if stdin is not a terminal. A wait
+for data must have a time-out: otherwise a silent daemon would leave an old screen.
 """
 
 import os
@@ -49,7 +48,7 @@ with deferred_imports():
 
 
 class Keys:
-    """A context in which the terminal hands over each key at once and echoes none."""
+    """A context in which the terminal passes on each key at once and echoes none."""
 
     def __enter__(self) -> Self:
         self._before = termios.tcgetattr(sys.stdin) if sys.stdin.isatty() else None
@@ -62,7 +61,7 @@ class Keys:
             termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._before)
 
     def pressed(self) -> str:
-        """The keys since the last call; an arrow or function key comes as its escape sequence."""
+        """Return the keys since the last call; an arrow or function key is its escape sequence."""
         if self._before is None or not select.select([sys.stdin], [], [], 0)[0]:
             return ""
         return os.read(sys.stdin.fileno(), 64).decode(errors="replace")
@@ -70,9 +69,9 @@ class Keys:
 
 REDRAW_NS = NS_PER_S // 10
 NO_DATA_S = 0.5
-LOOK_S = 0.02  # between looks at what has come, and at the keys
+LOOK_S = 0.02  # between checks of messages and keys
 TICKS = "servo.raw"
-STATE = "state"  # what no record holds; nothing is asked, so that no key waits for an answer
+STATE = "state"  # fields that no record has; no request is sent, so that no key waits for an answer
 EVENT = "event"
 STOP_KEYS = (" ", "\x1b")
 NEWEST = (
@@ -106,13 +105,13 @@ BADGES = {
 
 @dataclass
 class View:
-    """What is known of the daemon at one moment."""
+    """Known state of the daemon at one moment."""
 
     newest: Any = None  # its newest record (layout.TELEMETRY); None before the first
-    simulated: bool | None = None  # None until the daemon said so
-    silent_s: float = 0.0  # since the newest record came
+    simulated: bool | None = None  # None until the daemon reports it
+    silent_s: float = 0.0  # since the arrival of the newest record
     state: dict[str, Any] = field(default_factory=dict)  # the newest message `state`
-    event: str = "none yet"  # the newest, in words
+    event: str = "none yet"  # the newest one, as text
 
     @property
     def fresh(self) -> bool:
@@ -145,13 +144,13 @@ def monitor(
 
 
 def watch(instance: str, seconds: float | None, show: Callable[[View], None]) -> None:
-    """Show what comes ten times a second, also when nothing comes, and obey keys.
+    """Show the state ten times a second, also without new data, and obey keys.
 
     `seconds` None: until q is pressed.
     """
     now_ns = clock.MonotonicClock().now_ns
     begin_ns = now_ns()
-    newest_ns = begin_ns  # when the last record came
+    newest_ns = begin_ns  # arrival of the last record
     shown_ns = 0
     view = View()
     decoder = blocks.BlockDecoder()
@@ -160,13 +159,13 @@ def watch(instance: str, seconds: float | None, show: Callable[[View], None]) ->
         Keys() as keys,
         closing(client.messages((TICKS, STATE, EVENT), LOOK_S)) as messages,
     ):
-        # nobody there at the start is an error; one who goes away later is NO DATA
+        # a missing daemon at the start is an error; one that disappears later is NO DATA
         client.hello()
         for message in messages:
             at_ns = now_ns()
             if message is not None and _take(view, decoder, *message):
                 newest_ns = at_ns
-            elif message is None and at_ns - shown_ns >= REDRAW_NS:  # what came together, once
+            elif message is None and at_ns - shown_ns >= REDRAW_NS:  # redraw once a batch
                 shown_ns = at_ns
                 view.silent_s = (at_ns - newest_ns) / NS_PER_S
                 show(view)
@@ -178,7 +177,7 @@ def watch(instance: str, seconds: float | None, show: Callable[[View], None]) ->
 
 
 def _take(view: View, decoder: Any, topic: str, payload: bytes) -> bool:
-    """Put a message into `view`; whether it brought records."""
+    """Put a message into `view`; return whether it contained records."""
     if topic == STATE:
         view.state = msgpack.unpackb(payload)
         return False
@@ -187,7 +186,7 @@ def _take(view: View, decoder: Any, topic: str, payload: bytes) -> bool:
         return False
     block = decoder.decode(payload)
     view.simulated = bool(block.header["simulated"])
-    if block.restarted:  # another servo, of which nothing is known yet
+    if block.restarted:  # another servo, whose state is not known yet
         view.state = {}
     if len(block.records):
         view.newest = block.records[-1]
@@ -219,7 +218,7 @@ def _newest(view: View) -> dict[str, Any]:
 
 
 def screen(view: View) -> "rich_console.Group":
-    """`view` in a terminal."""
+    """Return `view` as a terminal screen."""
     lines = [rich_text.Text().append(*BADGES[view.simulated])]
     if view.fresh:
         found = _newest(view)
@@ -240,7 +239,7 @@ def screen(view: View) -> "rich_console.Group":
 
 
 def _status(view: View, newest: dict[str, Any]) -> list[str]:
-    """The lines of `status`, its values those of the newest record as far as it has them."""
+    """Return the lines of `status`, with the values of the newest record where it has them."""
     fault = BY_NUMBER[int(view.newest["fault"])]
     named = {"cause": fault.cause, "action": fault.action, "remedy": fault.remedy}
     known = {name: value for name, value in newest.items() if value != {}}
@@ -289,7 +288,7 @@ def events(
 
 
 def _timed(content: dict[str, Any]) -> str:
-    """An event with the time of day."""
+    """Return an event with the time of day."""
     event = answer_of(Event, content)
     at = datetime.fromtimestamp(event.timestamp)
     return f"{at:%H:%M:%S} {event_words(event)}"

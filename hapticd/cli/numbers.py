@@ -1,8 +1,8 @@
-"""Numbers as people type them, and what to type where they are none.
+"""Numbers typed by people, with corrections for typing mistakes.
 
-A unit, a decimal comma and a name in place of a symbol are the usual mistakes. The message has the
-corrected word where there is one reading only: 100N/m is 100 where N/m is the unit, and 10g is no
-mass in kg.
+A unit, a decimal comma and a name in place of a symbol are the usual mistakes. The message contains
+the corrected text if there is only one interpretation: 100N/m is 100 where N/m is the unit, but 10g
+is not a mass in kg.
 """
 
 import math
@@ -15,7 +15,7 @@ from typer.core import TyperCommand
 from hapticd.mailbox.layout import VALUE_LIMITS
 from hapticd.protocol.limits import PLACES
 
-SYMBOLS = {  # what people call a parameter
+SYMBOLS = {  # common names of parameters
     "stiffness": "K",
     "spring": "K",
     "virtual_damping": "B",
@@ -24,7 +24,7 @@ SYMBOLS = {  # what people call a parameter
     "mass": "M",
     "virtual_mass": "M",
     "inertia": "M",
-    "damping": "active_damping",  # as the verb `damping` means it
+    "damping": "active_damping",  # in the sense of the verb `damping`
 }
 NO_UNITS = ("1", "side")
 _WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s.,].*)")
@@ -33,7 +33,9 @@ _THOUSAND = 3  # digits after a comma that may separate thousands
 
 
 class Mistyped(typer.BadParameter):
-    """A word that is no value; `detail` is for programs, with the word to type as its remedy."""
+    """An argument that is not a value; `detail` is for programs, with the corrected text as its
+    remedy.
+    """
 
     def __init__(self, message: str, name: str, value: str, unit: str, remedy: str | None) -> None:
         super().__init__(message)
@@ -41,7 +43,9 @@ class Mistyped(typer.BadParameter):
 
 
 def number(name: str, text: str, expected: str = "a number", joint: str = "=") -> int | float:
-    """`text` as int or float, finite; Mistyped for others. People type NAME `joint` VALUE."""
+    """Return `text` as int or float, finite; otherwise Mistyped. The user types NAME
+    `joint` VALUE.
+    """
     try:
         value = float(text)
     except ValueError:
@@ -56,13 +60,13 @@ def number(name: str, text: str, expected: str = "a number", joint: str = "=") -
 
 
 def unit_of(name: str) -> str:
-    """The unit of parameter `name`; empty without one."""
+    """Return the unit of parameter `name`; empty without one."""
     unit = VALUE_LIMITS[PLACES["active_damping" if name == "damping" else name]].unit
     return "" if unit in NO_UNITS else unit
 
 
 def shortened(text: str, most: int = 40) -> str:
-    """`text` in quotes, cut where it is long."""
+    """Return `text` in quotes, shortened if it is long."""
     return repr(text if len(text) <= most else f"{text[:most]}...")
 
 
@@ -76,7 +80,7 @@ def _mistyped(name: str, text: str, expected: str, joint: str) -> Mistyped:
 
 
 def _meant(text: str, unit: str) -> tuple[str, str]:
-    """The number that `text` certainly means, else nothing; and what to do."""
+    """Return the unambiguous number in `text`, otherwise an empty text; and the remedy."""
     if comma := _WITH_COMMA.fullmatch(text):
         if len(comma[2]) == _THOUSAND and comma[1].lstrip("+-") not in ("", "0"):
             return "", "; write a decimal point, not a comma"
@@ -92,7 +96,7 @@ def _plain(unit: str) -> str:
 
 
 def unknown(name: str, value: str, names: tuple[str, ...]) -> Mistyped:
-    """The error for a parameter that there is not, with the one that was meant."""
+    """Return the error for an unknown parameter, with the closest known one."""
     from hapticd.settings.toml import nearest
 
     meant = SYMBOLS.get(name.lower().replace("-", "_")) or nearest(name, names)
@@ -102,10 +106,10 @@ def unknown(name: str, value: str, names: tuple[str, ...]) -> Mistyped:
 
 
 class SignedLevel(TyperCommand):
-    """A verb whose argument may be below zero: -1 is a number, and not an option."""
+    """A verb whose argument may be negative: -1 is a number, not an option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """The words, numbers with a sign put behind `--`."""
+        """Return the arguments, with signed numbers moved behind `--`."""
         signed = [
             place
             for place, word in enumerate(args)

@@ -1,6 +1,6 @@
-"""Record a running daemon; finish, look at and convert recordings; replay them.
+"""Record a running daemon; finish, inspect and convert recordings; replay them.
 
-A replay runs the servo's own step over the recorded frames, so it repeats a recording bit by bit.
+A replay runs the servo's own step on the recorded frames, so it repeats a recording bit by bit.
 """
 
 import time
@@ -33,7 +33,7 @@ ENDING = ".h5"
 
 
 def _recording_name(file: Path) -> Path:
-    """`file` if a recording may be called that, else BadParameter."""
+    """Return `file` if it is a valid name of a recording; otherwise BadParameter."""
     if file.suffix != ENDING:
         raise typer.BadParameter(f"{file}: a recording is called NAME{ENDING}: {file.stem}{ENDING}")
     return file
@@ -78,7 +78,7 @@ def record(
 
 
 def finished_line(ended: str, summary: dict[str, Any]) -> str:
-    """One line about a finished file."""
+    """Return one line about a finished file."""
     simulated = "SIMULATED, " if summary["simulated"] else ""
     lost = f", {summary['lost_slots']} slots lost" if summary["lost_slots"] else ""
     dropped = f", {summary['dropped_bytes']} bytes dropped" if summary["dropped_bytes"] else ""
@@ -157,7 +157,9 @@ def _info_lines(
 
 
 def _energy_words(energy_j: dict[str, float]) -> str:
-    """What there is of it: `0.27 mJ (damping -0.15, hold_delay 0.42), unexplained 0 mJ`."""
+    """Return the energies that are not 0: `0.27 mJ (damping -0.15, hold_delay 0.42), unexplained 0
+    mJ`.
+    """
     beside = ("whole", "unexplained", "electrical_commanded")
     causes = [
         f"{name} {1e3 * value:.3g}"
@@ -270,7 +272,7 @@ def _drawn(
 
 
 def _replay_verdict(found: dict[str, Any]) -> str:
-    """What came out: with settings held, what became of the force."""
+    """Return the verdict of a replay; with held settings, the change of the force."""
     if not found["held"]:
         return "bit-exact" if found["bit_exact"] else "different"
     held = f"with {', '.join(found['held'])}"

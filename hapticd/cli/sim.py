@@ -163,7 +163,7 @@ def sim_effects(
 
 
 def share(text: str) -> float:
-    """2% or 0.02."""
+    """Parse 2% or 0.02."""
     number = text.rstrip().removesuffix("%")
     percent = text.rstrip().endswith("%")
     try:

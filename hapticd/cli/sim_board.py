@@ -1,4 +1,4 @@
-"""The simulated board in a process of its own, at a true USB bus: `hapticd sim-board`."""
+"""The simulated board in a separate process, on a real USB bus: `hapticd sim-board`."""
 
 from typing import Annotated, Literal
 
@@ -70,7 +70,7 @@ def sim_board(
 
 
 def address(text: str) -> tuple[str, int]:
-    """Host and port of [HOST:]PORT, a HOST of IPv6 in brackets. BadParameter."""
+    """Return host and port of [HOST:]PORT, a HOST of IPv6 in brackets. BadParameter."""
     host, _, port = text.rpartition(":")
     if not port.isdecimal() or int(port) > MOST_PORT:
         raise typer.BadParameter(f"--usbip {text!r}: write PORT or HOST:PORT, PORT 0..{MOST_PORT}")

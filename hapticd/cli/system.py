@@ -1,6 +1,6 @@
 """The machine and its configuration: `config`, `doctor`, `install-system`.
 
-All three print and none applies anything: `doctor` names the exact fix of what it finds,
+All three print and change nothing by themselves: `doctor` gives the exact remedy for each problem,
 `install-system` writes files below a root.
 """
 
@@ -74,7 +74,7 @@ def check_config(
 
 
 def _simulation_and_network_rules(config: "config_files.Config") -> Iterator["load.Mistake"]:
-    """Injections that no simulated board knows, and telemetry in the clear."""
+    """Yield unknown injections, and unencrypted telemetry on the network."""
     if auth.without_leave(config.gateway):
         host = repr(config.gateway.tcp_host)
         yield load.Mistake(("gateway", "tcp_host"), host, auth.LEAVE_NEEDED)
@@ -86,7 +86,7 @@ def _simulation_and_network_rules(config: "config_files.Config") -> Iterator["lo
 
 
 def _template_rules(device: "device_files.DeviceFile") -> Iterator["load.Mistake"]:
-    """A device file that nobody has made a board's own."""
+    """Yield a mistake for a device file that still has the template's serial number."""
     if device.serial == TEMPLATE_SERIAL:
         yield load.Mistake(
             ("serial",),
@@ -216,7 +216,7 @@ def doctor(
 
 
 def _latest_status(instance: str) -> dict[str, Any] | None:
-    """What the daemon says, if one runs."""
+    """Return the status of the daemon, if one runs."""
     try:
         with connect(instance) as client:
             found: dict[str, Any] = client.call("status")["result"]
@@ -226,7 +226,9 @@ def _latest_status(instance: str) -> dict[str, Any] | None:
 
 
 def _timing(status: dict[str, Any] | None) -> "list[checks.CheckResult]":
-    """The delay from sample to force that the daemon measures, its cost in K, and the ticks."""
+    """Return the delay from sample to force measured by the daemon, its cost in K, and
+    late ticks.
+    """
     if status is None:
         return []
     known = answer_of(Status, status)

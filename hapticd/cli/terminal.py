@@ -1,7 +1,7 @@
-"""What verbs share: options, what is printed where, the one progress bar, and figures on disk.
+"""Shared parts of the verbs: options, output, the progress bar, and figures on disk.
 
-Data go to stdout, talk to stderr, errors are one line each. rich and matplotlib are loaded where
-they are used.
+Data go to stdout, messages to stderr, errors are one line each. rich and matplotlib are loaded on
+first use.
 """
 
 import dataclasses
@@ -39,10 +39,10 @@ Verb = Callable[..., None]
 
 
 def verb(app: typer.Typer, name: str, **settings: Any) -> Callable[[Verb], Verb]:
-    """Makes a function the verb `name` of `app`; its docstring is the help.
+    """Make a function the verb `name` of `app`; its docstring is the help.
 
     Every paragraph becomes one line, which a terminal of any width may wrap. A parameter that is a
-    dataclass of options stands for its fields.
+    dataclass of options is replaced by its fields.
     """
 
     def register(function: Verb) -> Verb:
@@ -55,9 +55,9 @@ def verb(app: typer.Typer, name: str, **settings: Any) -> Callable[[Verb], Verb]
 
 
 def _with_single_options(function: Verb) -> Verb:
-    """`function` with each dataclass among its parameters replaced by the fields of it.
+    """Return `function` with each dataclass among its parameters replaced by its fields.
 
-    Typer makes an option of every parameter that it finds in a signature, so one is written here.
+    Typer makes an option of every parameter in a signature, so a new signature is written here.
     """
     parameters = inspect.signature(function).parameters
     groups = {name: one.annotation for name, one in parameters.items() if _is_group(one)}
@@ -87,21 +87,21 @@ BOLD = "1"  # SGR codes
 RED = "1;31"
 YELLOW = "1;33"
 GREEN = "1;32"
-LEAST_WIDTH = 40  # to which a line is wrapped, however narrow the terminal is
+LEAST_WIDTH = 40  # minimum width of wrapped lines, for any terminal
 
 
 def data(text: str) -> None:
-    """A line of data."""
+    """Print a line of data."""
     print(text, flush=True)
 
 
 def data_json(content: Any) -> None:
-    """One object in one line."""
+    """Print one object in one line."""
     print(json.dumps(content, default=str), flush=True)
 
 
 def show(found: Mapping[str, Any], lines: Iterable[str], as_json: bool) -> None:
-    """What a verb found: with --json one object that begins with `ok`, else lines for people."""
+    """Print the result of a verb: with --json one object that begins with `ok`, otherwise lines."""
     if as_json:
         data_json({"ok": True, **found})
         return
@@ -110,12 +110,12 @@ def show(found: Mapping[str, Any], lines: Iterable[str], as_json: bool) -> None:
 
 
 def talk(text: str) -> None:
-    """A line for a person who watches."""
+    """Print a line for a person."""
     print(text, file=sys.stderr, flush=True)
 
 
 def hush() -> None:
-    """Nobody reads any more: drop everything that this process writes from here on."""
+    """Discard all further output of this process: its reader has left."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for descriptor in (1, 2):
         os.dup2(nowhere, descriptor)
@@ -123,14 +123,16 @@ def hush() -> None:
 
 
 def coloured(text: str, colour: str, stream: Any = None) -> str:
-    """`text` in `colour` if the stream (default stdout) is a terminal and NO_COLOR is not set."""
+    """Return `text` in `colour` if the stream (default stdout) is a terminal and NO_COLOR is not
+    set.
+    """
     plain = os.environ.get("NO_COLOR") or not (stream or sys.stdout).isatty()
     return text if plain else f"\x1b[{colour}m{text}\x1b[0m"
 
 
 def wrapped(text: str, stream: Any = None) -> str:
-    """`text` in lines as wide as the terminal, those after the first indented; as it is if the
-    stream (default stderr) is none, for whoever reads it there looks for whole lines.
+    """Return `text` in lines of the terminal's width, those after the first indented. It is
+    unchanged if the stream (default stderr) is not a terminal: programs expect whole lines.
     """
     if not (stream or sys.stderr).isatty():
         return text
@@ -141,7 +143,7 @@ def wrapped(text: str, stream: Any = None) -> str:
 
 
 def complain(error: HapticdError, as_json: bool) -> None:
-    """What went wrong, in one line for each thing; with --json also as an object on stdout."""
+    """Print an error, in one line per item; with --json also as an object on stdout."""
     for line in str(error).splitlines():
         name = coloured("hapticd:", RED, sys.stderr)
         talk(name + wrapped(f"hapticd: {line}").removeprefix("hapticd:"))
@@ -154,15 +156,15 @@ def complain(error: HapticdError, as_json: bool) -> None:
 
 
 def _detail(error: HapticdError) -> Any:
-    """What a program may go by."""
+    """Return the details of an error for programs."""
     if isinstance(error, DaemonDown):
         return error.plain()
     return error.detail if isinstance(error, CommandError) else None
 
 
 def explain(mistake: Any, as_json: bool) -> int:
-    """What was mistyped, as Typer shows it; with --json also as an object on stdout. The exit
-    code.
+    """Print a usage error, as Typer shows it; with --json also as an object on stdout. Return the
+    exit code.
     """
     from typer.rich_utils import rich_format_error
 
@@ -179,7 +181,9 @@ JsonLines = Annotated[bool, typer.Option("--json", help="One JSON object per lin
 
 
 def _named(name: str | None, origin: str = "--instance") -> str | None:
-    """`name` if an instance can have it, else BadParameter that names its `origin`."""
+    """Return `name` if it is valid for an instance; otherwise raise BadParameter with
+    its `origin`.
+    """
     try:
         if name is not None:
             runtime_folder(name)
@@ -193,7 +197,9 @@ def _before(name: str | None) -> str | None:
 
 
 def _chosen(context: typer.Context, parameter: typer.CallbackParam, name: str | None) -> str | None:
-    """The name after the verb, else the one before it, else that of the environment or default."""
+    """Return the name after the verb, or the one before it, or that of the environment
+    or default.
+    """
     source = context.get_parameter_source(parameter.name or "")
     origin = source.name if source else ""
     if origin != "COMMANDLINE" and context.obj is not None:
@@ -202,7 +208,7 @@ def _chosen(context: typer.Context, parameter: typer.CallbackParam, name: str | 
 
 
 def there(path: Path | None) -> Path | None:
-    """`path` if something is there, else BadParameter with the name that is nearly the same."""
+    """Return `path` if it exists; otherwise raise BadParameter with a similar name."""
     if path is None or os.path.exists(path):
         return path
     folder = path.parent
@@ -250,7 +256,7 @@ ConfigFile = Annotated[
     ),
 ]
 INSTANCE = DEFAULT_INSTANCE
-Parent = Annotated[  # the process with which a verb ends, for programs of ours
+Parent = Annotated[  # the process with which a verb ends, for internal use
     int | None, typer.Option("--parent", hidden=True)
 ]
 
@@ -265,7 +271,7 @@ SIMULATED_BANNER = """\
 
 @contextmanager
 def progress(quiet: bool = False) -> "Iterator[store.Progress]":
-    """Yields `tell(what, done, total)`, which draws the bar; total 0: how many is not known.
+    """Yield `tell(what, done, total)`, which draws the bar; total 0: unknown.
 
     Without a terminal, or `quiet`, it does nothing.
     """
@@ -310,14 +316,14 @@ def need_figures(wanted: bool) -> None:
 def need_engine(figures: bool = False) -> None:
     """Fail before a prediction rather than after it.
 
-    MissingLibrary if numba is missing, or matplotlib where figures are wanted.
+    MissingLibrary if numba is missing, or matplotlib when figures are wanted.
     """
     need("numba", "the batch engine")
     need_figures(figures)
 
 
 def figure_width_mm(text: str) -> float:
-    """The width [mm] in the text of --figure-width. BadParameter for others."""
+    """Return the width [mm] of --figure-width. BadParameter for invalid text."""
     try:
         return paper.width_mm(text)
     except ConfigError as error:
@@ -336,7 +342,7 @@ FigureWidth = Annotated[
 
 
 def save_figure(figure: "Figure", folder: Path, name: str, as_json: bool) -> list[str]:
-    """Save the figure's files and say where; the paths."""
+    """Save the figure's files, print their paths, and return them."""
     paths = [str(path) for path in style.save(figure, folder, name)]
     if not as_json:
         talk(f"drawn: {', '.join(paths)}")

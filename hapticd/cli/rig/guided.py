@@ -1,6 +1,6 @@
-"""`hapticd rig` without a verb: the steps in their order, each asked for before it begins.
+"""`hapticd rig` without a verb: the steps in order, each offered before it begins.
 
-What is measured already says its date and may be left out, so the path goes on where it was left:
+A completed measurement shows its date and may be skipped, so the path continues where it was left:
 after a restart of the daemon, an interruption, or on another day. A step that writes is followed by
 a restart, since the daemon reads its device file when it starts; the path waits for that.
 
@@ -41,11 +41,11 @@ DONE = "The path is at its end. `hapticd status`, docs/first-day.md: what to loo
 
 
 class Step(NamedTuple):
-    """A step as the path offers it."""
+    """A step as offered by the path."""
 
     name: str
     title: str
-    table: str  # of the device file, where its date stands; "": it writes nothing
+    table: str  # of the device file, with its date; "": it writes nothing
     questions: Sequence[str]
     act: Callable[[StepOptions, list[float]], None]
 
@@ -144,7 +144,7 @@ def guided(
 
 
 def _offer(step: Step, where: StepOptions) -> bool:
-    """Whether `step` was wanted, and begun."""
+    """Offer `step`; return whether it was accepted and begun."""
     _await_restart(where)
     device = _device(where)
     known = measured(step.table, device)
@@ -159,7 +159,7 @@ def _offer(step: Step, where: StepOptions) -> bool:
 
 
 def measured(table: str, device: "device_files.DeviceFile") -> str:
-    """When `table` of `device` was measured by a step, and how old that is; "": never."""
+    """Return the date and age of the measurement of `table` of `device`; "": never."""
     found = getattr(device, table) if table else None
     if table == "model" and found is not None:
         found = found.table("masses")
@@ -170,7 +170,7 @@ def measured(table: str, device: "device_files.DeviceFile") -> str:
 
 
 def in_doubt(table: str, device: "device_files.DeviceFile") -> str:
-    """Why what was measured into `table` of `device` cannot be relied on any more; "": it can."""
+    """Return why the values in `table` of `device` are no longer reliable; "": they are."""
     servo = {"simulated": device.simulated, "device": to_plain(build.device_params(device))}
     found = calibrations.doubts(servo, datetime.date.today(), probed=True)
     return "; ".join(one.reason for one in found if one.table == table)
@@ -181,13 +181,13 @@ def _device(where: StepOptions) -> "device_files.DeviceFile":
 
 
 def _await_restart(where: StepOptions) -> None:
-    """Until the daemon runs, and has read what the device file says."""
+    """Wait until the daemon runs and has read the present device file."""
     while reason := _stale(where):
         steps.answer(f"{reason}: start the daemon again, then Enter")
 
 
 def _stale(where: StepOptions) -> str:
-    """Why no step may begin, "": nothing bars it."""
+    """Return why no step may begin; "": it may."""
     try:
         with connect(where.instance) as client:
             servo = client.hello().servo
@@ -206,7 +206,7 @@ def _commissioning(where: StepOptions) -> bool:
 
 
 def number(question: str) -> float:
-    """A finite number from the person at the terminal, who is asked until it is one."""
+    """Ask the person at the terminal until the answer is a finite number."""
     while True:
         text = steps.answer(question)
         with suppress(ValueError):
@@ -216,7 +216,7 @@ def number(question: str) -> float:
 
 
 def _kept_on(step: terminal.Verb) -> None:
-    """Do `step`; what it refuses does not end the path."""
+    """Perform `step`; its refusal does not end the path."""
     try:
         step()
     except typer.Exit:

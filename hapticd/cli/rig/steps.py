@@ -1,10 +1,10 @@
-"""Steps of `hapticd rig` as verbs: what is asked, what is shown, and what is written.
+"""Steps of `hapticd rig` as verbs: their questions, their output, and their changes.
 
-A step that is interrupted (Ctrl-C, a cable, a fault) leaves the force off and the device file as it
-was; it can be repeated by itself. With --yes nothing is asked: what a hand should do is announced,
-and some seconds pass.
+A step that is interrupted (Ctrl-C, a cable, a fault) leaves the force off and the device file
+unchanged; it can be repeated alone. With --yes there are no questions: each action of a hand is
+announced, followed by a pause of some seconds.
 
-Every way out of a step must leave the device disabled.
+Every exit from a step must leave the device disabled.
 """
 
 import datetime
@@ -35,15 +35,15 @@ with deferred_imports():
     from hapticd.settings import device as device_files
 
 
-REFUSED = 4  # exit code of a step that found something that must not stay
-HAND = "HAPTICD_HAND"  # environment: the socket of a program that is the hand
-PAUSE_S = 5.0  # for what a hand should do, with --yes
+REFUSED = 4  # exit code of a step with a refused finding
+HAND = "HAPTICD_HAND"  # environment variable: the socket of a program that acts as the hand
+PAUSE_S = 5.0  # for an action of a hand, with --yes
 COLOURS = {"ok": terminal.GREEN, "warning": terminal.YELLOW, "refused": terminal.RED}
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepOptions:
-    """Whether a person is asked, and which daemon by which configuration."""
+    """Whether to ask a person, and the daemon and its configuration."""
 
     yes: Annotated[
         bool,
@@ -57,12 +57,12 @@ class StepOptions:
 def run(
     options: StepOptions, measure: "Callable[[clients.Client, hands.Ask], results.StepResult]"
 ) -> None:
-    """Do a step on the daemon, keep and write what it found, and show it."""
+    """Perform a step on the daemon, keep and write its results, and show them."""
     show(perform(options, load.load(options.config), measure), options.as_json)
 
 
 def show(result: "results.StepResult", as_json: bool) -> None:
-    """What was found; ends the process with 4 if something was refused."""
+    """Show the results; exit with 4 if a finding is refused."""
     if as_json:
         terminal.data_json(result.plain())
     else:
@@ -73,7 +73,7 @@ def show(result: "results.StepResult", as_json: bool) -> None:
 
 
 def lines(result: "results.StepResult") -> list[str]:
-    """`result` for people, a line for each thing."""
+    """Return `result` as text, one line per item."""
     found = [f"  {value}" for value in result.values]
     for one in result.findings:
         word = terminal.coloured(one.verdict, COLOURS.get(one.verdict, terminal.BOLD))
@@ -83,8 +83,8 @@ def lines(result: "results.StepResult") -> list[str]:
 
 
 def asking(yes: bool) -> "hands.Ask":
-    """What asks a person; with --yes it tells, and waits a while. Where HAPTICD_HAND names a
-    socket, the program there is the hand.
+    """Return a function that asks a person; with --yes it announces the action and waits. If
+    HAPTICD_HAND is a socket, the program there acts as the hand.
     """
     machine = os.environ.get(HAND)
     done = hands.asked_at(Path(machine)) if machine else None
@@ -102,7 +102,7 @@ def asking(yes: bool) -> "hands.Ask":
 
 
 def answer(question: str) -> str:
-    """A line from the person at the terminal. ConfigError where there is none."""
+    """Return a line from the person at the terminal. ConfigError if there is none."""
     terminal.talk(question)
     try:
         return input().strip()
@@ -111,7 +111,7 @@ def answer(question: str) -> str:
 
 
 def agreed(question: str, usual: bool = True) -> bool:
-    """Whether the person at the terminal says yes; Enter says what is `usual`."""
+    """Return whether the person at the terminal answers yes; Enter means `usual`."""
     while True:
         said = answer(f"{question} yes or no [{'yes' if usual else 'no'}]").lower()
         if said in ("", "y", "yes", "n", "no"):
@@ -124,7 +124,7 @@ def perform(
     settings: "load.Settings",
     measure: "Callable[[clients.Client, hands.Ask], results.StepResult]",
 ) -> "results.StepResult":
-    """Have `measure` do a step, keep its records, and write what it found into the device file.
+    """Perform a step with `measure`, keep its records, and write its results into the device file.
 
     ConfigError if the daemon runs another device than `settings`, or the file cannot be written.
     """
@@ -142,8 +142,8 @@ def perform(
 
 
 def _refuse_another(running: DeviceParams, settings: "load.Settings") -> None:
-    """ConfigError if the running daemon does not have the device file of `settings`: what one step
-    has written, as the sign of the position, the next one builds upon.
+    """Raise ConfigError if the daemon does not run the device file of `settings`: each step depends
+    on the changes of the one before, such as the sign of the position.
     """
     if running.serial != settings.device.serial:
         raise ConfigError(
@@ -158,8 +158,8 @@ def _refuse_another(running: DeviceParams, settings: "load.Settings") -> None:
 
 
 def not_read_yet(running: DeviceParams, device: "device_files.DeviceFile") -> list[str]:
-    """Scales of `device` that are others than those of a running servo, whose parameters of the
-    device are `running`.
+    """Return the scales of `device` that differ from those of a running servo with the parameters
+    `running`.
     """
     written = build.device_params(device)
     names = [one.name for one in fields(written)]

@@ -1,4 +1,4 @@
-"""The verbs of `hapticd rig`: what each asks for, and which step of `hapticd.rig` does it.
+"""The verbs of `hapticd rig`: their options, and the steps of `hapticd.rig` that they call.
 
 Two measurements of the motor at once are refused.
 """
@@ -127,7 +127,7 @@ def motor(
 
 
 def _one_of(*chosen: bool) -> None:
-    """AnalysisError where more than one measurement was asked for."""
+    """Raise AnalysisError if more than one measurement was requested."""
     if sum(chosen) > 1:
         raise AnalysisError("--mass, --spring, --offset and --winding are measured one at a time")
 
@@ -305,7 +305,7 @@ def verify(
 
 
 def refuse_another_file(sha256: str, settings: "load.Settings") -> None:
-    """ConfigError unless the daemon was started with the device file of `settings`."""
+    """Raise ConfigError unless the daemon was started with the device file of `settings`."""
     if sha256 != settings.device_file_sha256:
         raise ConfigError(
             f"{settings.device_file} has changed since the daemon was started; start it again, then"

@@ -1,7 +1,7 @@
-"""What the verbs of `zwidth` share: options, the scene that is named, conditions, what is printed.
+"""Shared parts of the verbs of `zwidth`: options, scenes, conditions, output.
 
-An early end of a verb, by Ctrl-C or by dead workers, is answered in one line that says what is kept
-and how to go on.
+If a verb ends early, by Ctrl-C or by dead workers, it prints in one line which results are kept and
+how to continue.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -98,7 +98,7 @@ JsonOutcomes = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class TrialsOptions:
-    """How many trials are made alike: where they run, how long and in which noise, and the band."""
+    """Conditions common to many trials: executor, length, noise, and band."""
 
     where: Where = "auto"
     seconds: Seconds = 90.0
@@ -108,7 +108,7 @@ class TrialsOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ResultsOptions:
-    """Where results are kept, whether they are drawn, and how they are printed."""
+    """Folder of the results, figures, and the form of the output."""
 
     out: Out = None
     plot: Plot = True
@@ -134,9 +134,9 @@ OUTCOME_FIELDS = (
 
 @contextmanager
 def keeping(kept: "store.TrialStore", folder: Path) -> Iterator[None]:
-    """Says what is kept and how to go on where something ends a run early.
+    """Print which results are kept and how to continue if a run ends early.
 
-    That is Ctrl-C (exit 130), or workers that died.
+    Causes are Ctrl-C (exit 130), or workers that died.
     """
     try:
         yield
@@ -151,7 +151,7 @@ def keeping(kept: "store.TrialStore", folder: Path) -> Iterator[None]:
 
 @contextmanager
 def interruptible(kept: str = "nothing of this run was kept") -> Iterator[None]:
-    """Ctrl-C (exit 130) is answered in one line about what is kept."""
+    """On Ctrl-C (exit 130), print one line about kept results."""
     try:
         yield
     except KeyboardInterrupt:
@@ -160,13 +160,13 @@ def interruptible(kept: str = "nothing of this run was kept") -> Iterator[None]:
 
 
 def drawn(folder: Path, name: str, figure: "Callable[[], Figure]", wanted: bool) -> Iterable[Path]:
-    """The files of the figure `name` of a run, if it is `wanted`."""
+    """Return the files of the figure `name` of a run, if it is `wanted`."""
     with drawing(folder):
         return style.save(figure(), folder, name) if wanted else ()
 
 
 def drawing(folder: Path) -> AbstractContextManager[None]:
-    """While figures of a run are drawn whose result is kept."""
+    """Return the context in which figures of a kept result are drawn."""
     return interruptible(f"the result is kept in {folder}, without all of its figures")
 
 
@@ -178,9 +178,9 @@ def _goes_on(kept: "store.TrialStore", folder: Path) -> str:
 
 
 def scene_of(name: str) -> "model_scene.Scene":
-    """The scene of that name, or the simulated device of that name with all of its effects.
+    """Return the scene of that name, or the simulated device of that name with all of its effects.
 
-    ConfigError names what there is.
+    ConfigError lists the known names.
     """
     try:
         return scene_files.load_scene(name)
@@ -192,7 +192,9 @@ def scene_of(name: str) -> "model_scene.Scene":
 
 
 def record_file(word: str, known: tuple[str, ...]) -> Path:
-    """The record that `word` names, which is none of `known`. BadParameter if it is not there."""
+    """Return the record file `word`, which is none of `known`. BadParameter if it does
+    not exist.
+    """
     path = Path(word)
     meant = toml.did_you_mean(word, known)
     if meant and not path.exists():
@@ -202,7 +204,7 @@ def record_file(word: str, known: tuple[str, ...]) -> Path:
 
 
 def device_of(name: str) -> "device_files.DeviceFile":
-    """The device file of that scene, or of that name; `scene_of` has found it before."""
+    """Return the device file of that scene, or of that name; `scene_of` has found it before."""
     try:
         return scene_files.load_files(name).device
     except ConfigError:
@@ -210,7 +212,7 @@ def device_of(name: str) -> "device_files.DeviceFile":
 
 
 def require_within(name: str, shown: "scenes.Display", asked: dict[str, float]) -> None:
-    """BadParameter for what a daemon would refuse to render on this device."""
+    """Raise BadParameter for values that a daemon would refuse to render on this device."""
     own = device_of(name)
     ceiling = own.limits.active_damping_ns_per_m
     passive = environment_limits.UNKNOWN
@@ -229,13 +231,13 @@ def conditions(
     band_hz: tuple[float, float] = (2.0, 500.0),
     confidence: float = 0.95,
 ) -> "outcomes.Conditions":
-    """Conditions of many trials: the scene's noise with that seed."""
+    """Return the conditions of many trials: the scene's noise with that seed."""
     noise = replace(scenes.noise(scene), seed=seed)
     return outcomes.Conditions(scene, seconds, noise, band_hz, confidence)
 
 
 def levels(text: str) -> tuple[float, ...]:
-    """The levels [N s/m] in the text of --active-damping. BadParameter for others."""
+    """Return the levels [N s/m] in the text of --active-damping. BadParameter for others."""
     try:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -250,7 +252,7 @@ def levels(text: str) -> tuple[float, ...]:
 
 
 def ranged(name: str, given: Range, least: int = 2) -> Range:
-    """`given` where LOW is below HIGH and N from `least` to 1000; else BadParameter."""
+    """Return `given` if LOW is below HIGH and N from `least` to 1000; otherwise BadParameter."""
     low, high, count = given
     if not (-inf < low < high < inf and least <= count <= 1000):
         raise typer.BadParameter(
@@ -261,14 +263,14 @@ def ranged(name: str, given: Range, least: int = 2) -> Range:
 
 
 def environment_words(trial: "sources.Trial") -> str:
-    """K, B, M and active damping of `trial` with their units."""
+    """Return K, B, M and active damping of `trial` with their units."""
     k, b, m = trial.environment
     active = f"active damping {trial.active_damping_ns_per_m:g} N s/m"
     return f"K {k:g} N/m, B {b:g} N s/m, M {m:g} kg, {active}"
 
 
 def print_outcomes(new: "list[outcomes.Outcome]", **more: Any) -> None:
-    """A line of JSON for each outcome: what was tried, its verdict and margin, and `more`."""
+    """Print a line of JSON for each outcome: its environment, verdict and margin, and `more`."""
     for outcome in new:
         shown = store.to_json({name: getattr(outcome, name) for name in OUTCOME_FIELDS})
         terminal.data_json({"type": "outcome", **more, **shown})
@@ -281,24 +283,24 @@ def show_result(
     figures: Iterable[Path],
     as_json: bool,
 ) -> None:
-    """What was found, where it is kept, and its figures: the last line of --json, or for people."""
+    """Print the result, its folder and its figures: the last line of --json, or as text."""
     files = [str(path) for path in figures]
     kept = {**found, "folder": str(folder), "figures": files}
     terminal.show(kept, [*lines, f"kept in {folder}", *files], as_json)
 
 
 def write_summary(folder: Path, about: dict[str, Any], **more: Any) -> None:
-    """Write run.json: what the run is `about`, and where its numbers come from (`more` of it)."""
+    """Write run.json: the description `about` of the run, and its provenance (with `more`)."""
     store.write_run(folder, {**about, "provenance": provenance_now(**more)})
 
 
 def folder(out: Path | None, what: str) -> Path:
-    """Where results are kept."""
+    """Return the folder of the results."""
     return out or RUNS / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{what}"
 
 
 def tell_open(levels: list[dict[str, Any]], what: str) -> None:
-    """Says at which ends of `what`, a grid or a box, the set of each level goes on."""
+    """Print at which ends of `what`, a grid or a box, the set of each level continues."""
     for level in levels:
         if level["open_ends"]:
             ends = ", ".join(level["open_ends"])
@@ -307,5 +309,5 @@ def tell_open(levels: list[dict[str, Any]], what: str) -> None:
 
 
 def provenance_now(**more: Any) -> dict[str, Any]:
-    """Where the numbers of a run come from: versions, machine, the time, and `more`."""
+    """Return the provenance of a run: versions, machine, the time, and `more`."""
     return provenance.provenance(date=datetime.now(UTC).isoformat(timespec="seconds"), **more)

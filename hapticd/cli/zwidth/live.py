@@ -1,7 +1,7 @@
-"""The device of a running daemon under a trial: which one it is, and what is said before it moves.
+"""The device of a running daemon under a trial: its identification, and the announcement.
 
-Nothing moves that was not announced: the device by its name, whether it is real, and the
-environment in which it is enabled. Every way out of the process must leave the device disabled.
+Every motion is announced before: the name of the device, whether it is real, and the environment in
+which it is enabled. Every exit of the process must leave the device disabled.
 """
 
 import signal
@@ -22,25 +22,25 @@ with deferred_imports():
 
 @dataclass(frozen=True)
 class Rig:
-    """A daemon, and what is known of its device."""
+    """A daemon, and known facts of its device."""
 
     client: "clients.Client"
     instance: str  # name of the daemon
     device: str  # name in its device file
     simulated: bool  # its board is simulated
-    skew_s: float  # by which the probe's velocity is later than its force, as its device file says
-    model: "model_scene.Scene | None"  # that of the simulated device of that name, if there is one
+    skew_s: float  # delay of the probe's velocity behind its force, from its device file
+    model: "model_scene.Scene | None"  # of the simulated device of that name, if there is one
 
     @property
     def origin(self) -> str:
-        """Where its records come from."""
+        """Origin of its records."""
         return f"daemon {self.instance!r}, device {self.device!r}"
 
 
 def open_rig(instance: str, stack: ExitStack) -> Rig:
-    """Connect for as long as `stack` is open; DaemonDown where nobody answers.
+    """Connect for as long as `stack` is open; DaemonDown without an answer.
 
-    What ends this process meanwhile ends the trial with force off.
+    A signal that ends this process also ends the trial with force off.
     """
     stack.enter_context(signals_end_with_force_off())
     client = stack.enter_context(change.connect(instance))
@@ -61,8 +61,8 @@ def open_rig(instance: str, stack: ExitStack) -> Rig:
 def announce(
     rig: Rig, trial: "sources.Trial", scene: "model_scene.Scene | None", skew_s: float
 ) -> None:
-    """Say on stderr what is about to happen, before it does. `scene` is the one that was named,
-    `skew_s` what is taken out.
+    """Print the coming action on stderr. `scene` is the one of the option, `skew_s` the correction
+    applied.
     """
     kind = "simulated" if rig.simulated else "real, it moves"
     terminal.talk(
@@ -91,9 +91,9 @@ def announce(
 
 @contextmanager
 def signals_end_with_force_off() -> Iterator[None]:
-    """Whoever ends this process, or closes its terminal, gets what Ctrl-C gets: force off.
+    """Treat SIGTERM and SIGHUP like Ctrl-C: force off.
 
-    The exit code is 128 + the signal's number. A signal that somebody else handles is left to them.
+    The exit code is 128 + the signal's number. A signal with another handler is left alone.
     """
 
     def leave(number: int, frame: object) -> None:

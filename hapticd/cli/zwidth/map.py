@@ -134,7 +134,7 @@ def _write(
     asked: dict[str, Any],
     levels: list[dict[str, Any]],
 ) -> None:
-    """run.json, from which `zwidth report` draws the map again."""
+    """Write run.json, from which `zwidth report` draws the map again."""
     alike = {"seconds": trials.seconds, "seed": trials.seed, "band_hz": trials.band}
     about = {
         "kind": "map",
@@ -147,7 +147,7 @@ def _write(
 
 
 class _Redrawn:
-    """Draws the envelope again as trials arrive, at most every few seconds."""
+    """Redraws the envelope as trials arrive, at most every few seconds."""
 
     def __init__(
         self, conditions: "outcomes.Conditions", folder: Path, width_mm: float | None
@@ -171,7 +171,7 @@ class _Redrawn:
 
 
 def _level(level: "maps.LevelMap") -> dict[str, Any]:
-    """What was found at one level of active damping, for run.json, JSON and the table."""
+    """Return the result at one level of active damping, for run.json, JSON and the table."""
     return {
         "judged": outcomes.judged(level.outcomes),
         "active_damping_ns_per_m": level.active_damping_ns_per_m,
@@ -197,7 +197,7 @@ def _row(level: dict[str, Any]) -> tuple[float, ...]:
 
 
 def draw_map(result: "maps.MapResult", folder: Path, width_mm: float | None) -> list[Path]:
-    """The set, and the envelopes of impedance and admittance where a trial passed."""
+    """Draw the set, and the envelopes of impedance and admittance if a trial passed."""
     paths = [*style.save(figures.set_figure(result, width_mm), folder, "set")]
     drawn = [
         (level.active_damping_ns_per_m, level.outcomes) for level in result.levels if level.envelope

@@ -1,4 +1,4 @@
-"""One environment without a trial: what theory says, in a second."""
+"""One environment without a trial: the prediction of theory, in a second."""
 
 from math import isfinite, log, sqrt
 from typing import Annotated, Any
@@ -16,7 +16,7 @@ with deferred_imports():
     from hapticd.zwidth import scenes, sources, store
 
 
-DEVICE_OF = "fig4"  # where no scene is named
+DEVICE_OF = "fig4"  # default of --scene
 LEFT_OUT = "What is not given; without it the device of fig4, and 0."
 UNITS = {"-K": "N/m", "-B": "N s/m", "-M": "kg", "--active-damping": "N s/m"}
 
@@ -148,7 +148,7 @@ def _hand(found: "forecast.Forecast") -> str:
 
 
 def _named(hand: "coupled.Hand") -> str:
-    """Its largest part; the tuned masses beside serve images alone."""
+    """Describe its largest part; the tuned masses only serve images."""
     mass = float(hand.mass_kg[0])
     grounded = float(hand.stiffness_n_per_m[0].sum())
     main = (

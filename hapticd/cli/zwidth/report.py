@@ -39,7 +39,7 @@ What = Annotated[
 
 @dataclass(frozen=True)
 class DrawnReport:
-    """What a report wrote, and from where to where its trials were judged."""
+    """Files written by a report, and the frequency range of the verdicts."""
 
     files: list[Path]
     judged: "verdict.Judged"
@@ -70,9 +70,9 @@ def report(
 
 
 def _named(what: str) -> "model_scene.Scene":
-    """The scene of that name.
+    """Return the scene of that name.
 
-    ConfigError says what a folder without a run is and what may be done with it.
+    ConfigError describes a folder without a run, and its possible uses.
     """
     try:
         return common.scene_of(what)
@@ -112,7 +112,7 @@ def _of_run(folder: Path, out: Path, width_mm: float | None) -> DrawnReport:
 
 
 def _same_scene(kept: dict[str, Any]) -> "model_scene.Scene | None":
-    """The scene of the run, for its prediction, where it is still what it was."""
+    """Return the scene of the run, for its prediction, if it has not changed."""
     try:
         found = common.scene_of(kept["scene"]) if kept["scene"] else None
     except ConfigError:
@@ -168,7 +168,7 @@ def _write(
     limits: "axis_limits.LimitsResult",
     found: "maps.MapResult",
 ) -> None:
-    """run.json and NAME.zwidth, the summary that `zwidth compare` reads."""
+    """Write run.json and NAME.zwidth, the summary for `zwidth compare`."""
     conditions = limits.plan.params.conditions
     about = portable.conditions_of(conditions, found.judged)
     provenance = common.provenance_now(seed=conditions.excitation.seed)
@@ -185,7 +185,7 @@ def _write(
 def _own_trial(
     scene: "model_scene.Scene", seconds: float, folder: Path, width_mm: float | None
 ) -> list[Path]:
-    """A trial of the environment that the scene itself describes."""
+    """Draw a trial of the environment that the scene itself describes."""
     asked = sources.Trial(scene.environment.free, scenes.level(scene), seconds, scenes.noise(scene))
     plan = trials.plan_trial(trials.TrialParams(asked, scene))
     return draw_trial(trials.run_trial(plan, simulated.engine_source(scene)), folder, width_mm)

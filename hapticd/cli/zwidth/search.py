@@ -1,4 +1,4 @@
-"""The boundary of the passive set by few, chosen trials."""
+"""The boundary of the passive set from few, selected trials."""
 
 from functools import partial
 from typing import Annotated, Any
@@ -88,7 +88,7 @@ def command(
 
 
 def _level(result: "search.SearchResult") -> dict[str, Any]:
-    """What the search found at one level, for run.json, JSON and the table."""
+    """Return the result of the search at one level, for run.json, JSON and the table."""
     return {
         "judged": result.judged,
         "active_damping_ns_per_m": result.plan.params.active_damping_ns_per_m,
@@ -104,7 +104,9 @@ def _level(result: "search.SearchResult") -> dict[str, Any]:
 
 
 def _miss_ns_per_m(result: "search.SearchResult") -> float:
-    """Median difference of expected and found margins over the last half of the trials."""
+    """Return the median difference of expected and found margins over the last half of
+    the trials.
+    """
     later = result.steps[len(result.steps) // 2 :]
     missed = [
         abs(step.expected_ns_per_m - step.outcome.margin_ns_per_m) for step in later if step.teaches

@@ -1,10 +1,9 @@
 """`zwidth trial` and `zwidth import`: one trial, simulated, on a daemon's device, or from a file.
 
-The options are three dataclasses: what is tried and how it is judged, how a file is read, and
-where results go. From them come the parameters of one trial (`hapticd.zwidth.trial`), which is
-run, kept, drawn and printed. Before anything is simulated or moves, it is said what will happen;
-beside the verdict it is said what would decide an undecided trial, and how single sines compare
-with the noise.
+The options are three dataclasses: the trial and its criteria, the format of a file, and the
+results. From them come the parameters of one trial (`hapticd.zwidth.trial`), which is run, kept,
+drawn and printed. The action is announced before any simulation or motion. The output also states
+how an undecided trial could be decided, and compares single sines with the noise.
 """
 
 import sys
@@ -53,7 +52,7 @@ SOURCES = (
     " ENABLED by this, with these K, B, M also afterwards; else a FILE."
 )
 STOPPED = 5  # exit code of a trial after which the device is stopped, or in fault
-ENGINE_SCENE = "fig4"  # of engine and lockstep where none is named
+ENGINE_SCENE = "fig4"  # default of engine and lockstep
 FILES = (
     ".csv, .npz, .mat or .h5 with force in N and velocity in m/s; a recording, its export, a run"
     " folder."
@@ -68,7 +67,7 @@ SceneOfTrial = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class TrialOptions:
-    """What is tried, how it is perturbed, and how it is judged."""
+    """The trial: environment, perturbation, and criteria."""
 
     source: Annotated[str, typer.Argument(metavar="engine|lockstep|live|FILE", help=SOURCES)] = (
         "engine"
@@ -155,7 +154,7 @@ class TrialOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class FileOptions:
-    """How a file is read, and what is known of its channels."""
+    """Format of a file, and known facts of its channels."""
 
     force: Annotated[
         str, typer.Option("--force-column", metavar="NAME", help="Column of the force in FILE.")
@@ -197,13 +196,13 @@ class FileOptions:
 
     @property
     def columns(self) -> tuple[str, str, float | None, str]:
-        """What is stated of the channels of FILE, in the order in which its readers take it."""
+        """Stated facts of the channels of FILE, in the order of its readers."""
         return self.force, self.velocity, self.rate_hz, self.counter
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrialResultOptions:
-    """Where results go, and what is drawn."""
+    """Destination of results, and figures."""
 
     out: common.Out = None
     plot: common.Plot = False
@@ -247,7 +246,7 @@ def _tried(
     instance: str,
     results: TrialResultOptions,
 ) -> None:
-    """The trial, of a record where there is one."""
+    """Perform the trial, of a record if there is one."""
     name = "" if recorded else _scene_name(asked)
     scene = common.scene_of(name) if name else None
     plan = trials.plan_trial(_params(asked, file, scene, recorded))
@@ -272,7 +271,7 @@ def _tried(
 
 
 def _check(asked: TrialOptions) -> None:
-    """BadParameter for options that do not go together."""
+    """Raise BadParameter for incompatible options."""
     if asked.sine and asked.source not in LIVE:
         raise typer.BadParameter(
             "--stepped-sine: a record that exists cannot be perturbed again; use engine, lockstep"
@@ -290,7 +289,7 @@ def _check(asked: TrialOptions) -> None:
 
 
 def _scene_name(asked: TrialOptions) -> str:
-    """The scene of the trial; empty where none is named and none is needed."""
+    """Return the scene of the trial; empty if none is given and none is needed."""
     return asked.scene or (ENGINE_SCENE if asked.source in ("engine", "lockstep") else "")
 
 
@@ -316,13 +315,13 @@ def _params(
     criteria = assess.Criteria(
         asked.band,
         asked.confidence,
-        # multisines are judged from force to velocity unless the other way is asked for
+        # the default for multisines is from force to velocity
         asked.estimator or ("spa" if layout is None else "h_force"),
         asked.behind,
         file.skew or 0.0,
         file.high_pass,
     )
-    # a daemon is asked for its own device
+    # a daemon provides its own device
     known = scene if asked.source != "live" else None
     return trials.TrialParams(trial, known, criteria, asked.lag, layout)
 
@@ -330,7 +329,7 @@ def _params(
 def _excitation(
     asked: TrialOptions, scene: "model_scene.Scene | None", layout: "trials.MultisineLayout | None"
 ) -> "model_scene.Excitation":
-    """The scene's noise with the seed and density that are asked for, or multisines like it."""
+    """Return the scene's noise with the requested seed and density, or equivalent multisines."""
     noise = scenes.noise(scene) if scene else sources.Trial().excitation
     noise = replace(noise, seed=asked.seed)
     if asked.psd is not None:
@@ -344,7 +343,7 @@ def _judged(
     recorded: "store.TrialRecord | None",
     tell: "store.Progress",
 ) -> "trials.TrialResult":
-    """Run the plan; a file of multisines is there already, realisation after realisation."""
+    """Run the plan; a file of multisines already has the record, realisation after realisation."""
     if recorded is None:
         return trials.run_trial(plan, source, tell)
     return trials.judged(plan, source(plan.params.trial, tell))
@@ -358,9 +357,9 @@ def _live(
     file: FileOptions,
     stack: ExitStack,
 ) -> "tuple[trials.TrialPlan, sources.Source]":
-    """The plan with the curve of the daemon's device, and the source.
+    """Return the plan with the curve of the daemon's device, and the source.
 
-    Whether its loop is stable is seen, not predicted.
+    The stability of its loop is observed, not predicted.
     """
     found = open_rig(instance, stack)
     skew_s = found.skew_s if file.skew is None else file.skew
@@ -373,7 +372,7 @@ def _live(
 
 
 def _refuse_beyond(name: str, scene: "model_scene.Scene", trial: "sources.Trial") -> None:
-    """What a daemon would refuse on that scene's device, as a live trial refuses it."""
+    """Refuse values that a daemon on that scene's device would refuse, as in a live trial."""
     values = dict(zip("KBM", trial.environment, strict=True))
     level = {"active_damping": trial.active_damping_ns_per_m}
     common.require_within(name, scenes.display(scene), values | level)
@@ -383,7 +382,9 @@ def _refuse_beyond(name: str, scene: "model_scene.Scene", trial: "sources.Trial"
 def _simulated(
     asked: TrialOptions, scene: "model_scene.Scene", stack: ExitStack
 ) -> "sources.Source":
-    """The batch engine, or the whole stack on virtual time for as long as `stack` is open."""
+    """Return the batch engine, or the whole stack on virtual time for as long as
+    `stack` is open.
+    """
     if asked.source == "engine":
         return simulated.engine_source(scene)
     setup = lockstep.scene_params(_scene_name(asked))
@@ -407,7 +408,7 @@ def _show(
 
 
 def _lines(result: "trials.TrialResult") -> Iterator[str]:
-    """What is printed of a trial: what was tried, the verdict, what it rests on."""
+    """Yield the printed lines of a trial: its environment, the verdict, and its basis."""
     badge = "SIMULATED " if result.recorded.simulated else ""
     what = common.environment_words(result.plan.params.trial)
     yield f"{badge}{result.recorded.origin}: {what}"
@@ -427,7 +428,7 @@ def announced(
     scene: "model_scene.Scene | None",
     recorded: "store.TrialRecord | None",
 ) -> str:
-    """What is about to be simulated or read, environment and all."""
+    """Return the announcement of the simulation or the file, with the environment."""
     what = common.environment_words(trial)
     if recorded is not None:
         return (
@@ -439,7 +440,7 @@ def announced(
 
 
 def needed(result: "trials.TrialResult") -> str:
-    """What would decide, as far as it can be said."""
+    """Return the conditions for a decision, as far as they are known."""
     verdict = result.verdict
     layout = result.plan.params.multisine
     voiding = sorted({finding.code for finding in verdict.findings if finding.voids})
@@ -463,7 +464,7 @@ def needed(result: "trials.TrialResult") -> str:
 
 
 def compared(result: "trials.TrialResult", sines: "stepped_sine.ReferenceSines") -> str:
-    """Sines and noise side by side, a line for each frequency of `sines`."""
+    """Compare sines and noise, in a line for each frequency of `sines`."""
     rows = []
     moved_mm_per_s = 1e3 * sines.velocity_rms_m_per_s
     measured = result.measured
@@ -487,7 +488,7 @@ def compared(result: "trials.TrialResult", sines: "stepped_sine.ReferenceSines")
 
 
 def _amplitudes(result: "trials.TrialResult", sines_mm_per_s: list[float]) -> str:
-    """Why sines and noise may differ, and which of them is judged."""
+    """Explain why sines and noise may differ, and which of them is judged."""
     noise = 1e3 * result.verdict.amplitude.velocity_sd_m_per_s
     between = (
         f"{min(sines_mm_per_s):.3g} to {max(sines_mm_per_s):.3g}" if sines_mm_per_s else "unknown"
@@ -505,7 +506,7 @@ def draw_trial(
     width_mm: float | None,
     sines: "stepped_sine.ReferenceSines | None" = None,
 ) -> list[Path]:
-    """The figures of the trial and of its admittance in `folder`; the files."""
+    """Draw the figures of the trial and of its admittance in `folder`; return the files."""
     impedance = figures.trial_figure(result, sines, width_mm=width_mm)
     admittance = figures.trial_figure(result, sines, admittance=True, width_mm=width_mm)
     named = {"trial": impedance, "trial_admittance": admittance}

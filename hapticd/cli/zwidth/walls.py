@@ -1,4 +1,4 @@
-"""Impacts on virtual walls: how stiff a wall may be at each damping before it oscillates."""
+"""Impacts on virtual walls: maximum stiffness of a wall without oscillation, at each damping."""
 
 from functools import partial
 from typing import Annotated
@@ -72,7 +72,9 @@ def command(
 def _grid(
     stiffness: common.Range, viscous: common.Range
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Stiffnesses [N/m] and dampings [N s/m] of the walls. AnalysisError: K is not above 0."""
+    """Return stiffnesses [N/m] and dampings [N s/m] of the walls. AnalysisError unless K is above
+    0.
+    """
     low, high, count = common.ranged("--stiffness", stiffness, 1)
     if low <= 0.0:
         raise AnalysisError("wall stiffnesses: an ascending list above 0 N/m is needed")
@@ -81,7 +83,7 @@ def _grid(
 
 
 def _table(result: "walls.WallResult", dampings: tuple[float, ...]) -> "table.Table":
-    """A row for each damping of the wall, a column for each level of active damping."""
+    """Return a row for each damping of the wall, a column for each level of active damping."""
     params = result.plan.params
     rows: list[tuple[str | float, ...]] = []
     for place, damping in enumerate(dampings):
