@@ -5,21 +5,21 @@
     devices/NAME.toml ----'                               '--> GatewayParams gateway.json
     scenes/NAME.toml --------- load_scene -------------------> Scene         for simulations
 
-A unit lives in the name of its field and nowhere else. A default is written once, in
-`hapticd.core.params`; what the board is, and what one count means on it, in its device file alone.
+The unit of a field is part of its name and is defined nowhere else. A default is written once, in
+`hapticd.core.params`; the board and its values per count only in its device file.
 
 For scripts:
 
     load     load(file, overrides) -> Settings: the validated configuration with its device
     scene    load_scene(name or file) -> Scene; scene_names(); schema(kind)
-    build    servo_params, board_params, gateway_params, device_params: what processes read
-    inputs   regular(path): what somebody named, if it can be read without waiting
-    toml     shipped(folder): files that travel with the package; read(file); did_you_mean
+    build    servo_params, board_params, gateway_params, device_params: parameters of the processes
+    inputs   regular(path): a user's file, if it can be read without waiting
+    toml     shipped(folder): files shipped with the package; read(file); did_you_mean
 
-`config` and `device` are the tables themselves, `tables` reads them and says what is wrong; `guard`
-writes guard.json.
+`config` and `device` define the tables, `tables` parses them and reports mistakes; `guard` writes
+guard.json.
 
-A fact that the device file holds must have no second place (limits and scales are checked against
-it, not repeated). No value may change after validation (overrides are merged before it, so that
-they are checked as well).
+A fact in the device file must not be repeated elsewhere (limits and scales are checked against it).
+No value may change after validation (overrides are merged before it, so that they are checked as
+well).
 """

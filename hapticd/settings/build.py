@@ -1,6 +1,6 @@
-"""Settings -> the parameters that the processes read.
+"""Settings -> the parameters of the processes.
 
-The only place that turns full scales into values per count.
+The only module that turns full scales into values per count.
 """
 
 from dataclasses import asdict, fields, replace
@@ -52,7 +52,7 @@ __all__ = [
     "smoothing_hz",
 ]
 
-# fields of BoardParams: where [simulation.board] says another value, at which full count
+# fields of BoardParams: the field of [simulation.board] that replaces it, and its full count
 FULL_SCALES = {
     "position_m_per_count": ("position_m_per_count", 1),
     "force_n_per_count": ("force_full_scale_n", I16_HIGHEST),
@@ -62,12 +62,12 @@ FULL_SCALES = {
     "current_a_per_count": ("current_full_scale_a", I16_HIGHEST),
     "voltage_v_per_count": ("voltage_full_scale_v", I16_HIGHEST),
 }
-OVERSPEED = 0.7  # of the speed that is a sensor fault: see servo.monitors
+OVERSPEED = 0.7  # of the speed that counts as a sensor fault: see servo.monitors
 DEFAULT_PHASE = 0.875  # of a period, as in BoardParams: force acts T / 8 after the sample
 
 
 def servo_params(settings: Settings, instance: str) -> ServoParams:
-    """servo.json"""
+    """Return the parameters of servo.json."""
     config = settings.config
     device = settings.device
     return ServoParams(
@@ -89,7 +89,9 @@ def servo_params(settings: Settings, instance: str) -> ServoParams:
 
 
 def board_params(settings: Settings) -> BoardParams | None:
-    """board.json; None for a real board. Its nominal scales are those of the device file."""
+    """Return the parameters of board.json; None for a real board. Its nominal scales are those of
+    the device file.
+    """
     device = settings.device
     simulation = settings.config.simulation
     if not device.simulated:
@@ -112,7 +114,7 @@ def board_params(settings: Settings) -> BoardParams | None:
 
 
 def _another_board(asked: SimulatedBoard) -> dict[str, Any]:
-    """Fields of BoardParams in which the board is not the one of its device file."""
+    """Return the fields of BoardParams in which the board differs from its device file."""
     named = {
         "hello_serial": asked.serial,
         "lacks": asked.lacks,
@@ -126,7 +128,7 @@ def _another_board(asked: SimulatedBoard) -> dict[str, Any]:
 
 
 def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> tuple[Effect, ...]:
-    """The effects of a simulated device that are built: `names`, else those that its file names.
+    """Return the effects of a simulated device: `names`, by default those of its file.
 
     A device of one rigid mass has none.
     """
@@ -137,8 +139,8 @@ def device_effects(device: DeviceFile, names: tuple[str, ...] | None = None) -> 
 
 
 def rigid_effects(device: DeviceFile) -> tuple[Effect, ...]:
-    """The one mass that a simulated board moves without a model of effects, latched when it does
-    by default; nothing for a device with a model or with neither.
+    """Return the effects of a simulated board with one rigid mass, latched at the default phase;
+    none for a device with a model or with neither.
     """
     plant = device.plant
     if plant is None:
@@ -164,10 +166,9 @@ def board_of(
     exact_levels: tuple[float, ...],
     **firmware: Any,
 ) -> BoardParams:
-    """The simulated board of `device` with these effects, or of the rigid mass of [plant].
-
-    `exact_levels` [Ns/m] of active damping are met exactly, others by interpolation. `firmware` are
-    the last fields of BoardParams.
+    """Return the simulated board of `device` with these effects, or with the rigid mass of [plant].
+    `exact_levels` [Ns/m] of active damping are exact, others interpolated. `firmware` are the last
+    fields of BoardParams.
     """
     scales = device_params(device)
     moved = (
@@ -207,24 +208,28 @@ def _composed(
 
 
 def _trim_ohm(device: DeviceFile) -> float:
-    """Ohm that the resistance DAC adds at its full count, with its sign; 0 without one."""
+    """Return the ohm of the resistance DAC at its full count, with its sign; 0 without one."""
     table = device.resistance
     return 0.0 if table is None else table.sign * table.full_scale_ohm
 
 
 def _timing(effects: tuple[Effect, ...]) -> SampleTiming:
-    """The timing of a board with the device's transport delay, or the default without one."""
+    """Return the timing of a board with the device's transport delay, or the default
+    without one.
+    """
     delay = next((effect.periods for effect in effects if isinstance(effect, Delay)), 0.0)
     return sample_timing(delay) if delay else SampleTiming(DEFAULT_PHASE, 0)
 
 
 def smoothing_hz(effects: tuple[Effect, ...]) -> float:
-    """Corner [Hz] of the low-pass on the commanded force; 0 without one."""
+    """Return the corner [Hz] of the low-pass on the commanded force; 0 without one."""
     return next((one.corner_hz for one in effects if isinstance(one, Smoothing)), 0.0)
 
 
 def gateway_params(settings: Settings) -> GatewayParams:
-    """gateway.json. A relative key folder lies beside the configuration file."""
+    """Return the parameters of gateway.json. A relative key folder is next to the configuration
+    file.
+    """
     gateway = settings.config.gateway
     if gateway.curve_keys is None:
         return gateway
@@ -232,7 +237,7 @@ def gateway_params(settings: Settings) -> GatewayParams:
 
 
 def guard_params(settings: Settings) -> GuardParams:
-    """The guard of gateway.json and guard.json, with the policy that this device has by default."""
+    """Return the guard of gateway.json and guard.json, with the default policy of this device."""
     asked = settings.config.guard
     device = settings.device
     cautious = not device.simulated and device.model is not None
@@ -245,12 +250,12 @@ def guard_params(settings: Settings) -> GuardParams:
 
 
 def _beside(settings: Settings, name: str) -> Path:
-    """The file `name`, beside the configuration file if it is relative."""
+    """Return the file `name`, relative to the folder of the configuration file."""
     return (settings.config_file.parent / Path(name)).absolute()
 
 
 def device_params(device: DeviceFile) -> DeviceParams:
-    """Scales per count and limits of a device file."""
+    """Return scales per count and limits of a device file."""
     limits = device.limits
     return DeviceParams(
         name=device.name,
@@ -288,7 +293,7 @@ def device_params(device: DeviceFile) -> DeviceParams:
 
 
 def commissioning(device: DeviceFile) -> bool:
-    """Whether the signs of `device` are still to be verified, with this very board."""
+    """Return whether the signs of `device` are not yet verified with this board."""
     table = device.commissioning
     if table is None:
         return not device.simulated
@@ -297,14 +302,14 @@ def commissioning(device: DeviceFile) -> bool:
 
 
 def _signs_firmware(device: DeviceFile) -> str:
-    """The firmware that its board must have for the verified signs to hold; "": any."""
+    """Return the firmware required by the verified signs; "": any."""
     table = device.commissioning
     return "" if table is None or commissioning(device) else table.firmware
 
 
 def _motor(device: DeviceFile) -> dict[str, Any]:
-    """What the device file knows of the motor: as it was measured, as its compensation has it, as
-    it is simulated, or else as homing takes it.
+    """Return the motor's parameters from the device file: measured, from the compensation,
+    simulated, or the defaults of homing.
     """
     if measured := device.motor:
         found = _winding(measured.force_n_per_a, measured.winding_ohm, measured.reference_c)
@@ -314,7 +319,7 @@ def _motor(device: DeviceFile) -> dict[str, Any]:
     if plant := device.plant:
         return _winding(plant.torque_constant_n_per_a, plant.winding_ohm, plant.ambient_c)
     motor = device.model.table("motor") if device.model else None
-    # a real device's model may have to name a motor that nobody measured
+    # a real device's model may contain a motor that was not measured
     if motor is not None and (device.simulated or motor.source != "inferred"):
         force_n_per_a = motor.torque_constant_nm_per_a / motor.lever_m
         return _winding(force_n_per_a, motor.resistance_ohm, motor.reference_c)
@@ -330,7 +335,7 @@ def _winding(force_n_per_a: float, resistance_ohm: float, reference_c: float) ->
 
 
 def environment_params(asked: EnvironmentTable, travel: Travel) -> Environment:
-    """What is rendered, with the soft ends inside the device's travel."""
+    """Return the rendered environment, with the soft ends inside the device's travel."""
     ends = asked.workspace
     return Environment(
         **{path: getattr(asked, path) for path in RENDERED},
@@ -344,9 +349,9 @@ def environment_params(asked: EnvironmentTable, travel: Travel) -> Environment:
 
 
 def converter_effects(device: DeviceFile) -> dict[str, Effect]:
-    """Quantisation and limits as the device's own scales have them; by key.
+    """Return quantisation and limits by the device's own scales, by key.
 
-    What a scale says of its source is the note.
+    The source of a scale becomes the note.
     """
     scales = device_params(device)
     return {
@@ -371,7 +376,7 @@ def converter_effects(device: DeviceFile) -> dict[str, Effect]:
 
 
 def _tag(scale: ScaleParams) -> str:
-    """The tag of an effect whose numbers are those of a scale."""
+    """Return the tag of an effect with the numbers of a scale."""
     if scale.measured:
         return "calibrated"
     return "paper" if scale.measured_by == "paper" else "inferred"

@@ -1,7 +1,7 @@
-"""hapticd.toml: what is asked of any device.
+"""hapticd.toml: settings that apply to any device.
 
-A table that the processes read as it is stands in `core.params`, with its defaults and limits. Here
-are those that are translated. `load` checks what a device itself allows.
+Tables that the processes read unchanged are in `core.params`, with their defaults and limits. The
+tables here are translated. `load` checks the limits of a device.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ SERIAL_NUMBER: dict[str, Any] = {"min_length": 1, "max_length": 16, "pattern": r
 
 
 _RANGES: dict[str, Any] = {one.path: {"ge": one.low, "le": one.high} for one in FIELDS}
-# numbers of the environment itself; the active damping stands in a table of its own
+# numbers of the environment itself; the active damping has its own table
 RENDERED = tuple(one.path for one in STRENGTHS if "." not in one.path)
 FrequencyHz = Annotated[float, Field(**_RANGES["velocity_filter.frequency_hz"])]
 DampingRatio = Annotated[float, Field(**_RANGES["velocity_filter.damping_ratio"])]
@@ -54,7 +54,7 @@ class Filter(TomlTable):
     damping_ratio: DampingRatio = FilterParams(1.0).damping_ratio
     """0.7071 is Butterworth."""
     mapping: Literal["prewarped", "bilinear", "matched"] = "prewarped"
-    """How the filter is made discrete."""
+    """Discretisation of the filter."""
 
 
 def _filter(default: FilterParams) -> Filter:
@@ -75,10 +75,10 @@ class Workspace(TomlTable):
     stiffness_n_per_m: float = Field(_ends.stiffness_n_per_m, ge=0, le=1e5)
     """Springs at both ends of the device's travel; 0: none."""
     margin_m: float = Field(0.0, ge=0, le=10)
-    """How far before each end of travel they begin."""
+    """Distance from each end of travel at which they begin."""
 
 
-if TYPE_CHECKING:  # a model that is made of the table is no base for a checker
+if TYPE_CHECKING:  # a generated model cannot be a base class for a type checker
     Rendered = TomlTable
 else:
     Rendered = create_model(
@@ -93,7 +93,7 @@ else:
 
 
 class EnvironmentTable(Rendered):
-    """What is rendered at start; `hapticd set` changes it live."""
+    """The environment rendered at start; `hapticd set` changes it live."""
 
     velocity_filter: Filter = _filter(_environment.velocity_filter)
     acceleration_filter: Filter = _filter(_environment.acceleration_filter)
@@ -103,15 +103,15 @@ class EnvironmentTable(Rendered):
 
 @dataclass(frozen=True, slots=True)
 class SimulatedBoard(TableParams):
-    """In what the simulated board is another one than its device file says.
+    """Differences of the simulated board from its device file.
 
-    It says so in its hello and behaves accordingly; what is left out is as in the device file.
+    Its hello reports them and it behaves accordingly; omitted fields follow the device file.
     """
 
     serial: Annotated[str, Constraints(**SERIAL_NUMBER)] | None = None
-    """In the hello alone: it is still found by the device file's serial number."""
+    """Only in the hello: it is still found by the device file's serial number."""
     lacks: Annotated[tuple[Capability, ...], Constraints(strict=False)] = ()
-    """Capabilities that it does not have."""
+    """Capabilities that the board lacks."""
     position_m_per_count: Positive | None = None
     force_full_scale_n: Positive | None = None
     damping_full_scale_ns_per_m: Positive | None = None
@@ -120,7 +120,7 @@ class SimulatedBoard(TableParams):
     current_full_scale_a: Positive | None = None
     voltage_full_scale_v: Positive | None = None
     force_limit_n: Positive | None = None
-    """Beyond which it clamps the torque itself."""
+    """The board clamps the torque to this limit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,12 +128,11 @@ class Simulation(BoardTraits):
     """The simulated board's firmware; ignored with a real one."""
 
     sample_phase: Annotated[float, Constraints(ge=0, lt=1)] | None = None
-    """When the encoder is latched, in periods after the board received a command.
+    """Time at which the encoder is latched, in periods after the board received a command.
 
-    Left out: what the device's delay asks for.
-    """
+    Default: from the device's delay."""
     effects: Annotated[tuple[str, ...], Constraints(strict=False)] | None = None
-    """Effects of the device that are built; left out: those that its file names."""
+    """Effects of the device to build. Default: those of its file."""
     board: SimulatedBoard = SimulatedBoard()
 
 
@@ -141,9 +140,9 @@ class Config(TomlTable):
     """hapticd.toml"""
 
     device: str = Field("simulated", min_length=1)
-    """Name of a device file (devices/NAME.toml beside this file, else a shipped one), or a path."""
+    """Name of a device file (devices/NAME.toml next to this file, or a shipped one), or a path."""
     active_damping_ns_per_m: float = Field(_active_damping_ns_per_m, ge=0)
-    """Active damping that `hapticd damping on` asks for."""
+    """Active damping of `hapticd damping on`."""
     environment: EnvironmentTable = EnvironmentTable()
     safety: SafetyParams = SafetyParams()
     realtime: RealtimeParams = RealtimeParams()

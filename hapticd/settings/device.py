@@ -1,15 +1,14 @@
-"""devices/NAME.toml: what one count means on this device, its limits, and its simulated plant.
+"""devices/NAME.toml: values per count of a device, its limits, and its simulated plant.
 
 A scale is written as the value at the converter's full count (32767 signed, 65535 for the damping
-scale factor), as hapticd_wire.h states nominal scales:
-value = sign * (count - offset_count) * full_scale / full_count. Position and temperature are given
-per count.
+scale factor), like the nominal scales in hapticd_wire.h: value = sign * (count - offset_count) *
+full_scale / full_count. Position and temperature are given per count.
 
-[model] holds one table per effect, made from the effects themselves, so that each is described
+[model] has one table per effect, generated from the effects themselves, so that each is described
 once:
 
     [model]
-    effects = ["probe", "coulomb"]      what a live simulated board builds; a scene names its own
+    effects = ["probe", "coulomb"]      effects of a live simulated board; a scene has its own list
     [model.coulomb]
     rotor_n = 0.0293
     source = "calibrated"               paper | inferred | calibrated; `sources` tags single numbers
@@ -51,13 +50,14 @@ Tag = Literal["paper", "inferred", "calibrated"]
 
 
 class Provenance(TomlTable):
-    """When and by whom the numbers of a table were measured."""
+    """Date and origin of the numbers of a table."""
 
     measured_on: datetime.date | None = None
-    """When it was measured or, for the signs, seen."""
+    """Date of the measurement, or of the verification of the signs."""
     measured_by: MeasuredBy = ""
-    """The step of `hapticd rig` that measured it, "paper", or nothing for any other origin. A scale
-    that a step measured may differ from the board's nominal one by 1.5 times, any other by 1.1."""
+    """The step of `hapticd rig` that measured it, "paper", or empty for any other origin. A scale
+    measured by a step may differ from the board's nominal one by a factor of 1.5, any other by 1.1.
+    """
 
 
 class Measured(Provenance):
@@ -75,18 +75,18 @@ class Measured(Provenance):
 
 
 class EffectTable(Provenance):
-    """What every effect has beside its numbers."""
+    """Fields of every effect in addition to its numbers."""
 
     source: Tag
-    """Where its numbers come from."""
+    """Origin of its numbers."""
     sources: dict[str, Tag] = Field(default_factory=dict)
-    """Numbers that come from elsewhere."""
+    """Numbers with another origin."""
     note: str = ""
-    """More about the numbers, in words."""
+    """Further information on the numbers, as text."""
 
 
 class _OfAnEffect(EffectTable, use_attribute_docstrings=False):
-    """Without source text: pydantic would look for it in every module that is loaded."""
+    """No source text: pydantic would search every loaded module for it."""
 
 
 def _table(kind: type[Effect]) -> type[EffectTable]:
@@ -103,7 +103,7 @@ TABLES = {key: _table(kind) for key, kind in BY_KEY.items() if key not in FROM_S
 
 class _Tables(TomlTable, use_attribute_docstrings=False):
     def table(self, key: str) -> Any:
-        """The table of the effect `key`; None if the device has none."""
+        """Return the table of the effect `key`; None if the device has none."""
         return getattr(self, key)
 
 
@@ -136,7 +136,8 @@ else:
 def effects_of(
     model: DeviceModel, names: Iterable[str], scales: dict[str, Effect]
 ) -> tuple[Effect, ...]:
-    """The effects `names` with the numbers of `model`, and masses and motor, which always exist.
+    """Return the effects `names` with the numbers of `model`, and masses and motor, which always
+    exist.
 
     Effects of converters are taken from `scales`, by key.
     """
@@ -155,14 +156,14 @@ def _effect(key: str, table: EffectTable) -> Effect:
 class Scale(Measured):
     sign: Literal[-1, 1] = 1
     offset_count: float = 0.0
-    """Count that means zero."""
+    """Count of the value zero."""
     serial: str = ""
-    """Of the board at which it was measured; left out: the device's own."""
+    """Serial number of the board at the measurement. Default: the device's own."""
     source: str = Field(min_length=1)
-    """How it is known: calibration record, data sheet, paper, or "assumed"."""
+    """Origin of the scale: calibration record, data sheet, paper, or "assumed"."""
 
     def params(self, key: str, counts: int = 1) -> ScaleParams:
-        """As the processes read it: the number `key` is what so many `counts` mean."""
+        """Return the scale for the processes: the number `key` is the value of `counts`."""
         half = self.half_width_95.get(key)
         return ScaleParams(
             getattr(self, key) / counts,
@@ -189,8 +190,8 @@ class ActiveDampingTable(Scale):
     full_scale_ns_per_m: float = Field(gt=0)
     """At 65535 counts."""
     with_force_full_scale_n: float | None = Field(None, gt=0)
-    """`force.full_scale_n` when it was measured, for it is weighed in newtons; with another one it
-    has to be measured again."""
+    """`force.full_scale_n` at the time of the measurement, which depends on it; measure again after
+    a change of that scale."""
 
 
 class Velocity(Scale):
@@ -200,8 +201,8 @@ class Velocity(Scale):
 
 class ProbeVelocity(Velocity):
     skew_us: float = Field(0.0, ge=-1000, le=1000)
-    """By which the velocity of a sample is later than its force, as `rig probe` finds it; taken
-    out of every live trial. 0 where both are sampled together, as a simulated board does."""
+    """Delay of the velocity of a sample behind its force, from `rig probe`; corrected in every live
+    trial. 0 if both are sampled together, as on a simulated board."""
 
 
 class Current(Scale):
@@ -219,45 +220,45 @@ class Temperature(Scale):
 
 
 class ResistanceTable(Provenance):
-    """How the board compensates the winding's resistance, and what is known of the winding."""
+    """Compensation of the winding's resistance by the board, and parameters of the winding."""
 
     sign: Literal[-1, 1] = 1
-    """-1 when a positive count makes the circuit believe in fewer ohm."""
+    """-1 if a positive count reduces the compensated resistance."""
     full_scale_ohm: float = Field(gt=0, le=1e4)
-    """What 32767 counts add to `base_ohm`."""
+    """Resistance added to `base_ohm` by 32767 counts."""
     base_ohm: float = Field(gt=0, le=1e4)
-    """What the circuit compensates at count 0: no more than the winding has when it is coldest."""
+    """Compensated resistance at count 0: at most that of the coldest winding."""
     winding_ohm: float = Field(gt=0, le=1e4)
-    """The winding itself, at `reference_c`."""
+    """Resistance of the winding at `reference_c`."""
     reference_c: float = Field(20.0, ge=-40, le=150)
     per_k: float = Field(COPPER_PER_K, gt=0, le=0.02)
-    """Relative change of its resistance; copper's by default."""
+    """Relative change of its resistance; default: copper."""
     tolerance_ohm: float = Field(gt=0, le=1e4)
-    """By how much less than the winding has is compensated: what the other numbers may be wrong."""
+    """Difference kept between winding and compensation: the possible error of the other numbers."""
     slew_ohm_per_s: float = Field(gt=0, le=1e4)
     """Of the trim."""
     force_n_per_a: float = Field(ge=1e-3, le=1e4)
     """Endpoint force per ampere of the motor."""
     heat_from: Literal["current", "force"] = "current"
-    """What heats the winding: the motor current that the board reports, or the commanded force
-    where it reports none."""
+    """Source of the heating: the motor current reported by the board, or the commanded force if it
+    reports none."""
     thermal_resistance_k_per_w: float = Field(gt=0, le=1e4)
     """Winding to surroundings."""
     time_constant_s: float = Field(ge=1, le=1e5)
     """Of the winding against its surroundings."""
     ambient_low_c: float = Field(ge=-40, le=100)
-    """The surroundings are never colder."""
+    """Lowest temperature of the surroundings."""
     ambient_high_c: float = Field(ge=-40, le=100)
-    """Nor hotter."""
+    """Highest temperature of the surroundings."""
     model_error: float = Field(ge=0, le=0.9)
-    """Share by which thermal resistance and time constant may be wrong."""
+    """Possible relative error of thermal resistance and time constant."""
     serial: str = ""
-    """Of the board at which it was measured; left out: the device's own."""
+    """Serial number of the board at the measurement. Default: the device's own."""
     source: str = Field(min_length=1)
-    """How it is known."""
+    """Origin of the numbers."""
 
     def params(self) -> ResistanceParams:
-        """As the servo reads it."""
+        """Return the table for the servo."""
         own = self.model_dump(exclude={"sign", "source", "serial", *Provenance.model_fields})
         trim = ScaleParams(
             self.full_scale_ohm / I16_HIGHEST,
@@ -271,30 +272,30 @@ class ResistanceTable(Provenance):
 
 
 class LimitsTable(TomlTable):
-    """What the device may be asked for; the configuration may only be stricter."""
+    """Limits of the device; the configuration may only be stricter."""
 
     force_n: float = Field(gt=0)
     active_damping_ns_per_m: float = Field(ge=0)
     probe_n: float = Field(ge=0)
     temperature_c: float = Field(gt=0, le=200)
     speed_m_per_s: float = Field(gt=0)
-    """Faster is not a motion but a sensor fault."""
+    """A higher speed is a sensor fault, not a motion."""
     overspeed_m_per_s: float | None = Field(None, gt=0)
-    """Faster than this for 5 ms is a fault; left out: 0.7 of `speed_m_per_s`."""
+    """A higher speed for 5 ms is a fault. Default: 0.7 of `speed_m_per_s`."""
     physical_damping_ns_per_m: float | None = Field(None, ge=0)
-    """What the device damps for certain, without active damping: well below what was measured. Left
-    out, the fault `energy` is off."""
+    """Guaranteed damping of the device without active damping: well below the measured one. If
+    omitted, the fault `energy` is off."""
     energy_j: float = Field(ENERGY_LIMIT_J, gt=0)
-    """Energy that the display may give away beyond what that damping takes: fault `energy`."""
+    """Energy that the display may release in excess of that damping: fault `energy`."""
     force_step_n: float = Field(1.0, gt=0)
-    """Largest step of force in one tick by an enable or a change of parameters; what would step
-    further takes several ticks. 1 N gives a free handle of 8 g 0.1 m/s."""
+    """Largest step of force in one tick by an enable or a change of parameters; a larger step takes
+    several ticks. 1 N gives a free handle of 8 g 0.1 m/s."""
     ramp_energy_j: float = Field(RAMP_ENERGY_J, gt=0)
-    """Elastic and kinetic energy that enables and changes of parameters may bring in within a
-    second; ramps that would bring in more wait. 0.03 J is K = 600 N/m brought in 10 mm off."""
+    """Maximum elastic and kinetic energy added by enables and changes of parameters within a
+    second; ramps that would add more wait. 0.03 J is K = 600 N/m switched on 10 mm from rest."""
     acceleration_m_per_s2: float = Field(500.0, gt=0)
-    """What changes the speed faster is believed only when the next sample goes on from it: an
-    encoder glitch comes back."""
+    """A faster change of speed is accepted only if the next sample continues it: an encoder glitch
+    returns."""
 
 
 class Travel(TomlTable):
@@ -305,47 +306,48 @@ class Travel(TomlTable):
 
 
 class CommissioningTable(Provenance):
-    """Whether somebody has seen that force and position have the signs that this file says."""
+    """Verification that force and position have the signs of this file."""
 
     signs_verified: bool = False
     """False: a tenth of the force, a small box for K, B and M, and every push is watched."""
     serial: str = ""
-    """Of the board at which it was seen; with another one it counts for nothing."""
+    """Serial number of the board at the verification; it is void for another board."""
     firmware: str = Field("", pattern=r"^([0-9]{1,3}\.[0-9]{1,3})?$")
-    """Its firmware then, as its hello said, like 1.0; a board with another one makes no force.
-    Left out: any."""
+    """Its firmware at that time, from its hello, like 1.0; a board with another firmware makes no
+    force. Default: any."""
     signs: str = Field("", pattern=r"^([0-9a-f]{16})?$")
-    """What was verified, as `hapticd rig motor` writes it: a hash of the signs of force and
-    position, serial number and firmware. Where it does not fit the file, nobody has seen them."""
+    """The verified signs, as written by `hapticd rig motor`: a hash of the signs of force and
+    position, serial number and firmware. If it does not match the file, the signs are not verified.
+    """
     life: int | None = Field(None, ge=0, le=255)
-    """In which life of that board it was seen: the number changes whenever it starts."""
+    """Life of that board at the verification: the number changes at every start."""
     source: str = ""
-    """How it was seen."""
+    """Method of the verification."""
 
 
 def signs_hash(serial: str, firmware: str, force_sign: int, position_sign: int) -> str:
-    """What names the signs that somebody has seen, at a board with this serial and firmware."""
+    """Return the hash of verified signs, for a board with this serial and firmware."""
     seen = f"{serial}|{firmware}|force {force_sign:+d}|position {position_sign:+d}"
     return hashlib.sha256(seen.encode()).hexdigest()[:16]
 
 
 class MotorTable(Measured):
-    """The motor as it was measured; a simulated one is described by `plant` or `model`."""
+    """The measured motor; a simulated one is described by `plant` or `model`."""
 
     force_n_per_a: float = Field(ge=1e-3, le=1e4)
     """Endpoint force per ampere."""
     winding_ohm: float = Field(gt=0, le=1e4)
-    """The winding, at `reference_c`."""
+    """Resistance of the winding at `reference_c`."""
     reference_c: float = Field(20.0, ge=-40, le=150)
     lever_m: float | None = Field(None, gt=0, le=10)
-    """Radius that turns torque into endpoint force, as its owner says; nothing is computed from
-    it here but the torque constant, the product of `force_n_per_a` and `lever_m`."""
+    """Radius from torque to endpoint force, stated by the owner; used only for the torque constant,
+    the product of `force_n_per_a` and `lever_m`."""
     source: str = ""
-    """How it is known."""
+    """Origin of the numbers."""
 
 
 class RigidTable(TomlTable):
-    """What the simulated board moves: one rigid mass, without a model of its effects."""
+    """Plant of the simulated board: one rigid mass, without a model of its effects."""
 
     mass_kg: float = Field(gt=0)
     """Device and probe."""
@@ -363,7 +365,7 @@ class DeviceFile(TomlTable):
 
     name: str = Field(min_length=1)
     serial: str = Field(min_length=1, max_length=SERIAL_BYTES, pattern=r"^[!-~]+$")
-    """As the board reports it."""
+    """As reported by the board."""
     simulated: bool = False
     position: Position
     force: Force
@@ -375,20 +377,21 @@ class DeviceFile(TomlTable):
     emf_velocity: Velocity
     temperature: Temperature
     resistance: ResistanceTable | None = None
-    """How the winding's resistance is compensated; left out, it is not."""
+    """Compensation of the winding's resistance; if omitted, there is none."""
     limits: LimitsTable
     travel: Travel
     home: HomeParams = HomeParams()
     commissioning: CommissioningTable | None = None
-    """Left out: signs are verified for a simulated device, and are not for a real one."""
+    """If omitted, signs count as verified for a simulated device, and as not verified for a real
+    one."""
     calibration_days: int = Field(CALIBRATION_DAYS, ge=1, le=36500)
-    """A calibration that is older is named wherever numbers rest on it, and `zwidth trial live`
+    """An older calibration is listed with all numbers that depend on it, and `zwidth trial live`
     refuses it."""
     relies_on: tuple[Literal["probe", "temperature"], ...] = Field(RELIED_ON, strict=False)
-    """Capabilities of the board without which the device may not be used."""
+    """Capabilities of the board required for the use of the device."""
     motor: MotorTable | None = None
-    """The motor, where somebody measured it."""
+    """The motor, if it was measured."""
     plant: RigidTable | None = None
-    """What a simulated board moves: one rigid mass."""
+    """Plant of a simulated board: one rigid mass."""
     model: DeviceModel | None = None
-    """What a simulated board moves, in full, instead of `plant`."""
+    """Full model of a simulated board, instead of `plant`."""

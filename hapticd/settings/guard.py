@@ -1,9 +1,9 @@
-"""Settings -> guard.json: the device as the guard judges it, composed once, in numbers.
+"""Settings -> guard.json: the device model of the guard, composed once, as numbers.
 
-The model is the whole linear device of the device file, with the effects that a live board builds,
-or the one rigid mass of a simulated board without a model. A real device without a model has none,
-and then nothing is known of it. A .zwidth file counts for the device file, rate and filters that it
-was measured with, and for nothing else: what does not fit is kept as the reason why it is refused.
+The model is the whole linear device of the device file, with the effects of a live board, or the
+one rigid mass of a simulated board without a model. A real device without a model has none, so
+passivity is unknown. A .zwidth file is valid only for the device file, rate and filters of its
+measurement; any difference is kept as the reason for its refusal.
 
 JSON must not round numbers of the model (floats are written so that they are read back to the last
 bit).
@@ -34,13 +34,13 @@ from hapticd.settings.load import Settings
 
 __all__ = ["guard_setup"]
 
-AXES = ("K", "B", "M")  # as limits of a .zwidth file number them
-ENDS = ("K+", "B-", "B+", "M-", "M+")  # as MeasuredLevel has them
+AXES = ("K", "B", "M")  # order of the axes in a .zwidth file
+ENDS = ("K+", "B-", "B+", "M-", "M+")  # order of the ends in MeasuredLevel
 
 
 def guard_setup(settings: Settings, servo: ServoParams, limits: EnvironmentLimits) -> GuardSetup:
-    """guard.json, for the guard of the servo with the parameters `servo`, where clients may ask
-    for K, B, M within `limits`. ConfigError as `compose`.
+    """Return guard.json, for the guard of the servo with the parameters `servo`, where clients may
+    request K, B, M within `limits`. ConfigError as for `compose`.
     """
     guard = guard_params(settings)
     model = _model(settings, servo.realtime.rate_hz)
@@ -59,7 +59,7 @@ def guard_setup(settings: Settings, servo: ServoParams, limits: EnvironmentLimit
 
 
 def _hash(model: ModelParams) -> str:
-    """SHA-256 (hex) of the model's numbers."""
+    """Return the SHA-256 (hex) of the model's numbers."""
     return hashlib.sha256(json.dumps(asdict(model), sort_keys=True).encode()).hexdigest()
 
 
@@ -72,11 +72,11 @@ def _model(settings: Settings, rate_hz: float) -> ModelParams | None:
 
 
 def compensated(effects: tuple[Effect, ...], tolerance_ohm: float) -> tuple[Effect, ...]:
-    """`effects` with the winding as warm as leaves `tolerance_ohm` uncompensated, which is the
-    strongest that the servo lets damping and force become.
+    """Return `effects` with a winding so warm that `tolerance_ohm` is uncompensated. This is the
+    maximum that the servo permits damping and force to become.
 
-    What is weaker by the same share of both is passive if this is, as far as the circuit is fast:
-    Re Z is linear in the share, and with neither of them it is the device's own damping.
+    If this is passive, so is any reduction of both by the same share, as far as the circuit is
+    fast: Re Z is linear in the share, and with neither of them it is the device's own damping.
     """
     cold = next((one.resistance_ohm for one in effects if isinstance(one, Motor)), None)
 
@@ -90,8 +90,8 @@ def compensated(effects: tuple[Effect, ...], tolerance_ohm: float) -> tuple[Effe
 
 
 def model_params(name: str, effects: Iterable[Effect], rate_hz: float) -> ModelParams:
-    """The device with these effects as numbers. ConfigError as `compose_device`."""
-    from hapticd.model.compose import compose_device  # numpy: a servo never comes here
+    """Return the device with these effects as numbers. ConfigError as for `compose_device`."""
+    from hapticd.model.compose import compose_device  # numpy: never loaded by a servo
 
     model = compose_device(name, effects, rate_hz)
     outputs = model.outputs
@@ -135,7 +135,9 @@ def _measured(guard: GuardParams, settings: Settings, servo: ServoParams) -> Mea
 def measured_params(
     file: str, content: Mapping[str, Any], device_file: bytes, servo: ServoParams
 ) -> MeasuredParams:
-    """What the .zwidth `content` says for the device of `device_file` and the servo `servo`."""
+    """Return the limits of the .zwidth `content` for the device of `device_file` and the servo
+    `servo`.
+    """
     stated = content["conditions"]
     corners = tuple(float(corner) for corner in stated["filters_hz"])
     refused = _refused(content, stated, device_file, servo.realtime.rate_hz)
@@ -161,7 +163,9 @@ def _refused(
 
 
 def _levels(content: Mapping[str, Any]) -> tuple[MeasuredLevel, ...]:
-    """Axis limits by level; K has one end, B and M have two, as far as they were looked for."""
+    """Return axis limits by level; K has one end, B and M have two, as far as they were
+    searched.
+    """
     found: dict[float, dict[str, float]] = {}
     for limit in content["limits"]:
         scan = limit["scan"]

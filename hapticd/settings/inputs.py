@@ -1,10 +1,9 @@
-"""Files that somebody names to be read: regular ones, not too large.
+"""Input files from the user: they must be regular and not too large.
 
-Opening a pipe waits for its other end, and a device such as /dev/zero has none. So a file is looked
-at before it is opened, here and nowhere else. Links are followed.
+Opening a pipe waits for its other end, and a device such as /dev/zero has no end. So a file is
+checked before it is opened, only in this module. Links are followed.
 
-Limitations: a file that becomes another one between the look and the opening; whoever names it
-would hang himself.
+Limitations: a file that is replaced between check and opening; only its own user is affected.
 """
 
 import stat
@@ -16,13 +15,13 @@ __all__ = ["SAMPLES_BYTES", "SETTINGS_BYTES", "WAVEFORM_BYTES", "regular"]
 
 SETTINGS_BYTES = 4 << 20
 WAVEFORM_BYTES = 64 << 20
-SAMPLES_BYTES = 2 << 30  # of text or arrays that are read as a whole
+SAMPLES_BYTES = 2 << 30  # of text or arrays that are read completely
 MIB = 1 << 20
 
 
 def regular(path: Path, most_bytes: int | None = None) -> Path:
-    """`path`, if it is a regular file of at most `most_bytes` (None: any size; of what is not read
-    as a whole). ConfigError says what it is else. Waits for nobody.
+    """Return `path` if it is a regular file of at most `most_bytes` (None: any size, for files that
+    are not read completely). Otherwise ConfigError states its type. The check never waits.
     """
     try:
         found = path.stat()

@@ -1,12 +1,12 @@
-"""Find the files, read them, merge what the command line says, validate, check the rules between
-fields, and remember where every value came from.
+"""Find and read the files, merge the command line, validate, check the rules between fields, and
+keep the origin of every value.
 
-A configuration may only be stricter than its device, a device must agree with itself, and the
-effects that somebody asks for must exist and fit together. Everything that is wrong is said at
-once, one line each, with file, line, value, unit and limit: in both files, and also by the rules
-that do not rest on what is wrong already (`tables.parsed`).
+A configuration may only be stricter than its device, a device must be consistent, and the requested
+effects must exist and fit together. All mistakes are reported at once, one line each, with file,
+line, value, unit and limit: in both files, and also by the rules that do not depend on a wrong
+value (`tables.parsed`).
 
-Overrides must be merged before validation (they would otherwise go unchecked).
+Overrides must be merged before validation (they would otherwise not be checked).
 """
 
 import copy
@@ -57,23 +57,23 @@ __all__ = [
 
 FILE_NAME = "hapticd.toml"
 SYSTEM_FILE = Path("/etc/hapticd") / FILE_NAME
-# times the tolerance: a back-off that leaves room to weigh what acts there (servo.homing)
+# times the tolerance: a back-off long enough to measure the force there (servo.homing)
 SHORTEST_BACK_OFF = 8.0
-HIGHEST_CORNER = 0.45  # of the servo rate: the highest corner that a filter may have
-NEEDS = {"heating": "winding"}  # an effect that changes what another one adds
+HIGHEST_CORNER = 0.45  # of the servo rate: the highest permitted corner of a filter
+NEEDS = {"heating": "winding"}  # an effect that modifies another one
 
 
 class Mistake(NamedTuple):
-    """A rule that is broken."""
+    """A violated rule."""
 
     path: KeyPath  # of the key
-    value: Any  # that stands there; None to leave it out of the message
+    value: Any  # at that key; None to omit it from the message
     reason: str
-    rests_on: tuple[KeyPath, ...] = ()  # other keys of the file that the limit comes from
+    rests_on: tuple[KeyPath, ...] = ()  # other keys of the file that determine the limit
 
 
 class MoreRules(NamedTuple):
-    """Rules of a caller, beside those of every configuration."""
+    """Rules of a caller, in addition to those of every configuration."""
 
     config: Callable[[Config], Iterable[Mistake]] = lambda _config: ()
     device: Callable[[DeviceFile], Iterable[Mistake]] = lambda _device: ()
@@ -85,7 +85,7 @@ class Override:
 
     path: tuple[str, ...]  # of the key
     value: object
-    origin: str  # what the user typed, for messages
+    origin: str  # the user's input, for messages
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Settings:
     device_file_sha256: str  # of the device file's bytes, hex
 
     def plain(self) -> dict[str, Any]:
-        """Everything as JSON values; the device file's content under `device`."""
+        """Return everything as JSON values; the device file's content under `device`."""
         return {
             **self.config.model_dump(mode="json"),
             "device": self.device.model_dump(mode="json"),
@@ -108,16 +108,19 @@ class Settings:
 
     @property
     def config_hash(self) -> str:
-        """SHA-256 (hex) over the canonical JSON: equal for equal values, wherever they stand."""
+        """SHA-256 (hex) of the canonical JSON: equal for equal values, independent of
+        their file.
+        """
         return hashlib.sha256(
             json.dumps(self.plain(), sort_keys=True, separators=(",", ":")).encode()
         ).hexdigest()
 
 
 def find_config(given: Path | None = None, environ: Mapping[str, str] = os.environ) -> Path:
-    """The first there is: --config, $HAPTICD_CONFIG, $XDG_CONFIG_HOME/hapticd/, /etc/hapticd/.
+    """Return the first existing file: --config, $HAPTICD_CONFIG, $XDG_CONFIG_HOME/hapticd/,
+    /etc/hapticd/.
 
-    Else the shipped file, which asks for a simulated board. ConfigError if a file that is named
+    Otherwise the shipped file, which selects a simulated board. ConfigError if an explicit file
     does not exist.
     """
     variable = environ.get("HAPTICD_CONFIG")
@@ -126,7 +129,7 @@ def find_config(given: Path | None = None, environ: Mapping[str, str] = os.envir
         if not named.exists():
             raise ConfigError(f"{named}: no such file, named by {origin}; check the path")
         return named
-    # an empty variable counts as not set, as the XDG specification has it
+    # an empty variable counts as not set, according to the XDG specification
     home = Path(environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
     places = (home / "hapticd" / FILE_NAME, SYSTEM_FILE)
     return next((path for path in places if path.is_file()), shipped("config") / FILE_NAME)
@@ -135,7 +138,7 @@ def find_config(given: Path | None = None, environ: Mapping[str, str] = os.envir
 def load(
     given: Path | None = None, overrides: tuple[Override, ...] = (), also: MoreRules | None = None
 ) -> Settings:
-    """The whole configuration, validated. ConfigError with one line for everything wrong, by the
+    """Return the whole configuration, validated. ConfigError with one line for each mistake, by the
     rules of every configuration and by `also`.
     """
     document = read(find_config(given))
@@ -145,7 +148,7 @@ def load(
         return typed.get(path) or document.where(path)
 
     config = parsed(Config, _merge(document.data, overrides), in_config)
-    # only now: the configuration names the device, and the command line may name another
+    # only now: the configuration selects the device, and the command line may override it
     file, device = _device_of(config, document.path)
     broken = _broken(config, device, also or MoreRules())
     if lines := list(filter(None, (config.errors, device.errors, *broken))):
@@ -157,7 +160,7 @@ def load(
 def _device_of(
     config: Parsed[Config], config_file: Path
 ) -> tuple[Document | None, Parsed[DeviceFile]]:
-    """The device that `config` names; none where that name is wrong itself."""
+    """Return the device of `config`; none if its name is wrong itself."""
     if config.table is None or concerns((("device",),), config.wrong):
         return None, Parsed(None, config.where)
     try:
@@ -168,7 +171,7 @@ def _device_of(
 
 
 def _broken(config: Parsed[Config], device: Parsed[DeviceFile], also: MoreRules) -> Iterator[str]:
-    """A line for every broken rule that rests on nothing that is wrong in its file already."""
+    """Yield a line for every violated rule that does not depend on another mistake in its file."""
     sound = None if device.errors else device.table
     if config.table is not None:
         mistakes = [*_config_rules(config.table), *also.config(config.table)]
@@ -189,7 +192,7 @@ def _settings(
     file: Document,
     typed: Mapping[KeyPath, str],
 ) -> Settings:
-    """The settings with the origin of each value; `typed`: what the command line says."""
+    """Return the settings with the origin of each value; `typed`: values of the command line."""
     origins = {
         dotted(path): typed.get(path) or document.origin(path)
         for path, _ in leaves(config.model_dump())
@@ -200,8 +203,8 @@ def _settings(
 
 
 def load_device(path: Path) -> DeviceFile:
-    """The device file `path` by itself, validated. ConfigError with one line for everything
-    wrong.
+    """Return the device file `path` alone, validated. ConfigError with one line for
+    each mistake.
     """
     document = read(path)
     device = validated(DeviceFile, document.data, document.where)
@@ -210,22 +213,22 @@ def load_device(path: Path) -> DeviceFile:
 
 
 def _merge(data: dict[str, Any], overrides: tuple[Override, ...]) -> dict[str, Any]:
-    # the document goes on to tell what the file itself says, for `origins`
+    # the document keeps the content of the file, for `origins`
     merged = copy.deepcopy(data)
     for override in overrides:
         table = merged
         for name in override.path[:-1]:
             table = table.setdefault(name, {}) if isinstance(table, dict) else {}
-        if isinstance(table, dict):  # else a value stands where a table belongs; validation says so
+        if isinstance(table, dict):  # otherwise a value replaces a table; validation reports that
             table[override.path[-1]] = override.value
     return merged
 
 
 def find_device(name: str, config_file: Path, origin: str) -> Path:
-    """The file of the device `name`: a path beside `config_file`, devices/NAME.toml beside it, or
-    a shipped one.
+    """Return the file of the device `name`: a path relative to `config_file`, devices/NAME.toml
+    next to it, or a shipped one.
 
-    ConfigError names those there are; `origin` says where the name stands.
+    ConfigError lists the known ones; `origin` is the place of the name.
     """
     if "/" in name or name.endswith(".toml"):
         return config_file.parent / name
@@ -243,7 +246,7 @@ def find_device(name: str, config_file: Path, origin: str) -> Path:
 
 
 def report(*parts: tuple[Where, Iterable[Mistake]]) -> None:
-    """Raise ConfigError if any rule is broken; each part brings its own way to file and line."""
+    """Raise ConfigError for violated rules; each part has its own function for file and line."""
     found = [_line(where, finding) for where, findings in parts for finding in findings]
     if found:
         raise ConfigError("\n".join(found))
@@ -259,7 +262,7 @@ def _line(where: Where, mistake: Mistake) -> str:
 
 
 def _config_rules(config: Config) -> Iterator[Mistake]:
-    """Where the configuration contradicts itself."""
+    """Yield contradictions within the configuration."""
     why = ": a silent board delays the end of force by as much"
     yield from _at_most(("usb", "timeout_ms"), config.usb.timeout_ms, LONGEST_TIMEOUT_MS, why)
     highest_hz = HIGHEST_CORNER * config.realtime.rate_hz
@@ -273,14 +276,16 @@ def _config_rules(config: Config) -> Iterator[Mistake]:
 def _at_most(
     path: KeyPath, value: float, limit: float, why: str, rests_on: tuple[KeyPath, ...] = ()
 ) -> Iterator[Mistake]:
-    """The value at `path` must not be above `limit`; `why` goes on behind the limit."""
+    """Require that the value at `path` is at most `limit`; `why` follows the limit in
+    the message.
+    """
     if value > limit:
         reason = f"must be at most {limit} {unit_of(str(path[-1]))}{why}"
         yield Mistake(path, value, reason, rests_on)
 
 
 def _between_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterator[Mistake]:
-    """Where the configuration asks for more than the device or its travel allow."""
+    """Yield settings that exceed the device or its travel."""
     yield from _limit_rules(config, device, in_device)
     built = config.simulation.effects
     if built is not None:
@@ -316,7 +321,7 @@ def _limit_rules(config: Config, device: DeviceFile, in_device: Where) -> Iterat
 
 
 def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
-    """Where a device file contradicts itself."""
+    """Yield contradictions within a device file."""
     limits = device.limits
     plant = device.plant
     for name, limit, full in (
@@ -346,10 +351,10 @@ def _device_rules(device: DeviceFile) -> Iterator[Mistake]:
 
 
 def _temperature_rule(device: DeviceFile) -> Iterator[Mistake]:
-    """Where the winding may get hotter than anything that its converter reads."""
+    """Require that the temperature limit is within the range of its converter."""
     scale = device.temperature.params("c_per_count")
     hottest = I16_HIGHEST if scale.sign > 0 else I16_LOWEST
-    # one count before the end, so that there is a count for a winding that is hotter
+    # one count before the end, so that a hotter winding still has a count
     most_c = scale.to_value(hottest - scale.sign)
     limit_c = device.limits.temperature_c
     if limit_c > most_c:
@@ -362,7 +367,7 @@ def _temperature_rule(device: DeviceFile) -> Iterator[Mistake]:
 
 
 def _home_rules(device: DeviceFile) -> Iterator[Mistake]:
-    """Where the second find would not be apart from the first, or nothing could be pushed."""
+    """Require that the second contact is separate from the first, and that a push is possible."""
     home = device.home
     shortest_m = SHORTEST_BACK_OFF * home.tolerance_m
     if home.back_off_m < shortest_m:
@@ -373,7 +378,7 @@ def _home_rules(device: DeviceFile) -> Iterator[Mistake]:
 
 
 def _resistance_rules(device: DeviceFile) -> Iterator[Mistake]:
-    """Where a winding could be compensated further than it has ohm, or never by itself."""
+    """Require that the compensation never exceeds the winding, and that it can work."""
     table = device.resistance
     if table is None:
         return
@@ -424,20 +429,20 @@ def _compensation_rules(
 def _order_rule(
     path: tuple[str, ...], low: str, high: str, table: TomlTable | None
 ) -> Iterator[Mistake]:
-    """The field `high` of a table, if there is one, must be more than the field `low`."""
+    """Require that the field `high` of a table, if there is one, is more than the field `low`."""
     if table is not None and getattr(table, low) >= getattr(table, high):
         reason = f"must be more than {low} = {getattr(table, low)} m"
         yield Mistake((*path, high), getattr(table, high), reason)
 
 
 def _winding_rule(device: DeviceFile, model: DeviceModel) -> Iterator[Mistake]:
-    """Where the compensation of a simulated winding could latch up at the highest damping."""
+    """Require that the compensation of a simulated winding does not latch up at maximum damping."""
     winding, motor = model.table("winding"), model.table("motor")
     if winding is None or "winding" not in model.effects:
         return
     cold_ohm = motor.resistance_ohm * COPPER_PER_K * (winding.temperature_c - winding.compensated_c)
     per_n = motor.lever_m / motor.torque_constant_nm_per_a
-    per_level = cold_ohm * per_n * per_n  # a product becomes infinite where a power is an error
+    per_level = cold_ohm * per_n * per_n  # a product overflows to infinity, a power raises an error
     highest = device.limits.active_damping_ns_per_m
     if per_level * highest < LEAST_LOOP_GAIN:
         yield Mistake(
@@ -451,7 +456,7 @@ def _winding_rule(device: DeviceFile, model: DeviceModel) -> Iterator[Mistake]:
 
 
 def model_rules(device: DeviceFile) -> Iterator[Mistake]:
-    """What is wrong with the [model] of a device file."""
+    """Yield mistakes in the [model] of a device file."""
     model = device.model
     if model is None:
         return
@@ -477,7 +482,7 @@ def model_rules(device: DeviceFile) -> Iterator[Mistake]:
 def chosen_rules(
     device: DeviceFile, path: tuple[str, ...], names: Sequence[str]
 ) -> Iterator[Mistake]:
-    """What is wrong with the list `names` of effects to build, which stands at `path`."""
+    """Yield mistakes in the list `names` of effects to build, at `path`."""
     model = device.model
     if model is None:
         reason = f"device {device.name!r} has no [model] that effects could be taken from"

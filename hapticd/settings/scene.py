@@ -1,15 +1,15 @@
-"""scenes/NAME.toml: a device, what it renders, what moves it, and which of its effects exist.
+"""scenes/NAME.toml: a device, its environment, its excitation, and its effects.
 
-`load_scene` finds a scene file and its device, merges what the scene changes, validates, and builds
-the `Scene`. A scene's [model.KEY] changes single numbers of the device's table of that name; the
-merged device is validated as if it stood in one file, and messages point to the file and line that
-the wrong number came from.
+`load_scene` finds a scene file and its device, merges the changes of the scene, validates, and
+builds the `Scene`. A scene's [model.KEY] changes single numbers of the device's table of that name.
+The merged device is validated like a single file, and messages refer to the file and line of the
+wrong number.
 
-The JSON schemas of all kinds of file stand here too. They serve editors (`#:schema` in the first
+The JSON schemas of all kinds of file are here too. They are for editors (`#:schema` in the first
 line of a file) and `taplo check`.
 
-Limitations: a scene that changes a number of a table which its device does not have (the table then
-lacks its other numbers, and the message says so).
+Limitations: a scene that changes a number of a table that its device does not have (the table then
+lacks its other numbers, and the message lists them).
 """
 
 import copy
@@ -35,10 +35,10 @@ __all__ = ["build_scene", "load_files", "load_scene", "schema_text"]
 
 
 class DampingStepTable(TomlTable):
-    """Active damping that the servo asks for from `at_s` on."""
+    """Active damping requested by the servo from `at_s` on."""
 
     at_s: float = Field(0.0, ge=0)
-    """Since the beginning; before the first step there is none."""
+    """Time since the start; before the first step there is none."""
     level_ns_per_m: float = Field(ge=0)
     """The board rounds it to a count."""
 
@@ -47,7 +47,7 @@ class Start(TomlTable):
     """The endpoint at time 0."""
 
     position_m: float = 0.0
-    """0 is where the springs of the environment rest."""
+    """0 is the rest position of the environment's springs."""
     velocity_m_per_s: float = 0.0
     """Of all bodies together."""
 
@@ -60,9 +60,9 @@ class SceneFile(TomlTable):
     device: str = Field(min_length=1)
     """Name of a simulated device (devices/NAME.toml), or a path to one."""
     effects: tuple[str, ...] = Field(strict=False)
-    """Effects of the device that are built; nothing else is."""
+    """Effects of the device to build; all others are left out."""
     seconds: float = Field(10.0, gt=0, le=1e6)
-    """How long it is simulated, unless a command says otherwise."""
+    """Duration of the simulation, unless a command overrides it."""
     rate_hz: ServoRateHz = RealtimeParams().rate_hz
     """Of the servo."""
     allow_unstable: bool = False
@@ -72,7 +72,7 @@ class SceneFile(TomlTable):
     excitation: Excitation = Excitation()
     start: Start = Start()
     model: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    """What is different about the device: tables of its [model], changed number by number."""
+    """Changes of the device: tables of its [model], changed number by number."""
 
 
 SCHEMA_FILES = {
@@ -84,12 +84,14 @@ _KINDS: dict[str, type[TomlTable]] = {"config": Config, "device": DeviceFile, "s
 
 
 def scene_names() -> list[str]:
-    """The scenes shipped with the package."""
+    """Return the names of the scenes shipped with the package."""
     return sorted(file.stem for file in (shipped("config") / "scenes").glob("*.toml"))
 
 
 def load_scene(name: str | Path) -> Scene:
-    """The scene of that name, or in that file. ConfigError with one line for everything wrong."""
+    """Return the scene of that name, or in that file. ConfigError with one line for
+    each mistake.
+    """
     return build_scene(load_files(name))
 
 
@@ -102,7 +104,7 @@ class SceneFiles(NamedTuple):
 
 
 def load_files(name: str | Path) -> SceneFiles:
-    """The files of a scene, validated. ConfigError with one line for everything wrong."""
+    """Return the files of a scene, validated. ConfigError with one line for each mistake."""
     document = read(find_scene(name))
     scene = validated(SceneFile, document.data, document.where)
     device_document = read(find_device(scene.device, document.path, document.where(("device",))))
@@ -116,7 +118,9 @@ def load_files(name: str | Path) -> SceneFiles:
 
 
 def find_scene(name: str | Path) -> Path:
-    """A path to a .toml file as it is, else a shipped scene. ConfigError names those there are."""
+    """Return a path to a .toml file unchanged, otherwise a shipped scene. ConfigError lists the
+    known ones.
+    """
     if str(name).endswith(".toml"):
         return Path(name)
     file = shipped("config") / "scenes" / f"{name}.toml"
@@ -129,7 +133,7 @@ def find_scene(name: str | Path) -> Path:
 
 
 def build_scene(files: SceneFiles) -> Scene:
-    """The validated files as the values that `compose` takes."""
+    """Return the validated files as the input of `compose`."""
     name, scene, device = files
     assert device.model is not None
     in_time = sorted(scene.active_damping, key=lambda step: step.at_s)
@@ -151,7 +155,7 @@ def build_scene(files: SceneFiles) -> Scene:
 
 
 def _changed(device: Document, scene: Document) -> tuple[dict[str, Any], Where]:
-    """(the device's content with the scene's numbers in it, file:line of each key)."""
+    """Return (the device's content with the scene's numbers, file:line of each key)."""
     data = copy.deepcopy(device.data)
     for key, numbers in scene.data.get("model", {}).items():
         data.setdefault("model", {}).setdefault(key, {}).update(numbers)
@@ -163,16 +167,18 @@ def _changed(device: Document, scene: Document) -> tuple[dict[str, Any], Where]:
 
 
 def schema(kind: str) -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of a kind of file, with units: `config`, `device` or `scene`."""
+    """Return the JSON schema (draft 2020-12) of a kind of file, with units: `config`, `device` or
+    `scene`.
+    """
     found = _KINDS[kind].model_json_schema()
     for table in (found, *found["$defs"].values()):
         for name, entry in table["properties"].items():
-            entry.pop("title", None)  # only repeats the name
+            entry.pop("title", None)  # repeats the name
             if unit := unit_of(name):
                 entry["unit"] = unit
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **found}
 
 
 def schema_text(kind: str) -> str:
-    """The schema as it is shipped."""
+    """Return the schema as shipped."""
     return json.dumps(schema(kind), indent=2, ensure_ascii=False) + "\n"

@@ -1,17 +1,17 @@
-"""The base of every TOML table, what a file says as its table, and its mistakes as sentences.
+"""The base of every TOML table, the parsing of a file into its table, and messages for its
+mistakes.
 
-A sentence names file:line, field = value with its unit, what is allowed, what was probably meant.
+A message contains file:line, field = value with its unit, the permitted range, and a suggestion.
 
-Rules between keys need a table (`parsed`). So that they are looked at beside a misspelt key or a
-wrong number, what is wrong is taken out and stands as its default meanwhile; a rule counts only if
-nothing of that is near what it looks at (`concerns`).
+Rules between keys need a table (`parsed`). To check them despite a misspelt key or a wrong number,
+wrong entries are replaced by their defaults for the check. A rule counts only if no wrong entry is
+near its keys (`concerns`).
 
 Tables are strict (no "100" for 100), closed (no unknown key), frozen, and refuse NaN and infinity.
-Units live in the names of fields; `core.units.unit_of` reads them for messages and for the JSON
-schema.
+Units are part of field names; `core.units.unit_of` reads them for messages and for the JSON schema.
 
 Limitations: a pydantic release that renames its error types (`REASONS` would fall back to
-pydantic's own words); a rule whose limit comes from another table that it does not name.
+pydantic's own text); a rule whose limit comes from another table that it does not list.
 """
 
 import copy
@@ -76,11 +76,11 @@ T = TypeVar("T", bound=TomlTable)
 
 @dataclass(frozen=True)
 class Parsed(Generic[T]):
-    """`table` without what is `wrong`; None where nothing sensible is left."""
+    """A table without its `wrong` entries; None if no valid table is left."""
 
     table: T | None
     where: Where
-    errors: str = ""  # a line for each mistake; empty: there is none
+    errors: str = ""  # a line for each mistake; empty if there is none
     wrong: tuple[KeyPath, ...] = ()
 
     @property
@@ -92,7 +92,7 @@ class Parsed(Generic[T]):
 
 
 def parsed(model: type[T], data: dict[str, Any], where: Where) -> Parsed[T]:
-    """`data` as `model`. `where` tells file and line of a key."""
+    """Parse `data` as `model`. `where` returns file and line of a key."""
     try:
         return Parsed(model.model_validate(data), where)
     except ValidationError as error:
@@ -103,12 +103,12 @@ def parsed(model: type[T], data: dict[str, Any], where: Where) -> Parsed[T]:
 
 
 def validated(model: type[T], data: dict[str, Any], where: Where) -> T:
-    """`data` as `model`. ConfigError with one line for everything wrong."""
+    """Parse `data` as `model`. ConfigError with one line for each mistake."""
     return parsed(model, data, where).sound
 
 
 def _rest(model: type[T], data: dict[str, Any], wrong: Iterable[KeyPath]) -> T | None:
-    """`data` without what is `wrong`, as a table if it is one then."""
+    """Return `data` without the `wrong` entries as a table, if that is valid."""
     left = copy.deepcopy(data)
     for path in wrong:
         _take_out(left, path)
@@ -119,7 +119,7 @@ def _rest(model: type[T], data: dict[str, Any], wrong: Iterable[KeyPath]) -> T |
 
 
 def _take_out(data: dict[str, Any], path: KeyPath) -> None:
-    """Remove what stands at `path`, or the whole list in which it stands."""
+    """Remove the entry at `path`, or the whole list that contains it."""
     table: Any = data
     for step, below in zip(path, (*path[1:], ""), strict=True):
         if not isinstance(table, dict):
@@ -131,7 +131,7 @@ def _take_out(data: dict[str, Any], path: KeyPath) -> None:
 
 
 def concerns(paths: Iterable[KeyPath], wrong: Iterable[KeyPath]) -> bool:
-    """Whether any of `wrong` stands at one of `paths`, above it, or in the same table beside it."""
+    """Return whether any of `wrong` is at one of `paths`, above it, or in the same table."""
     return any(
         mistake[: len(table)] == table or table[: len(mistake)] == mistake
         for table in [path[:-1] or path for path in paths]
@@ -146,7 +146,7 @@ def dotted(path: KeyPath) -> str:
 
 
 def leaves(table: Any, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Any]]:
-    """(path, value) of everything in `table` that is not a table itself."""
+    """Yield (path, value) of every entry in `table` that is not a table itself."""
     if isinstance(table, dict):
         for name, item in table.items():
             yield from leaves(item, (*path, name))
@@ -160,7 +160,7 @@ def _line(detail: ErrorDetails, model: type[BaseModel], where: Where) -> str:
 
 
 def _shown(detail: ErrorDetails) -> str:
-    """` = value unit`, where the value itself is what is wrong."""
+    """Return ` = value unit`, if the value itself is wrong."""
     if detail["type"] in ("missing", *UNKNOWN_KEY, *NOT_A_TABLE):
         return ""
     value = detail["input"]
@@ -183,30 +183,30 @@ def _reason(detail: ErrorDetails, model: type[BaseModel]) -> str:
 
 
 def _unit(detail: ErrorDetails) -> str:
-    """The unit of the key behind a blank, or nothing."""
+    """Return the unit of the key after a blank, or an empty text."""
     path = detail["loc"]
     unit = unit_of(str(path[-1])) if path else ""
     return f" {unit}" if unit else ""
 
 
 def _show(value: Any) -> str:
-    """`value` as TOML writes it."""
+    """Return `value` in TOML notation."""
     if isinstance(value, bool):
         return str(value).lower()
     return repr(value) if isinstance(value, str) else str(value)
 
 
 def keys_of(table: Any, path: KeyPath = ()) -> list[str]:
-    """The keys of the table at `path` in `table`, a model or a dataclass."""
+    """Return the keys of the table at `path` in `table`, a model or a dataclass."""
     for step in path:
-        # a number is a place in a list of tables: the table is the same
+        # a number is an index into a list of tables: the table is the same
         if isinstance(step, str):
             table = _table_of(get_type_hints(table)[step])
     return list(getattr(table, "model_fields", None) or table.__dataclass_fields__)
 
 
 def _table_of(hint: Any) -> Any:
-    """The table inside `Table`, `Table | None` or `tuple[Table, ...]`."""
+    """Return the table inside `Table`, `Table | None` or `tuple[Table, ...]`."""
     return next(
         kind
         for kind in (hint, *get_args(hint))

@@ -1,11 +1,11 @@
-"""TOML files: those shipped, the line of every key, suggestions for misspelt names.
+"""TOML files: shipped files, the line of every key, suggestions for misspelt names.
 
-Standard library alone. tomllib does not tell line numbers, so `read` scans the text a second time
-for headers and keys; a `Document` answers `where(path)` with file:line of a key or of the nearest
-table around it.
+Standard library only. tomllib does not report line numbers, so `read` scans the text again for
+headers and keys. A `Document` returns with `where(path)` the file:line of a key or of the nearest
+enclosing table.
 
-Limitations: a header or key whose quoted name holds the quote itself (the message would name the
-table around it).
+Limitations: a header or key whose quoted name contains the quote itself (the message then refers to
+the enclosing table).
 """
 
 import difflib
@@ -30,9 +30,9 @@ _PACKAGE = Path(hapticd.__file__).parent
 
 
 def shipped(folder: str) -> Path:
-    """The folder `config`, `firmware_iface` or `systemd`, from any working folder.
+    """Return the folder `config`, `firmware_iface` or `systemd`, independent of the working folder.
 
-    It lies inside an installed package, else beside the package in a checkout.
+    It is inside an installed package, or next to the package in a checkout.
     """
     for base in (_PACKAGE / "_data", _PACKAGE.parent):
         if (base / folder).is_dir():
@@ -48,7 +48,7 @@ _KEY = re.compile(rf"\s*({_DOTTED})\s*=")
 
 @dataclass(frozen=True)
 class Document:
-    """Content of one file, and where each part of it stands."""
+    """Content of one file, and the line of each part."""
 
     path: Path
     data: dict[str, Any]
@@ -56,18 +56,18 @@ class Document:
     sha256: str  # of the bytes that were parsed, hex
 
     def where(self, path: KeyPath) -> str:
-        """`file:line` of the key, or of the nearest table around it."""
+        """Return `file:line` of the key, or of the nearest enclosing table."""
         for length in range(len(path), 0, -1):
             if path[:length] in self.lines:
                 return f"{self.path}:{self.lines[path[:length]]}"
         return str(self.path)
 
     def origin(self, path: KeyPath) -> str:
-        """`file:line` of the key; `default` where the file has none."""
+        """Return `file:line` of the key; `default` if the file has none."""
         return "default" if self.value(path) is None else self.where(path)
 
     def value(self, path: KeyPath) -> Any:
-        """The value at `path`; None if there is none."""
+        """Return the value at `path`; None if there is none."""
         found: Any = self.data
         for step in path:
             try:
@@ -78,7 +78,7 @@ class Document:
 
 
 def read(path: Path) -> Document:
-    """Parse `path`. ConfigError with file and line when it cannot be read or is not TOML."""
+    """Parse `path`. ConfigError with file and line if it cannot be read or is not TOML."""
     try:
         content = regular(path, SETTINGS_BYTES).read_bytes()
         text = io.StringIO(content.decode("utf-8"), newline=None).read()
@@ -131,13 +131,13 @@ def _lines(text: str) -> dict[KeyPath, int]:
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """`; did you mean 'x'?` for the nearest of `known`, or nothing."""
+    """Return `; did you mean 'x'?` for the nearest of `known`, or an empty text."""
     close = nearest(word, known)
     return f"; did you mean {close!r}?" if close else ""
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
-    """The one of `known` that `word` is nearly; empty if there is none."""
+    """Return the closest match of `word` in `known`; empty if there is none."""
     lower = {name.lower(): name for name in known}
     close = difflib.get_close_matches(word.lower(), lower, 1, 0.6)
     return lower[close[0]] if close else ""
